@@ -8,7 +8,7 @@ VERSIONS ?= 3.11 3.12 3.13
 EXTRAS   ?= app,test
 # Independent programs that some tests compare with; those tests skip where they are absent.
 PARTNERS ?= casadi distributed drake example-robot-data-loaders mujoco pin playwright pytransform3d roboticstoolbox-python \
-	rtb-data urchin xacro
+	rosbags rtb-data urchin xacro
 
 # Programs that `make benchmark` compares with, beside those of the tests.
 RIVALS   ?= gtsam pyceres
@@ -89,7 +89,7 @@ types: $(STAMP) ## mypy; the modules of benchmarks import each other as scripts 
 
 suite: $(STAMP) ## pytest alone
 	@mkdir -p $(TMPDIR)
-	$(BIN)/python -m pytest -n $(JOBS) $(LEFT_OUT)
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(LEFT_OUT)
 
 test-pythons: ## the suite on every interpreter of VERSIONS found, each in its own environment
 	@status=0; for v in $(VERSIONS); do python=; \

@@ -26,7 +26,7 @@ import loopcal as lc
 from analyses.gauntlet_worlds import Parallel, World
 from analyses.rates import interval
 from analyses.written import write_block
-from loopcal.statistics.verdict import findings_against
+from loopcal.statistics.verdict import findings_of
 
 PAGE = Path("docs/explanation/gauntlet.md")
 KEPT = Path(".cache/alarms.jsonl")
@@ -78,7 +78,8 @@ def run(name: str, method: str, draw: int) -> dict[str, Any] | None:
                 return found | {"sound": False, "codes": [refused.code], "words": str(refused)}
             return None
     # "untested" is no finding of data: nobody asked for a validation
-    codes = [one.rule.code for one in findings_against(document) if one.rule.code != "untested"]
+    against = [one for one in findings_of(document) if one.severity != "info"]
+    codes = [one.code for one in against if one.question == "sound" and one.code != "untested"]
     if not codes:
         return found | {"sound": True, "codes": [], "words": ""}
     return found | {"sound": answer.passed, "codes": codes, "words": answer.words}

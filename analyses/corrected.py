@@ -104,11 +104,9 @@ def worn(arm: Arm, rng: np.random.Generator) -> Arm:
 def prior(mechanism: lc.Mechanism) -> lc.Prior:
     """What is known of a machine that is off its drawing as these are; nothing of its placement."""
     sds = {}
-    for name, kind in mechanism.kinds.items():
-        unit = mechanism.parameters[name].unit
-        sds[name] = {"mounting": MOUNTED, "placement": np.inf}.get(
-            kind, LENGTH if unit == "m" else ANGLE
-        )
+    for p in mechanism.parameters:
+        size = LENGTH if p.unit == "m" else ANGLE
+        sds[p.name] = {"mounting": MOUNTED, "placement": np.inf}.get(p.role, size)
     return lc.Prior(sds)
 
 

@@ -80,7 +80,7 @@ def driven(mechanism: lc.Mechanism, seed: int, poses: int = POSES) -> dict[str, 
     known = {"t": np.linspace(0.0, 1.0, poses), "pose": np.arange(1.0, poses + 1)}
     known |= {f"{q}_direction": rng.choice([-1.0, 1.0], poses) for q in JOINTS}
     found = lc.random_poses(RANGES, poses, seed=seed)
-    return dict(found) | {name: known[name] for name in mechanism.known}
+    return dict(found) | {name: known[name] for name in mechanism.pose_constants}
 
 
 def truth_of(mechanism: lc.Mechanism, seed: int) -> dict[str, float]:

@@ -22,8 +22,8 @@ import loopcal as lc
 from analyses.instruments import Setup, setup
 from analyses.written import write_block
 from loopcal.errors import InputError
-from loopcal.estimation.calibrate import started
 from loopcal.estimation.faults.search import column_faults
+from loopcal.estimation.steps import started
 
 Array = NDArray[np.float64]
 Readings = dict[str, Array]

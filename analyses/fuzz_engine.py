@@ -58,10 +58,9 @@ WILD: tuple[Callable[..., Any], ...] = (
 
 @dataclass(frozen=True)
 class Case:
-    """One round: a tape, parameters, and a block of poses."""
+    """One round: a tape, and a block of poses at some parameters."""
 
     tape: Tape
-    parameters: Array
     block: Block
 
 
@@ -90,7 +89,7 @@ def draw(rng: np.random.Generator, wild: bool) -> Case:
     tape = trace(
         loops,
         quantities=[f"x{i}" for i in range(k)],
-        known=[f"c{i}" for i in range(c)],
+        pose_constants=[f"c{i}" for i in range(c)],
         parameters=[f"p{i}" for i in range(n)],
     )
     held = [i for i in range(m) if rng.random() < 0.8] or [0]
@@ -99,11 +98,12 @@ def draw(rng: np.random.Generator, wild: bool) -> Case:
     if wild:
         spoilt = rng.random(readings.shape) < 0.02
         readings[spoilt] = rng.choice([np.nan, np.inf, -np.inf, 1e308, 0.0], int(spoilt.sum()))
+    parameters = rng.uniform(-2, 2, n) * (rng.random(n) < 0.9)
     return Case(
         tape.only(held),
-        rng.uniform(-2, 2, n) * (rng.random(n) < 0.9),
         Block(
             slice(0, poses),
+            parameters,
             readings,
             1e-2 * rng.normal(size=(k, poses)),
             rng.uniform(-1, 1, (c, poses)),
@@ -155,8 +155,9 @@ def numbers(case: Case, compiled: bool, *, exact: bool) -> list[Array]:
     else:
         engine = NumpyEngine(linearisation, b)
         kernel = NumpyKernel(engine, unweighted if exact else whiten)
-    engine.at(case.parameters)
-    values = engine.evaluate(block.corrected, block.known, Stage.BY_PARAMETER)
+    values = engine.evaluate(
+        block.parameters, block.corrected, block.pose_constants, Stage.BY_PARAMETER
+    )
     found = [a.copy() for a in (values.f, values.by_quantity, values.by_parameter)]
     rows = kernel.equations(block, summed=False)
     assert rows.rows is not None
@@ -172,7 +173,6 @@ def everything(case: Case, *, exact: bool) -> list[Array]:
     if case.block.noise.unmeasured:
         tape = case.tape
         engine = CompiledEngine(linearise(tape, tape.quantities, tape.parameters), 1)
-        engine.at(case.parameters)
         found.append(CompiledKernel(engine, exact).search(case.block))
     return found
 

@@ -87,7 +87,7 @@ def _run(name: str, draw: int) -> dict[str, Any]:
             return found | {"refused": words[:300], "named": named, "cpu": _since(begun)}
         answers = verdict.answers
         told = " ".join([*(f"{a.code} {a.words} {a.next}" for a in answers.values())])
-        effects = (words for term in result.document.terms for words in term.told)
+        effects = (words for term in result.document.terms for words in term.sentences)
         told = " ".join([told, *result.warnings, *effects])
         found |= {name: answer.passed for name, answer in answers.items()}
         found |= {"codes": [answer.code for answer in answers.values()], "cpu": _since(begun)}

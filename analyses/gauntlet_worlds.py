@@ -19,8 +19,8 @@ from analyses.gauntlet_truth import Arm, Array, drawn, random_placement, turned_
 from loopcal.mechanisms.instruments.length import draw_wire
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
+from loopcal.mechanisms.parallel.delta import linear_delta
 from loopcal.mechanisms.parallel.five_bar import five_bar
-from loopcal.mechanisms.parallel.linear_delta import linear_delta
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.serial import Joint, parameter_name, serial_machine
 

@@ -36,7 +36,7 @@ def changed() -> str:
     hit = {"offset_4": nominal["offset_4"] + 1e-3, "offset_5": nominal["offset_5"] - 5e-4}
     there = {"T_x": nominal["T_x"] + 0.5, "T_rz": nominal["T_rz"] + 0.4}
     day = measured(drawn.with_nominal(nominal | hit | there), "rigid", joints(rng, 30), 2)
-    return verification_html(lc.verify(result, day), "six-axis arm")
+    return verification_html(lc.verify(result, day), "six-axis arm", "from memory")
 
 
 def updated(folder: Path) -> str:
@@ -83,7 +83,7 @@ def fleet() -> str:
         data = lc.simulate(true, driven, noise=noise, seed=number).dataset
         nominal = true.with_nominal({"l2": 0.8, "l3": 0.6})
         results.append(lc.calibrate(nominal, data, noise=noise, method="implicit-loop"))
-    return fleet_html(lc.fleet(results))
+    return fleet_html(lc.fleet(results), "from memory")
 
 
 def main() -> None:

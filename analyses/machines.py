@@ -28,10 +28,9 @@ from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import Instrument, Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parallel.delta import linear_delta, rotary_delta
 from loopcal.mechanisms.parallel.five_bar import five_bar
 from loopcal.mechanisms.parallel.four_bar import four_bar
-from loopcal.mechanisms.parallel.linear_delta import linear_delta
-from loopcal.mechanisms.parallel.rotary_delta import rotary_delta
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.parallel.three_rrr import three_rrr
 from loopcal.mechanisms.station import Target

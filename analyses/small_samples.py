@@ -86,7 +86,7 @@ def draw(case: Case, poses: int, seed: int) -> Drawn | None:
         np.einsum("no,nop,np->n", off, np.linalg.inv(p.covariance), off) for p in (by_known, seen)
     ]
     bare = [
-        replace(c, covariance=LearntCovariance.known(c.covariance.plain))
+        replace(c, covariance=LearntCovariance.certain(c.covariance.plain))
         for c in (Calibrated.of(a, "A"), Calibrated.of(b, "B"))
     ]
     return Drawn(
@@ -111,7 +111,7 @@ def calibrated(arm: lc.Mechanism, case: Case, poses: int, seed: int) -> lc.Resul
 def _as_known(result: lc.Result) -> Predictor:
     found = predictor(result)
     assert found is not None
-    return replace(found, covariance=LearntCovariance.known(found.covariance.plain))
+    return replace(found, covariance=LearntCovariance.certain(found.covariance.plain))
 
 
 def counted(case: Case, poses: int, seeds: range) -> list[Drawn]:

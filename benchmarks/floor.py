@@ -23,7 +23,7 @@ from loopcal.estimation.solve.merit import Evaluation
 from loopcal.estimation.solve.solver import solve_with
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.choice import in_words
-from loopcal.expressions.compiled_engine import program_for
+from loopcal.expressions.compiled_engine import prepared
 from loopcal.expressions.derivative import linearise
 from loopcal.expressions.loop_values import Stage
 from loopcal.expressions.tape import Tape
@@ -92,20 +92,18 @@ def _measured() -> Floor:
     arm = six_axis(POSES)
     problem = build_problem(arm.mechanism, arm.dataset, arm.noise)
     sweeper = Sweeper(problem)
-    sweeper.at(problem.start)
-    pattern, block = next(sweeper.blocks(np.zeros_like(problem.readings), POSES))
+    pattern, block = next(sweeper.blocks(problem.start, most=POSES))
     kernel = sweeper.kernel(pattern)
     m, k, n = 3, 9, len(problem.free)
     tape = _tape(problem.mechanism.tape, problem.names)
     closing = _tape(problem.mechanism.tape, ()) + _whitening(m, k, 0)
     rows = tape + _whitening(m, k, n)
-    engine = sweeper.engine(pattern)
     found = [
         _timed(run)
         for run in (
             lambda: kernel.equations(block, summed=True),
             lambda: kernel.equations(block, summed=False),
-            lambda: engine.evaluate(problem.readings, problem.known, Stage.BY_PARAMETER),
+            lambda: sweeper.loop_values(pattern, block, Stage.BY_PARAMETER),
             lambda: kernel.corrected(block),
         )
     ]
@@ -153,7 +151,7 @@ def _copied() -> float:
 
 
 def _tape(tape: Tape, parameters: tuple[str, ...]) -> int:
-    program = program_for(linearise(tape, tape.quantities, parameters))
+    _, _, program = prepared(linearise(tape, tape.quantities, parameters))
     return sum(COSTS.get(one.name, 1) for one in program.instructions)
 
 

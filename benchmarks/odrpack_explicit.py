@@ -31,18 +31,15 @@ def on_tape(problem: Problem) -> Problem:
 
     def point(at: Array, p: Array) -> Array:
         x[rows] = at
-        joints.at(p)
-        return np.array(joints.evaluate(x, stage=Stage.VALUES).f)
+        return np.array(joints.evaluate(p, x, stage=Stage.VALUES).f)
 
     def by_joint(at: Array, p: Array) -> Array:
         x[rows] = at
-        joints.at(p)
-        return np.array(joints.evaluate(x).by_quantity.transpose(1, 0, 2))
+        return np.array(joints.evaluate(p, x).by_quantity.transpose(1, 0, 2))
 
     def by_parameter(at: Array, p: Array) -> Array:
         x[rows] = at
-        parameters.at(p)
-        return np.array(parameters.evaluate(x).by_parameter.transpose(1, 0, 2))
+        return np.array(parameters.evaluate(p, x).by_parameter.transpose(1, 0, 2))
 
     model = replace(problem.model, point=point, by_joint=by_joint, by_parameter=by_parameter)
     return replace(problem, model=model)

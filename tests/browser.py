@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import atexit
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +26,10 @@ class Seen:
     complaints: list[str] = field(default_factory=list)
 
 
+PATIENCE = 240_000
+"""Milliseconds that a page may take on a busy machine."""
+DECODED = "Promise.all([...document.images].map((image) => image.decode()))"
+"""Until every picture of a page has its size."""
 _STARTED: list[Any] = []
 """The browser of this process: playwright starts once only."""
 
@@ -48,11 +52,30 @@ def chromium() -> Iterator[Any]:
     yield _STARTED[0]
 
 
+def expect(where: Any) -> Any:
+    """Playwright's assertions about a page or a part of it, which wait until they hold."""
+    from playwright.sync_api import expect as assertions
+
+    assertions.set_options(timeout=PATIENCE)
+    return assertions(where)
+
+
+def until(page: Any, so: Callable[[], bool]) -> None:
+    """Wait for what a page does not show; it works meanwhile."""
+    for _ in range(PATIENCE // 25):
+        if so():
+            return
+        page.wait_for_timeout(25)
+    raise AssertionError("what was waited for did not come")
+
+
 @contextmanager
-def opened(browser: Any, path: Path, *, width: int = 1440, **context: Any) -> Iterator[Seen]:
-    """A page from the disk, all its figures drawn."""
+def opened(
+    browser: Any, path: Path, *, width: int = 1440, drawn: bool = True, **context: Any
+) -> Iterator[Seen]:
+    """A page from the disk, all its figures drawn where it has any."""
     where = browser.new_context(viewport={"width": width, "height": 900}, **context)
-    where.set_default_timeout(180_000)  # a busy machine takes its time
+    where.set_default_timeout(PATIENCE)
     seen = Seen(where.new_page())
     address = path.resolve().as_uri()
 
@@ -69,6 +92,8 @@ def opened(browser: Any, path: Path, *, width: int = 1440, **context: Any) -> It
     seen.page.on("console", said)
     seen.page.on("pageerror", lambda error: seen.complaints.append(str(error)))
     seen.page.goto(address)
-    seen.page.wait_for_selector("body[data-drawn=all]")
+    if drawn:
+        seen.page.wait_for_selector("body[data-drawn=all]")
+        seen.page.evaluate(DECODED)
     yield seen
     where.close()

@@ -66,9 +66,11 @@ def dask_cluster(folder: Path, **variables: str) -> Iterator[DaskCluster]:
     """A scheduler without workers; skips where dask.distributed is absent."""
     pytest.importorskip("distributed", reason="distributed is absent; `make partners` installs it")
     # A scheduler calls a worker that has died for so long before it believes it, by default 30 s.
-    patience = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
+    settings = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
+    # A worker that is to die at its second piece does begin it, however slow it is.
+    settings["DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING"] = "False"
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (patience | variables).items():
+        for name, value in (settings | variables).items():
             patch.setenv(name, value)
         started = DaskCluster(folder)
         try:

@@ -36,6 +36,7 @@ def normalised(text: str) -> str:
     """Without versions, hashes, widths of columns, and digits beyond the third."""
     text = _HASH.sub("HASH", text)
     text = re.sub(r"(loopcal|python|numpy) \d[\w.]*", r"\1 VERSION", text)
+    text = re.sub(r"written \d{4}-\d\d-\d\d", "written DAY", text)
     lines = (" ".join(line.split()) for line in text.splitlines())
     return "\n".join(_NUMBER.sub(_rounded, line) for line in lines) + "\n"
 

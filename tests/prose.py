@@ -13,10 +13,10 @@ import loopcal as lc
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "src" / "loopcal"
-# records of decisions and of past versions stay as they were written
+# what a changelog says of past versions stays as it was written
 PAGES = [
     *(p for p in sorted(ROOT.glob("*.md")) if p.name != "CHANGELOG.md"),
-    *(p for p in sorted((ROOT / "docs").rglob("*.md")) if "decisions" not in p.parts),
+    *sorted((ROOT / "docs").rglob("*.md")),
 ]
 _FENCE = re.compile(r"^ *(`{3,}|~{3,})")
 _CODE = re.compile(r"`[^`\n]*`")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "loopcal"
 
 # From the ground up. Names on one line do not import each other; imports point downwards only.
 LAYERS = (
-    ("errors", "lazy"),
+    ("errors", "import_path", "keys", "lazy"),
     ("chi_squared", "expressions", "units"),
     ("presentation", "small_samples"),
     ("execution",),
@@ -40,6 +41,15 @@ MOST_LINES = 600
 SCREEN = 50
 MOST_ARGUMENTS = 8
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "misc", "common", "tools"}
+SAY_NOTHING = {"found", "own", "known", "its", "told", "given", "here", "there"}
+"""Words that say of a value where it came from, or to whom it belongs, but not what it is."""
+NAMED = {
+    *("mechanisms", "expressions", "measurements", "simulation", "planning", "life", "deployment"),
+    *("pose_performance", "figures", "studies", "presentation", "estimation", "execution"),
+    *("report", "workflow", "app", "cli"),
+    *("small_samples", "units", "errors", "chi_squared", "import_path"),
+}
+"""Layers in which every name says what its value is."""
 PLOTTING = {"plotly", "matplotlib", "bokeh", "altair", "seaborn"}
 
 MAY_TOUCH_DISK = {"files", "cli"}
@@ -93,14 +103,28 @@ class Module:
                 base = [*parents, *([node.module] if node.module else [])]
                 yield from ((node.lineno, ".".join([*base, alias.name])) for alias in node.names)
             elif isinstance(node, ast.Call) and dotted(node.func).endswith("import_module"):
-                for argument in node.args[:1]:
-                    if isinstance(argument, ast.Constant):
-                        yield node.lineno, str(argument.value)
+                yield from ((node.lineno, name) for name in beginnings(node.args[:1]))
+
+    def modules_in_strings(self) -> Iterator[tuple[int, str]]:
+        """Line and dotted name of every module of the package that a string outside prose names."""
+        prose = {id(node.value) for node in self.nodes if isinstance(node, ast.Expr)}
+        for node in self.nodes:
+            if isinstance(node, ast.Constant) and id(node) not in prose:
+                for name in re.findall(r"loopcal(?:\.\w+)+", str(node.value)):
+                    yield node.lineno, name
 
     def functions(self) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
         for node in self.nodes:
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 yield node
+
+
+def beginnings(names: list[ast.expr]) -> Iterator[str]:
+    """What each name begins with, as far as the source states it; one that is computed has none."""
+    for name in names:
+        first = name.values[0] if isinstance(name, ast.JoinedStr) else name
+        if isinstance(first, ast.Constant):
+            yield str(first.value)
 
 
 def dotted(node: ast.expr) -> str:
@@ -118,11 +142,11 @@ def source_modules() -> list[Module]:
 
 
 def upward_imports(module: Module) -> list[str]:
-    """Imports of loopcal that do not point downwards."""
+    """Imports of loopcal, also by name, that do not point downwards."""
     if module.layer in FACE:
         return []
     found = []
-    for line, target in module.imports():
+    for line, target in {*module.imports(), *module.modules_in_strings()}:
         root, _, rest = target.partition(".")
         if root != "loopcal":
             continue
@@ -132,6 +156,28 @@ def upward_imports(module: Module) -> list[str]:
         if HEIGHT.get(layer, len(LAYERS)) >= HEIGHT.get(module.layer, -1):
             found.append(f"{module.name}:{line} imports {target}")
     return found
+
+
+def computed_imports(module: Module) -> list[str]:
+    """Imports whose name does not begin with a folder of the package that the source states."""
+    return [
+        f"{module.name}:{node.lineno} imports {ast.unparse(node.args[0])}"
+        for node in module.nodes
+        if isinstance(node, ast.Call)
+        and dotted(node.func).endswith(("import_module", "__import__"))
+        if not any(name.count(".") >= 2 for name in beginnings(node.args[:1]))
+    ]
+
+
+def private_imports(module: Module) -> list[str]:
+    """Names with an underscore that are imported from another folder."""
+    folder = ".".join(["loopcal", *module.name.split(".")[:-1]])
+    return [
+        f"{module.name}:{line} imports {name}"
+        for line, name in module.imports()
+        if name.startswith("loopcal.") and re.search(r"\._[a-z]", name.removeprefix(folder))
+        if not name.startswith(f"{folder}._")
+    ]
 
 
 def disk_access(module: Module) -> list[str]:
@@ -169,7 +215,8 @@ def import_cycles(modules: list[Module]) -> list[frozenset[str]]:
             part
             for _, target in module.imports()
             for part in (target.removeprefix("loopcal."), target[8:].rpartition(".")[0])
-            if target.startswith("loopcal.") and part in names and part != name
+            if target.startswith("loopcal.") and not target.endswith(".")  # of a computed name
+            if part in names and part != name
         }
         for module in modules
         if module.layer not in ABOVE_ALL
@@ -227,6 +274,17 @@ def test_every_folder_and_module_is_a_layer() -> None:
 
 def test_imports_point_downwards_only() -> None:
     assert [line for module in MODULES for line in upward_imports(module)] == []
+
+
+def test_an_import_states_its_folder() -> None:
+    # Both call, in another process and by its name, a function that their caller has imported.
+    by_caller = {"files.guarded", "files.tables.isolated"}
+    looked_at = [m for m in MODULES if m.layer not in FACE and m.name not in by_caller]
+    assert [line for module in looked_at for line in computed_imports(module)] == []
+
+
+def test_a_private_name_stays_in_its_folder() -> None:
+    assert [line for module in MODULES for line in private_imports(module)] == []
 
 
 def test_no_modules_import_each_other() -> None:
@@ -326,6 +384,32 @@ def test_no_module_has_a_vague_name() -> None:
     assert [m.name for m in MODULES if VAGUE_NAMES & set(m.name.split("."))] == []
 
 
+def names_made(module: Module) -> Iterator[tuple[int, str]]:
+    """Line and name of every variable, argument, attribute, function and class that it defines."""
+    for node in module.nodes:
+        if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.id if isinstance(node, ast.Name) else node.attr
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.lineno, node.name
+
+
+def names_that_say_nothing(module: Module) -> list[str]:
+    made = names_made(module)
+    return [f"{module.name}:{n} {name}" for n, name in made if SAY_NOTHING & {*name.split("_")}]
+
+
+def test_a_name_says_what_its_value_is() -> None:
+    named = [module for module in MODULES if module.layer in NAMED]
+    assert [line for module in named for line in names_that_say_nothing(module)] == []
+
+
+def test_a_name_that_does_not_is_found() -> None:
+    text = "def f(known, x):\n    its_sd = x.own = known\n    return unknown"
+    assert len(names_that_say_nothing(Module("a", text))) == 3
+
+
 def test_nothing_is_left_for_later() -> None:
     marks = ("TODO", "FIXME", "XXX", "NotImplementedError")
     assert [m.name for m in MODULES if any(mark in m.text for mark in marks)] == []
@@ -344,6 +428,8 @@ def test_nothing_is_left_for_later() -> None:
         ("estimation.kernel", "from loopcal.machines import five_bar"),
         ("workflow", "from loopcal import instruments"),
         ("estimation.kernel", "import importlib\nimportlib.import_module('loopcal.cli')"),
+        ("estimation.kernel", "importlib.import_module(f'loopcal.cli.{name}')"),
+        ("estimation.kernel", "call_later('loopcal.cli.run:main')"),
         ("measurements.noise", "from loopcal.mechanisms import Mechanism"),
         ("units", "from loopcal.expressions import tape"),
         ("errors", "import loopcal"),
@@ -371,6 +457,27 @@ def test_an_import_upwards_or_sideways_is_found(name: str, text: str) -> None:
 )
 def test_an_import_downwards_is_not(name: str, text: str) -> None:
     assert upward_imports(Module(name, text)) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["import_module(name)", "import_module(f'loopcal.{name}')", "__import__(NAMES[kind])"]
+)
+def test_an_import_of_a_computed_folder_is_found(text: str) -> None:
+    assert computed_imports(Module("estimation.kernel", text))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "from loopcal.estimation.solve.newton import _step",
+        "from loopcal.files._kept import f",
+        "from .solve.newton import _step",
+    ],
+)
+def test_a_private_name_of_another_folder_is_found(text: str) -> None:
+    assert private_imports(Module("estimation.kernel", text))
+    inside = "from loopcal.estimation._compiled import f\nfrom .solve.newton import step"
+    assert private_imports(Module("estimation.kernel", inside)) == []
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import runpy
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -14,11 +15,13 @@ from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
 from loopcal.files.project.project_data import load_dataset
 from loopcal.files.project.project_file import read_project
+from tests.command_line import run_here
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SIMULATED = ("planar", "six_axis")
 
 
+@cache
 def calibrated(path: Path, method: str) -> Result:
     project = read_project(path)
     loaded = load_dataset(project)
@@ -59,9 +62,9 @@ def its_unit(result: Result, parameter: str) -> str:
 
 
 @pytest.mark.parametrize("name", SIMULATED)
-def test_the_readings_are_what_simulate_writes(name, tmp_path, run_loopcal):
+def test_the_readings_are_what_simulate_writes(name, tmp_path):
     out = tmp_path / "poses.csv"
-    done = run_loopcal("simulate", EXAMPLES / name / "project.toml", "--out", out, "--seed", "1")
+    done = run_here("simulate", EXAMPLES / name / "project.toml", "--out", out, "--seed", "1")
     assert done.returncode == 0, done.stderr
     made, kept = (p.read_text("utf-8").split() for p in (out, EXAMPLES / name / "poses.csv"))
     assert made[0] == kept[0]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import random
 import shutil
 from pathlib import Path
 
 import pytest
 
 from analyses.hostile_files import DATA, PROJECT, altered, fault_of
+from analyses.hostile_inputs import KINDS, kept, state
 from loopcal.cli import main
 
 
@@ -41,6 +43,37 @@ def test_an_altered_file_is_met_without_a_fault(
     code = main([*command])
     said = capsys.readouterr()
     assert not fault_of(code, said.out, said.err)
+
+
+SAMPLE = [
+    (kind, number)
+    for kind in ("text_tables", "projects", "functions", "arguments")
+    for number in (1, 2, 3)
+]
+
+
+@pytest.mark.parametrize(("kind", "number"), SAMPLE)
+def test_a_hostile_input_is_met_and_nothing_is_lost(
+    kind: str,
+    number: int,
+    valid: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = shutil.copytree(valid, tmp_path / "arm")
+    for name in ("other.csv", "dh.csv", "arm.csv", "targets.csv"):
+        shutil.copy(folder / DATA, folder / name)
+    monkeypatch.chdir(folder)
+    command = KINDS[kind](folder, random.Random(number))
+    before = state(folder)
+    capsys.readouterr()
+    code = main([*command])
+    said = capsys.readouterr()
+    assert not fault_of(code, said.out, said.err), command
+    after = state(folder)
+    lost = [name for name, its in before.items() if after.get(name) != its and kept(name, command)]
+    assert not lost, command
 
 
 @pytest.mark.parametrize(

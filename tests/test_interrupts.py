@@ -50,10 +50,9 @@ def loops(x, p):
     return [a]
 
 engine = CompiledEngine(linearise(trace(loops, quantities="a", parameters=()), (), ()), 4_000_000)
-engine.at(np.zeros(0))
 x = np.linspace(-1.0, 1.0, 4_000_000)[None]
 print("begun", flush=True)
-engine.evaluate(x, None, Stage.VALUES)
+engine.evaluate(np.zeros(0), x, None, Stage.VALUES)
 print("ended", flush=True)
 """
 
@@ -151,19 +150,17 @@ def test_a_signal_handler_may_evaluate_another_engine_within_a_call(threads: int
     )
     before = _compiled.threads()
     _compiled.use_threads(threads)
-    for engine in (outer, inner):
-        engine.at(np.zeros(0))
-    expected = [one.evaluate(x, None, Stage.VALUES).f.copy() for one in (outer, inner)]
+    expected = [one.evaluate(np.zeros(0), x, None, Stage.VALUES).f.copy() for one in (outer, inner)]
     begun, heard = False, []
 
     def handler(number: int, frame: FrameType | None) -> None:
-        heard.append((begun, inner.evaluate(x, None, Stage.VALUES).f.copy()))
+        heard.append((begun, inner.evaluate(np.zeros(0), x, None, Stage.VALUES).f.copy()))
 
     replaced = signal.signal(signal.SIGALRM, handler)
     try:
         signal.setitimer(signal.ITIMER_REAL, 0.05)
         begun = True
-        found = outer.evaluate(x, None, Stage.VALUES).f.copy()
+        found = outer.evaluate(np.zeros(0), x, None, Stage.VALUES).f.copy()
         begun = False
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)

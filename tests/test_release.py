@@ -19,7 +19,8 @@ POSIX_NAMES = {
     *("O_NONBLOCK", "O_DIRECTORY", "sched_getaffinity", "sysconf", "wait4", "waitid", "uname"),
     *("SIGALRM", "SIGHUP", "SIGKILL", "SIGPIPE", "SIGUSR1", "SIGUSR2", "pthread_sigmask"),
 }
-# Windows has no named pipe that is a file, and forks on Linux alone are asked for (`own_cores`).
+# Windows has no named pipe that is a file, and forks on Linux alone are asked for
+# (`process_cores`).
 GUARDED = {
     ("files/tables/raw.py", "O_NONBLOCK"),
     *(("execution/forked.py", name) for name in ("fork", "SIGKILL", "pthread_sigmask")),

@@ -20,7 +20,7 @@ def test_a_residual_variance_has_the_degrees_of_the_residuals() -> None:
 
 
 def test_known_variances_leave_the_normal_and_chi_squared() -> None:
-    known = LearntCovariance.known(PHI)
+    known = LearntCovariance.certain(PHI)
     assert np.isinf(known.freedom).all()
     assert np.isinf(known.denominator)
     assert t_quantile(0.95, math.inf) == pytest.approx(stats.norm.ppf(0.975))

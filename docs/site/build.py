@@ -55,7 +55,8 @@ def write_source(source: Path) -> None:
     """The pages as Sphinx reads them: links that leave docs/ are texts, and codes have anchors."""
     for page in sorted(DOCS.rglob("*")):
         name = page.relative_to(DOCS)
-        if page.is_dir() or name.parts[0] == "site":
+        # the index of the site takes the place of the map for those who read the folder
+        if page.is_dir() or name.parts[0] == "site" or name == Path("README.md"):
             continue
         (source / name).parent.mkdir(parents=True, exist_ok=True)
         if page.suffix == ".md":

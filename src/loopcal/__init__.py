@@ -5,6 +5,9 @@ Everything public is here; modules are loaded when one of their names is first u
 
 from __future__ import annotations
 
+from loopcal import import_path as _import_path  # noqa: F401  before anything else is looked for
+
+# isort: split
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

@@ -14,8 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 _EPS = 2.0**-53
+# The number of its terms grows with the freedom.
 _CLOSED_FORM = 40
-"""Up to so many degrees of freedom, arrays are evaluated by the finite sum."""
+"""Degrees of freedom up to which arrays are evaluated by the finite sum."""
+# B_2n / (2n (2n - 1)), the series of log Gamma (Abramowitz and Stegun 1964, 6.1.41).
 _STIRLING = (1 / 12, -1 / 360, 1 / 1260, -1 / 1680, 1 / 1188, -691 / 360360)
 
 
@@ -59,6 +61,7 @@ def quantile(p: float, freedom: float | Array) -> float | Array:
         return np.array([quantile(p, float(k)) for k in different])[place.reshape(freedom.shape)]
     if p >= 1.0:
         return 0.0
+    # The mean, or far out where exp(-x / 2) = p.
     x = max(float(freedom), -2.0 * math.log(p))
     for _ in range(200):
         q = tail(x, freedom)

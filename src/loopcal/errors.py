@@ -20,13 +20,15 @@ from typing import Literal
 
 LONGEST_NAME, LONGEST_TEXT, MOST_NAMES = 80, 2_000, 10
 """Characters of a quoted name and of a whole text, and names of a list, that a message shows."""
-_QUOTED = re.compile(r"""(?<!\w)(['"])(?:\\.|(?!\1(?!\w)).)*\1(?!\w)""", re.DOTALL)
+_QUOTED = re.compile(r"""(?<!\w)(['"])(?:\\.|(?!\1(?!\w))[^\\]){0,1000}+\1(?!\w)""", re.DOTALL)
+_UNBROKEN = re.compile(r"\S{300,}+")
 
 
 Code = Literal[
     "conflicting-keys",
     "duplicate-column",
     "duplicate-name",
+    "exact-readings",
     "failing-function",
     "implausible-readings",
     "implausible-unit",
@@ -130,6 +132,18 @@ class DomainError(InputError):
     usual_code: Code = "outside-domain"
 
 
+class Unfinished(InputError):
+    """What was written is whole, but the command could not do the rest (exit code 5)."""
+
+    exit_code = 5
+    usual_code: Code = "unwritable-file"
+
+    @classmethod
+    def of(cls, error: LoopcalError) -> Unfinished:
+        """The same error, met after files were written."""
+        return cls(error.message, code=error.code, place=error.place, remedy=error.remedy)
+
+
 class NoTrustworthyResult(LoopcalError):
     """The fit ended, but its result does not meet what was asked of it (exit code 4)."""
 
@@ -158,22 +172,24 @@ def listed(names: Iterable[str], most: int = MOST_NAMES) -> str:
     return f"{shown} and {len(every) - most} more" if len(every) > most else shown
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest(name: str, candidates: Iterable[str]) -> str:
     """A remedy naming the known spelling nearest to `name`, or the first of them.
 
     >>> nearest("collumns", ["columns", "file"])
     "did you mean 'columns'?"
     """
-    choices = list(known)
-    folded = {choice.casefold(): choice for choice in reversed(choices)}
-    close = get_close_matches(name[:1000].casefold(), folded, n=1, cutoff=0.6)
+    choices = list(candidates)
+    # Bounded in number and length: a damaged file may offer any number of names of any length.
+    folded = {choice[:200].casefold(): choice for choice in reversed(choices[:1000])}
+    close = get_close_matches(name[:200].casefold(), folded, n=1, cutoff=0.6)
     if close:
         return f"did you mean {folded[close[0]]!r}?"
     return "known are " + listed(choices, 40) if choices else "none is known here"
 
 
 def _bounded(text: str) -> str:
-    """A text of bounded length, whatever names it quotes."""
+    """A text of bounded length, long quoted names cut."""
     if len(text) > LONGEST_NAME:
+        text = _UNBROKEN.sub(lambda run: short(run[0], 300), text)
         text = _QUOTED.sub(lambda quoted: short(quoted[0], LONGEST_NAME + 2), text)
     return short(text, LONGEST_TEXT)

@@ -1,15 +1,15 @@
 """Covariances whose own size was learnt from few readings: t instead of normal, F instead of chi^2.
 
-A covariance Phi(s) that depends on learnt variances s is itself uncertain. With D_a its changes
-per sd of each independent error of s, the variance v = l^T Phi l of a combination has the variance
-sum_a (l^T D_a l)^2, which is that of a multiple of chi-squared with
+A covariance Phi(s) that depends on learnt variances s is itself uncertain. Let D_a be its changes
+per sd of each independent error of s. The variance v = l^T Phi l of a combination then has itself
+the variance sum_a (l^T D_a l)^2. That is the variance of a multiple of chi-squared with
 
     nu = 2 v^2 / sum_a (l^T D_a l)^2
 
-degrees of freedom (Satterthwaite 1946): so many has Student's t of that combination. A quadratic
-form of several combinations has F, whose denominator follows from the nu_i of independent ones,
-E = sum_i nu_i / (nu_i - 2), m = 2 E / (E - l) (Fai and Cornelius 1996). Known variances have no
-D_a: then nu and m are infinite, t is normal and F is chi-squared over its degrees of freedom.
+degrees of freedom (Satterthwaite 1946), which are those of Student's t of that combination. A
+quadratic form of several combinations has F. Its denominator follows from the nu_i of independent
+ones: E = sum_i nu_i / (nu_i - 2), m = 2 E / (E - l) (Fai and Cornelius 1996). Known variances have
+no D_a: then nu and m are infinite, t is normal and F is chi-squared over its degrees of freedom.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from loopcal.chi_squared import quantile, tail
 Array = NDArray[np.float64]
 _FEWEST = 2.2
 """Degrees of freedom of one combination, at least: below 2 the mean of its square has no bound."""
+# Of the largest eigenvalue: directions below are rounding of a singular covariance.
 _RANK = 1e-12
 
 
@@ -41,17 +42,19 @@ class LearntCovariance:
     slopes: Array
 
     @classmethod
-    def known(cls, matrix: Array) -> LearntCovariance:
+    def certain(cls, matrix: Array) -> LearntCovariance:
         """A covariance from variances that are known."""
         return cls(matrix, matrix, np.zeros((0, *matrix.shape)))
 
     @classmethod
     def scaled(cls, matrix: Array, freedom: float) -> LearntCovariance:
-        """A covariance known up to a factor, which was estimated with so many degrees."""
+        """A covariance known up to a factor, which was estimated with `freedom` degrees."""
         return cls(matrix, matrix, math.sqrt(2.0 / freedom) * matrix[None])
 
     def through(self, S: Array) -> LearntCovariance:
         """Of S times the estimates, S (..., m, n)."""
+        if not np.isfinite(self.matrix).all():  # nothing is known of any
+            return LearntCovariance.certain(np.full((*S.shape[:-1], S.shape[-2]), np.inf))
         turned = np.swapaxes(S, -1, -2)
         extended = self.slopes.reshape(len(self.slopes), *(1,) * (S.ndim - 2), *self.plain.shape)
         return LearntCovariance(
@@ -99,29 +102,34 @@ class LearntCovariance:
         usable = np.asarray(np.isfinite(self.plain).all(axis=(-2, -1)))[..., None, None]
         plain, slopes = (np.where(usable, part, 0.0) for part in (self.plain, self.slopes))
         variance = np.einsum("...ii->...i", plain)
+        # Metres beside radians: unit variances keep the eigenvalues comparable.
         scale = 1.0 / np.sqrt(np.where(variance > 0.0, variance, 1.0))
-        own, vectors = np.linalg.eigh(plain * scale[..., None] * scale[..., None, :])
-        kept = own > _RANK * np.maximum(own[..., -1:], 1e-300)
-        white = scale[..., None] * vectors / np.sqrt(np.where(kept, own, 1.0))[..., None, :]
+        eigenvalues, vectors = np.linalg.eigh(plain * scale[..., None] * scale[..., None, :])
+        kept = eigenvalues > _RANK * np.maximum(eigenvalues[..., -1:], 1e-300)
+        white = scale[..., None] * vectors / np.sqrt(np.where(kept, eigenvalues, 1.0))[..., None, :]
         white = np.where(kept[..., None, :], white, 0.0)
         Z = np.swapaxes(white, -1, -2) @ slopes @ white
+        # Axes that make the slopes as diagonal as can be: the combinations along them are
+        # independent.
         _, axes = np.linalg.eigh((Z @ Z).sum(axis=0))
         along = np.einsum("...ji,a...jk,...ki->a...i", axes, Z, axes)
-        nu = np.maximum(_satterthwaite(np.ones(own.shape), np.square(along).sum(axis=0)), _FEWEST)
+        nu = np.maximum(
+            _satterthwaite(np.ones(eigenvalues.shape), np.square(along).sum(axis=0)), _FEWEST
+        )
         mean = (1.0 / (1.0 - 2.0 / nu)).sum(axis=-1)
         excess = mean - size
-        found: Array = np.where(
+        degrees: Array = np.where(
             excess > 1e-9, 2.0 * mean / np.where(excess > 1e-9, excess, 1.0), math.inf
         )
-        return found
+        return degrees
 
 
 def _satterthwaite(variance: Array, changes: Array) -> Array:
     certain = changes <= 1e-12 * np.square(variance)
-    found: Array = np.where(
+    degrees: Array = np.where(
         certain, math.inf, 2.0 * np.square(variance) / np.where(certain, 1.0, changes)
     )
-    return found
+    return degrees
 
 
 def t_quantile(level: float, freedom: float) -> float:
@@ -151,11 +159,11 @@ def f_tail(square: float, size: int, denominator: float) -> float:
 
 def f_limit(level: float, size: int, denominator: Array) -> Array:
     """The quadratic form of `size` combinations within which a share `level` lies."""
-    known = np.isinf(denominator)
+    certain = np.isinf(denominator)
     limit = np.full(denominator.shape, quantile(1.0 - level, size))
-    if known.all():
+    if certain.all():
         return limit
     from scipy.special import fdtri
 
-    few = np.where(known, 1.0, denominator)
-    return np.asarray(np.where(known, limit, size * fdtri(size, few, level)))
+    few = np.where(certain, 1.0, denominator)
+    return np.asarray(np.where(certain, limit, size * fdtri(size, few, level)))

@@ -96,20 +96,21 @@ def unit(name: str) -> Unit:
 
     Raises InputError naming the nearest unit we know.
     """
-    found = _known(name.strip())
-    if found is None:
+    parsed = _parsed(name.strip())
+    if parsed is None:
         raise InputError(
             f"unit {name!r} is not known", code="unknown-unit", remedy=nearest(name, _UNITS)
         )
-    return found
+    return parsed
 
 
 @cache
-def _known(key: str) -> Unit | None:
+def _parsed(key: str) -> Unit | None:
     """A unit by its name, or composed: A/B or A/(B C). A temperature in it is a difference."""
     key = _SPELLINGS.get(key, key)
     if key in _UNITS:
         return _UNITS[key]
+    # A zero is of temperatures alone, so a quotient has none.
     composed = _QUOTIENT.fullmatch(key)
     if composed is None:
         return None
@@ -138,9 +139,9 @@ def _quotient(above: str, below: list[str]) -> str:
 
 def to_si(values: Value, name: str) -> Value:
     """Values [unit `name`] as SI values; any shape. What is too large becomes infinite."""
-    its = unit(name)
+    stated = unit(name)
     with np.errstate(over="ignore", invalid="ignore"):  # damaged files hold signalling NaNs
-        return values * its.factor + its.zero if its.zero else values * its.factor
+        return values * stated.factor + stated.zero if stated.zero else values * stated.factor
 
 
 def difference_to_si(values: Value, name: str) -> Value:
@@ -151,8 +152,8 @@ def difference_to_si(values: Value, name: str) -> Value:
 
 def from_si(values: Value, name: str) -> Value:
     """SI values in the unit `name`; any shape."""
-    its = unit(name)
-    return (values - its.zero) / its.factor if its.zero else values / its.factor
+    stated = unit(name)
+    return (values - stated.zero) / stated.factor if stated.zero else values / stated.factor
 
 
 def difference_from_si(values: Value, name: str) -> Value:

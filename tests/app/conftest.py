@@ -14,7 +14,7 @@ import pytest
 from loopcal.files.project.folder_lock import NAME as LOCK
 from tests.app.serving import Served, serving
 from tests.browser import chromium
-from tests.command_line import run
+from tests.command_line import run_here as run
 
 SCRIPT = "<img src=x onerror=window.hit=1>"
 """What must be shown as text wherever it stands."""

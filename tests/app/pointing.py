@@ -3,9 +3,44 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from tests.browser import PATIENCE, expect
+
+AT_REST = """async (e) => {
+  const frame = () => new Promise(requestAnimationFrame);
+  const plot = e.querySelector(".js-plotly-plot") ?? e;
+  await frame();
+  await frame();  // by now the page has seen its size
+  await new Promise((done) => linked.plotly(({ Plots }) => Plots.resize(plot).then(done)));
+}"""
+"""Until plotly has fitted a figure to the place that it has: a drag would not outlive that."""
+HEARS = """(text) => {
+  (window.heard ??= new Set()).delete(text);
+  const look = (mutations) => {
+    for (const { addedNodes, target } of mutations)
+      if (addedNodes.length)
+        for (const node of [...addedNodes, target.closest(".q-notification")])
+          if (node?.textContent.includes(text)) heard.add(text);
+  };
+  new MutationObserver(look).observe(document.body, { childList: true, subtree: true });
+}"""
+"""Remember a notice, however soon it goes. One that is repeated while it is shown gets a count."""
+DRAWN = "e => JSON.stringify((e.querySelector('.js-plotly-plot') ?? e).data[0].y)"
+"""The errors that a figure shows."""
+
+
+def new_page(browser: Any, size: tuple[int, int] = (1440, 900), **look: Any) -> Any:
+    """An empty page of a size in pixels."""
+    width, height = size
+    viewport = {"width": width, "height": height}
+    page = browser.new_page(viewport=viewport, **{"reduced_motion": "reduce", **look})
+    page.set_default_timeout(PATIENCE)
+    return page
 
 
 @dataclass
@@ -17,24 +52,20 @@ class Hand:
 
     def step(self, name: str) -> None:
         """Go to a step."""
-        button = self.page.locator(f'button.step[aria-label^="{name}:"]')
-        if not button.is_visible():
-            self.page.get_by_label("Steps", exact=True).click()
-        button.click()
+        self.page.locator(f'button.step[aria-label^="{name}:"]').click()
         self.page.get_by_role("heading", name=name, exact=True, level=1).wait_for()
 
     def press(self, name: str | re.Pattern[str]) -> None:
         """Press a button."""
         self.page.locator(".q-page").get_by_role("button", name=name).first.click()
 
-    def run(self, name: str, ends: str = "done") -> None:
+    def run(self, name: str | re.Pattern[str], ends: str = "done") -> None:
         """Press a button that runs a command, and wait until it has ended so."""
         bar = self.page.locator(".run")
-        before = int(bar.get_attribute("data-finished"))
+        before = int(bar.get_attribute("data-finished"))  # each run ends before the next
         self.press(name)
         self.page.locator(f'.run[data-finished="{before + 1}"]').wait_for(state="attached")
-        told = bar.inner_text()
-        assert ends in told, told
+        expect(bar).to_contain_text(ends)
 
     def choose(self, label: str, option: str) -> None:
         """Choose from a list."""
@@ -49,9 +80,11 @@ class Hand:
     def brush(self, label: str, begin: float, end: float) -> None:
         """Drag over the points of a figure between two values of its x axis."""
         plot = self.page.get_by_label(label, exact=True)
-        plot.evaluate("e => e.scrollIntoView({block: 'center'})")
-        plot.locator(".nsewdrag").first.wait_for()
-        box = plot.locator(".nsewdrag").first.bounding_box()
+        pane = plot.locator(".nsewdrag").first
+        pane.evaluate("e => e.scrollIntoView({block: 'center'})")
+        plot.evaluate(AT_REST)
+        pane.hover()  # waits until it no longer moves
+        box = pane.bounding_box()
         low, high = plot.evaluate(
             "e => (e.querySelector('.js-plotly-plot') ?? e)._fullLayout.xaxis.range"
         )
@@ -64,29 +97,47 @@ class Hand:
 
     def end_at(self, label: str, pose: int) -> None:
         """Move an end of the selected run pose by pose; label: of its field."""
-        field = self.page.get_by_label(label, exact=True)
-        self.page.wait_for_function("e => e.value !== ''", arg=field.element_handle())
-        while (off := int(field.input_value()) - pose) != 0:
-            before = field.input_value()
+        while (off := int(before := self.written(label)) - pose) != 0:
             self.press(f"{label}: one pose {'earlier' if off > 0 else 'later'}")
-            moved = "([e, before]) => e.value !== before"
-            self.page.wait_for_function(moved, arg=[field.element_handle(), before])
+            expect(self.page.get_by_label(label, exact=True)).not_to_have_value(before)
+
+    def written(self, label: str) -> str:
+        """What a field says, once it says something."""
+        field = self.page.get_by_label(label, exact=True)
+        expect(field).not_to_have_value("")
+        return str(field.input_value())
 
     def frame_in_space(self) -> None:
         """Draw a frame around all points of the figure in space."""
         pane = self.page.locator(".pane")
+        pane.wait_for()  # it opens once the server has answered the button
         pane.evaluate("e => e.scrollIntoView({block: 'center'})")
+        width, height = pane.evaluate("e => [e.clientWidth, e.clientHeight]")
+        pane.hover(position={"x": 0.99 * width, "y": 0.99 * height})  # once it no longer moves
         box = pane.bounding_box()
-        ends = [(box["x"] + s * box["width"], box["y"] + s * box["height"]) for s in (0.01, 0.99)]
-        self.page.mouse.move(*ends[1])
         self.page.mouse.down()
-        self.page.mouse.move(*ends[0], steps=4)
+        self.page.mouse.move(box["x"] + 0.01 * width, box["y"] + 0.01 * height, steps=4)
         self.page.mouse.up()
 
     def sees(self, text: str | re.Pattern[str]) -> None:
         """Wait until the page shows this."""
         self.page.get_by_text(text).first.wait_for()
 
+    @contextmanager
+    def hears(self, text: str) -> Iterator[None]:
+        """Inside, the page gives a notice, which it takes back after some seconds."""
+        self.page.evaluate(HEARS, text)
+        yield
+        self.page.wait_for_function("(text) => heard.has(text)", arg=text)
+
     def sees_stale(self) -> None:
         """Wait until the page says that the result is not of the project as it stands."""
         self.sees(re.compile("The project has changed since this result|Provisional: error"))
+
+    def press_and_see(self, name: str) -> None:
+        """Press a button, and wait until the figure over the poses shows other errors."""
+        plot = self.page.get_by_label("error over the poses", exact=True)
+        before = plot.evaluate(DRAWN)
+        self.press(name)
+        other = f"([e, before]) => ({DRAWN})(e) !== before"
+        self.page.wait_for_function(other, arg=[plot.element_handle(), before])

@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 
+from loopcal.app import words
 from loopcal.app.pictures import SIZE, Errors
 from loopcal.report.source import read_source
-from tests.app.pointing import Hand
+from tests.app.pointing import AT_REST, Hand, new_page
 from tests.app.serving import Served
 
 MARKED = """
@@ -26,8 +27,7 @@ MARKED = """
 def test_every_brush_marks_all_figures_also_inside_the_frame_of_the_last(
     served: Served, browser: Any
 ) -> None:
-    page = browser.new_page(viewport={"width": 1440, "height": 900})
-    page.set_default_timeout(60_000)  # a busy machine takes its time
+    page = new_page(browser, reduced_motion="no-preference")
     page.goto(served.address)
     hand = Hand(page)
     hand.step("Diagnose")
@@ -37,16 +37,17 @@ def test_every_brush_marks_all_figures_also_inside_the_frame_of_the_last(
         hand.sees(f"{count} of 49 poses selected")
         page.wait_for_function(f"({MARKED})().every(marked => marked === {count})")
     for label, pose in (("From pose", 3), ("To pose", 6)):
-        ids = page.get_by_label(label, exact=True).input_value().rstrip("0123456789")
+        ids = hand.written(label).rstrip("0123456789")
         page.get_by_label(label, exact=True).fill(f"{ids}{pose}")
     page.get_by_label("To pose", exact=True).press("Enter")
     hand.sees("4 of 49 poses selected")
     page.wait_for_function(f"({MARKED})().every(marked => marked === 4)")
-    page.set_viewport_size({"width": 1000, "height": 800})  # plotly draws every figure again
+    page.set_viewport_size({"width": 1000, "height": 800})
+    page.get_by_label("error over the poses", exact=True).evaluate(AT_REST)  # drawn again
     page.wait_for_function(f"({MARKED})().every(marked => marked === 4)")
-    page.get_by_label("To pose", exact=True).fill("none")
-    page.get_by_label("To pose", exact=True).press("Enter")
-    hand.sees("The result has no pose none")
+    with hand.hears(words.NO_SUCH_POSE.format(pose="none")):
+        page.get_by_label("To pose", exact=True).fill("none")
+        page.get_by_label("To pose", exact=True).press("Enter")
     hand.sees("4 of 49 poses selected")
     page.close()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tests.app.pointing import Hand
+from tests.app.pointing import Hand, new_page
 from tests.app.serving import Served
 from tests.reference.dh_arm import SLIPPED
 
@@ -61,7 +61,7 @@ class Keys(Hand):
         options = self.page.get_by_role("option")
         options.first.wait_for()
         focused = self.page.locator("[role=option].q-manual-focusable--focused")
-        for _ in range(20):  # the list begins where it was left
+        for _ in range(20):  # the list begins where it was left, and behind its end there is none
             self.page.keyboard.press("ArrowDown")
             if any(text.startswith(option) for text in focused.all_inner_texts()):
                 self.page.keyboard.press("Enter")
@@ -77,8 +77,7 @@ class Keys(Hand):
 
 def test_from_two_files_to_a_urdf_by_keyboard(browser: Any, cell: tuple[Served, Path]) -> None:
     served, folder = cell
-    page = browser.new_page(viewport={"width": 1440, "height": 900}, reduced_motion="reduce")
-    page.set_default_timeout(60_000)  # a busy machine takes its time
+    page = new_page(browser)
     page.goto(served.address)
     keys = Keys(page, folder)
     keys.drop("Drop the URDF here", EXAMPLE / "arm.urdf")

@@ -10,8 +10,10 @@ import pytest
 
 from analyses.app_robustness import finished, killed, made
 from loopcal.app.action import Action
+from loopcal.app.pages import stand
 from loopcal.app.session import Session
-from loopcal.app.steps import State, steps
+from loopcal.app.steps import State
+from loopcal.cli.registry import with_loops
 from loopcal.errors import InputError
 from loopcal.files.paths import INSIDE
 from loopcal.files.project.project_folder import Entry
@@ -66,7 +68,7 @@ def test_loops_named_on_the_command_line_serve_every_command(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    session = Session(folder, command, "loops.py:loops")
+    session = Session(folder, command, "loops.py:loops", with_loops())
     assert session.objection() is None
     named = ("--mechanism", f"{folder / 'loops.py'}:loops")
     assert session.action("fit", ("calibrate", "project.toml")).words[2:] == named
@@ -154,7 +156,7 @@ def test_the_light_of_a_check_is_what_it_says_of_the_poses() -> None:
     for verdict, light in (("good", "good"), ("weak", "care"), ("undetermined", "bad")):
         told = {"command": "loopcal check project.toml --json", "code": 0, "verdict": verdict}
         run = Entry(1, "2026-01-01T00:00:00Z", "ended", "Check", told)
-        state = State(True, None, None, stale=False, files=(), runs={"check": run})
-        step = next(one for one in steps(state) if one.key == "check")
+        state = State(True, None, None, stale=False, deployed={}, runs={"check": run})
+        step = next(one for one in stand(state) if one.key == "check")
         assert step.light == light
         assert verdict in step.words

@@ -13,7 +13,7 @@ from loopcal.files.project.project_file import read_project
 from loopcal.mechanisms.outputs import cartesian, levers, point_family
 from loopcal.report.drawn import distances
 from loopcal.report.source import Source, read_source
-from tests.command_line import run
+from tests.command_line import run_here as run
 
 
 @pytest.fixture(scope="module")

@@ -103,8 +103,8 @@ def test_a_killed_warm_process_is_started_again(told: Told, tmp_path: Path) -> N
 def test_what_is_kept_of_a_long_output_is_its_end() -> None:
     run = Run(Action("do", ("print",)))
     for i in range(5000):
-        run.told("stdout", f"line {i}")
+        run.add_output("stdout", f"line {i}")
     assert len(run.lines) == 2000
     assert run.lines[-1] == "line 4999"
-    run.told("stderr", "\r12 of 40 fits")
+    run.add_output("stderr", "\r12 of 40 fits")
     assert run.progress == "12 of 40 fits"

@@ -38,11 +38,11 @@ def test_check_expects_what_the_fit_then_gives(folder: Path, run: Run) -> None:
     assert ranges["phi2"] == pytest.approx((-math.pi / 2, math.pi / 2), abs=0.01)
 
 
-def test_check_states_the_kind_of_each_parameter(folder: Path, run: Run) -> None:
+def test_check_states_the_role_of_each_parameter(folder: Path, run: Run) -> None:
     document = json.loads(run("check", "project.toml", "--json").out)
-    assert {p["name"]: p["kind"] for p in document["parameters"]} == {
+    assert {p["name"]: p["role"] for p in document["parameters"]} == {
         "xA": "placement", "yA": "placement", "phi20": "placement",
-        "l2": "length", "l3": "length", "phi30": "angle",
+        "l2": "length", "l3": "length", "phi30": "zero",
     }  # fmt: skip
 
 

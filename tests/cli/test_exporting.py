@@ -83,7 +83,6 @@ def test_other_machines_export_their_parameters(folder):
     ("options", "code"),
     [
         ({"to": "urd"}, "unknown-name"),
-        ({"to": "urdf"}, "missing-key"),
         ({"to": "dh", "source": "x"}, "conflicting-keys"),
         ({"to": "dh", "offsets": "file"}, "conflicting-keys"),
         ({"to": "xacro", "offsets": "both"}, "unknown-name"),

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from loopcal.cli.asking import ask_on_terminal
 from loopcal.errors import InputError
+from tests.command_line import run_here
 from tests.reference import dh_arm
 
 
@@ -27,21 +26,19 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_one_command_leads_from_two_files_to_a_report(
-    folder: Path, run_loopcal: Callable[..., Any]
-) -> None:
-    done = run_loopcal("init", "poses.csv", "--dh", "dh.csv", "--run", cwd=folder)
+def test_one_command_leads_from_two_files_to_a_report(folder: Path) -> None:
+    done = run_here("init", "poses.csv", "--dh", "dh.csv", "--run", cwd=folder)
     assert done.returncode in (0, 4), done.stderr
     assert "next:\n  loopcal calibrate calibration/project.toml" in done.stdout
     assert (folder / "calibration/project-result/report.html").exists()
     assert "converged" in done.stdout
-    again = run_loopcal("init", "poses.csv", "--dh", "dh.csv", cwd=folder)
+    again = run_here("init", "poses.csv", "--dh", "dh.csv", cwd=folder)
     assert again.returncode == 3
     assert "was not changed" in again.stderr
 
 
-def test_a_robot_must_be_named(folder: Path, run_loopcal: Callable[..., Any]) -> None:
-    done = run_loopcal("init", "poses.csv", cwd=folder)
+def test_a_robot_must_be_named(folder: Path) -> None:
+    done = run_here("init", "poses.csv", cwd=folder)
     assert done.returncode == 2
     assert "--urdf" in done.stderr
 

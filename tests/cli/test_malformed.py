@@ -467,9 +467,10 @@ def test_stdout_on_a_full_disk_is_told(folder: Path) -> None:
             encoding="utf-8",
             check=False,
         )
-    assert done.returncode == 3
+    assert done.returncode == 5
     assert "Traceback" not in done.stderr
     assert "standard output" in done.stderr
+    assert (folder / "project-result" / "result.json").is_file()
 
 
 def test_an_unreadable_folder_for_real(folder: Path, run: Run) -> None:

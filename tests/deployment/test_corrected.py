@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import loopcal as lc
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.deployment.arms import arms_of
 from loopcal.deployment.inverse import solve
-from loopcal.deployment.rigid import between, of_quaternion, turn_of, turned
+from loopcal.deployment.rigid import between, turn_of, turned
 from loopcal.deployment.tool import tool_of
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.mechanisms.motoman import motoman_joints
@@ -221,7 +222,8 @@ def test_a_measured_pose_says_how_the_tool_is_turned() -> None:
     assert reached.radial(3).max() < 3e-4  # far below the prior of the last link's turn, 2 mrad
     machine = seen.with_nominal(truth)
     again = lc.simulate(machine, done.joints, noise={"*": 0.0}, seed=1).dataset
-    R = of_quaternion(np.array([again[c] for c in ("qw", "qx", "qy", "qz")]).T)
+    q = np.array([again[c] for c in ("qx", "qy", "qz", "qw")]).T
+    R = Rotation.from_quat(q).as_matrix()
     wanted = done.arms.machine.base @ done.corrected.targets.poses
     off = np.linalg.norm(turn_of(np.swapaxes(R, 1, 2) @ wanted[:, :3, :3]), axis=1)
     assert (off < 2.0 * reached.radial(3)).all()

@@ -10,13 +10,11 @@ from loopcal.deployment.rigid import (
     between,
     inverse,
     moved,
-    of_quaternion,
     of_yaw_pitch_roll,
     pose,
     quaternion_of,
     turn_of,
     turned,
-    yaw_pitch_roll_of,
 )
 
 RNG = np.random.default_rng(0)
@@ -37,14 +35,12 @@ def test_turns_are_those_of_rotation_vectors_and_back() -> None:
     assert turn_of(R)[:200] == pytest.approx(Rotation.from_matrix(R[:200]).as_rotvec(), abs=1e-9)
 
 
-def test_quaternions_and_yaw_pitch_roll_agree_with_scipy() -> None:
+def test_quaternions_and_turns_by_yaw_pitch_roll_agree_with_scipy() -> None:
     q = quaternion_of(R)
-    assert of_quaternion(q) == pytest.approx(R, abs=1e-12)
-    assert of_quaternion(7.0 * q) == pytest.approx(R, abs=1e-12)
+    assert Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix() == pytest.approx(R, abs=1e-12)
     angles = RNG.uniform(-1.5, 1.5, (50, 3))
     made = Rotation.from_euler("ZYX", angles).as_matrix()
     assert of_yaw_pitch_roll(angles) == pytest.approx(made, abs=1e-12)
-    assert yaw_pitch_roll_of(made) == pytest.approx(angles, abs=1e-12)
 
 
 def test_a_twist_leads_from_one_pose_to_the_other() -> None:

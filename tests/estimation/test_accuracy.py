@@ -59,7 +59,7 @@ def test_the_summary_and_the_document_show_the_orientation_beside_the_position()
     assert entry is not None
     assert entry.orientation is not None
     assert entry.orientation.before.rms == pytest.approx(ANGLE, rel=1e-9)
-    lines = str(result).splitlines()
+    lines = str(result.document).splitlines()
     (head,) = [i for i, line in enumerate(lines) if line.startswith("orientation")]
     assert "mean [deg]" in lines[head]
     assert lines[head + 1].split()[:2] == ["nominal", "1.146"]
@@ -112,8 +112,43 @@ def test_every_instrument_and_station_has_its_own_accuracy() -> None:
     assert left.position.max < 1e-12
     assert right.position.mean == pytest.approx(2e-3, rel=1e-9)
     assert found.poses == left.position.poses + right.position.poses
-    lines = str(result).splitlines()
+    lines = str(result.document).splitlines()
     assert any(line.startswith("  right") for line in lines)
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_instruments_whose_poses_have_gaps_have_an_accuracy_each(whole: bool) -> None:
+    """Each reads poses of its own; where not whole, it reads one coordinate in each of them."""
+    instruments = [
+        point(name, readings=[f"{a}_{name}" for a in "xyz"], station=name, target="tool")
+        for name in ("left", "right")
+    ]
+    arm = assemble(six_axis(), instruments, ARM_VALUES)
+    data = lc.simulate(arm, READINGS, noise=EXACT, seed=1).dataset
+    numbers = np.arange(len(data))
+    values = {}
+    for i, name in enumerate(("left", "right")):
+        for k, axis in enumerate("xyz"):
+            there = numbers % 2 == i if whole else numbers % 6 == 2 * k + i
+            error = 1e-3 * (1 + i)
+            values[f"{axis}_{name}"] = np.where(there, data[f"{axis}_{name}"] + error, np.nan)
+    noise = lc.Noise({"q*": 1e-5, "?_left": 1e-4, "?_right": 1e-4})
+    result = lc.calibrate(
+        arm,
+        data.with_readings(values),
+        noise=noise,
+        prior=lc.Prior({"*": 1e-9}),
+        start="nominal",
+        method="implicit-loop",
+    )
+    found = result.accuracy_before
+    assert found is not None
+    for i, one in enumerate(found.by):
+        assert one.position is not None
+        each = np.sqrt(3.0) if whole else 1.0
+        assert one.position.rms == pytest.approx(1e-3 * (1 + i) * each, rel=1e-6)
+        assert one.position.poses == np.sum(numbers % 2 == i)
+    assert "accuracy unknown" not in str(result.document)
 
 
 def test_sums_over_chunks_are_the_accuracy_of_all_poses() -> None:

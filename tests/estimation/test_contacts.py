@@ -18,7 +18,7 @@ from analyses.instruments import (
     six_axis,
     touching,
 )
-from loopcal.estimation.problem.constants import known_constants, with_implied
+from loopcal.estimation.problem.constants import constants_by_pose, with_implied
 from loopcal.mechanisms.instruments.contact import ball_bar, socket
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
@@ -116,10 +116,10 @@ def test_a_blank_orientation_leaves_the_position() -> None:
     )
     implied = with_implied(arm, data)
     assert np.isnan(implied["pose_wx"]).tolist() == [False, True, True, False]
-    known = known_constants(arm, data)
+    known = constants_by_pose(arm, data)
     assert known[:, 1].tolist() == known[:, 2].tolist() == [1.0, 0.0, 0.0, 0.0]
     with refused("missing-reading", "'qw'"):
-        known_constants(arm, lc.Dataset.from_arrays(dict.fromkeys(JOINTS, blank)))
+        constants_by_pose(arm, lc.Dataset.from_arrays(dict.fromkeys(JOINTS, blank)))
 
 
 @pytest.mark.parametrize("form", ["quaternion", "rotation-vector", "rz ry rx", "rx ry rx"])
@@ -132,7 +132,7 @@ def test_simulated_orientations_are_off_by_their_noise(form: str) -> None:
     off = np.array([made.quantities[f"pose_w{a}"] for a in "xyz"])
     assert off.std() == pytest.approx(1e-3, rel=0.2)
     # the loops close with the true turns beside the orientation that was read
-    columns = {c: made.dataset[c] for c in arm.tape.known}
+    columns = {c: made.dataset[c] for c in arm.tape.pose_constants}
     again = lc.simulate(arm, READINGS | columns, noise=lc.Noise({"*": 0.0}), seed=0)
     assert np.array([again.quantities[f"pose_w{a}"] for a in "xyz"]) == pytest.approx(
         off, abs=1e-12

@@ -252,7 +252,7 @@ def test_nor_is_one_that_differs_from_pose_to_pose(name: str) -> None:
     def mix(f: list[Any], x: Any) -> list[Any]:
         return [sum(x[f"M{i}{j}"] * f[j] for j in range(m)) for i in range(m)]
 
-    machine = recombined(case, mix, known=dict.fromkeys(known, "1"))
+    machine = recombined(case, mix, pose_constants=dict.fromkeys(known, "1"))
     data = case.draw(5)
     first = fit(case, data)
     second = fit(case, data.with_readings(known), machine=machine)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from loopcal.estimation.mounted import (
     Bodies,
     _points,
-    own_coordinates,
+    origin_rms,
     see_lengths,
     see_points,
     see_poses,
@@ -70,5 +70,5 @@ def test_the_anchor_and_the_zero_of_a_wire_are_found(bodies: Bodies) -> None:
 
 
 def test_coordinates_of_the_machine_itself_are_known(bodies: Bodies) -> None:
-    assert own_coordinates(bodies, bodies.origins) == 0.0
-    assert own_coordinates(bodies, bodies.origins @ S.T + t) > 1.0
+    assert origin_rms(bodies, bodies.origins) == 0.0
+    assert origin_rms(bodies, bodies.origins @ S.T + t) > 1.0

@@ -55,7 +55,7 @@ def test_a_pose_that_no_loop_reaches_is_lost_and_disturbs_no_other() -> None:
     starts = dict.fromkeys(found.outputs, 0.0) | {q: machine.home[q] for q in platform}
     readings = np.array([np.broadcast_to(starts.get(q, exact[q]), 30) for q in tape.quantities])
     parameters = np.array([p.nominal for p in machine.parameters])
-    known = np.zeros((len(tape.known), 30))
+    known = np.zeros((len(tape.pose_constants), 30))
     readings[tape.quantities.index("leg_1"), 4] = 5.0
     readings[tape.quantities.index("leg_2"), 7] = np.nan
     y = predict_outputs(found, parameters, readings, known)

@@ -62,6 +62,7 @@ def test_outlier_tests_hold_their_level_where_targets_share_errors(
     problem: Any = SimpleNamespace(
         readings=np.zeros((0, N)), uncertainty=SimpleNamespace(sd=np.zeros((0, N)))
     )
+    problem.where_closed = problem
     for _ in range(40):
         E = residuals(rng, N, 0.8)
         block = PoseEquations(np.arange(N), E, np.zeros((N, 9, 1)), np.zeros((N, 9, 0)))

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_info
 from loopcal.errors import InputError
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Crew, Done, Executor, done
-from loopcal.execution.forked import helping, own_cores
+from loopcal.execution.forked import helping, process_cores
 from loopcal.expressions.choice import use_threads
 
 
@@ -116,7 +116,7 @@ def unsendable(shared: object, piece: int) -> Any:
 
 def workers_within(shared: object, piece: int) -> tuple[str, bool, int]:
     time.sleep(0.05)
-    return str(own_cores()), helping(), os.getpid()
+    return str(process_cores()), helping(), os.getpid()
 
 
 def sleeping(seconds: float, piece: int) -> int:

@@ -67,7 +67,7 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def was_killed(worker: subprocess.Popen[bytes]) -> bool:
-    return worker.wait(30) == -signal.SIGKILL
+    return worker.wait(300) == -signal.SIGKILL
 
 
 def test_a_killed_worker_costs_nothing_but_its_piece(cluster: DaskCluster, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.execution.executor import InProcess, gathered
-from loopcal.execution.forked import Forked, own_cores, waits_only
+from loopcal.execution.forked import Forked, process_cores, waits_only
 from loopcal.execution.local import Threads
 from tests.command_line import environment
 from tests.execution import pieces
@@ -118,14 +118,14 @@ def test_a_process_with_threads_that_may_hold_a_lock_is_not_forked(
 ) -> None:
     main, other = threading.main_thread(), threading.Thread()
     own_threads_are(monkeypatch, [main])
-    assert own_cores() == Forked(2)
+    assert process_cores() == Forked(2)
     own_threads_are(monkeypatch, [main, other])
-    assert own_cores() == Threads(2)
+    assert process_cores() == Threads(2)
     with waits_only(other):
-        assert own_cores() == Forked(2)
-    assert own_cores() == Threads(2)
+        assert process_cores() == Forked(2)
+    assert process_cores() == Threads(2)
     monkeypatch.setenv("LOOPCAL_THREADS", "1")
-    assert own_cores() == InProcess()
+    assert process_cores() == InProcess()
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])

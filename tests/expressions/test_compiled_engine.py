@@ -6,7 +6,6 @@ import hashlib
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from loopcal.expressions import choice
-from loopcal.expressions.compiled_engine import CompiledEngine, program_for
+from loopcal.expressions.compiled_engine import CompiledEngine, prepared
 from loopcal.expressions.derivative import linearise
 from loopcal.expressions.engine import engine_for
 from loopcal.expressions.loop_values import LoopValues, Stage
@@ -35,15 +34,6 @@ if choice.AVAILABLE:
     from loopcal.expressions import _compiled
 
 
-@pytest.fixture
-def restored() -> Iterator[None]:
-    """Width and threads as they were."""
-    width, threads = _compiled.width(), _compiled.threads()
-    yield
-    _compiled.use_width(width)
-    _compiled.use_threads(threads)
-
-
 def run(
     kind: type[NumpyEngine] | type[CompiledEngine],
     tape: Tape,
@@ -52,8 +42,7 @@ def run(
     stage: Stage = Stage.BY_PARAMETER,
 ) -> LoopValues:
     one = kind(linearise(tape, tape.quantities, tape.parameters), x.shape[1])
-    one.at(p)
-    values = one.evaluate(x, None, stage)
+    values = one.evaluate(p, x, None, stage)
     return LoopValues(values.f.copy(), values.by_quantity.copy(), values.by_parameter.copy())
 
 
@@ -173,7 +162,7 @@ def test_outside_a_domain_both_engines_give_no_number_alike(name: str) -> None:
 def test_rotations_are_made_whole_and_angles_once() -> None:
     mechanism = motoman_ma1400()
     linearisation = linearise(mechanism.tape, mechanism.tape.quantities, mechanism.tape.parameters)
-    names = [one.name for one in program_for(linearisation).instructions]
+    names = [one.name for one in prepared(linearisation)[2].instructions]
     assert names.count("sincos") == 6
     assert names.count("turn") >= 60
     operations = linearisation.tape.operations

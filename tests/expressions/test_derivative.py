@@ -26,8 +26,7 @@ POINTS = 1000
 def linearised(tape: Tape, x: Array, p: Array) -> Any:
     """The engine's f and derivatives by all inputs at x (k, N) and p (n,)."""
     engine = NumpyEngine(linearise(tape, tape.quantities, tape.parameters), x.shape[1])
-    engine.at(p)
-    return engine.evaluate(x)
+    return engine.evaluate(p, x)
 
 
 # operation, lower and upper end of its arguments, step of the differences
@@ -139,8 +138,7 @@ def test_random_tapes_meet_the_complex_step(loops: RandomLoops) -> None:
 def test_derivatives_come_only_for_the_inputs_asked_for_in_their_order() -> None:
     tape = trace(lambda x, p: (x.a * p.k, x.b * p.l), quantities=("a", "b"), parameters=("k", "l"))
     engine = NumpyEngine(linearise(tape, ("b",), ("l", "k")), 1)
-    engine.at(np.array([5.0, 7.0]))
-    values = engine.evaluate(np.array([[2.0], [3.0]]))
+    values = engine.evaluate(np.array([5.0, 7.0]), np.array([[2.0], [3.0]]))
     assert values.f.ravel().tolist() == [10.0, 21.0]
     assert values.by_quantity.tolist() == [[[0.0], [7.0]]]
     assert values.by_parameter.tolist() == [[[0.0], [3.0]], [[2.0], [0.0]]]

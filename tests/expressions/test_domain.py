@@ -76,7 +76,7 @@ def test_parameters_alone_may_be_what_is_wrong() -> None:
 
 
 def test_known_constants_are_looked_at_too() -> None:
-    tape = trace(lambda x, p: (x["a"] / x["c"],), quantities="a", known="c", parameters=())
+    tape = trace(lambda x, p: (x["a"] / x["c"],), quantities="a", pose_constants="c", parameters=())
     error = explain_domain(tape, np.ones((1, 2)), np.array([[1.0, 0.0]]), np.zeros(0), ("1", "2"))
     assert "division by zero in loop equation 'loop 1' at pose '2'" in str(error)
 

@@ -32,7 +32,7 @@ def loops(x: Any, p: Any, m: Any = np) -> tuple[Any, Any]:
     return along, m.hypot(reach, turn) * angle_of(x.b, p.l)
 
 
-TAPE = trace(loops, quantities=("a", "b"), known=("c",), parameters=("k", "l"))
+TAPE = trace(loops, quantities=("a", "b"), pose_constants=("c",), parameters=("k", "l"))
 P = np.array([0.4, 1.3])
 
 
@@ -66,17 +66,15 @@ def new_engine(tape: Tape, size: int) -> Engine:
 @pytest.mark.parametrize("width", WIDTHS)
 def test_a_block_equals_plain_python_pose_by_pose(width: int) -> None:
     engine = new_engine(TAPE, 4096)
-    engine.at(P)
     x, known = readings(width)
-    assert engine.evaluate(x, known).f == pytest.approx(pose_by_pose(x, known, P), rel=1e-14)
+    assert engine.evaluate(P, x, known).f == pytest.approx(pose_by_pose(x, known, P), rel=1e-14)
 
 
 @pytest.mark.parametrize("width", [1, 64, 65, 4096])
 def test_derivatives_of_a_block_equal_the_complex_step(width: int) -> None:
     engine = new_engine(TAPE, width)
-    engine.at(P)
     x, known = readings(width)
-    values, expected = engine.evaluate(x, known), complex_step(TAPE, x, P, known)
+    values, expected = engine.evaluate(P, x, known), complex_step(TAPE, x, P, known)
     assert values.by_quantity == pytest.approx(expected.by_quantity, rel=1e-12, abs=1e-14)
     assert values.by_parameter == pytest.approx(expected.by_parameter, rel=1e-12, abs=1e-14)
 
@@ -85,17 +83,15 @@ def test_one_engine_serves_blocks_of_changing_width_and_parameters() -> None:
     engine = new_engine(TAPE, 4096)
     for width in (4096, 1, 65, 4096, 130, 64):
         for p in (P, P + 1.0):
-            engine.at(p)
             x, known = readings(width)
-            values = engine.evaluate(x, known)
+            values = engine.evaluate(p, x, known)
             assert values.f.shape == (2, width)
             assert values.f == pytest.approx(pose_by_pose(x, known, p), rel=1e-14)
 
 
 def test_no_pose_is_no_work() -> None:
     engine = new_engine(TAPE, 64)
-    engine.at(P)
-    values = engine.evaluate(np.zeros((2, 0)), np.zeros((1, 0)))
+    values = engine.evaluate(P, np.zeros((2, 0)), np.zeros((1, 0)))
     assert values.f.shape == (2, 0)
     assert values.by_quantity.shape == (2, 2, 0)
 
@@ -103,9 +99,8 @@ def test_no_pose_is_no_work() -> None:
 def test_more_poses_than_the_engine_holds_go_block_by_block() -> None:
     x, known = readings(5000)
     engine = new_engine(TAPE, 4096)
-    engine.at(P)
     parts = [
-        engine.evaluate(x[:, part], known[:, part]).f.copy()
+        engine.evaluate(P, x[:, part], known[:, part]).f.copy()
         for part in (slice(0, 4096), slice(4096, 5000))
     ]
     assert np.hstack(parts) == pytest.approx(pose_by_pose(x, known, P), rel=1e-14)
@@ -114,10 +109,9 @@ def test_more_poses_than_the_engine_holds_go_block_by_block() -> None:
 def test_a_block_of_one_gives_the_bits_of_a_wide_block() -> None:
     """Otherwise the result would depend on how poses are cut into blocks."""
     engine = new_engine(TAPE, 1024)
-    engine.at(P)
     x, known = readings(1024)
-    wide = engine.evaluate(x, known).f.copy()
-    single = np.hstack([engine.evaluate(x[:, [i]], known[:, [i]]).f.copy() for i in range(100)])
+    wide = engine.evaluate(P, x, known).f.copy()
+    single = np.hstack([engine.evaluate(P, x[:, [i]], known[:, [i]]).f.copy() for i in range(100)])
     assert single == pytest.approx(wide[:, :100], rel=1e-15)
 
 
@@ -139,12 +133,10 @@ def test_what_depends_on_parameters_alone_is_evaluated_once_per_parameters(
     )
     engine = NumpyEngine(linearise(tape, (), ()), 64)
     assert not counted
-    engine.at(np.array([0.5]))
-    assert counted == {"sin": 1, "pow": 1}
     for _ in range(3):
-        engine.evaluate(np.ones((1, 64)))
+        engine.evaluate(np.array([0.5]), np.ones((1, 64)))
     assert counted == {"sin": 1, "pow": 1}
-    engine.at(np.array([0.6]))
+    engine.evaluate(np.array([0.6]), np.ones((1, 64)))
     assert counted == {"sin": 2, "pow": 2}
 
 
@@ -152,15 +144,14 @@ def test_outputs_that_are_alike_constant_or_a_reading_itself() -> None:
     tape = trace(
         lambda x, p: (x["a"], x["a"] - p["k"], x["a"] - p["k"], x["a"]),
         quantities="a",
-        known="c",
+        pose_constants="c",
         parameters="k",
     )
     engine = new_engine(tape, 256)
     for width in (3, 256, 5):
         for k in (2.0, 3.0):
-            engine.at(np.array([k]))
             a = np.arange(width, dtype=float)
-            values = engine.evaluate(a[None], np.ones((1, width)))
+            values = engine.evaluate(np.array([k]), a[None], np.ones((1, width)))
             assert values.f.tolist() == [list(a), list(a - k), list(a - k), list(a)]
             assert values.by_quantity.tolist() == [[[1.0] * width] * 4]
             assert values.by_parameter.tolist() == [
@@ -171,8 +162,7 @@ def test_outputs_that_are_alike_constant_or_a_reading_itself() -> None:
 def test_values_outside_a_domain_come_out_as_nan_without_a_warning() -> None:
     tape = trace(lambda x, p: (np.sqrt(x["a"]), np.log(x["a"])), quantities="a", parameters=())
     engine = new_engine(tape, 2)
-    engine.at(np.zeros(0))
-    values = engine.evaluate(np.array([[-1.0, 4.0]]))
+    values = engine.evaluate(np.zeros(0), np.array([[-1.0, 4.0]]))
     assert np.isnan(values.f[:, 0]).all()
     assert values.f[:, 1].tolist() == [2.0, math.log(4.0)]
 
@@ -196,8 +186,9 @@ def test_threads_do_not_disturb_each_other() -> None:
     def work(k: float) -> None:
         engine = engine_for(TAPE, ("k", "l"), 512)
         for _ in range(50):
-            engine.at(np.array([k, 1.3]))
-            if not np.allclose(engine.evaluate(x, known).f, expected[k], rtol=1e-13):
+            if not np.allclose(
+                engine.evaluate(np.array([k, 1.3]), x, known).f, expected[k], rtol=1e-13
+            ):
                 wrong.append(k)
 
     threads = [threading.Thread(target=work, args=(k,)) for k in (0.1, 0.7)]

@@ -47,14 +47,14 @@ def test_constants_are_folded() -> None:
 def test_constants_are_folded_in_the_graph_itself() -> None:
     graph = Graph()
     node = graph.apply("hypot", graph.constant(3.0), graph.constant(4.0))
-    assert graph.value_of(node) == 5.0
+    assert graph.operations[node] == ("constant", (5.0,))
 
 
 def test_what_overflows_or_is_undefined_is_not_folded() -> None:
     graph = Graph()
     zero = graph.constant(0.0)
-    assert graph.value_of(graph.apply("log", zero)) is None
-    assert graph.value_of(graph.apply("exp", graph.constant(1e4))) is None
+    for node in (graph.apply("log", zero), graph.apply("exp", graph.constant(1e4))):
+        assert graph.operations[node][0] != "constant"
 
 
 def test_both_zeros_are_one_constant() -> None:

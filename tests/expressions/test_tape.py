@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,25 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from loopcal.errors import Code
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
+from tests.reference.machines import two_link
 from tests.reference.plain_tape import FUNCTIONS, loop_values
 from tests.reference.random_loops import PARAMETERS, QUANTITIES, RandomLoops, random_loops
-from tests.refusals import refused
 
 
 def traced(loops: RandomLoops) -> Tape:
     return trace(loops, quantities=QUANTITIES, parameters=PARAMETERS)
-
-
-def two_link(x: Any, p: Any) -> Any:
-    a = x.phi2 + p.phi20
-    b = a + x.phi3 + p.phi30
-    return (
-        p.xA + p.l2 * np.cos(a) + p.l3 * np.cos(b) - x.xP,
-        p.yA + p.l2 * np.sin(a) + p.l3 * np.sin(b) - x.yP,
-    )
 
 
 ARM = trace(
@@ -94,21 +83,6 @@ def test_brackets_stand_where_they_are_needed(function: Any, text: str) -> None:
     assert str(tape) == f"loop 1: {text} = 0"
 
 
-@given(random_loops())
-def test_json_gives_back_the_same_tape(loops: RandomLoops) -> None:
-    tape = traced(loops)
-    again = Tape.from_data(json.loads(json.dumps(tape.to_data())))
-    assert again == tape
-    assert hash(again) == hash(tape)
-    assert again.to_data() == tape.to_data()
-
-
-def test_every_digit_of_a_constant_survives_json() -> None:
-    tape = trace(lambda x, p: x.a * (1 / 3) + 1e-300 + 2**0.5, quantities="a", parameters=())
-    again = Tape.from_data(json.loads(json.dumps(tape.to_data())))
-    assert again.operations == tape.operations
-
-
 def test_tapes_are_equal_by_value_and_differ_in_any_constant() -> None:
     def tape(number: float) -> Tape:
         return trace(lambda x, p: x.a * number, quantities="a", parameters=())
@@ -127,77 +101,3 @@ def test_each_loop_tells_what_it_depends_on() -> None:
     along_x, along_y = ARM.depends_on()
     assert along_x == {"xP", "phi2", "phi3", "xA", "l2", "l3", "phi20", "phi30"}
     assert along_y == {"yP", "phi2", "phi3", "yA", "l2", "l3", "phi20", "phi30"}
-
-
-def data(**changes: Any) -> dict[str, Any]:
-    return {**trace(lambda x, p: np.sin(x.a) - p.k, quantities="a", parameters="k").to_data()} | {
-        **changes
-    }
-
-
-def with_operation(position: int, row: Any) -> dict[str, Any]:
-    rows = data()["operations"]
-    rows[position] = row
-    return data(operations=rows)
-
-
-@pytest.mark.parametrize(
-    ("position", "row", "code", "stated"),
-    [
-        (2, ["sinus", 0], "unknown-name", ("2:", "'sinus'", "'sin'")),
-        (2, ["sin", 0, 1], "wrong-shape", ("2", "'sin'")),
-        (2, ["sin"], "wrong-shape", ("2", "'sin'")),
-        (2, ["sin", 2], "wrong-shape", ("2", "'sin'")),
-        (2, ["sin", 3], "wrong-shape", ("2", "'sin'")),
-        (2, ["sin", -1], "wrong-shape", ("2", "'sin'")),
-        (2, ["sin", "a"], "wrong-shape", ("2", "'sin'")),
-        (2, ["sin", None], "wrong-shape", ("2", "'sin'")),
-        (2, [], "wrong-shape", ("2",)),
-        (2, 7, "wrong-shape", ("2",)),
-        (2, ["sin", 0.5], "wrong-shape", ("2", "'sin'")),
-        (0, ["quantity", 1], "wrong-shape", ("0", "'quantity'")),
-        (0, ["quantity"], "wrong-shape", ("0", "'quantity'")),
-        (1, ["parameter", 5], "wrong-shape", ("1", "'parameter'")),
-        (1, ["known", 0], "wrong-shape", ("1", "'known'")),
-        (1, ["constant"], "wrong-shape", ("1", "'constant'")),
-        (1, ["constant", "one"], "wrong-shape", ("1", "'constant'")),
-        (1, ["constant", float("nan")], "wrong-shape", ("1", "'constant'")),
-        (1, ["constant", float("inf")], "wrong-shape", ("1", "'constant'")),
-    ],
-)
-def test_a_malformed_operation_is_named(
-    position: int, row: Any, code: Code, stated: tuple[str, ...]
-) -> None:
-    with refused(code, *stated):
-        Tape.from_data(with_operation(position, row))
-
-
-@pytest.mark.parametrize(
-    ("changes", "code", "stated"),
-    [
-        ({"outputs": []}, "unknown-name", "outputs"),
-        ({"outputs": [99]}, "unknown-name", "outputs"),
-        ({"outputs": [-1]}, "unknown-name", "outputs"),
-        ({"outputs": 3}, "wrong-file-type", "'int'"),
-        ({"outputs": ["x"]}, "wrong-file-type", "'str'"),
-        ({"operations": None}, "wrong-file-type", "'NoneType'"),
-        ({"quantities": 3}, "wrong-file-type", "'int'"),
-        ({"quantities": "a"}, "wrong-file-type", "'a'"),
-    ],
-)
-def test_a_malformed_tape_is_refused(changes: dict[str, Any], code: Code, stated: str) -> None:
-    with refused(code, stated):
-        Tape.from_data(data(**changes))
-
-
-@pytest.mark.parametrize("missing", ["quantities", "operations", "outputs", "loops", "known"])
-def test_a_tape_that_lacks_a_part_is_refused(missing: str) -> None:
-    lacking = data()
-    del lacking[missing]
-    with refused("wrong-file-type", missing):
-        Tape.from_data(lacking)
-
-
-def test_a_tape_that_is_no_mapping_is_refused() -> None:
-    with refused("wrong-file-type"):
-        Tape.from_data([1, 2, 3])  # type: ignore[arg-type]

@@ -143,7 +143,9 @@ def test_a_single_formula_is_one_loop() -> None:
 
 
 def test_known_constants_of_the_pose_stand_beside_the_quantities() -> None:
-    tape = trace(lambda x, p: (x.a * x.c - p.k,), quantities="a", known="c", parameters="k")
+    tape = trace(
+        lambda x, p: (x.a * x.c - p.k,), quantities="a", pose_constants="c", parameters="k"
+    )
     assert loop_values(tape, [2.0], [5.0], [3.0]).tolist() == [1.0]
     assert str(tape) == "loop 1: x.a*x.c - p.k = 0"
 

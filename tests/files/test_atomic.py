@@ -12,11 +12,14 @@ from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic, write_files
 from tests.refusals import refused
 
-NEW: dict[str, str | bytes] = {
-    "result.json": '{"µ": 1}',
-    "residuals.csv": b"pose\n1\n",
-    "mechanism.toml": "a = 1\n",
+MARKS = {
+    "result.json": '{"schema": 2, "loopcal": "0", "µ": "%s"}',
+    "residuals.csv": "pose,residual %s before [m]\n1,0\n",
+    "mechanism.toml": "# %s: a mechanism file of loopcal, made by it.\n",
 }
+"""How `files.outputs` knows that loopcal wrote a file, so that it may be replaced."""
+NEW: dict[str, str | bytes] = {name: mark % "new" for name, mark in MARKS.items()}
+NEW["residuals.csv"] = NEW["residuals.csv"].encode()  # type: ignore[union-attr]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -33,7 +36,7 @@ def folder(tmp_path):
     folder = tmp_path / "results"
     folder.mkdir()
     for name in ("result.json", "mechanism.toml"):
-        (folder / name).write_text(f"earlier {name}")
+        (folder / name).write_text(MARKS[name] % "earlier")
     return folder
 
 
@@ -58,9 +61,9 @@ def test_files_have_the_rights_of_any_new_file(tmp_path):
 def test_a_link_stays_a_link_and_a_device_a_device(folder):
     link = folder / "latest.json"
     link.symlink_to(folder / "result.json")
-    write_atomic(link, "new")
+    write_atomic(link, NEW["result.json"])
     assert link.is_symlink()
-    assert (folder / "result.json").read_text() == "new"
+    assert (folder / "result.json").read_text() == NEW["result.json"]
     write_atomic(os.devnull, "gone")
     assert not Path(os.devnull).is_file()
 
@@ -124,8 +127,8 @@ def test_where_hard_links_are_unknown_the_earlier_files_come_back_too(folder, mo
         raise OSError(errno.EPERM, os.strerror(errno.EPERM))
 
     monkeypatch.setattr(os, "link", no_links)
-    write_files(folder, {"result.json": "1"})
-    assert (folder / "result.json").read_text() == "1"
+    write_files(folder, {"result.json": NEW["result.json"]})
+    assert (folder / "result.json").read_text() == NEW["result.json"]
     (folder / "result.json").write_bytes(before["result.json"])
     (folder / "residuals.csv").mkdir()
     with refused("unwritable-file"):
@@ -172,13 +175,15 @@ def test_a_folder_where_a_file_is_needed(tmp_path):
         write_atomic(tmp_path / ("x" * 300), "x")
 
 
-def test_what_is_to_go_goes_with_the_rest_or_stays(tmp_path: Path) -> None:
-    write_files(tmp_path, {"a": "1", "old": "2"})
-    write_files(tmp_path, {"a": "3"}, remove=("old", "absent"))
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "3"}
-    write_files(tmp_path, {"old": "4"})
-    (tmp_path / "b").mkdir()
+def test_what_is_to_go_goes_with_the_rest_or_stays(folder: Path) -> None:
+    report = folder / "report.html"
+    report.write_text(page := '<meta name="loopcal" content="report">')
+    before = contents(folder)
+    (folder / "residuals.csv").mkdir()
     with refused("unwritable-file"):
-        write_files(tmp_path, {"a": "5", "b": "6"}, remove=("old",))
-    (tmp_path / "b").rmdir()
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "3", "old": "4"}
+        write_files(folder, NEW, remove=("report.html",))
+    (folder / "residuals.csv").rmdir()
+    assert contents(folder) == before
+    assert report.read_text() == page
+    write_files(folder, NEW, remove=("report.html", "absent"))
+    assert contents(folder) == as_bytes(NEW)

@@ -27,6 +27,6 @@ def test_a_page_shows_the_change_and_the_smallest_ones() -> None:
     assert all(smallest > 0.0 for smallest in bars["x"])
     for figure in figures.values():
         go.Figure({"data": list(figure.data), "layout": dict(figure.layout)})
-    page = verification_html(replace(found, poses=("<b>",)), "<i>arm")
+    page = verification_html(replace(found, poses=("<b>",)), "<i>arm", "<u>.csv")
     assert "<i>arm" not in page
     assert "Changes in deg" in page

@@ -265,6 +265,37 @@ def test_a_drift_allowance_gives_the_new_readings_more_weight() -> None:
         lc.update(first, day, drift={"length": -1e-3})
 
 
+@pytest.mark.parametrize("key", ["l3", "angle"])
+def test_a_drift_that_no_estimated_parameter_can_follow_is_refused(key: str) -> None:
+    """Of a parameter, and of a kind of which every one is held."""
+    arm = planar_arm(30)
+    noise = lc.Noise(sds_of(arm))
+    held = arm.truth.with_parameters(arm.truth.parameters.with_fixed(["l3", "phi30"]))
+    first = lc.calibrate(held, arm.read(sds_of(arm), 1), noise=noise, method="implicit-loop")
+    day = arm.read(sds_of(arm), 2)
+    with refused("no-free-parameter", key):
+        lc.update(first, day, drift={key: 1e-3})
+    assert lc.update(first, day, drift={"length": 1e-4}).status.converged
+
+
+def test_an_update_that_says_nothing_new_says_so() -> None:
+    arm = planar_arm(600)
+    data, noise = arm.read(sds_of(arm), 1), lc.Noise(sds_of(arm))
+    first = lc.calibrate(arm.truth, data, noise=noise, method="implicit-loop")
+
+    def notes(day: lc.Dataset) -> list[str]:
+        found = lc.update(first, day)
+        return [note for note in found.notes if "changed no parameter" in note]
+
+    driven = {q: data.readings[q][:2] for q in ("phi2", "phi3")}
+    expected = lc.simulate(first.calibrated, driven, noise=lc.Noise({"*": 0.0}), seed=0).dataset
+    assert len(notes(expected)) == 1
+    assert not notes(arm.read(sds_of(arm), 2))
+    held = arm.truth.with_parameters(arm.truth.parameters.with_fixed(["l2", "l3", "phi30"]))
+    first = lc.calibrate(held, data, noise=noise, method="implicit-loop")
+    assert len(notes(data)) == 1
+
+
 def test_without_sds_there_is_nothing_to_weigh_the_readings_with() -> None:
     arm = planar_arm(30)
     first = lc.calibrate(arm.truth, arm.read({}, 1), method="least-squares")

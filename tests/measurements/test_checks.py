@@ -141,7 +141,7 @@ def test_a_coordinate_of_zero_is_no_lost_reflector():
 
 def test_constant_columns_warn():
     (message,) = warned(filed({"s": np.full(5, 0.25)}), s="rad")
-    assert "'s' reads 0.25 in all of 5 poses" in message
+    assert "'s' reads 0.25 rad in all of 5 poses" in message
     assert warned(filed({"s": np.array([0.25])}), s="rad") == []
 
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import loopcal as lc
 from loopcal.estimation.fit import Fit
-from loopcal.measurements.copies import copies
+from loopcal.measurements.copies import Copies, copies
 from loopcal.statistics.case import Case
 from tests.reference.simulated import planar_arm
 
 ARM = planar_arm(40)
+Array = NDArray[np.float64]
 SDS = dict.fromkeys(ARM.exact, 1e-4)
 QUANTITIES, OUTPUTS = tuple(ARM.exact), ARM.truth.outputs
 
@@ -63,31 +67,99 @@ def test_methods_compete_on_rows_that_count_once() -> None:
 
 def test_poses_taken_several_times_on_purpose_are_no_copies() -> None:
     data = ARM.read(SDS, 1).take(np.repeat(np.arange(40), 2))
-    assert not copies(data, QUANTITIES, OUTPUTS).size
-    assert not copies(data.take(slice(0, 70)), QUANTITIES, OUTPUTS).size
+    assert not copies(data, QUANTITIES, OUTPUTS).rows.size
+    assert not copies(data.take(slice(0, 70)), QUANTITIES, OUTPUTS).rows.size
 
 
 def test_poses_without_readings_of_instruments_are_no_copies() -> None:
     data = {q: np.zeros(10) for q in QUANTITIES} | {q: np.full(10, np.nan) for q in OUTPUTS}
-    assert not copies(lc.Dataset.from_arrays(data), QUANTITIES, OUTPUTS).size
+    assert not copies(lc.Dataset.from_arrays(data), QUANTITIES, OUTPUTS).rows.size
 
 
-@pytest.mark.parametrize("step", [0.5, 1.0, 3.0])
-def test_coarse_readings_of_repeated_poses_agree_by_chance(step: float) -> None:
-    """Of one coordinate on a grid of `step` sds, 100 poses measured three times."""
-    named = 0
-    for seed in range(50):
-        rng = np.random.default_rng(seed)
-        u = np.repeat(np.round(rng.uniform(-1, 1, 100), 3), 3)
-        data = {"u": u, "y": np.round((u / 1e-3 + rng.normal(size=300)) / step) * step * 1e-3}
-        named += copies(lc.Dataset.from_arrays(data), ("u", "y"), ("y",)).size > 0
-    assert named == 0
+SCALES: dict[str, Callable[[Array], Array]] = {
+    "as read": lambda y: y,
+    "in another unit": lambda y: y * 0.0254,
+    "counts of an encoder": lambda y: y * (2.0 * np.pi / 2**13),
+    "a logarithm": np.log,
+    "a reciprocal": lambda y: 1.0 / y,
+}
 
 
-def test_copies_among_repeated_poses_are_found() -> None:
+def repeated(
+    seed: int, poses: int, times: int, outputs: int, step: float, spread: float = 0.0
+) -> tuple[Array, Array]:
+    """Poses (N,) and readings (outputs, N), noise 1 (or 10^spread times as much) on a grid."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1.0, 1.0, poses), times)
+    place = np.repeat(rng.uniform(100.0, 2100.0, (outputs, poses)), times, axis=1)
+    sd = np.repeat(10.0 ** rng.uniform(-spread, spread, poses), times)
+    read = place + sd * rng.normal(size=place.shape)
+    return u, np.round(read / step) * step if step else read
+
+
+def sought(u: Array, read: Array) -> Copies:
+    names = [f"y{i}" for i in range(len(read))]
+    data = lc.Dataset.from_arrays({"u": u, **dict(zip(names, read, strict=True))})
+    return copies(data, ("u", *names), names)
+
+
+@pytest.mark.parametrize(("poses", "times"), [(40, 2), (100, 3), (10, 20)])
+@pytest.mark.parametrize("outputs", [1, 2, 3])
+@pytest.mark.parametrize("step", [0.3, 1.0, 3.0])
+def test_coarse_readings_of_repeated_poses_agree_by_chance(
+    step: float, outputs: int, poses: int, times: int
+) -> None:
+    """Whatever the unit; the scatter may differ from pose to pose."""
+    for spread in (0.0, 0.3):
+        for seed in range(3):
+            u, read = repeated(seed, poses, times, outputs, step, spread)
+            for convert in ("as read", "in another unit", "counts of an encoder"):
+                assert not sought(u, SCALES[convert](read)).copied.size
+
+
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize(("poses", "times"), [(100, 3), (300, 2)])
+def test_the_grid_may_be_uneven(scale: str, poses: int, times: int) -> None:
+    """As where a file holds a function of what was read, or so many significant digits."""
+    for seed in range(3):
+        for outputs in (1, 3):
+            for step in (0.3, 1.0):
+                u, read = repeated(seed, poses, times, outputs, step)
+                assert not sought(u, SCALES[scale](read)).copied.size
+
+
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize("step", [0.0, 1e-3, 0.03])
+@pytest.mark.parametrize("outputs", [2, 3])
+def test_copies_are_found_where_readings_are_fine(outputs: int, step: float, scale: str) -> None:
+    """Beside poses that were measured again, of any number."""
+    for poses, times, number in ((60, 1, 1), (60, 1, 20), (40, 2, 20), (100, 3, 30), (10, 20, 50)):
+        u, read = repeated(poses, poses, times, outputs, step)
+        read = SCALES[scale](read)
+        found = sought(np.append(u, u[:number]), np.hstack([read, read[:, :number]]))
+        assert found.copied.tolist()[-number:] == list(range(len(u), len(u) + number))
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_copies_of_a_single_output_are_found(scale: str) -> None:
+    """Few repeated poses cannot tell fine readings from coarse ones; many can."""
+    for poses, times, number in ((60, 1, 1), (60, 1, 20), (100, 3, 300)):
+        u, read = repeated(poses, poses, times, 1, 1e-3)
+        read = SCALES[scale](read)
+        found = sought(np.append(u, u[:number]), np.hstack([read, read[:, :number]]))
+        assert found.copied.size >= number
+
+
+def test_rows_that_agree_by_chance_are_kept_and_said() -> None:
     rng = np.random.default_rng(1)
-    u = np.repeat(np.round(rng.uniform(-1, 1, 100), 3), 3)
-    read = {a: np.round(u / 1e-3 + rng.normal(size=300), 2) * 1e-3 for a in "xyz"}
-    data = {q: np.append(v, v[:30]) for q, v in {"u": u, **read}.items()}
-    found = copies(lc.Dataset.from_arrays(data), ("u", *"xyz"), tuple("xyz"))
-    assert found.tolist() == list(range(300, 330))
+    u = np.repeat(np.linspace(0.0, 1.0, 20), 4)
+    data = {"u": u, "y": np.round(3.0 * u + 0.1 * rng.normal(size=80), 1)}
+    line = lc.Mechanism.from_function(
+        lambda x, p: (x.y - p.a * x.u,), {"u": "1", "y": "1"}, {"a": (3.0, "1")}, outputs=("y",)
+    )
+    result = lc.calibrate(line, data, noise={"u": 0.0, "y": 0.1}, method="implicit-loop")
+    kept = result.document.data
+    assert (kept.used, kept.copied) == (80, ())
+    assert len(kept.agreeing) == len(u) - len(np.unique(np.array([u, data["y"]]), axis=1).T)
+    assert any(w.startswith(f"{len(kept.agreeing)} rows equal others") for w in result.warnings)
+    assert lc.verdict(result).sound.code != "rows-copied"

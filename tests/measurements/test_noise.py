@@ -68,8 +68,6 @@ def test_a_further_learnt_sd_leaves_the_rest_as_it_was() -> None:
     assert more.by_maker == frozenset({"*"})
     assert more.begin == {"*": 2.0}
     assert noise.estimate == {}
-    given = more.learnt_at({"model": 3.0})
-    assert (given.entries["model"], given.estimate) == (pytest.approx(3e-3), {})
 
 
 def test_roles_are_told_by_nought_and_infinity() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.measurements.rounding import recorded_step
+from loopcal.measurements.resolution import recorded_step
 from loopcal.units import from_si
 from tests.reference.simulated import planar_arm
 

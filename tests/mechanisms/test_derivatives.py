@@ -72,8 +72,7 @@ def test_derivatives_meet_the_complex_step_to_1e_8(name: str) -> None:
     for part in np.split(np.arange(POINTS), 10):
         p = nominal + rng.normal(0.0, 0.2, len(nominal))
         engine = engine_for(tape, tape.parameters, POINTS)
-        engine.at(p)
-        found, expected = engine.evaluate(x[:, part]), complex_step(tape, x[:, part], p)
+        found, expected = engine.evaluate(p, x[:, part]), complex_step(tape, x[:, part], p)
         values = loop_values(tape, x[:, part], np.broadcast_to(p[:, None], (len(p), len(part))))
         assert found.f == pytest.approx(values, rel=1e-12, abs=1e-13)
         assert found.by_quantity == pytest.approx(expected.by_quantity, rel=1e-8, abs=1e-13)

@@ -53,7 +53,7 @@ def loops(
         mechanism.tape,
         [x[q] for q in mechanism.tape.quantities],
         [values[name] for name in mechanism.tape.parameters],
-        [(known or {})[name] for name in mechanism.tape.known],
+        [(known or {})[name] for name in mechanism.tape.pose_constants],
     )
 
 
@@ -74,7 +74,7 @@ EVERY: list[Effect] = [
 
 def test_effects_at_zero_leave_a_mechanism_as_it_was() -> None:
     plain, changed = arm(), with_effects(arm(), EVERY)
-    x, known = readings(plain), dict.fromkeys(changed.known, 0.7)
+    x, known = readings(plain), dict.fromkeys(changed.pose_constants, 0.7)
     assert loops(changed, x, known) == pytest.approx(loops(plain, x), abs=1e-15)
     names = [name for own in changed.effects.values() for name in own]
     assert changed.parameters.names == (*plain.parameters.names, *names)

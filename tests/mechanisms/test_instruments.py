@@ -79,7 +79,7 @@ def values(mechanism: Mechanism, readings: Mapping[str, float]) -> dict[str, flo
     tape = mechanism.tape
     x = [readings.get(q, 0.0) for q in tape.quantities]
     p = [parameter.nominal for parameter in mechanism.parameters]
-    known = [readings[name] for name in tape.known]
+    known = [readings[name] for name in tape.pose_constants]
     return dict(zip(tape.loops, loop_values(tape, x, p, known).tolist(), strict=True))
 
 
@@ -116,7 +116,7 @@ def test_a_tracker_reads_distance_and_two_angles() -> None:
 def test_a_pose_is_off_by_small_turns_about_the_axes_measured(form: str, write: object) -> None:
     turned = {"tool_rz": 0.4, "tool_ry": -1.0, "tool_rx": 2.0}
     mechanism = made([pose("P", orientation=form)], standing("base") | turned)
-    columns = mechanism.tape.known
+    columns = mechanism.tape.pose_constants
     own = Rotation.from_euler("ZYX", list(turned.values())).as_matrix()
     rng = np.random.default_rng(6)
     for q1, q2 in CASES:

@@ -4,24 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from loopcal.errors import Code
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.planar import planar_two_link
+from tests.reference.machines import two_link
 from tests.refusals import refused
-
-
-def two_link(x: Any, p: Any) -> Any:
-    a = x.phi2 + p.phi20
-    b = a + x.phi3 + p.phi30
-    return (
-        p.xA + p.l2 * np.cos(a) + p.l3 * np.cos(b) - x.xP,
-        p.yA + p.l2 * np.sin(a) + p.l3 * np.sin(b) - x.yP,
-    )
-
 
 NOMINAL = {
     "xA": (0.0, "m"),
@@ -124,7 +114,7 @@ def test_an_unknown_quantity_names_the_nearest() -> None:
             "invalid-value",
             ("'x*'",),
         ),
-        ({"known": {"xP": "m"}}, "duplicate-name", ()),
+        ({"pose_constants": {"xP": "m"}}, "duplicate-name", ()),
         ({"parameters": {**NOMINAL, "xA": ("far", "m")}}, "invalid-value", ("'xA'", "'far'")),
         ({"parameters": {"xA": (0.0, "m")}}, "untraceable-function", ("'phi20'",)),
         ({"loops": ("xP",)}, "untraceable-function", ("2", "1")),

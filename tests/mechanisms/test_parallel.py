@@ -12,10 +12,9 @@ from analyses.machines import CASES, OWN, STEWART_GOUGH, Case
 from loopcal.expressions.engine import engine_for
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parallel.delta import linear_delta, rotary_delta
 from loopcal.mechanisms.parallel.five_bar import five_bar
 from loopcal.mechanisms.parallel.four_bar import four_bar
-from loopcal.mechanisms.parallel.linear_delta import linear_delta
-from loopcal.mechanisms.parallel.rotary_delta import rotary_delta
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.parallel.three_rrr import three_rrr
 from tests.reference.parallel import READINGS, spatial
@@ -60,10 +59,11 @@ def jacobian(mechanism: Mechanism, case: Case, poses: int = 150) -> np.ndarray:
     made = lc.simulate(mechanism, driven, noise=lc.Noise({"*": 0.0}), seed=7, truth=p)
     tape = mechanism.tape
     engine = engine_for(tape, mechanism.parameters.free, poses)
-    engine.at(np.array(list(p.values())))
     x = np.array([made.quantities[q] for q in tape.quantities])
-    known = np.array([made.dataset[q] for q in tape.known]).reshape(len(tape.known), poses)
-    values = engine.evaluate(x, known)
+    known = np.array([made.dataset[q] for q in tape.pose_constants]).reshape(
+        len(tape.pose_constants), poses
+    )
+    values = engine.evaluate(np.array(list(p.values())), x, known)
     unread = [tape.quantities.index(q) for q in case.unread(mechanism)]
     rows = []
     for by_quantity, by_parameter in zip(

@@ -67,14 +67,14 @@ def test_every_joint_is_found_whatever_it_is_called() -> None:
 
 def test_a_known_constant_of_an_effect_is_not_read_twice_for_a_quantity_called_q_b() -> None:
     made = lc.with_effects(two_joints(), [lc.effects.Backlash(("q",))])
-    assert list(made.known) == ["q_direction"]
+    assert list(made.pose_constants) == ["q_direction"]
 
 
 def test_of_two_poses_in_a_row_an_effect_acts_on_both() -> None:
     span = lc.instruments.relative_distance()
     arm = lc.assemble(lc.machines.serial([lc.Joint("q1"), lc.Joint("q2")]), [span], {"a_1": 0.5})
     made = lc.with_effects(arm, [lc.effects.Backlash(("q2",))])
-    assert list(made.known) == ["q2_direction", "q2_direction_b"]
+    assert list(made.pose_constants) == ["q2_direction", "q2_direction_b"]
     firsts = {v.name: v.first for v in made.variables}
     assert firsts["q2_direction_b"] == "q2_direction"
     assert firsts["q1_b"] == "q1"

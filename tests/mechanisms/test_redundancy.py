@@ -45,10 +45,10 @@ def singular_values(mechanism, names, poses=150, seed=4):
     rng = np.random.default_rng(seed)
     engine = engine_for(mechanism.tape, tuple(names), poses)
     nominal = {p.name: p.nominal for p in mechanism.parameters} | {"tool_x": 0.04, "tool_y": -0.06}
-    engine.at(np.array([nominal[n] for n in mechanism.tape.parameters]))
+    p = np.array([nominal[n] for n in mechanism.tape.parameters])
     spans = [pi if u == "rad" else 0.5 for u in mechanism.quantities.values()]
     x = np.array([rng.uniform(-s, s, poses) for s in spans])
-    J = engine.evaluate(x).by_parameter.reshape(len(names), -1).T
+    J = engine.evaluate(p, x).by_parameter.reshape(len(names), -1).T
     return np.linalg.svd(J / np.maximum(np.linalg.norm(J, axis=0), 1e-12), compute_uv=False)
 
 

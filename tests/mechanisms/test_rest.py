@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from loopcal.mechanisms.calibrated_origins import calibrated_origins
 from loopcal.mechanisms.chain import Step, product
-from loopcal.mechanisms.denavit import dh_pose, dh_table, modified
+from loopcal.mechanisms.denavit import dh_table, modified
 from loopcal.mechanisms.origins import LinkJoint, Mimic, joint_chain
 from loopcal.mechanisms.rest import (
     RestChain,
@@ -20,6 +20,7 @@ from loopcal.mechanisms.rest import (
     roll_pitch_yaw,
     rotation,
 )
+from tests.reference.dh_arm import table_pose
 
 QUARTER = 0.5 * math.pi
 
@@ -55,8 +56,8 @@ def test_rest_transforms_and_both_tables_reach_what_the_steps_reach(seed):
     for found in (
         chain.pose(q),
         chain.along_z.pose(q),
-        dh_pose(table, q),
-        dh_pose(modified(table), q, modified=True),
+        table_pose(table, q),
+        table_pose(modified(table), q, modified=True),
     ):
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
@@ -70,7 +71,7 @@ def test_nearly_parallel_axes_keep_their_kinematics_in_a_table(tilt):
     table = dh_table(rest_chain(steps, {}))
     q = {"a": 0.7, "b": -1.1}
     # at 1e-8 rad the common normal is 10,000 km away, where doubles are 2 nm apart
-    np.testing.assert_allclose(dh_pose(table, q), product(steps, q, {}), atol=2e-9)
+    np.testing.assert_allclose(table_pose(table, q), product(steps, q, {}), atol=2e-9)
 
 
 def test_the_table_of_an_arm_drawn_by_a_table_is_that_table():

@@ -25,7 +25,7 @@ def sampled(instruments, ranges=None, unsure=()):
 def values(made, sample):
     count = sample.readings.shape[1]
     p = np.broadcast_to(sample.parameters[:, None], (len(sample.parameters), count))
-    known = sample.known if len(sample.known) else None
+    known = sample.pose_constants if len(sample.pose_constants) else None
     all_loops = np.array(loop_values(made.tape, sample.readings, p, known))
     return all_loops[list(sample.loops)]
 

@@ -30,7 +30,7 @@ from loopcal.mechanisms.machine import Instrument, Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import with_model_error
 from loopcal.mechanisms.motoman import motoman_joints, motoman_ma1400
-from loopcal.mechanisms.parallel.linear_delta import linear_delta
+from loopcal.mechanisms.parallel.delta import linear_delta
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.parallel.three_rrr import three_rrr
 from loopcal.mechanisms.parameters import Parameter
@@ -54,13 +54,13 @@ def loops(mechanism: Mechanism, x: Numbers, /, **p: float) -> Array:
     tape = mechanism.tape
     return loop_values(
         tape, [x[q] for q in tape.quantities], [values[n] for n in tape.parameters],
-        [x[k] for k in tape.known],
+        [x[k] for k in tape.pose_constants],
     )  # fmt: skip
 
 
 def readings(mechanism: Mechanism, seed: int = 1) -> dict[str, float]:
     rng = np.random.default_rng(seed)
-    names = (*mechanism.quantities, *mechanism.known)
+    names = (*mechanism.quantities, *mechanism.pose_constants)
     return {q: float(v) for q, v in zip(names, rng.uniform(0.2, 1.5, len(names)), strict=True)}
 
 
@@ -229,7 +229,9 @@ def test_structure_at_zero_leaves_the_loops_as_they_were(name: str) -> None:
 def test_every_added_parameter_has_a_finite_prior_and_moves_a_loop(name: str) -> None:
     plain = machines()[name]
     targets = {
-        n: 0.1 + 0.02 * i for i, n in enumerate(plain.parameters.names) if n in plain.located
+        p.name: 0.1 + 0.02 * i
+        for i, p in enumerate(plain.parameters)
+        if p.role in ("mounting", "placement")
     }
     made = structured(plain.with_nominal(targets), discrepancy=True)
     x = readings(plain)
@@ -245,34 +247,35 @@ def test_every_added_parameter_has_a_finite_prior_and_moves_a_loop(name: str) ->
         assert np.abs(change).max() > 0.0, n
 
 
-def test_kinds_are_what_parameters_say() -> None:
+def test_roles_are_what_parameters_say() -> None:
     all_of = machines()
-    kinds = all_of["spherical"].kinds
-    assert kinds["tracker_x"] == kinds["tracker_rx"] == "placement"
-    assert kinds["tracker_range_offset"] == "placement"
-    assert kinds["tool_x"] == "mounting"
-    assert kinds["joint_2_x"] == "length"
-    assert kinds["joint_2_rz"] == "angle"
-    assert all_of["pose"].kinds["tool_rx"] == "mounting"
-    assert {all_of["wire"].kinds[n] for n in ("wire_x", "wire_offset")} == {"placement"}
-    assert all_of["bar"].kinds["bar_length"] == "placement"
-    assert all_of["level"].kinds["level_rx"] == "mounting"
-    assert all_of["level of the base"].kinds["level_rx"] == "placement"
-    assert all_of["MA1400"].kinds["z1"] == all_of["MA1400"].kinds["phix0"] == "placement"
-    assert all_of["MA1400"].kinds["x6B"] == "mounting"
-    assert all_of["planar"].kinds == {
+    roles = all_of["spherical"].roles
+    assert roles["tracker_x"] == roles["tracker_rx"] == "placement"
+    assert roles["tracker_range_offset"] == "placement"
+    assert roles["tool_x"] == "mounting"
+    assert roles["joint_2_x"] == "length"
+    assert roles["joint_2_ry"] == "zero"
+    assert roles["joint_2_rz"] == "twist"
+    assert all_of["pose"].roles["tool_rx"] == "mounting"
+    assert {all_of["wire"].roles[n] for n in ("wire_x", "wire_offset")} == {"placement"}
+    assert all_of["bar"].roles["bar_length"] == "placement"
+    assert all_of["level"].roles["level_rx"] == "mounting"
+    assert all_of["level of the base"].roles["level_rx"] == "placement"
+    assert all_of["MA1400"].roles["z1"] == all_of["MA1400"].roles["phix0"] == "placement"
+    assert all_of["MA1400"].roles["x6B"] == "mounting"
+    assert all_of["planar"].roles == {
         "xA": "placement", "yA": "placement", "phi20": "placement",
-        "l2": "length", "l3": "length", "phi30": "angle",
+        "l2": "length", "l3": "length", "phi30": "zero",
     }  # fmt: skip
-    assert with_effects(all_of["MA1400"], [Harmonics()]).kinds["theta_1_cos1"] == "effect"
+    assert with_effects(all_of["MA1400"], [Harmonics()]).roles["theta_1_cos1"] == "effect"
     own = Mechanism.from_function(
         lambda x, p: [p.a + p.b * x.u + p.c], {"u": "rad"},
         {"a": (1.0, "m"), "b": (1.0, "m"), "c": (0.0, "m")},
     )  # fmt: skip
-    assert own.kinds == dict.fromkeys("abc", "length")
+    assert own.roles == dict.fromkeys("abc", "length")
 
 
-def test_priors_follow_the_kinds_and_stated_ones_stay() -> None:
+def test_priors_follow_the_roles_and_stated_ones_stay() -> None:
     arm = assemble(
         urdf_machine(TEMPLATE, "base_link", "tool0"),
         [point()],

@@ -47,7 +47,7 @@ def test_a_length_grows_by_its_coefficient_for_each_kelvin(reference: float, uni
 
 def test_coefficients_are_per_kelvin_whatever_the_reference_is_in() -> None:
     arm = warmed()
-    assert arm.known == {"temperature": "K"}
+    assert arm.pose_constants == {"temperature": "K"}
     assert [arm.parameters[n].unit for n in TRUTH] == ["m/K", "rad/K"]
 
 

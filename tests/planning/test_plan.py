@@ -172,12 +172,14 @@ def test_the_command_writes_a_plan_that_reads_as_candidates(tmp_path: Path) -> N
         "--candidates",
         str(folder / "plan.csv"),
         "--no-report",
+        "--force",
         "--json",
         cwd=tmp_path,
     )
     same = json.loads(again.stdout)
     assert {p["pose"] for p in same["poses"]} == {p["pose"] for p in document["poses"]}
     assert not (folder / "plan.html").exists()
+    assert (folder / "plan.csv.bak").exists()  # it was read
 
 
 def test_the_end_point_of_a_platform_that_nobody_reads_follows_from_its_legs() -> None:

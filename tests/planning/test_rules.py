@@ -10,7 +10,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.measurements.plan_settings import Box, PlanSettings, Sight
-from loopcal.planning.candidates import drawn, given, ranges_of
+from loopcal.planning.candidates import drawn, ranges_of, stated_candidates
 from tests.refusals import refused
 
 INF = math.inf
@@ -29,7 +29,7 @@ def posed(*degrees: tuple[float, float]) -> lc.Dataset:
 
 
 def left(settings: PlanSettings, *degrees: tuple[float, float]) -> list[str]:
-    return list(given(arm(), posed(*degrees), settings).driven.poses)
+    return list(stated_candidates(arm(), posed(*degrees), settings).driven.poses)
 
 
 def test_a_segment_crosses_a_box_where_any_of_its_points_lies_inside() -> None:
@@ -105,7 +105,9 @@ def test_loops_that_cannot_close_are_counted() -> None:
         outputs=("b",),
     )
     machine = replace(machine, home={"b": 0.5})
-    found = given(machine, lc.Dataset.from_arrays({"a": [0.2, 1.5, -0.7]}), PlanSettings())
+    found = stated_candidates(
+        machine, lc.Dataset.from_arrays({"a": [0.2, 1.5, -0.7]}), PlanSettings()
+    )
     assert list(found.driven.poses) == ["1", "3"]
     assert found.refused == {"loops do not close": 1}
 
@@ -120,7 +122,9 @@ def test_rules_need_a_point() -> None:
         lambda x, p: x.a * p.k - x.b, {"a": "m", "b": "m"}, {"k": (1.0, "1")}, outputs=("b",)
     )
     with refused("unsupported"):
-        given(machine, lc.Dataset.from_arrays({"a": [0.1]}), PlanSettings(sight=Sight()))
+        stated_candidates(
+            machine, lc.Dataset.from_arrays({"a": [0.1]}), PlanSettings(sight=Sight())
+        )
 
 
 def test_settings_are_checked() -> None:
@@ -134,5 +138,5 @@ def test_settings_are_checked() -> None:
 def test_where_the_station_stands_changes_no_box(degrees: float) -> None:
     machine = arm().with_nominal({"base_rz": math.radians(degrees), "base_y": 0.7})
     reach = PlanSettings(reach=Box((0.6, -INF, -INF), (INF, INF, INF)))
-    found = given(machine, posed((0, 0), (90, 0), (20, 10)), reach)
+    found = stated_candidates(machine, posed((0, 0), (90, 0), (20, 10)), reach)
     assert list(found.driven.poses) == ["1", "3"]

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from loopcal.mechanisms.denavit import DenavitTable
+
 NOMINAL = np.array(  # a [m], d [m], alpha [rad], theta [rad]
     [
         [0.15, 0.45, -np.pi / 2, 0.0],
@@ -35,6 +37,22 @@ def pose(a: float, d: float, alpha: float, theta: float) -> np.ndarray:
             [0.0, 0.0, 0.0, 1.0],
         ]
     )
+
+
+def table_pose(
+    table: DenavitTable, readings: dict[str, float], *, modified: bool = False
+) -> np.ndarray:
+    """T_base_tip (4, 4) of a table at readings by quantity [m or rad]."""
+    T = table.base
+    for row in table.rows:
+        moved = row.factor * readings[row.reads]
+        slide, turned = (moved, 0.0) if row.kind == "prismatic" else (0.0, moved)
+        d, theta = row.d + slide, row.theta + turned
+        if modified:
+            T = T @ pose(row.a, 0.0, row.alpha, 0.0) @ pose(0.0, d, 0.0, theta)
+        else:
+            T = T @ pose(row.a, d, row.alpha, theta)
+    return T @ table.tool
 
 
 def turn(rz: float, ry: float, rx: float) -> np.ndarray:

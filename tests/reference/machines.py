@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import pi
+from typing import Any
 
 import numpy as np
 
@@ -42,6 +43,16 @@ BASE = {
 }
 TOOL = {"tool_x": 0.05, "tool_y": -0.02, "tool_z": 0.15}
 DIRECTIONS = (1, -1, 1, -1, 1, 1)
+
+
+def two_link(x: Any, p: Any) -> Any:
+    """The loops of a planar arm, as a user writes them."""
+    a = x.phi2 + p.phi20
+    b = a + x.phi3 + p.phi30
+    return (
+        p.xA + p.l2 * np.cos(a) + p.l3 * np.cos(b) - x.xP,
+        p.yA + p.l2 * np.sin(a) + p.l3 * np.sin(b) - x.yP,
+    )
 
 
 def dh_arm(form: str = "dh") -> Mechanism:

@@ -119,6 +119,7 @@ def _problem(name: str, entry: dict[str, Any]) -> Certified:
             lambda q, b: (q.y - model(q, b),),
             dict.fromkeys(arrays, "1"),
             {b: (value, "1") for b, value in first.items()},
+            outputs=("y",),
         ),
         Dataset.from_arrays(arrays),
         Noise({**dict.fromkeys(arrays, 0.0), "y": entry["residual_sd"]}),

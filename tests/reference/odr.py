@@ -53,8 +53,7 @@ class ExplicitArm:
     def _at(self, x: Array, beta: Array) -> Any:
         full = np.zeros((self.quantities, x.shape[1]))
         full[self.joints] = x
-        self.engine.at(beta)
-        return self.engine.evaluate(full)
+        return self.engine.evaluate(beta, full)
 
     def point(self, x: Array, beta: Array) -> Array:
         """g (3, N)."""

@@ -42,7 +42,7 @@ def optimality(
     c = np.array([result.corrections[q] for q in names])
     x = c + np.array([result.dataset[q] for q in names])
     p = np.array([result.value[n] for n in machine.parameters.names])
-    known = np.array([result.dataset[q] for q in tape.known])
+    known = np.array([result.dataset[q] for q in tape.pose_constants])
     f = loop_values(tape, x, np.broadcast_to(p[:, None], (len(p), x.shape[1])), known)
     slopes = complex_step(tape, x, p, known)
     free = [machine.parameters.names.index(n) for n in result.estimated]

@@ -42,13 +42,11 @@ COLOURS = """async () => {
   return found;
 }"""
 
-SETTLED = """() => new Promise((done) => {
-  const fits = () => [...document.querySelectorAll("section > .side .plot .main-svg")]
-    .every((svg) => svg.clientWidth <= innerWidth);
-  let tries = 0;
-  const look = () => fits() || ++tries > 600 ? done() : requestAnimationFrame(look);
-  look();
-})"""
+SETTLED = """() => [...document.querySelectorAll("section > .side .plot .main-svg")]
+  .every((svg) => svg.clientWidth <= innerWidth)"""
+INKED = """(ink) => [...document.querySelectorAll('.plot')].every(
+  (plot) => plot.layout.font.color === ink)"""
+INKS = {"light": "#1c1e21", "dark": "#e6e7ea"}
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +91,7 @@ def test_nothing_leaves_the_machine_and_every_figure_is_drawn(both: Seen) -> Non
 @pytest.mark.parametrize("width", [390, 820, 1440])
 def test_it_never_scrolls_sideways(both: Seen, width: int) -> None:
     both.page.set_viewport_size({"width": width, "height": 900})
-    both.page.evaluate(SETTLED)  # figures follow the width
+    both.page.wait_for_function(SETTLED)  # figures follow the width
     assert both.page.evaluate("document.documentElement.scrollWidth") <= width
 
 
@@ -112,17 +110,12 @@ def test_on_paper_every_figure_is_there(both: Seen) -> None:
 
 
 def test_it_follows_the_reader_into_the_dark(browser: Any, planar: Path) -> None:
-    inked = """(ink) => [...document.querySelectorAll('.plot')].every(
-        (p) => p.layout.font.color === ink)"""
     with opened(browser, planar / "report.html", color_scheme="light") as seen:
-        for scheme, paper, ink in (
-            ("light", "rgb(255, 255, 255)", "#1c1e21"),
-            ("dark", "rgb(21, 23, 26)", "#e6e7ea"),
-        ):
+        for scheme, paper in (("light", "rgb(255, 255, 255)"), ("dark", "rgb(21, 23, 26)")):
             seen.page.emulate_media(color_scheme=scheme)
             shade = seen.page.evaluate("getComputedStyle(document.body).backgroundColor")
             assert shade == paper
-            seen.page.wait_for_function(inked, arg=ink)  # figures follow a moment later
+            seen.page.wait_for_function(INKED, arg=INKS[scheme])  # figures follow a moment later
 
 
 def test_markup_is_shown_and_never_run(browser: Any, hostile: Path) -> None:
@@ -142,7 +135,7 @@ def test_markup_is_shown_and_never_run(browser: Any, hostile: Path) -> None:
     assert seen.complaints == []
     for name in ("a</script><script>", "b<img/src=x"):
         assert name in text
-    assert "x<img/src=x/onerror" in drawn
+        assert name in drawn
 
 
 def test_a_table_can_be_copied(browser: Any, planar: Path) -> None:
@@ -167,7 +160,8 @@ def first_screen(seen: Seen, scheme: str) -> bytes:
     seen.page.set_viewport_size({"width": 1440, "height": 900})
     seen.page.emulate_media(color_scheme=scheme)
     seen.page.evaluate("scrollTo(0, 0)")
-    seen.page.evaluate(SETTLED)
+    seen.page.wait_for_function(SETTLED)
+    seen.page.wait_for_function(INKED, arg=INKS[scheme])
     return bytes(seen.page.screenshot())
 
 

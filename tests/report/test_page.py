@@ -27,7 +27,7 @@ from loopcal.report.tables import (
     worst_table,
 )
 from loopcal.report.top import accuracy_bars, region_bars
-from loopcal.statistics.verdict import verdict_of
+from loopcal.statistics.verdict import judged
 from tests.golden_files import page_text
 from tests.refusals import refused
 
@@ -127,9 +127,12 @@ def test_the_page_shows_the_four_answers(planar: Path) -> None:
     verdict = document_of(planar).verdict
     assert verdict is not None
     assert f'<strong title="{verdict.headline}">{verdict.headline}</strong>' in page
-    for answer in verdict.answers.values():
-        assert answer.words in page
-        assert f"<code>{answer.code}</code>" in page
+    findings = document_of(planar).findings
+    assert {one.question for one in findings} == {q for q, a in verdict.answers.items() if a.asked}
+    for one in findings:
+        assert one.words in page
+        assert f"<code>{one.code}</code>" in page
+    assert verdict.tolerance.words in page
 
 
 def test_parameters_stand_with_change_and_share_of_the_prior(planar: Path) -> None:
@@ -152,7 +155,7 @@ def test_parameters_stand_with_change_and_share_of_the_prior(planar: Path) -> No
 def test_findings_stand_apart_each_with_its_code_and_remedy(planar: Path) -> None:
     source = read_source(planar)
     document = changed(source.document, "status.converged", False)
-    document = replace(document, outliers=(outlier("7"),), verdict=verdict_of(document))
+    document = judged(replace(document, outliers=(outlier("7"),)))
     page = report_html([replace(source, document=document)])
     for code in ("not-converged", "outliers"):
         assert re.search(rf"<li class=.*<code>{code}</code>", page), code
@@ -199,7 +202,7 @@ def test_the_worst_poses_come_first_with_their_causes(planar: Path) -> None:
 def test_parameters_are_grouped_by_joint_and_say_what_they_mean(six_axis: Path) -> None:
     groups = {g.name: g.lines for g in parameter_groups(read_source(six_axis)).groups}
     assert list(groups)[:2] == ["base", "theta_1"]
-    assert [line.cells[0] for line in groups["target"]] == ["tool_x", "tool_y", "tool_z"]
+    assert [line.cells[0] for line in groups["tool"]] == ["tool_x", "tool_y", "tool_z"]
     meanings = {line.cells[0]: line.meaning for lines in groups.values() for line in lines}
     assert meanings["offset_2"] == "zero of theta_2: added to its reading"
     assert meanings["alpha_4"] == "turn about the x axis after theta_4"

@@ -14,8 +14,10 @@ import pytest
 import loopcal as lc
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer
+from loopcal.files.project.project_schema import RecordTable
 from loopcal.files.result.record_file import OPEN, RecordFile, check_record
 from loopcal.files.result.result_file import read_result
+from loopcal.keys import arguments
 from loopcal.report.record_content import (
     FIELDS,
     OPTIONAL,
@@ -52,9 +54,7 @@ def text_of(page: str) -> str:
 
 
 def test_every_key_of_the_project_is_printed(planar: Path) -> None:
-    from loopcal.files.project.project_schema import RecordEntry
-
-    assert set(KEYS) == set(RecordEntry.model_fields)
+    assert set(KEYS) == {argument.name for argument in arguments(RecordTable)}
     made = record_content(read_result(planar / "result.json"), STATED, ())
     page = record_page(made)
     for key in KEYS:

@@ -27,10 +27,10 @@ GRID = grid_poses({"phi2": np.arange(0, 6, 0.5), "phi3": np.arange(0, 6, 0.5)})
 
 def loops_of(mechanism: Mechanism, made: Simulation) -> np.ndarray:
     engine = engine_for(mechanism.tape, (), len(made.dataset))
-    engine.at(np.array(list(made.parameters.values())))
+    p = np.array(list(made.parameters.values()))
     x = np.array([made.quantities[q] for q in mechanism.tape.quantities])
-    known = np.array([made.dataset[c] for c in mechanism.tape.known])
-    return engine.evaluate(x, known.reshape(-1, x.shape[1])).f.copy()
+    known = np.array([made.dataset[c] for c in mechanism.tape.pose_constants])
+    return engine.evaluate(p, x, known.reshape(-1, x.shape[1])).f.copy()
 
 
 def four_bar() -> Mechanism:
@@ -159,7 +159,7 @@ def test_known_constants_are_part_of_the_dataset() -> None:
         {"a": "m", "b": "m"},
         {"gain": (2.0, "1")},
         ("b",),
-        known={"load": "m"},
+        pose_constants={"load": "m"},
     )
     made = simulate(
         mechanism, {"a": [1.0, 2.0], "load": [0.5, 0.25]}, noise=Noise({"*": 0.0}), seed=0

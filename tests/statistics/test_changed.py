@@ -44,7 +44,7 @@ def test_an_unchanged_machine_is_unchanged() -> None:
     found = later()
     assert changes(found).verdict == "unchanged"
     assert changes(found).found == ()
-    assert changes(found).next is None
+    assert found.verdict["consistent"].next is None
     assert not found.failed
 
 

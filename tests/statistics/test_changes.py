@@ -17,6 +17,7 @@ from loopcal.statistics.case import Case
 from loopcal.statistics.changes import NUMBER, Changes, changes
 from loopcal.statistics.choice import choose
 from loopcal.statistics.folds import Scheme
+from loopcal.statistics.verdict import findings_of
 from loopcal.workflow.checking import run_prediction
 from tests.estimation.test_real_data import RIGHT, measured
 from tests.reference.simulated import MA1400_RANGES
@@ -93,13 +94,14 @@ def test_a_slip_is_modelled_and_an_outlier_discarded_and_both_are_said(result: l
     assert document.data.discarded == ("13",)
     assert (document.data.poses, document.data.used) == (48, 47)
     assert [o.pose for o in document.outliers or ()] == ["13"]
-    text = str(document)
+    text = " ".join(str(result).split())
     for words in (
         f"from pose {point.pose} on",
         "without the outlier 13",
-        "The fit models 1 change",
     ):
         assert words in text
+    (modelled,) = (one for one in findings_of(document) if one.code == "changes-modelled")
+    assert modelled.title.startswith("The fit models what changed along the run: from pose")
     assert "[[mechanism.effect]]" in document.change_points.toml
     assert document.accuracy is not None
     assert document.accuracy.after.rms < 3e-4
@@ -148,14 +150,15 @@ def test_findings_keep_what_was_modelled_and_name_it_once(
     assert [p.modelled for p in findings.shifts.found] == [True]
     assert [o.pose for o in findings.outliers.found] == ["13"]
     document = findings.added_to(result.document)
-    assert sum("along the run" in words for words in document.warnings) == 1
+    assert [one.code for one in findings_of(document)].count("changes-modelled") == 1
+    assert not any("along the run" in words for words in document.warnings)
 
 
 @pytest.mark.parametrize("sag", [1e-3, 3e-3])
 def test_a_sagging_arm_measured_region_by_region_has_no_certain_change(sag: float) -> None:
     for seed in range(2):
         case = Case(ARM, sagging(read(regional(seed), seed), sag), None, FIT)
-        assert changes(case, case.fit, case.calibrated()).found == ()
+        assert changes(case, case.fit, case.calibrated()).points == ()
 
 
 def test_a_calibration_needs_the_column_that_dates_its_changes() -> None:
@@ -218,7 +221,7 @@ def test_a_drift_of_the_instrument_is_modelled_and_predictions_hold_for_the_end(
 
 def test_a_drift_that_the_joints_imitate_is_not_modelled() -> None:
     case = Case(ARM, wandering("sweep"), None, FIT)
-    assert changes(case, case.fit, case.calibrated()).found == ()
+    assert changes(case, case.fit, case.calibrated()).points == ()
 
 
 def test_a_target_that_seems_to_drift_is_not_modelled() -> None:
@@ -229,7 +232,7 @@ def test_a_target_that_seems_to_drift_is_not_modelled() -> None:
     case = Case(ARM, sagging(slow.with_readings(moved)), None, FIT)
     whole = case.calibrated()
     assert [(p.shape, p.moved) for p in lc.find_shifts(whole).found] == [("ramp", "target")]
-    assert changes(case, case.fit, whole).found == ()
+    assert changes(case, case.fit, whole).points == ()
 
 
 def along_a_path(seed: int, poses: int = 120) -> dict[str, Array]:

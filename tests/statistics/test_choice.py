@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import loopcal as lc
 from loopcal.execution.executor import InProcess
-from loopcal.statistics.candidates import entrants
+from loopcal.statistics.candidates import Entrant, entrants
 from loopcal.statistics.case import Case
-from loopcal.statistics.choice import choose
+from loopcal.statistics.choice import Judged, _beats, _taken, choose
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.noise_floor import noise_floor
@@ -115,6 +117,28 @@ def _error(result: lc.Result, fresh: Simulated) -> float:
     found = lc.predict(result, data)
     gaps = [found.outputs[q] - data[q] for q in ("xP", "yP")]
     return float(np.sqrt(np.square(gaps).sum(axis=0).mean()))
+
+
+@pytest.mark.parametrize(("elsewhere", "taken"), [(1.0, "plain"), (1.3, "with model error")])
+def test_what_another_beats_by_the_rule_of_the_verdict_is_never_taken(
+    elsewhere: float, taken: str
+) -> None:
+    """A plain method that is clearly better at random poses; elsewhere: its rms in regions."""
+    rng, case = np.random.default_rng(1), Case(ARM.truth, noisy(), None, lc.Fit(method="auto"))
+    errors = np.abs(rng.standard_normal((2, 200)))
+    parts = [np.flatnonzero(np.arange(200) % 5 == i) for i in range(5)]
+    plan: Any = SimpleNamespace(groups=np.arange(200), blocked=SimpleNamespace(indices=parts))
+    judged = [
+        Judged(Entrant("with model error", case, structured=True), None),
+        Judged(Entrant("plain", case), None),
+    ]
+    uneven = np.where(np.arange(200) % 5 == 0, 2.0, 0.5)  # regions alone do not decide
+    own = np.square(np.array([[0.8], [elsewhere]]) * errors * np.array([np.ones(200), uneven]))
+    risks = {"with model error": np.square(errors), "plain": own}
+    found = _taken(judged, risks, plan)
+    assert found.name == taken
+    for one in judged:
+        assert not _beats(risks[one.name], risks[found.name], plan)
 
 
 def test_a_gain_counts_clusters_not_poses() -> None:

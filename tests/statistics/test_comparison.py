@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.stats import kstest
 
 import loopcal as lc
@@ -25,13 +26,17 @@ def elsewhere(arm: Simulated, seed: int, poses: int) -> Simulated:
     """The same machine in other poses, seen by an instrument that stands elsewhere."""
     truth = arm.truth
     assert truth.placement is not None
-    rng = np.random.default_rng(seed)
     d = len(truth.outputs)
-    R = lc.rot_z(0.6) if d == 3 else np.array([[0.8, -0.6], [0.6, 0.8]])
-    R = np.array(R, dtype=float)
-    new = truth.placement.moved(arm.values, R, rng.uniform(-1.0, 1.0, d))
+    new = truth.placement.moved(arm.values, *motion(seed, d))
+    rng = np.random.default_rng([seed, 1])
     joints = rng.uniform(-1.2, 1.2, (len(truth.quantities) - d, poses))
     return arm_at(truth.with_nominal(new), joints)
+
+
+def motion(seed: int, d: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How an instrument that stands elsewhere sees the points of one in d dimensions move."""
+    R = lc.rot_z(0.6) if d == 3 else np.array([[0.8, -0.6], [0.6, 0.8]])
+    return np.array(R, dtype=float), np.random.default_rng(seed).uniform(-1.0, 1.0, d)
 
 
 def sds_of(arm: Simulated) -> dict[str, float]:

@@ -17,10 +17,10 @@ from loopcal.estimation.problem.problem import build_problem
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import assemble
 from loopcal.statistics import causes
-from loopcal.statistics.verdict import verdict_of
 from loopcal.units import from_si
 from tests.estimation.test_contacts import READINGS
 from tests.reference.simulated import ma1400, planar_arm
+from tests.reference.verdicts import verdict_of
 
 ARM = ma1400(60)
 START = ARM.off(2e-3, 4e-3)

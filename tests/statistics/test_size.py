@@ -6,7 +6,7 @@ import pytest
 
 import loopcal as lc
 from analyses.instruments import setup
-from loopcal.statistics.verdict import verdict_of
+from tests.reference.verdicts import verdict_of
 
 BAR = setup("six-axis ball-bar")
 NOISE = lc.Noise(dict.fromkeys(BAR.truth.quantities, 2e-5))

@@ -68,7 +68,7 @@ def test_a_passive_sensor_that_jitters_and_a_time_do_not_split_repeats() -> None
         lambda x, p: p.r * np.sin(x.a) - x.b + p.v * x.t,
         {"a": "rad", "b": "rad"},
         {"r": (1.0, "1"), "v": (0.0, "1")},
-        known={"t": "1"},
+        pose_constants={"t": "1"},
     )
     groups = repeated(coupler, data, {"a": 0.0, "b": 1e-3})
     assert (groups == np.repeat(np.arange(30), 4)).all()

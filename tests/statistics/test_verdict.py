@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,26 +13,35 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 from scipy.stats import t as student
+from typer.main import get_command
 
 import loopcal as lc
 from analyses.gauntlet_worlds import Parallel
+from loopcal.cli.application import app
+from loopcal.cli.registry import COMMANDS, loaded
 from loopcal.document.accuracy import Coverage
+from loopcal.document.catalogue import CATALOGUE
 from loopcal.document.change_points import Change, ChangePoint, ChangePoints
 from loopcal.document.choice import Candidate, Chosen
 from loopcal.document.dependence import Dependence, InstrumentDependence, Likeness
 from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, Undetermined
 from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.judgement import Fact
 from loopcal.document.result_document import CoarseReadings, ResultDocument
+from loopcal.document.row import Row
 from loopcal.document.terms import TermEntry
+from loopcal.document.verdict import UNASKED
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.presentation.wrapped import WIDTH
 from loopcal.statistics.judged_machine import off_the_drawing
 from loopcal.statistics.predictor import predictor
 from loopcal.statistics.region import region_of
-from loopcal.statistics.verdict import SOUND, _by_few, verdict_of
+from loopcal.statistics.sound import _by_few
+from loopcal.statistics.verdict import findings_of, judged
 from tests.conftest import ROOT
 from tests.reference.machines import dh_arm
 from tests.reference.simulated import arm_at, planar_arm
+from tests.reference.verdicts import verdict_of
 
 SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
 
@@ -458,11 +468,12 @@ def with_lengths(document: ResultDocument, *off: float) -> ResultDocument:
     """The document with a learnt term of so many lengths of 1 m, each this far [m] off."""
     first = next(p for p in document.parameters if p.unit == "m" and not p.fixed)
     own = [
-        replace(first, name=f"a_{i}", nominal=1.0, value=1.0 + d, prior_sd=2e-2, sd=2e-5)
+        replace(
+            first, name=f"a_{i}", nominal=1.0, value=1.0 + d, prior_sd=2e-2, sd=2e-5, role="length"
+        )
         for i, d in enumerate(off, 1)
     ]
     term = replace(SAG, name="lengths", unit="m", columns=len(own))
-    document = changed(document, "mechanism.kinds", {p.name: "length" for p in own})
     return replace(document, parameters=tuple(own), terms=(term,))
 
 
@@ -497,13 +508,12 @@ def test_the_drawing_of_another_machine_is_named() -> None:
 
 def test_a_tool_far_from_its_place_is_named_without_a_prior() -> None:
     document = flat(with_lengths(clean(), 3e-4, -2e-4, 1e-4))
-    tool = replace(document.parameters[0], name="tool_x", nominal=0.1)
+    tool = replace(document.parameters[0], name="tool_x", nominal=0.1, role="mounting")
     for off, code in ((0.11, "off-the-drawing"), (0.012, "sound")):
         own = (*document.parameters, replace(tool, value=0.1 + off))
-        mounted = changed(document, "mechanism.kinds", {"tool_x": "mounting"})
-        assert verdict_of(replace(mounted, parameters=own)).sound.code == code
+        assert verdict_of(replace(document, parameters=own)).sound.code == code
     # where nobody stated a place, nothing is off
-    unknown = changed(mounted, "mechanism.unstated", (("tool_x",),))
+    unknown = changed(document, "mechanism.unstated", (("tool_x",),))
     own = (*document.parameters, replace(tool, value=0.21))
     assert verdict_of(replace(unknown, parameters=own)).sound.code == "mounting-unstated"
 
@@ -573,14 +583,41 @@ def test_a_file_at_fault_is_told_alone_and_a_failed_fit_has_no_region() -> None:
 def test_every_code_is_described() -> None:
     text = (ROOT / "docs" / "explanation" / "verdict.md").read_text("utf-8")
     described = set(re.findall(r"^\| `([a-z-]+)` \|", text, re.MULTILINE))
-    assert {rule.code for rule in SOUND} <= described
-    source = "".join(
-        Path(ROOT / "src" / "loopcal" / "statistics" / name).read_text("utf-8")
-        for name in ("answers.py", "verdict.py", "tolerance.py", "verified.py")
-    )
-    given = set(re.findall(r"Answer\(\s*(?:True|False|None),\s*\"([a-z-]+)\"", source))
-    assert given <= described
-    assert described - {"sound"} <= given | {rule.code for rule in SOUND} | {"sound"}
+    assert described == {row.code for row in CATALOGUE.values()} | {UNASKED}
+
+
+def test_every_row_of_the_catalogue_answers_and_advises() -> None:
+    """Sentences that end, at most 40 words each; what refuses or stays open says what to do."""
+    for row in CATALOGUE.values():
+        made = row.example
+        assert made.words.endswith((".", "example")), row.fact
+        assert made.words.startswith(made.title[:-1]), row.fact
+        assert all(len(one.split()) <= 40 for one in made.words.split(". ")), row.fact
+        # nothing that a user does decides these
+        alone = {"nominal-not-placed", "unknown-accuracy", "machines-differ"}
+        assert (made.next is None) is (row.severity == "info" or row.fact in alone), row.fact
+
+
+def test_a_command_of_a_finding_is_one_of_the_program() -> None:
+    """With every option that it names, quoted where a name needs it."""
+    loaded(COMMANDS)
+    files = {"project": "a b.toml", "result": "r", "readings": "day 2.csv"}
+    for row in CATALOGUE.values():
+        step = row.finding(_fact_of(row), files).next
+        assert step is None or (step.command is None) is (row.command is None)
+        if step is None or step.command is None:
+            continue
+        program, command, *words = shlex.split(step.command)
+        assert program == "loopcal"
+        options = {o for p in get_command(app).commands[command].params for o in p.opts}  # type: ignore[attr-defined]
+        assert {word for word in words if word.startswith("--")} <= options, step.command
+        assert "{" not in step.command
+
+
+def _fact_of(row: Row) -> Fact:
+    made = row.example
+    texts = re.findall(r"{(\w+)}", row.sentence + row.detail + (row.remedy or ""))
+    return Fact(row.fact, made.numbers, made.place, dict.fromkeys(texts, "text"))
 
 
 def test_a_headline_is_one_line_and_the_answer_has_the_rest() -> None:
@@ -630,3 +667,62 @@ def test_neighbours_that_are_alike_are_said_with_share_and_certainty() -> None:
     )
     assert "0.6 % of the variance of the residuals of 'T'" in found.sound.words
     assert "(p = 1e-09)" in found.sound.words
+
+
+@pytest.mark.parametrize("tolerance", [True, False, None, "unasked"])
+@pytest.mark.parametrize("better", [True, False, None])
+@pytest.mark.parametrize("valid", [True, False, None])
+@pytest.mark.parametrize("sound", [True, False, None])
+def test_a_verdict_is_true_only_where_all_that_was_asked_is_answered_yes(
+    sound: bool | None, valid: bool | None, better: bool | None, tolerance: bool | str | None
+) -> None:
+    answers = [lc.Answer(passed, "code", None, "Words.", None) for passed in (sound, valid, better)]
+    last = (
+        lc.Answer(None, "no-tolerance", None, "No tolerance is stated.", None)
+        if tolerance == "unasked"
+        else lc.Answer(None if tolerance is None else bool(tolerance), "code", None, "Words.", None)
+    )
+    found = lc.Verdict(answers[0], answers[1], answers[2], last, headline="Headline.")
+    every = [sound, valid, better, *([] if tolerance == "unasked" else [tolerance])]
+    assert bool(found) is found.ok is (every == [True] * len(every))
+
+
+def test_a_printed_result_begins_with_its_headline_and_the_four_answers(tmp_path: Path) -> None:
+    made = planar_arm(40).read(SDS, 1)
+    fitted = lc.calibrate(
+        planar_arm(40).off(1e-3, 1e-3), made, noise=lc.Noise(SDS), method="implicit-loop"
+    )
+    fitted.save(tmp_path, report=False)
+    for result in (fitted, lc.read_result(tmp_path)):
+        assert result.verdict is not None
+        text = " ".join(str(result).split())
+        begin = text.index(result.verdict.headline.replace("  ", " "))
+        at = [text.index(f" {name} {a.mark} ", begin) for name, a in result.verdict.answers.items()]
+        assert at == sorted(at)
+        assert begin < 100
+        assert at[-1] < text.index("converged in")
+        assert str(result) == result.summary()
+
+
+@pytest.mark.parametrize("code", FINDINGS)
+def test_every_answer_follows_from_the_findings_alone(code: str) -> None:
+    made = judged(changed(clean(), *FINDINGS[code][:2]), tolerance=1e-3)
+    assert made.verdict is not None
+    order = ["refuse", "caution", "info"]
+    ranks = [order.index(one.severity) for one in made.findings]
+    assert ranks == sorted(ranks)
+    for question, answer in made.verdict.answers.items():
+        own = [one for one in made.findings if one.question == question]
+        assert answer.codes == tuple(one.code for one in own)
+        severities = {one.severity for one in own}
+        follows = False if "refuse" in severities else None if "caution" in severities else True
+        assert answer.passed is follows, question
+
+
+def test_a_finding_names_its_place_and_its_numbers() -> None:
+    moved = changed(clean(), *FINDINGS["change-points"][:2])
+    (slip,) = (one for one in findings_of(moved) if one.code == "change-points")
+    assert slip.place.poses == ("86",)
+    assert slip.place.parameters == ("x6B",)
+    assert slip.numbers["changes"].value == 1.0
+    assert slip.next is not None

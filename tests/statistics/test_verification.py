@@ -12,15 +12,17 @@ import loopcal as lc
 from analyses.instruments import setup
 from analyses.verify import LEVEL, Rates, another_day, run
 from loopcal.errors import NoTrustworthyResult
+from loopcal.mechanisms.station import Station
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.replacing import Freedom, mounted
-from loopcal.statistics.tolerance import Quantile, judged
+from loopcal.statistics.tolerance import Quantile, kept
 from loopcal.statistics.verification import as_learnt, verify
 from tests.reference.machines import dh_arm
 from tests.reference.simulated import Simulated, ma1400, planar_arm
+from tests.reference.verdicts import finding_of
 from tests.refusals import refused
-from tests.statistics.test_comparison import elsewhere, sds_of
+from tests.statistics.test_comparison import elsewhere, motion, sds_of
 
 DRAWS = 6
 NAMES = (
@@ -97,9 +99,13 @@ def test_a_machine_whose_placement_is_its_own_parameters_is_moved_as_a_whole() -
     other = elsewhere(arm, 3, 20)
     found = lc.verify(calibrated(arm, 1, 40, estimate=False), other.read(sds_of(arm), 2))
     assert found.verdict["consistent"].passed
+    rest = Station("base")
+    R, shift = motion(3, 3)
+    there = rest.moved(dict.fromkeys(rest.parameters, 0.0), R, shift)
+    assert {placed.name for placed in found.placed} == set(rest.parameters)
     for placed in found.placed:
         assert placed.sd is not None
-        assert abs(placed.value - other.values[placed.name]) < 4.5 * placed.sd
+        assert abs(placed.value - there[placed.name]) < 4.5 * placed.sd
 
 
 def test_what_was_mounted_anew_is_found_only_where_it_is_stated() -> None:
@@ -185,8 +191,9 @@ def test_a_guard_band_holds_the_quantile_as_often_as_it_says() -> None:
 @pytest.mark.parametrize(("tolerance", "passed"), [(0.5e-3, False), (1.7e-3, None), (9e-3, True)])
 def test_within_the_guard_band_the_decision_is_open(tolerance: float, passed: bool | None) -> None:
     distances = 1e-3 * np.linalg.norm(np.random.default_rng(1).standard_normal((2, 15)), axis=0)
-    found = judged(Quantile.of(distances), tolerance, "m", "of this file")
-    assert found.passed is passed or (passed is None and found.code == "near-tolerance")
+    found = finding_of(kept(Quantile.of(distances), tolerance, "m", "of this file"))
+    assert found.severity == {True: "info", False: "refuse", None: "caution"}[passed]
+    assert passed is not None or found.code == "near-tolerance"
 
 
 def test_f_goes_over_into_chi_squared() -> None:

@@ -16,6 +16,7 @@ import pytest
 import loopcal as lc
 from loopcal.execution.executor import InProcess
 from loopcal.execution.local import Processes
+from loopcal.files.study import study_parts
 from loopcal.files.study.study_file import read_study
 from loopcal.simulation.simulate import simulate
 from loopcal.studies.draws import run_draws, seed_of
@@ -61,13 +62,17 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def test_workers_and_interruptions_change_no_value(path: Path, tmp_path: Path) -> None:
+def test_workers_and_interruptions_change_no_value(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study_parts, "CHUNK", 10)
+    path.write_text(STUDY.replace("draws = 60", "draws = 20"), "utf-8")
     one = run_study(path, executor=InProcess(), out=tmp_path / "one")
     two = run_study(path, executor=Processes(2), out=tmp_path / "two")
     assert two.text == one.text
     assert two.document == one.document
 
-    fewer = run_study(path, draws=30, executor=InProcess(), out=tmp_path / "three")
+    fewer = run_study(path, draws=10, executor=InProcess(), out=tmp_path / "three")
     assert fewer.document != one.document
     left = sorted((tmp_path / "one" / "parts").iterdir())
     (tmp_path / "one" / "draws.parquet").unlink()
@@ -78,7 +83,7 @@ def test_workers_and_interruptions_change_no_value(path: Path, tmp_path: Path) -
     rows = [pl.read_parquet(tmp_path / d / "draws.parquet") for d in ("one", "two", "three")]
     assert rows[0].equals(rows[1])
     assert rows[0].equals(rows[2])
-    assert rows[0].height == 2 * 2 * 60
+    assert rows[0].height == 2 * 2 * 20
     assert rows[0].select("scenario", "method", "draw").is_unique().all()
 
 

@@ -15,6 +15,8 @@ from loopcal.cli import main
 from loopcal.cli.reporting import run_report
 from loopcal.deployment.inverse import solve
 from loopcal.deployment.rigid import quaternion_of
+from loopcal.files.outputs import command
+from loopcal.files.programs.corrected import MARK
 from loopcal.files.programs.poses_text import turns_of_pose
 from loopcal.workflow.correcting import run_correct
 from loopcal.workflow.exporting import run_export
@@ -88,6 +90,9 @@ def test_programs_are_corrected_as_tables_are(
     for kind in (0, 1):
         assert done.corrected.joints[kind::2] == pytest.approx(plain.corrected.joints, abs=1e-7)
     path.write_bytes(done.content)
+    with refused("unsupported", name):
+        lc.correct(result, path)
+    path.write_bytes(done.content.replace(MARK.encode(), b"no mark"))
     again = lc.correct(result, path).corrected.targets
     assert again.joints[::2] == pytest.approx(plain.corrected.joints, abs=1e-8)
     q = solve(plain.arms.controller, again.poses[1::2], Q).joints
@@ -169,6 +174,15 @@ def test_files_are_written_beside_the_program_and_nothing_is_replaced(
     with refused("unwritable-file", "p.csv"):
         run_correct(folder, path, out=path)
     assert path.read_bytes() == before
+    with command(force=True):
+        run_correct(folder, path, out=path)
+    assert (tmp_path / "p.csv.bak").read_bytes() == before
+    corrected = path.read_bytes()
+    for out in (path, tmp_path / "twice.csv"):
+        with refused("unsupported", "p.csv"), command(force=True):
+            run_correct(folder, path, out=out)
+    assert path.read_bytes() == corrected
+    path.write_bytes(before)
     assert main(["correct", str(folder), str(path), "--force", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["corrected"] == 3

@@ -118,6 +118,19 @@ def test_a_result_without_a_project_is_saved_and_judged_too(tmp_path: Path) -> N
     assert read.document.title is None
 
 
+def test_commands_of_a_result_saved_in_the_working_directory_name_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = lc.read_project(EXAMPLE)
+    loaded = lc.load_dataset(project)
+    data = {q: np.array(loaded.dataset[q]) for q in loaded.dataset.readings}
+    data["xP"][len(loaded.dataset) // 2 :] += 0.05  # the instrument moves: a finding to look at
+    monkeypatch.chdir(tmp_path)
+    lc.write_result(lc.calibrate(project.mechanism, data, noise=loaded.noise), ".")
+    steps = [one.next for one in lc.read_result(tmp_path).document.findings]
+    assert "loopcal report ." in [step.command for step in steps if step]
+
+
 def test_names_of_other_libraries_mean_the_same_here(
     result: lc.Result, saved: lc.SavedResult
 ) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from loopcal.errors import LoopcalError
-from loopcal.files.project.data_entries import DataSpec
+from loopcal.files.project.data_table import FileTable
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.cells import Cells, is_missing, is_number
 from loopcal.files.tables.readers import read_table
@@ -37,7 +37,7 @@ def bad_cells(project: Project) -> list[BadCell]:
 
     Blank cells, which stand for what was not measured, and poses left out are none.
     """
-    found = []
+    cells = []
     for table, spec in _tables(project):
         pose, out = spec.options.get("pose"), {str(p) for p in spec.options.get("exclude", ())}
         try:
@@ -49,20 +49,21 @@ def bad_cells(project: Project) -> list[BadCell]:
             for i, text in _wrong(table.columns[at], table.decimal):
                 if ids[i] not in out:
                     row = int(table.rows[i])
-                    found.append(BadCell(table.file, row, ids[i], table.label(at), text))
-    return sorted(found, key=lambda cell: (cell.file, cell.row))[:MOST]
+                    cells.append(BadCell(table.file, row, ids[i], table.label(at), text))
+    return sorted(cells, key=lambda cell: (cell.file, cell.row))[:MOST]
 
 
 def _wrong(cells: Cells, decimal: str) -> Iterator[tuple[int, str]]:
     for i, cell in enumerate(cells):
+        # NaN alone differs from itself.
         if not is_missing(cell) and cell == cell and not is_number(cell, decimal):
             yield i, str(cell)
 
 
-def _tables(project: Project) -> Iterator[tuple[Table, DataSpec]]:
+def _tables(project: Project) -> Iterator[tuple[Table, FileTable]]:
     """The files that can be read, and how the project reads them."""
-    for spec in () if project.data is None else (project.data, *project.data.joins):
-        part = spec.options.get("sheet") or spec.options.get("variable")
+    for spec in () if project.data is None else project.data.parts:
+        part = spec.sheet or spec.variable
         try:
             yield read_table(project.folder / spec.file, part), spec
         except LoopcalError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from nicegui import ui
@@ -23,7 +24,7 @@ def choice(view: View, name: str, label: str, options: Options, **more: Any) -> 
     shown = dict(options) if isinstance(options, Mapping) else list(options)
     if view.kept.get(name) not in options and not more.get("multiple"):
         view.kept[name] = next(iter(options), None)
-    box = ui.select(
+    box = view.boxes[name] = ui.select(
         shown, value=view.kept.get(name), label=label, on_change=_kept(view, name), **more
     )
     if too is not None:
@@ -35,15 +36,37 @@ def number(view: View, name: str, label: str, first: float, **more: Any) -> Any:
     """A number; more: of `ui.number`."""
     view.kept.setdefault(name, first)
     box = ui.number(label, value=view.kept[name], on_change=_kept(view, name), **more)
+    view.boxes[name] = box
     return box.classes("w-56")
 
 
 def text(view: View, name: str, label: str, first: str = "") -> Any:
     """A line of text."""
     view.kept.setdefault(name, first)
-    return ui.input(label, value=view.kept[name], on_change=_kept(view, name)).classes(
-        "w-96 max-w-full"
+    box = ui.input(label, value=view.kept[name], on_change=_kept(view, name))
+    view.boxes[name] = box
+    return box.classes("w-96 max-w-full")
+
+
+def written(box: Any, then: Callable[[str], Any]) -> Any:
+    """Call with what a user wrote into a field, at Enter and where it is left (fields.js)."""
+    # The field's value on the server may be that of a late update (docs/decisions/0134).
+    return box.on("commit", lambda event: then(event.args), js_handler="(e) => emit(e.detail)")
+
+
+def folded(view: View, name: str, label: str, *, opened: bool = False) -> Any:
+    """A part that opens and closes, and stays so where the step is drawn anew."""
+    view.kept.setdefault(name, opened)
+    box = view.boxes[name] = ui.expansion(
+        label, value=view.kept[name], on_value_change=_kept(view, name)
     )
+    return box.classes("w-full")
+
+
+def as_number(said: str) -> float | None:
+    """What a field for a number says, a whole one as it was written; None where it is empty."""
+    number = float(said) if said else None
+    return int(number) if number is not None and number.is_integer() else number
 
 
 def pulses(view: View) -> list[str]:
@@ -54,17 +77,13 @@ def pulses(view: View) -> list[str]:
 
 def reason(view: View, name: str, choices: Sequence[str]) -> Any:
     """Why something is done, chosen or typed."""
-    view.kept.setdefault(name, choices[0])
-    known = list(dict.fromkeys([*choices, view.kept[name]]))
-    box = ui.select(
-        known,
-        value=view.kept[name],
-        label=words.REASON,
-        with_input=True,
-        new_value_mode="add-unique",
-        on_change=_kept(view, name),
-    )
-    return box.classes("w-full")
+    box = text(view, name, words.REASON, choices[0]).classes("w-full", remove="w-96")
+    with box.add_slot("append"), ui.button(icon="arrow_drop_down").props("flat round") as button:
+        button.props(f'aria-label="{words.COMMON_REASONS}"')
+        with ui.menu():
+            for usual_reason in choices:
+                ui.menu_item(usual_reason, partial(box.set_value, usual_reason))
+    return box
 
 
 def offer(
@@ -80,7 +99,7 @@ def offer(
 
     with ui.row().classes("items-center w-full"):
         ui.button(label, on_click=run).props("unelevated")
-        shown = ui.code(action().command, language="bash").classes("text-caption command")
+        shown = ui.code(action().command, language="text").classes("text-caption command")
         shown.props(f'aria-label="{words.SAME}"')
     view.follow.append(lambda: shown.set_content(action().command))
 

@@ -4,43 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import aclosing
 from typing import Any
 
 from nicegui import background_tasks, run, ui
 
 from loopcal.app import words
+from loopcal.app.pages import BY_KEY, Step, stand
+from loopcal.app.place import Place
 from loopcal.app.session import Session
 from loopcal.app.shown_run import ShownRun
-from loopcal.app.steps import Step, steps
 from loopcal.app.view import Part, View, title
-from loopcal.app.views import (
-    check,
-    data,
-    deploy,
-    diagnose,
-    fit,
-    history,
-    plan,
-    robot,
-    validate,
-)
 from loopcal.errors import LoopcalError
 from loopcal.presentation.wrapped import shortened
 
-SHOWN: Mapping[str, Callable[[View], None]] = {
-    "robot": robot.show,
-    "data": data.show,
-    "plan": plan.show,
-    "check": check.show,
-    "fit": fit.show,
-    "diagnose": diagnose.show,
-    "validate": validate.show,
-    "deploy": deploy.show,
-    "history": history.show,
-}
-LINKED = "/linked.js"
+SCRIPTS = {"/linked.js": "linked.js", "/fields.js": "fields.js"}
+"""Programs of the page, by their addresses."""
 TIP = 'anchor="center right" self="center left"'
 PATIENCE = 0.3
 """Seconds before a page says that it waits for files."""
@@ -96,7 +76,8 @@ body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem;
 .q-btn { min-height: 44px; text-transform: none; }
 .q-btn:focus-visible { outline: 3px solid #0072b2; outline-offset: 2px; }
 @media (prefers-reduced-motion: reduce) {
-  * { transition-duration: 0.01ms !important; animation-duration: 0.01ms !important; }
+  * { transition-duration: 0.01ms !important; animation-duration: 0.01ms !important;
+      animation-iteration-count: 1 !important; }
 }
 @layer theme { /* of important rules the first layer wins */
   body.body--light .q-btn.step { color: #1f2328 !important; }
@@ -110,9 +91,11 @@ body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem;
 
 async def build(session: Session) -> None:
     """One page on the folder."""
+    # In a thread: large files would keep all pages waiting.
     await run.io_bound(session.load)
     ui.add_css(STYLE)
-    ui.add_head_html(f'<script src="{LINKED}"></script>')
+    for address in SCRIPTS:
+        ui.add_head_html(f'<script src="{address}"></script>')
     ui.colors(primary="#0b5cad")
     view = View(session)
 
@@ -125,39 +108,38 @@ async def build(session: Session) -> None:
             ui.spinner(color="white")
             ui.label(words.READING)
         waiting.set_visibility(False)
+        # None: as the browser prefers.
         ui.dark_mode(value=None)
     drawer = (
         ui.left_drawer(value=True).classes("q-pa-sm").props("width=200 breakpoint=700 bordered")
     )
     menu_button.on_click(drawer.toggle)
 
-    @ui.refreshable
     def content() -> None:
         view.begin()
-        labels = {step.key: step.label for step in steps(session.state())}
-        title(view, labels[view.step])
+        shown = BY_KEY[view.step]
+        title(shown.label, shown.words)
         _shown(view)
 
     def show(key: str) -> None:
         view.step = key
         session.news.tell()
 
-    view.refresh = content.refresh
     with drawer:
-        lights = {step.key: _Light(step, show) for step in steps(session.state())}
+        lights = {step.key: _Light(step, show) for step in stand(session.state())}
     with ui.column().classes("w-full q-pa-md") as page:
-        content()
+        view.refresh = Place(content).refresh
     with ui.footer(elevated=True).classes("run") as foot:
-        its_run = ShownRun(session, foot)
+        shown_run = ShownRun(session, foot)
     notice = _Notice(view)
 
     def light() -> None:
-        for step in steps(session.state()):
+        for step in stand(session.state()):
             lights[step.key].show(step, chosen=step.key == view.step)
 
     light()
-    lit = Part(lambda: (steps(session.state()), view.step), light)
-    parts: list[Part | View | _Notice] = [view, lit, *its_run.parts, notice]
+    lit = Part(lambda: (stand(session.state()), view.step), light)
+    parts: list[Part | View | _Notice] = [view, lit, *shown_run.parts, notice]
 
     async def read() -> None:
         reading = asyncio.ensure_future(run.io_bound(session.load))
@@ -198,8 +180,8 @@ class _Notice:
         """Say so, where this page has neither changed it nor seen the run that did."""
         view, session = self.view, self.view.session
         version, finished = session.version, session.finished
-        own = session.going or finished != self.finished or view.acts
-        if version != view.noticed and not own:
+        expected = session.going or finished != self.finished or view.acts
+        if version != view.noticed and not expected:
             ui.notify(words.CHANGED)
         view.noticed, self.finished = version, finished
 
@@ -207,7 +189,7 @@ class _Notice:
 def _shown(view: View) -> None:
     """The step of a page; a fault in it leaves the other steps as they are."""
     try:
-        SHOWN[view.step](view)
+        BY_KEY[view.step].show(view)
     except LoopcalError as error:
         ui.label(str(error)).classes("bad printed")
     except Exception as error:
@@ -233,8 +215,8 @@ class _Light:
         icon, said = words.LIGHTS[step.light]
         look, other = ("outline", "flat") if chosen else ("flat", "outline")
         current = "step" if chosen else "false"
-        told = f'{look} aria-label="{step.label}: {said}" aria-current={current}'
-        self.button.props(told, remove=other)
+        props = f'{look} aria-label="{step.label}: {said}" aria-current={current}'
+        self.button.props(props, remove=other)
         self.icon.set_name(icon)
         self.icon.classes(replace=step.light)
         self.words.set_text(shortened(step.words))

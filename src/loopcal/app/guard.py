@@ -24,6 +24,7 @@ Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 COOKIE = "loopcal_token"
 LARGEST = 500_000_000
 """Bytes of one upload."""
+# NiceGUI needs 'unsafe-eval'; no text of a file is ever compiled (docs/decisions/0095).
 _POLICY = (
     "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
@@ -50,34 +51,37 @@ class Rules:
     @classmethod
     def of(cls, host: str, port: int) -> Rules:
         """For a server bound to a host: of this machine alone, or of others with a token."""
-        own = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
+        local_hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
         if host in ("127.0.0.1", "localhost", "::1"):
-            return cls(frozenset(own))
+            return cls(frozenset(local_hosts))
         named = set() if host in ("0.0.0.0", "::") else {f"{host}:{port}"}
-        return cls(frozenset(own | named), secrets.token_urlsafe(24))
+        # 24 bytes, 192 bits: no number of guesses reaches it.
+        return cls(frozenset(local_hosts | named), secrets.token_urlsafe(24))
 
     def objection(self, scope: Scope) -> Objection | None:
         """Why a request is refused; None where it is not."""
         headers = {name.lower(): value for name, value in scope.get("headers", ())}
         host = headers.get(b"host", b"").decode("latin-1").lower()
+        # With a token other machines may ask by any name: then the token protects.
         if self.token is None and host not in self.hosts:
             return Objection(f"this app answers to {sorted(self.hosts)[0]} only")
         origin = headers.get(b"origin", b"").decode("latin-1").lower()
         if origin and origin.partition("://")[2] != host:
             return Objection("another page may not use this app")
-        if self.token is not None and not self.known(scope, headers):
+        if self.token is not None and not self.has_token(scope, headers):
             return Objection("the token is missing: open the address that `loopcal app` printed")
         length = headers.get(b"content-length", b"0")
         if not length.isdigit() or int(length) > LARGEST:
             return Objection(f"an upload has at most {LARGEST // 10**6} MB", 413)
         return None
 
-    def known(self, scope: Scope, headers: dict[bytes, bytes]) -> bool:
+    def has_token(self, scope: Scope, headers: dict[bytes, bytes]) -> bool:
         """Whether the token stands in the address or in the cookie that it left."""
         assert self.token is not None
         return any(
-            secrets.compare_digest(given.encode(), self.token.encode())
-            for given in (*_asked(scope), *_kept(headers))
+            # In constant time: how long an answer takes shows nothing of the token.
+            secrets.compare_digest(token.encode(), self.token.encode())
+            for token in (*_asked(scope), *_kept(headers))
         )
 
 
@@ -129,6 +133,8 @@ def _capped(receive: Receive) -> Receive:
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, why: Objection) -> None:
     if scope["type"] == "websocket":
+        # ASGI hands over the request to connect ahead of any answer; 1008 is a policy violation
+        # (RFC 6455, 7.4.1).
         await receive()
         await send({"type": "websocket.close", "code": 1008})
         return
@@ -165,10 +171,15 @@ class _Page:
         """Send the page that is whole now."""
         nonce = secrets.token_urlsafe(16)
         body = re.sub(rb"<script\b", b'<script nonce="' + nonce.encode() + b'"', self.body)
-        own = (b"content-length", b"content-security-policy")
-        headers = [(name, value) for name, value in begin["headers"] if name.lower() not in own]
-        given = dict(begin["headers"]).get(b"content-security-policy")
-        policy = given or _POLICY.format(nonce=nonce).encode()
+        replaced_headers = (b"content-length", b"content-security-policy")
+        headers = [
+            (name, value)
+            for name, value in begin["headers"]
+            if name.lower() not in replaced_headers
+        ]
+        stated_policy = dict(begin["headers"]).get(b"content-security-policy")
+        # A page that loopcal wrote comes with a stricter policy (`sending.shown`).
+        policy = stated_policy or _POLICY.format(nonce=nonce).encode()
         headers += [(b"content-length", b"%d" % len(body)), (b"content-security-policy", policy)]
         if self.token is not None:
             kept = f"{COOKIE}={self.token}; Path=/; HttpOnly; SameSite=Strict"

@@ -46,6 +46,7 @@ class News:
         try:
             while True:
                 await new.wait()
+                # Cleared ahead of the drawing: what happens meanwhile is new again.
                 new.clear()
                 yield
                 await asyncio.sleep(APART)

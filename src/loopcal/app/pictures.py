@@ -95,11 +95,12 @@ def machine_figure(
 def _room(points: Array) -> dict[str, Any]:
     """An invisible trace that leaves room in each direction, also about an arm in a plane."""
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    # An arm in a plane has no extent across it, and the scene would be flat.
     half = 0.25 * (high - low).max()
     corners = 0.5 * (low + high) + half * np.array([[-1.0], [1.0]])
     marker = {"size": 1, "opacity": 0.0}
-    own = {"type": "scatter3d", "mode": "markers", "marker": marker, "hoverinfo": "skip"}
-    return {**own, **_at("xyz", corners)}
+    trace = {"type": "scatter3d", "mode": "markers", "marker": marker, "hoverinfo": "skip"}
+    return {**trace, **_at("xyz", corners)}
 
 
 def moved(mechanism: Mechanism, joints: Mapping[str, float]) -> dict[str, Any]:
@@ -111,10 +112,10 @@ def moved(mechanism: Mechanism, joints: Mapping[str, float]) -> dict[str, Any]:
 
 def end_points(mechanism: Mechanism, poses: Sequence[Mapping[str, float]]) -> Array | None:
     """(N, d) where the machine's end is in these poses [m]; None where it has no known shape."""
-    found = [skeleton(mechanism, pose) for pose in poses]
-    if not found or any(points is None for points in found):
+    skeletons = [skeleton(mechanism, pose) for pose in poses]
+    if not skeletons or any(points is None for points in skeletons):
         return None
-    return np.array([points[-1] for points in found if points is not None])
+    return np.array([points[-1] for points in skeletons if points is not None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,14 +174,15 @@ class Errors:
 
     def between(self, low: float, high: float) -> Errors | None:
         """The same of the poses with these numbers alone; None where there are none."""
-        here = np.flatnonzero((low <= self.numbers) & (self.numbers <= high))
-        kept = here[thinned(np.nan_to_num(self.size[here]), MOST).index]
+        indices = np.flatnonzero((low <= self.numbers) & (self.numbers <= high))
+        kept = indices[thinned(np.nan_to_num(self.size[indices]), MOST).index]
         steps = tuple(at for at in self.steps if low <= at <= high)
-        return replace(self, drawn=kept, steps=steps) if len(here) else None
+        return replace(self, drawn=kept, steps=steps) if len(indices) else None
 
     def over_poses(self, what: str = SIZE) -> dict[str, Any]:
         """The error over the poses in their order."""
         trace = self._points("scatter", x=self.numbers[self.drawn], y=self.shown[what][self.drawn])
+        # Between the last pose ahead of a change and the first one behind it.
         lines = [
             {"type": "line", "x0": at - 0.5, "x1": at - 0.5, "yref": "paper", "y0": 0, "y1": 1}
             | {"line": {"color": CHOSEN, "width": 1, "dash": "dash"}}
@@ -211,6 +213,7 @@ class Errors:
         if not self.solid:
             return at[0], at[1]
         matrix = np.array(frame["matrix"], dtype=float).reshape(4, 4).T
+        # Homogeneous coordinates: the perspective of the scene divides by w.
         x, y, _, w = matrix @ np.array([*at, np.ones(len(self.size))])
         return x / w, y / w
 
@@ -226,9 +229,9 @@ class Errors:
         return np.flatnonzero(inside).tolist()
 
     def _unit(self, name: str) -> str:
-        known = self.source.document.mechanism
-        assert known is not None
-        return {**known.quantities, **known.known}.get(name, "1")
+        mechanism = self.source.document.mechanism
+        assert mechanism is not None
+        return {**mechanism.quantities, **mechanism.known}.get(name, "1")
 
     def in_space(self) -> dict[str, Any] | None:
         """Measured points coloured by the size of the error."""
@@ -259,11 +262,11 @@ class Errors:
 
     def _ring(self, trace: Mapping[str, Any]) -> dict[str, Any]:
         """The trace that rings the selected poses in space."""
-        here = self._marked()
+        marked = self._marked()
         ring = {"color": TRANSPARENT, "size": 10, "line": {"color": CHOSEN, "width": 3}}
-        at = {k: [trace[k][i] for i in here] for k in "xyz" if k in trace}
-        own = {"type": trace["type"], "mode": "markers", "marker": ring, "hoverinfo": "skip"}
-        return {**own, **at}
+        at = {k: [trace[k][i] for i in marked] for k in "xyz" if k in trace}
+        ring_trace = {"type": trace["type"], "mode": "markers", "marker": ring, "hoverinfo": "skip"}
+        return {**ring_trace, **at}
 
     def _marked(self) -> list[int]:
         """Which of the drawn poses are selected."""
@@ -306,6 +309,7 @@ class Errors:
             f"pose {p}: {v:.3g} {self.unit}"
             for p, v in zip(ids, self.size[self.drawn], strict=True)
         ]
+        # plotly dims all points where selectedpoints is an empty list, so it is left out.
         marks: dict[str, Any] = {
             "selected": {"marker": {"color": CHOSEN}},
             "unselected": {"marker": {"color": DIM, "opacity": 1.0}},

@@ -43,23 +43,23 @@ class Probe:
     """Predicts with the result on the disk. spans: joint -> least and largest reading [SI] of the
     working region; units: of the joints."""
 
-    known: Predictor
+    predictor: Predictor
     spans: Mapping[str, tuple[float, float]]
     units: Mapping[str, str]
 
     @classmethod
     def of(cls, source: Source) -> Probe | None:
         """None where the result states no working region, or cannot predict."""
-        found = source.document.prediction
-        region = None if found is None else found.region
+        prediction = source.document.prediction
+        region = None if prediction is None else prediction.region
         if region is None or source.mechanism is None:
             return None
         try:
-            known = predictor_of(source.document, source.mechanism)
+            predictor = predictor_of(source.document, source.mechanism)
         except InputError:
             return None
         spans = {span.quantity: (span.low, span.high) for span in region.ranges}
-        return cls(known, spans, {q: source.mechanism.quantities[q] for q in spans})
+        return cls(predictor, spans, {q: source.mechanism.quantities[q] for q in spans})
 
     def middle(self) -> dict[str, float]:
         """The pose in the middle of the region."""
@@ -71,25 +71,28 @@ class Probe:
 
     def words(self, joints: Mapping[str, float]) -> list[str]:
         """The outputs of one pose with half widths of their 95 % intervals, a line each."""
-        found = self.at(joints)
-        half = found.half_width()
+        prediction = self.at(joints)
+        half = prediction.half_width()
         return [
-            _interval(name, float(found.outputs[name][0]), float(half[name][0]), unit)
-            for name, unit in found.units.items()
+            _interval(name, float(prediction.outputs[name][0]), float(half[name][0]), unit)
+            for name, unit in prediction.units.items()
         ]
 
     def map(self) -> Map:
         """Random poses of the region, and the sd predicted there."""
+        # A fixed seed: the map stays the same while the result does.
         rng = np.random.default_rng(0)
         poses = {q: rng.uniform(low, high, POSES) for q, (low, high) in self.spans.items()}
-        found = self._predicted(poses)
-        family = point_family(self.known.mechanism)
-        lengths = [n for n, unit in found.units.items() if unit == "m"][:3]
-        shown = lengths if family is None else point_outputs(self.known.mechanism, family)
-        at = np.array([found.outputs[n] for n in shown])
-        sds = np.array([found.sd[n] for n in shown])
+        prediction = self._predicted(poses)
+        family = point_family(self.predictor.mechanism)
+        lengths = [n for n, unit in prediction.units.items() if unit == "m"][:3]
+        shown = lengths if family is None else point_outputs(self.predictor.mechanism, family)
+        at = np.array([prediction.outputs[n] for n in shown])
+        sds = np.array([prediction.sd[n] for n in shown])
         if family is not None:
+            # An sd of an angle counts by its lever, as a length.
             at, sds = points(family, at), levers(family, at) * sds
+        # The root of the trace of the covariance, which is the same along any axes.
         sd = np.sqrt(np.square(sds).sum(axis=0))
         good = np.isfinite(sd) & np.isfinite(at).all(axis=0) if len(at) else np.zeros(0, bool)
         kept = {q: values[good] for q, values in poses.items()} if len(at) else {}
@@ -98,30 +101,34 @@ class Probe:
     def _predicted(self, joints: Mapping[str, Array]) -> Prediction:
         count = len(next(iter(joints.values())))
         others = {
-            q: np.full(count, value) for q, value in self.known.typical.items() if q not in joints
+            q: np.full(count, value)
+            for q, value in self.predictor.typical.items()
+            if q not in joints
         }
-        own = {**self.known.mechanism.quantities, **self.known.mechanism.known}
-        given = {q: v for q, v in {**others, **joints}.items() if q in own}
-        return predict(self.known, Dataset.from_arrays(given, units={q: own[q] for q in given}))
+        units = {**self.predictor.mechanism.quantities, **self.predictor.mechanism.pose_constants}
+        readings = {q: v for q, v in {**others, **joints}.items() if q in units}
+        return predict(
+            self.predictor, Dataset.from_arrays(readings, units={q: units[q] for q in readings})
+        )
 
 
-def map_figure(found: Map) -> dict[str, Any] | None:
+def map_figure(region_map: Map) -> dict[str, Any] | None:
     """The sd predicted over the working region; None where no point is predicted."""
-    if len(found.at) < 2 or not len(found.sd):
+    if len(region_map.at) < 2 or not len(region_map.sd):
         return None
     scale = factor("m")
-    solid = len(found.at) == 3
-    keys = "xyz"[: len(found.at)]
-    colour = {"color": numbers(found.sd / scale), "colorscale": "Viridis", "size": 5}
+    solid = len(region_map.at) == 3
+    keys = "xyz"[: len(region_map.at)]
+    colour = {"color": numbers(region_map.sd / scale), "colorscale": "Viridis", "size": 5}
     bar = {"title": {"text": f"sd [{unit_shown('m')}]"}, "thickness": 12}
     trace = {
         "type": "scatter3d" if solid else "scatter",
         "mode": "markers",
         "marker": {**colour, "colorbar": bar},
-        "customdata": list(range(len(found.sd))),
-        "text": names([with_unit(float(s), "m") for s in found.sd]),
+        "customdata": list(range(len(region_map.sd))),
+        "text": names([with_unit(float(s), "m") for s in region_map.sd]),
         "hoverinfo": "text",
-        **{k: numbers(found.at[i]) for i, k in enumerate(keys)},
+        **{k: numbers(region_map.at[i]) for i, k in enumerate(keys)},
     }
     titles = {f"{k}axis": axis(f"{k} [m]") for k in keys}
     more = {"scene": {"aspectmode": "data", **titles}} if solid else titles

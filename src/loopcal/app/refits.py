@@ -49,7 +49,7 @@ class Refits:
         self._lock = threading.Lock()
         self._fitter: _Fitter | None = None
         self.asked: Asked | None = None
-        self.found: Refit | None = None
+        self.refit: Refit | None = None
         self.going = False
 
     def begin(self, asked: Asked, project: Path, ending: Ending) -> None:
@@ -59,7 +59,7 @@ class Refits:
                 return
             if self.going:
                 self._end()
-            self.asked, self.found, self.going = asked, None, True
+            self.asked, self.refit, self.going = asked, None, True
             if self._fitter is None:
                 self._fitter = self._started()
             with suppress(OSError):  # killed a moment ago: the thread that listens says so
@@ -77,27 +77,28 @@ class Refits:
         self._fitter, self.going = None, False
 
     def _started(self) -> _Fitter:
-        own, other = self._context.Pipe()
+        connection, other = self._context.Pipe()
         process = self._context.Process(target=_fit, args=(self._function, other), daemon=True)
         process.start()
+        # The child alone holds this end now: recv ends where the child dies.
         other.close()
-        fitter = _Fitter(process, own)
+        fitter = _Fitter(process, connection)
         threading.Thread(target=self._listen, args=(fitter,), daemon=True).start()
         return fitter
 
     def _listen(self, fitter: _Fitter) -> None:
         with suppress(EOFError, OSError):
             while True:
-                self._found(fitter, fitter.connection.recv())
+                self._received(fitter, fitter.connection.recv())
         fitter.process.join()
         fitter.connection.close()
         self._gone(fitter)
 
-    def _found(self, fitter: _Fitter, found: Refit | None) -> None:
+    def _received(self, fitter: _Fitter, refit: Refit | None) -> None:
         with self._lock:
             if self._fitter is not fitter:
                 return  # another one fits what was asked since
-            self.found, self.going = found, False
+            self.refit, self.going = refit, False
         self._tell()
 
     def _gone(self, fitter: _Fitter) -> None:
@@ -115,7 +116,7 @@ def _fit(function: str | None, server: Connection) -> None:
     with suppress(EOFError, OSError):
         while True:
             project, ending, method = server.recv()
-            found = None
+            refit = None
             with suppress(LoopcalError):
-                found = run_refit(project, ending, method=method, function=function)
-            server.send(found)
+                refit = run_refit(project, ending, method=method, function=function)
+            server.send(refit)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,14 +23,16 @@ def serve(
     host: str = "127.0.0.1",
     port: int | None = None,
     function: str | None = None,
+    with_loops: Collection[str] = (),
     show: bool = True,
     tell: Callable[[str], Any] = print,
 ) -> None:
     """Serve the app on a folder until it is interrupted.
 
-    command: `loopcal.cli.run.main`; port: by default the first free one from 8765 on; show:
-    whether a browser is opened; tell: called with the address. Raises InputError where NiceGUI is
-    absent, the folder is none, or the port is taken.
+    command: `loopcal.cli.run.main`; with_loops: the commands that take loops in Python; port: by
+    default the first free one from 8765 on; show: whether a browser is opened; tell: called with
+    the address. Raises InputError where NiceGUI is absent, the folder is none, or the port is
+    taken.
     """
     try:
         from nicegui import app, ui
@@ -40,7 +42,7 @@ def serve(
             code="missing-dependency",
             remedy="pip install loopcal[app]",
         ) from None
-    from loopcal.app.frame import LINKED, build
+    from loopcal.app.frame import SCRIPTS, build
     from loopcal.app.sending import sent, shown
     from loopcal.app.session import Session
     from loopcal.files.paths import INSIDE
@@ -50,20 +52,21 @@ def serve(
     path = existing_folder(folder)
     number = _port(host, port)
     rules = Rules.of(host, number)
-    if rules.token is not None:
-        os.environ[INSIDE] = str(path)
-    session = Session(path, command, function)
+    # In the environment, so that child processes refuse paths out of the folder too.
+    os.environ[INSIDE] = str(path)
+    session = Session(path, command, function, with_loops)
     asked = "" if rules.token is None else f"/?token={rules.token}"
     shown_host = f"[{host}]" if ":" in host else host
     session.watch()
     lock = FolderLock(path, f"http://{shown_host}:{number}")
     app.add_middleware(Guard, rules=rules)
     tell(f"http://{shown_host}:{number}{asked}")
-    app.add_static_file(
-        local_file=Path(__file__).with_name("scripts") / "linked.js", url_path=LINKED
-    )
+    for address, name in SCRIPTS.items():
+        script = Path(__file__).with_name("scripts") / name
+        app.add_static_file(local_file=script, url_path=address)
     app.add_api_route("/file/{name:path}", lambda name: sent(session, name))
     app.add_api_route("/page/{name:path}", lambda name: shown(session, name))
+    # Large files are read ahead of the first drawing, which a shorter time would cut off.
     ui.page("/", title=f"loopcal: {path.name}", response_timeout=60.0)(partial(build, session))
     app.on_shutdown(session.worker.cancel)
     ui.run(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -20,7 +20,7 @@ from loopcal.app.worker import Command, Run, Worker
 from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files.machines.python_function import load_function
-from loopcal.files.project.data_entries import DataSpec
+from loopcal.files.project.data_table import DataTable
 from loopcal.files.project.edits import with_changes, with_shift, with_value, without_poses
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project, read_project
@@ -32,11 +32,6 @@ from loopcal.statistics.continued import Ending
 from loopcal.statistics.shifted import COLUMN, ids_are_numbers
 from loopcal.workflow.refitting import Refit
 
-OF_A_MACHINE = {
-    *("calibrate", "check", "compare", "export", "fleet", "noise", "plan", "predict"),
-    *("simulate", "update", "verify"),
-}
-"""Commands that take loops written in Python."""
 LOOKS_EVERY = 0.4
 """Seconds between looks at the folder, for what other programs change."""
 
@@ -44,19 +39,27 @@ LOOKS_EVERY = 0.4
 def checked(run: Run) -> Mapping[str, Any] | None:
     """What `check --json` found; None where it failed, or said more than is kept."""
     try:
-        found: Mapping[str, Any] | None = json.loads(run.output) if run.code == 0 else None
+        answer: Mapping[str, Any] | None = json.loads(run.output) if run.code == 0 else None
     except ValueError:
         return None
-    return found
+    return answer
 
 
 class Session:
     """What all pages on one folder share. Everything confirmed stands on the disk.
 
-    function: FILE.py:NAME of the loops, where the command line named it.
+    function: FILE.py:NAME of the loops, where the command line named it; with_loops: the commands
+    that take them.
     """
 
-    def __init__(self, folder: Path, command: Command, function: str | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        command: Command,
+        function: str | None = None,
+        with_loops: Collection[str] = (),
+    ) -> None:
+        self.with_loops = with_loops
         self.folder = ProjectFolder(folder)
         self.function = None if function is None else _absolute(function)
         self._loops = None if function is None else load_function(function)
@@ -70,12 +73,14 @@ class Session:
         self._loaded: tuple[object, LoadedData | None, str] | None = None
         self._shown: tuple[Source, Refit | None, Source] | None = None
         self._reading, self._sourcing, self._changed = Lock(), Lock(), Event()
+        self._deployed: tuple[object, dict[str, bool]] = None, {}
         self._read: tuple[str, Project | None, str] | None = None
 
     @property
     def version(self) -> int:
         """Another number whenever a file of the folder has changed."""
-        return hash((tuple(self.folder.listed()), id(self.worker.run), self.going))
+        folder = tuple(self.folder.listed()), self.folder.noted_at()
+        return hash((folder, id(self.worker.run), self.going))
 
     @property
     def going(self) -> bool:
@@ -84,7 +89,7 @@ class Session:
 
     def action(self, what: str, line: Sequence[str]) -> Action:
         """`loopcal LINE`, with the loops where they are Python code."""
-        named = self.function is not None and line[0] in OF_A_MACHINE
+        named = self.function is not None and line[0] in self.with_loops
         return Action(what, (*line, "--mechanism", str(self.function)) if named else tuple(line))
 
     def read(self, text: str) -> Project:
@@ -146,12 +151,14 @@ class Session:
         self.refits.begin(Asked(text, self._result_at(), method), self.folder.project, ending)
 
     def refit(self) -> Refit | None:
-        """The fit of the project as it stands, from where the last result ended; None where that
-        result is of this project, or nothing is known yet."""
-        found = self.refits.found
-        if found is None or not self._asked_last():
+        """The fit of the project as it stands, from where the last result ended.
+
+        None where that result is of this project, or nothing is known yet.
+        """
+        refit = self.refits.refit
+        if refit is None or not self._asked_last():
             return None
-        return found if self._calibrates or self.stale else None
+        return refit if self._calibrates or self.stale else None
 
     def shown(self) -> Source | None:
         """The result, with what the first fit of a changed project found; while such a fit goes
@@ -162,11 +169,11 @@ class Session:
             return None
         waits = self.refits.going and self.stale
         if before is None or (before[1] is not refit and not waits):
-            found = source
+            shown_source = source
             if refit is not None:
                 document = refit.shown_in(source.document)
-                found = replace(source, table=refit.table, document=document)
-            self._shown = before = source, refit, found
+                shown_source = replace(source, table=refit.table, document=document)
+            self._shown = before = source, refit, shown_source
         return before[2]
 
     @property
@@ -175,15 +182,17 @@ class Session:
         return self.going and run is not None and run.action.words[0] == "calibrate"
 
     def _begun(self, action: Action) -> None:
+        # Ahead of the run: one that takes the server down then shows as unfinished.
         self.folder.noted("begun", action.what, {"command": action.command})
 
     def _ended(self, run: Run) -> None:
         self.last[run.action.words[0]] = run
-        told = {"command": run.action.command, "code": run.code, "cancelled": run.cancelled}
-        if run.action.words[0] == "check" and (found := checked(run)) is not None:
-            told["verdict"] = found["verdict"]
-        self.folder.noted("ended", run.action.what, told)
+        content = {"command": run.action.command, "code": run.code, "cancelled": run.cancelled}
+        if run.action.words[0] == "check" and (answer := checked(run)) is not None:
+            content["verdict"] = answer["verdict"]
+        self.folder.noted("ended", run.action.what, content)
         self.finished += 1
+        # Last: until here `going` holds, and no page shows an end that the log lacks.
         self._noted = run
         self.look()
 
@@ -198,7 +207,11 @@ class Session:
         return None if read is None else read[2] or None
 
     def _look(self) -> tuple[str, Project | None, str] | None:
-        text, read = self.folder.text(), self._read  # other threads may replace what was read
+        read = self._read  # other threads may replace what was read
+        try:
+            text = self.folder.text()
+        except LoopcalError as error:
+            return "", None, str(error)
         if text is None:
             read = None
         elif read is None or read[0] != text:
@@ -215,31 +228,37 @@ class Session:
         `load` takes long for large files."""
         result = None if self._source is None else self._source[0]
         readings = None if self._loaded is None else self._loaded[0]
-        known = self.project() is None or readings == self._readings_at()
-        return known and result == self._result_at()
+        readings_current = self.project() is None or readings == self._readings_at()
+        return readings_current and result == self._result_at()
 
     def load(self) -> None:
         """Read result and readings."""
+        # Of two pages at once the second finds what the first has read.
         with self._reading:
             self.source()
             self.readings()
 
     def source(self) -> Source | None:
         """The result on the disk; None where there is none or it cannot be read."""
-        at, known = self._result_at(), self._source
+        at, cached = self._result_at(), self._source
         if at is None:
             self._source = None
             return None
-        if known is None or known[0] != at:
+        if cached is None or cached[0] != at:
             with self._sourcing:  # one result is one object, whichever thread reads it
-                known = self._source
-                if known is None or known[0] != at:
+                cached = self._source
+                if cached is None or cached[0] != at:
                     try:
-                        known = at, read_source(self.folder.result / RESULT), ""
+                        cached = at, read_source(self.folder.result / RESULT), ""
                     except LoopcalError as error:
-                        known = at, None, str(error)
-                    self._source = known
-        return known[1]
+                        cached = at, None, str(error)
+                    self._source = cached
+        return cached[1]
+
+    def unreadable(self) -> str:
+        """Why the result on the disk cannot be read; empty where it can, or is not there."""
+        self.source()
+        return "" if self._source is None else self._source[2]
 
     def _result_at(self) -> int | None:
         return self._times().get(f"{self.folder.result.name}/{RESULT}")
@@ -247,20 +266,28 @@ class Session:
     def _times(self) -> dict[str, int]:
         return {file.name: file.modified for file in self.folder.listed()}
 
+    def deployed(self) -> dict[str, bool]:
+        """Files for the robot and the record, and whether each is of the result as it stands."""
+        now = tuple(self.folder.listed()), self.folder.noted_at()
+        if self._deployed[0] != now:
+            with suppress(InputError):  # a file that has gone since
+                self._deployed = now, self.folder.deployed()
+        return self._deployed[1]
+
     def state(self) -> State:
         """What the lights of the steps follow from."""
         source = self.source()
         runs = {
-            str(e.told.get("command", "")).split(" ")[1]: e
+            str(e.record.get("command", "")).split(" ")[1]: e
             for e in self.folder.log().entries
-            if e.kind == "ended" and " " in str(e.told.get("command", ""))
+            if e.kind == "ended" and " " in str(e.record.get("command", ""))
         }
         return State(
-            project=self.folder.text() is not None,
+            project=self._look() is not None,
             objection=self.objection(),
             document=None if source is None else source.document,
             stale=self.stale,
-            files=self.folder.listed(),
+            deployed=self.deployed(),
             runs=runs,
         )
 
@@ -279,7 +306,7 @@ class Session:
         """How the robot of a project to come is described: a kind, and a file or type."""
         for entry in reversed(self.folder.log().entries):
             if entry.kind == "robot":
-                return str(entry.told.get("robot")), str(entry.told.get("value"))
+                return str(entry.record.get("robot")), str(entry.record.get("value"))
         return None, None
 
     def choose_robot(self, kind: str, value: str) -> None:
@@ -330,10 +357,12 @@ class Session:
         project = self.project()
         if project is None:
             return {}
-        kinds = project.mechanism.kinds
-        listed = {"Reflector": "mounting", "Instrument": "placement"}
-        found = {what: tuple(n for n in kinds if kinds[n] == kind) for what, kind in listed.items()}
-        return {what: names for what, names in found.items() if names}
+        parameters = project.mechanism.parameters
+        moving = {
+            "Reflector": parameters.of_role("mounting"),
+            "Instrument": parameters.of_role("placement"),
+        }
+        return {what: names for what, names in moving.items() if names}
 
     def steps(self) -> list[float]:
         """Numbers of the poses from which on the project takes something as moved."""
@@ -348,33 +377,36 @@ class Session:
         Poses that were left out since the result do not count.
         """
         data = self._numbered(names)
-        known = set(run)
-        here = [i for i, pose in enumerate(data.poses) if pose in known]
-        if len(here) == len(data.poses):
+        run_poses = set(run)
+        positions = [i for i, pose in enumerate(data.poses) if pose in run_poses]
+        if len(positions) == len(data.poses):
             raise _all_selected()
-        if not here:
+        if not positions:
             raise InputError(
                 "no pose of the selection is in use",
                 code="invalid-value",
                 remedy="select a part of the run",
             )
-        ends = [*here[:1], here[-1] + 1]
+        ends = [*positions[:1], positions[-1] + 1]
+        # A run at the beginning or the end of the data has one border.
         at = [float(data[COLUMN][i]) for i in ends if 0 < i < len(data.poses)]
         text = with_shift(self._counted(), names, at, COLUMN)
-        first, last = data.poses[here[0]], data.poses[here[-1]]
+        first, last = data.poses[positions[0]], data.poses[positions[-1]]
         self._write(text, f"{', '.join(names)} moved from pose {first} to {last}", reason)
 
     def modelled(self, changes: ChangePoints, reason: str) -> None:
         """Put the changes that a result found into the project."""
-        found = "; ".join(f"{', '.join(p.names)} from pose {p.pose} on" for p in changes.found)
-        self._write(with_changes(self._counted(), changes.toml), f"moved: {found}", reason)
+        change_words = "; ".join(
+            f"{', '.join(p.names)} from pose {p.pose} on" for p in changes.found
+        )
+        self._write(with_changes(self._counted(), changes.toml), f"moved: {change_words}", reason)
 
     def _counted(self) -> str:
         """The text with a column of numbers of poses."""
         text, project, loaded = self.folder.text() or "", self.project(), self.readings()
         if project is None or loaded is None:
             raise InputError(self.unread(), code="no-data", remedy="correct the readings first")
-        if COLUMN in project.mechanism.known:
+        if COLUMN in project.mechanism.pose_constants:
             return text
         ids = project.inputs.get("data", {}).get("pose", 0)
         column = ids if ids_are_numbers(loaded.dataset.poses) else 0
@@ -382,6 +414,7 @@ class Session:
 
     def _numbered(self, names: Sequence[str]) -> Dataset:
         """The readings, with the numbers of the poses as the project would read them."""
+        # A trial shift makes the project read the column of numbers.
         text = with_shift(self._counted(), names, [0.0], COLUMN)
         return load_sample(self.read(text)).dataset
 
@@ -397,8 +430,8 @@ def _all_selected() -> InputError:
     )
 
 
-def _files(data: DataSpec) -> tuple[str, ...]:
-    return tuple(spec.file for spec in (data, *data.joins))
+def _files(data: DataTable) -> tuple[str, ...]:
+    return tuple(part.file for part in data.parts)
 
 
 def _that_count(inputs: Mapping[str, Any]) -> dict[str, Any]:

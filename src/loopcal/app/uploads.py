@@ -43,4 +43,5 @@ def uploader(view: View, label: str, then: Callable[[str], Any] | None = None) -
     box.classes("w-full").props("flat bordered")
     button = ui.button(words.CHOOSE_FILES, icon="upload_file").props("outline")
     button.props(f'aria-label="{label}: {words.CHOOSE_FILES}"')
+    # Every act has a way by keyboard (docs/decisions/0095).
     button.on("click", js_handler=f"() => {FILES.format(box=box.html_id)}.click()")

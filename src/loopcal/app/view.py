@@ -11,6 +11,7 @@ from nicegui import run, ui
 
 from loopcal.app import words
 from loopcal.app.pictures import GRID
+from loopcal.app.place import Place
 from loopcal.app.session import Session
 from loopcal.errors import LoopcalError
 from loopcal.presentation.shown import with_unit
@@ -50,6 +51,8 @@ class View:
     poses: tuple[str, ...] = ()
     """Ids of the poses of the result that is shown."""
     refresh: Callable[[], Any] = lambda: None
+    boxes: dict[str, Any] = field(default_factory=dict)
+    """The control of each name as it was drawn last."""
     follow: list[Callable[[], Any]] = field(default_factory=list)
     """What is called when a control changes."""
     parts: list[Part] = field(default_factory=list)
@@ -67,30 +70,34 @@ class View:
         """Begin to show a step: all of it is drawn anew where the folder or the run changes."""
         self.follow.clear()
         self.parts.clear()
+        self.boxes.clear()
         self.shown, self.uploading = self.step, False
         self.anew_when(lambda: self.session.version)
 
     def anew_when(self, of: Callable[[], object]) -> None:
         """Draw the step as a whole anew only where `of` says something else than now."""
-        self.parts[:1] = [Part(lambda: (self.step, of()), self.refresh)]
+        # refresh is looked up when it is called: the first drawing comes ahead of it.
+        self.parts[:1] = [Part(lambda: (self.step, of()), lambda: self.refresh())]
 
     def part(self, of: Callable[[], object], show: Callable[[], Any]) -> None:
         """Show a part of the step, and anew where `of` says something else; the rest stays."""
-        place = ui.refreshable(lambda: show())  # a partial has no name
-        self.parts.append(Part(of, place.refresh))
-        place()
+        self.parts.append(Part(of, Place(show).refresh))
 
     def update(self) -> None:
         """Draw anew the parts of the step that show something else by now."""
         if self.uploading and self.step == self.shown:
             return
         for part in tuple(self.parts):
+            # Where one part draws the step anew, those behind it in the copy are gone.
             if part in self.parts:
                 part.update()
 
     def keep(self, name: str, value: Any) -> None:
-        """Remember what a control says."""
+        """Remember what a control says, and say the same in the one drawn since."""
         self.kept[name] = value
+        box = self.boxes.get(name)
+        if box is not None and box.value != value:
+            box.set_value(value)
         for follower in self.follow:
             follower()
 
@@ -117,6 +124,7 @@ class View:
         if complaint is not None:
             _tell(complaint)
             return False
+        # A change by this page is no news to its user.
         self.noticed = self.session.version
         self.session.look()
         return True
@@ -161,23 +169,23 @@ def _stale(session: Session) -> None:
     source, refit = session.source(), session.refit()
     if refit is None or source is None or source.document.accuracy is None:
         if session.stale:
-            told = words.FITTING if session.refits.going else words.STALE
-            ui.label(told).classes("care")
+            message = words.FITTING if session.refits.going else words.STALE
+            ui.label(message).classes("care")
         return
     sizes = source.document.accuracy.after.rms, refit.accuracy.rms
     before, after = (with_unit(size or 0.0, refit.unit) for size in sizes)
     with ui.element("div").classes("provisional"):
-        told = words.PROVISIONAL.format(before=before, after=after, label=refit.label)
-        ui.label(told).classes("care")
+        message = words.PROVISIONAL.format(before=before, after=after, label=refit.label)
+        ui.label(message).classes("care")
         if not refit.converged:
             ui.label(words.NOT_CONVERGED).classes("bad")
         ui.label(words.JUDGING if session.worker.busy else words.UNJUDGED)
 
 
-def title(view: View, label: str) -> None:
-    """The head of a step."""
+def title(label: str, words: str) -> None:
+    """The head of a step, and what is done there."""
     ui.label(label).classes("text-h5").props("role=heading aria-level=1")
-    ui.label(words.STEPS[view.step]).classes("text-body1 q-mb-sm")
+    ui.label(words).classes("text-body1 q-mb-sm")
 
 
 def heading(text: str) -> None:

@@ -2,17 +2,6 @@
 
 from __future__ import annotations
 
-STEPS = {
-    "robot": "Describe the robot: a URDF, a table of Denavit-Hartenberg parameters, or a type.",
-    "data": "Give the readings. loopcal recognises columns and units; correct what is wrong.",
-    "plan": "Choose which poses to measure. Skip this step if you have measured already.",
-    "check": "See what the readings can determine, before a fit.",
-    "fit": "Calibrate, and read whether you can use the result.",
-    "diagnose": "Find what does not fit. Drag over points to select poses; all figures follow.",
-    "validate": "See how good the calibration is where nothing was measured.",
-    "deploy": "Take the result to the robot: files for its controller, and corrected programs.",
-    "history": "See what was done here, undo it, and follow the machine over the years.",
-}
 LIGHTS = {
     "none": ("radio_button_unchecked", "not begun"),
     "good": ("check_circle", "good"),
@@ -60,7 +49,7 @@ MEANING = {
 NOT_WHOLE = "{shown:,} of {all:,} poses are drawn, the worst among them. All count in the fit."
 FIRST_ROWS = "{all:,} poses; the table shows the first {shown:,}"
 TOLERANCE = "Tolerance of 95 % of poses [mm]"
-REASON = "Reason, for the log"
+REASON, COMMON_REASONS = "Reason, for the log", "Common reasons"
 REASONS = {
     "excluded": ("bad reading", "reflector not seen", "wrong pose", "collision"),
     "shifted": ("reflector slipped", "reflector replaced", "instrument moved", "base moved"),
@@ -75,7 +64,7 @@ STEPPERS = {-1: ("chevron_left", "one pose earlier"), 1: ("chevron_right", "one 
 RUN, RUN_RMS = "pose {first} to {last}", "pose {first} to {last}, rms {rms}"
 RUNS = "Select a run between them:"
 ZOOM_IN, ZOOM_OUT = "Zoom in", "Show all poses"
-MOVED_HERE = "{what} moved here"
+PARAMETERS_MOVED = "{what} moved here"
 BY_LOOPCAL = "found by loopcal"
 DRAG, DRAG_TURNS, DRAG_SELECTS = "Drag in space", "Drag turns", "Drag selects"
 NO_SUCH_POSE = "The result has no pose {pose}."
@@ -107,6 +96,7 @@ COMPARED = (
     "not use. Each result gets a folder of its own."
 )
 MAP = "Click a point: the sliders and the prediction below show its pose."
+NOT_OF_RESULT = "Not of this result. Write it again."
 DIFFERENCE = "Lines that change are marked with - (before) and + (after)."
 EXPORT_FIRST = "Preview the files, then write them."
 NO_DIFFERENCE = "Nothing changes."
@@ -120,33 +110,7 @@ MACHINE = "Calibrations, verifications and events of the machine, in the folder 
 NO_HISTORY = "The machine has no history yet. Add this result, or an event."
 VERIFY = "Verify the calibration with readings of another day, in the columns of the project."
 LOG_BROKEN = "Lines of the log that cannot be read, and are skipped: {lines}"
-FORMATS = {
-    "urdf": "your URDF, patched",
-    "xacro": "xacro: origins to load",
-    "ur": "Universal Robots calibration.conf",
-    "dh": "Denavit-Hartenberg table (CSV)",
-    "mdh": "modified Denavit-Hartenberg table (CSV)",
-    "mjcf": "MuJoCo (MJCF)",
-    "sdf": "Gazebo (SDF)",
-    "zeros": "joint zeros for the pendant (CSV)",
-    "frames": "tool and base frames (CSV)",
-    "json": "all parameters (JSON, CSV)",
-}
-VENDORS = {
-    "": "roll, pitch, yaw",
-    "kuka": "KUKA",
-    "fanuc": "FANUC",
-    "yaskawa": "Yaskawa",
-    "abb": "ABB",
-}
-PROGRAMS = {
-    "": "none",
-    ".mod": "ABB RAPID",
-    ".src": "KUKA KRL",
-    ".ls": "Fanuc",
-    ".jbi": "Yaskawa",
-    ".script": "URScript",
-}
+NO_PROGRAM = "none"
 PULSES = "Pulses per degree, for Yaskawa: n, n, ..."
 CRITERIA = {
     "": "automatic",
@@ -164,7 +128,7 @@ REMARKS = "What is fixed, and why"
 NOT_APART = "What these poses cannot distinguish"
 CURE, CURE_PLAN = "Poses that would cure it", "The step Plan chooses poses, and writes them."
 EXPECTED, RANGES = "Parameters, and the sds to expect", "Readings"
-EXPECTED_HEAD = ("parameter", "nominal", "prior sd", "expected sd", "unit", "kind")
+EXPECTED_HEAD = ("parameter", "nominal", "prior sd", "expected sd", "unit", "role")
 RANGE_HEAD = ("quantity", "readings", "smallest", "largest", "sd", "unit")
 DROP_READINGS = "Drop the files of readings here"
 FILES_READINGS = "Files of readings"
@@ -172,7 +136,7 @@ RECOGNISE = "Recognise"
 COLUMNS_HEAD = "Columns"
 BASE_LINK = "Link that does not move"
 TIP_LINK = "Link that carries the target"
-SHEET_OR_VARIABLE = "Sheet or variable of the file"
+PART_OF_FILE = "Sheet, variable or topic of the file"
 RECOGNISE_READINGS = "Recognise the readings"
 FILES_PROJECT = "Files of the project"
 EXPORT = "Export"
@@ -189,10 +153,10 @@ PROGRAM_OR_TARGETS = "Program or table of targets"
 TOOL_PROGRAM = "Tool of the program"
 PROGRAM_FRAME = "Frame: x, y, z [mm], rz, ry, rx [deg]"
 OPEN_RECORD = "Open the record"
-YOUR_OWN_FILE = "Your own file"
+SOURCE_FILE = "Your own file"
 ZERO_OFFSETS_JOINTS = "Zero offsets of joints"
 ORIENTATIONS = "Orientations"
-FOUND_BY_LOOPCAL = "Found by loopcal"
+DETECTED_CHANGES = "Found by loopcal"
 STATE_CHANGES = "Put these changes into the project"
 SELECTED_POSES = "Selected poses"
 FIT_AGAIN = "Fit again"
@@ -209,7 +173,7 @@ METHOD = "Method"
 VALIDATE_ON = "Validate on"
 CALIBRATE_OTHERWISE = "Calibrate by another method"
 OPEN_WHOLE_REPORT = "Open the whole report"
-DONE_HERE = "Done in this folder"
+FOLDER_LOG = "Done in this folder"
 MACHINE_OVER_TIME = "The machine over time"
 ADD_THIS_EVENT = "Add this event"
 OPEN_PAGE_HISTORY = "Open the page of the history"

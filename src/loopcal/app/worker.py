@@ -67,7 +67,7 @@ class Run:
         """What the command printed."""
         return "\n".join(self.lines)
 
-    def told(self, stream: str, text: str) -> None:
+    def add_output(self, stream: str, text: str) -> None:
         """Take what the process printed; a carriage return begins a line of progress."""
         if stream == "stderr" and text.startswith("\r"):
             self.progress = text.strip()
@@ -93,6 +93,7 @@ class Worker:
         tell: Callable[[], Any] = lambda: None,
     ) -> None:
         names = multiprocessing.get_all_start_methods()
+        # A fork of the server would inherit the locks of its threads, held for ever.
         self.context: Any = multiprocessing.get_context(
             "forkserver" if "forkserver" in names else "spawn"
         )
@@ -123,6 +124,7 @@ class Worker:
                 target=_work, args=(self._command, action.words, folder, said)
             )
             process.start()
+            # The child alone holds this end now: recv ends where the child dies.
             said.close()
             self.run, self._process = run, process
         threading.Thread(target=self._listen, args=(run, process, heard), daemon=True).start()
@@ -144,11 +146,12 @@ class Worker:
                 stream, text = heard.recv()
             except (EOFError, OSError):
                 break
-            run.told(stream, text)
+            run.add_output(stream, text)
             self._tell()
         process.join()
         with self._lock:
             code = process.exitcode if process.exitcode is not None else -1
+            # A run may come to its end ahead of the signal.
             run.cancelled = run.cancelled and code not in WRITTEN
             run.code = code
             self._ended(run)
@@ -207,6 +210,7 @@ def _work(command: Command, words: tuple[str, ...], folder: str, said: Connectio
         code = command(words)
     out.close()
     error.close()
+    # What libraries print as the process ends has no reader any more.
     sys.stdout = sys.stderr = io.StringIO()
     raise SystemExit(code)
 

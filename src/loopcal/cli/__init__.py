@@ -8,11 +8,15 @@ import os
 import sys
 from collections.abc import Sequence
 
+from loopcal.import_path import leave_folder
+
 __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `loopcal ARGUMENTS` (`loopcal.cli.run`), which may be interrupted while it is loaded."""
+    if arguments is None:
+        leave_folder()
     # Looking for plugins of pydantic reads a file of every installed package; loopcal uses none.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     # What is loaded stays, and a calibration leaves no reference cycles: collecting garbage as

@@ -8,6 +8,7 @@ import typer
 
 from loopcal.cli.application import FunctionOption, app
 from loopcal.cli.output import log
+from loopcal.cli.registry import with_loops
 
 
 @app.command(name="app")
@@ -44,6 +45,7 @@ def serve_app(
         host=host,
         port=port,
         function=mechanism,
+        with_loops=with_loops(),
         show=not no_browser,
         tell=lambda address: log(f"the app is at {address}"),
     )

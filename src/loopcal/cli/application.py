@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from loopcal.cli.output import print_out
 from loopcal.errors import UsageError
+from loopcal.files.outputs import force_outputs
 
 app = typer.Typer(
     name="loopcal",
     help="Calibrate mechanisms from closed kinematic loops, with every sensor uncertain.",
     epilog="Exit codes: 0 done, 1 a fault of loopcal, 2 usage, 3 bad input, 4 no trustworthy "
-    "result. Data go to stdout, everything else to stderr.",
+    "result, 5 files are written but not the rest. Data go to stdout, everything else to stderr.",
     no_args_is_help=True,
+    # Brackets in help texts are text.
     rich_markup_mode=None,
+    # `cli.run` shows exceptions, and ends each with its exit code.
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 ProjectArgument = Annotated[
     str, typer.Argument(metavar="PROJECT", help="Project file (TOML); - reads standard input.")
+]
+ResultArgument = Annotated[
+    str, typer.Argument(metavar="RESULT", help="Folder of a calibration, or its result.json.")
 ]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON document instead of text.")
@@ -34,11 +40,24 @@ FunctionOption = Annotated[
         help="Use these loops f(x, p), or this Mechanism, for a project of type 'function'.",
     ),
 ]
+
+
+def _named(option: typer.CallbackParam, value: str | None) -> str | None:
+    if value is not None and not value.strip():
+        raise UsageError(
+            f"{option.opts[0]} is empty",
+            code="invalid-value",
+            remedy="name a file or folder, or remove the option",
+        )
+    return value
+
+
 HistoryOption = Annotated[
     str | None,
     typer.Option(
         "--history",
         metavar="FOLDER",
+        callback=_named,
         help="Add what was found to this history of the machine [default: none].",
     ),
 ]
@@ -67,6 +86,27 @@ PulsesOption = Annotated[
 ]
 
 
+def out_option(metavar: str, words: str) -> Any:
+    """The option --out of a command; metavar: FILE or DIR."""
+    return typer.Option("--out", metavar=metavar, help=words, callback=_named)
+
+
+def _forced(asked: bool) -> bool:
+    if asked:
+        force_outputs()
+    return asked
+
+
+ForceOption = Annotated[
+    bool,
+    typer.Option(
+        "--force",
+        callback=_forced,
+        help="Replace files that loopcal did not write; each is kept as NAME.bak.",
+    ),
+]
+
+
 def numbers_of(text: str | None, option: str) -> list[float]:
     """Numbers with commas between; none of None. Raises UsageError where one is no number."""
     try:
@@ -90,6 +130,7 @@ def _version(asked: bool) -> None:
 def _common(
     version: Annotated[
         bool,
+        # Eager: --version needs no command.
         typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
     ] = False,
 ) -> None:

@@ -11,6 +11,7 @@ from loopcal.errors import InputError
 
 
 def _watched() -> bool:
+    # Questions go to stderr, since stdout may lead into a file.
     return sys.stdin.isatty() and sys.stderr.isatty()
 
 
@@ -25,13 +26,14 @@ def _ask(question: str, answers: Sequence[str]) -> int:
         print_error(f"  {number}  {answer}")
     while True:
         print_error(f"Number from 1 to {len(answers)}:")
-        given = sys.stdin.readline().strip()
-        if not given:
+        line = sys.stdin.readline().strip()
+        # A terminal that was closed gives empty lines without end.
+        if not line:
             raise InputError(
                 "no answer was given", code="unknown-unit", remedy="state the units in the headers"
             )
-        if given.isdecimal() and 1 <= int(given) <= len(answers):
-            return int(given) - 1
+        if line.isdecimal() and 1 <= int(line) <= len(answers):
+            return int(line) - 1
 
 
 def open_page(path: Path) -> None:

@@ -9,15 +9,18 @@ import typer
 
 from loopcal.cli.application import (
     ClusterOption,
+    ForceOption,
     FunctionOption,
     HistoryOption,
     JsonOption,
     ProjectArgument,
+    ResultArgument,
     WorkersOption,
     app,
+    out_option,
 )
-from loopcal.cli.output import log, print_data, print_json, print_out
-from loopcal.errors import NoTrustworthyResult, UsageError
+from loopcal.cli.output import log, print_data, print_done, print_json, print_out
+from loopcal.errors import InputError, NoTrustworthyResult, UsageError
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.files.project.templates import TEMPLATES
 
@@ -42,11 +45,11 @@ def calibrate(
     ] = None,
     out: Annotated[
         str | None,
-        typer.Option(
-            metavar="DIR",
-            help="Write the results to this folder [default: NAME-result beside NAME.toml].",
+        out_option(
+            "DIR", "Write the results to this folder [default: NAME-result beside NAME.toml]."
         ),
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
     require_identifiable: Annotated[
@@ -112,6 +115,7 @@ def calibrate(
                 profile=profile or (),
                 compare=compare,
                 report=not no_report,
+                history=machine_history,
             ),
             out=out,
             function=mechanism,
@@ -126,16 +130,9 @@ def calibrate(
             ),
         )
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
-    if as_json:
-        print_json(done.written.document)
-        log(where)
-    else:
-        document = done.written.document
-        print_out(f"{document.title}\n{document}\n\n{done.findings.words()}\n\n{where}")
-    if machine_history is not None:
-        from loopcal.workflow.history import add_result
-
-        add_result(machine_history, done.written.folder)
+    document = done.written.document
+    text = f"{document.title}\n{document}\n\n{done.findings.words()}"
+    print_done(document, as_json, text=text, where=where)
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
 
@@ -161,19 +158,18 @@ def check(
 
 @app.command()
 def predict(
-    result: Annotated[
-        str, typer.Argument(metavar="RESULT", help="Folder of a calibration, or its result.json.")
-    ],
+    result: ResultArgument,
     file: Annotated[
         str, typer.Argument(metavar="FILE", help="Readings in the columns of the project.")
     ],
     out: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the table to this file (.csv, .tsv or .parquet) [default: CSV on stdout].",
+        out_option(
+            "FILE",
+            "Write the table to this file (.csv, .tsv or .parquet) [default: CSV on stdout].",
         ),
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
@@ -216,13 +212,17 @@ def compare(
     mechanism: FunctionOption = None,
 ) -> None:
     """Compare two calibrations of one machine: differences, their sds and their significance."""
-    from loopcal.cli.comparing import run_comparison
+    from loopcal.files.machines.python_function import load_function
+    from loopcal.workflow.public import compare as compared
+    from loopcal.workflow.saved_result import read_result
 
-    done = run_comparison(a, b, poses=poses, align=not same_frame, function=mechanism)
-    if as_json:
-        print_json(done.document())
-    else:
-        print_out(str(done))
+    loops = None if mechanism is None else load_function(mechanism)
+    first, second = (read_result(path, mechanism=loops) for path in (a, b))
+    try:
+        done = compared(first, second, poses=poses, align=not same_frame)
+    except InputError as error:
+        raise (error if error.place else error.at(f"{a}, {b}")) from None
+    print_done(done, as_json)
 
 
 @app.command()
@@ -235,11 +235,11 @@ def report(
     ],
     out: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the page to this file [default: report.html beside a single result].",
+        out_option(
+            "FILE", "Write the page to this file [default: report.html beside a single result]."
         ),
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Write one self-contained HTML page of one result, or of several side by side."""
     from loopcal.cli.reporting import run_report
@@ -278,18 +278,14 @@ def noise(
     from loopcal.workflow.sensors import sensor_noise
 
     done = sensor_noise(files, project=project, columns=columns, pose=pose, function=mechanism)
-    if as_json:
-        print_json(done.document)
-    else:
-        print_out(done.text)
+    print_done(done, as_json, text=done.text)
 
 
 @app.command()
 def simulate(
     project: ProjectArgument,
-    out: Annotated[
-        str, typer.Option(metavar="FILE", help="Readings to write: .csv, .tsv or .parquet.")
-    ],
+    out: Annotated[str, out_option("FILE", "Readings to write: .csv, .tsv or .parquet.")],
+    force: ForceOption = False,
     seed: Annotated[
         int, typer.Option(metavar="N", min=0, help="Seed of all random numbers [default: 0].")
     ] = 0,
@@ -326,12 +322,13 @@ def study(
     cluster: ClusterOption = None,
     out: Annotated[
         str | None,
-        typer.Option(
-            metavar="DIR",
-            help="Write the draws to this folder, and resume from those in it [default: "
+        out_option(
+            "DIR",
+            "Write the draws to this folder, and resume from those in it [default: "
             "NAME-study beside NAME.toml].",
         ),
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
@@ -354,11 +351,7 @@ def study(
         )
     write_study_page(done)
     where = f"written to {done.folder}: draws.parquet, summary.json, summary.txt, {PAGE}"
-    if as_json:
-        print_json(done.document)
-        log(where)
-    else:
-        print_out(f"{done.text}\n\n{where}")
+    print_done(done, as_json, text=done.text, where=where)
 
 
 @app.command()
@@ -431,15 +424,14 @@ def init(
             metavar="LINK", help="Link that carries the target [default: the one that fits]."
         ),
     ] = None,
-    out: Annotated[
-        str, typer.Option(metavar="DIR", help="Write the project to this folder.")
-    ] = "calibration",
+    out: Annotated[str, out_option("DIR", "Write the project to this folder.")] = "calibration",
+    force: ForceOption = False,
     sheet: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Sheet of a workbook, or variable of a MATLAB file [default: the one with by far "
-            "the most numbers].",
+            help="Sheet of a workbook, variable of a MATLAB file or measuring topic of a ROS bag "
+            "[default: the sheet with by far the most numbers].",
         ),
     ] = None,
     run: Annotated[
@@ -456,6 +448,10 @@ def init(
     if run:
         try:
             calibrate(str(done.written[0]))
+        except InputError as error:  # the project is written: this is no bad input any more
+            raise NoTrustworthyResult(
+                error.message, code=error.code, place=error.place, remedy=error.remedy
+            ) from None
         finally:  # the report is there too where the result is not sound
             open_page(done.written[0].with_name("project-result") / "report.html")
 

@@ -7,24 +7,29 @@ from typing import Annotated
 
 import typer
 
-from loopcal.cli.application import JsonOption, PulsesOption, app, numbers_of
-from loopcal.cli.output import log, print_json, print_out
+from loopcal.cli.application import (
+    ForceOption,
+    JsonOption,
+    PulsesOption,
+    ResultArgument,
+    app,
+    numbers_of,
+    out_option,
+)
+from loopcal.cli.output import print_done
 from loopcal.errors import UsageError
 
 
 @app.command()
 def correct(
-    result: Annotated[
-        str, typer.Argument(metavar="RESULT", help="Folder of a result, or its result.json.")
-    ],
+    result: ResultArgument,
     targets: Annotated[
         str, typer.Argument(metavar="TARGETS", help="Table of targets or robot program.")
     ],
     out: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="Corrected file [default: NAME-corrected]."),
+        str | None, out_option("FILE", "Corrected file [default: NAME-corrected].")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+    force: ForceOption = False,
     tool: Annotated[
         str,
         typer.Option(
@@ -87,7 +92,6 @@ def correct(
         result,
         targets,
         out=out,
-        force=force,
         tool=tool if tool in ("calibrated", "nominal") else _numbers(tool, "--tool"),
         controller=controller,
         frame=None if frame is None else _numbers(frame, "--frame"),
@@ -98,12 +102,9 @@ def correct(
         pulses=numbers_of(pulses_per_degree, "--pulses-per-degree"),
     )
     where = f"written to {done.written}" if done.written else "nothing is written"
-    if as_json:
-        print_json(done.document())
-        log(where)
-    else:
-        print_out(f"{done.words()}\n\n{where}")
+    print_done(done, as_json, text=done.words(), where=where)
     if not done.corrected.done.all():
+        # The file is written, so the exit code alone shows that targets were refused.
         raise typer.Exit(4)
 
 
@@ -113,28 +114,28 @@ def _metres(value: float | None) -> float | None:
 
 def _numbers(text: str, option: str) -> list[float]:
     """Three or six numbers with commas between."""
-    found = numbers_of(text, option)
-    if len(found) not in (3, 6):
+    numbers = numbers_of(text, option)
+    if len(numbers) not in (3, 6):
         raise UsageError(
             f"{option} is {text!r}, which is not three or six numbers with commas between them",
             remedy=f"give {option}=X,Y,Z or {option}=X,Y,Z,RZ,RY,RX in mm and degrees",
         )
-    return found
+    return numbers
 
 
 def _constants(stated: Sequence[str]) -> dict[str, float]:
     """NAME=VALUE or NAME=VALUE UNIT as SI."""
     from loopcal.units import to_si
 
-    found = {}
+    constants = {}
     for one in stated:
         name, _, value = one.partition("=")
         number, _, unit = value.strip().partition(" ")
         try:
-            found[name.strip()] = float(to_si(float(number), unit.strip() or "1"))
+            constants[name.strip()] = float(to_si(float(number), unit.strip() or "1"))
         except ValueError:
             raise UsageError(
                 f"--at is {one!r}, which is not NAME=VALUE",
                 remedy="give a number, with its unit if it is not SI: --at 'temperature=24 degC'",
             ) from None
-    return found
+    return constants

@@ -6,27 +6,34 @@ from typing import Annotated
 
 import typer
 
-from loopcal.cli.application import FunctionOption, JsonOption, app
-from loopcal.cli.output import print_json, print_out
+from loopcal.cli.application import (
+    ForceOption,
+    FunctionOption,
+    JsonOption,
+    ResultArgument,
+    app,
+    out_option,
+)
+from loopcal.cli.output import print_done
 from loopcal.errors import InputError
+from loopcal.files.exports.registry import EXPORTS
+from loopcal.files.exports.tables import ORIENTATIONS
 
 
 @app.command()
 def export(
-    result: Annotated[
-        str, typer.Argument(metavar="RESULT", help="Folder of a calibration, or its result.json.")
-    ],
+    result: ResultArgument,
     to: Annotated[
         str,
         typer.Option(
             metavar="FORMAT",
-            help="Write this format: urdf, xacro, ur, dh, mdh, mjcf, sdf, zeros, frames or json.",
+            help=f"Write this format: {', '.join(EXPORTS)}.",
         ),
     ],
     out: Annotated[
-        str | None,
-        typer.Option(metavar="FOLDER", help="Folder for the files [default: RESULT/export]."),
+        str | None, out_option("FOLDER", "Folder for the files [default: RESULT/export].")
     ] = None,
+    force: ForceOption = False,
     source: Annotated[
         str | None,
         typer.Option(
@@ -46,8 +53,8 @@ def export(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Write orientations in the convention of kuka, fanuc, yaskawa or abb [default: "
-            "roll, pitch, yaw].",
+            help=f"Write orientations in the convention of {', '.join(filter(None, ORIENTATIONS))} "
+            f"[default: {ORIENTATIONS[''].label}].",
         ),
     ] = None,
     counts: Annotated[
@@ -58,9 +65,6 @@ def export(
             "none].",
         ),
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace files that exist; backups are kept.")
-    ] = False,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
@@ -76,16 +80,13 @@ def export(
         offsets=offsets,
         vendor=vendor,
         counts=dict(map(_counts, counts or ())),
-        force=force,
     )
-    if as_json:
-        print_json(done.document())
-    else:
-        print_out(str(done))
+    print_done(done, as_json)
 
 
 def _counts(text: str) -> tuple[str, float]:
     """A joint and its counts per unit, of JOINT=N."""
+    # The last one: the name of a joint may hold an equals sign.
     joint, _, number = text.rpartition("=")
     try:
         value = float(number)

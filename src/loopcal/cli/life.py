@@ -6,13 +6,18 @@ from typing import Annotated
 
 import typer
 
-from loopcal.cli.application import FunctionOption, HistoryOption, JsonOption, app
-from loopcal.cli.output import log, print_json, print_out
+from loopcal.cli.application import (
+    ForceOption,
+    FunctionOption,
+    HistoryOption,
+    JsonOption,
+    ResultArgument,
+    app,
+    out_option,
+)
+from loopcal.cli.output import log, print_done
 from loopcal.errors import NoTrustworthyResult
 
-ResultArgument = Annotated[
-    str, typer.Argument(metavar="RESULT", help="Folder of a calibration, or its result.json.")
-]
 ReadingsArgument = Annotated[
     str,
     typer.Argument(
@@ -48,11 +53,9 @@ def verify(
         ),
     ] = None,
     out: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE", help="Write a page with figures to this file [default: none]."
-        ),
+        str | None, out_option("FILE", "Write a page with figures to this file [default: none].")
     ] = None,
+    force: ForceOption = False,
     machine_history: HistoryOption = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
@@ -67,22 +70,16 @@ def verify(
         anew=anew or (),
         tolerance=None if tolerance is None else 1e-3 * tolerance,
         out=out,
+        history=machine_history,
         function=mechanism,
     )
-    if as_json:
-        print_json(done.document())
-    else:
-        print_out(str(done))
+    print_done(done, as_json)
     if out is not None:
         log(f"written to {out}")
-    if machine_history is not None:
-        from loopcal.workflow.history import add_verification
-
-        add_verification(machine_history, done, result, file)
     if done.failed:
-        told = " ".join(answer.words for answer in done.failed)
+        reasons = " ".join(answer.words for answer in done.failed)
         raise NoTrustworthyResult(
-            told, code="not-verified", remedy=" ".join(a.next for a in done.failed if a.next)
+            reasons, code="not-verified", remedy=" ".join(a.next for a in done.failed if a.next)
         )
 
 
@@ -91,14 +88,14 @@ def update(
     result: ResultArgument,
     file: ReadingsArgument,
     out: Annotated[
-        str | None,
-        typer.Option(metavar="FOLDER", help="Folder for the new result [default: RESULT-updated]."),
+        str | None, out_option("FOLDER", "Folder for the new result [default: RESULT-updated].")
     ] = None,
+    force: ForceOption = False,
     drift: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="KIND=SD",
-            help="Allow this drift since: length=0.01mm, angle=20urad, mounting, gain, effect or "
+            metavar="ROLE=SD",
+            help="Allow this drift since: length=0.01mm, zero=20urad, mounting, scale, effect or "
             "a parameter; repeatable [default: the rates of --history, else none].",
         ),
     ] = None,
@@ -131,15 +128,7 @@ def update(
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
     if done.drift and not drift:
         log(f"drift since the last calibration, from {machine_history}: {len(done.drift)} rates")
-    if as_json:
-        print_json(done.written.document)
-        log(where)
-    else:
-        print_out(f"{done.written.document}\n\n{where}")
-    if machine_history is not None:
-        from loopcal.workflow.history import add_result
-
-        add_result(machine_history, done.written.folder)
+    print_done(done.written.document, as_json, where=where)
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
 
@@ -158,20 +147,16 @@ def history(
         typer.Option(metavar="TEXT", help="Add this event; repeatable [default: none]."),
     ] = None,
     out: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="Write the page to this file [default: FOLDER.html]."),
+        str | None, out_option("FILE", "Write the page to this file [default: FOLDER.html].")
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Print and draw a machine's history, or add a calibration or an event to it."""
     from loopcal.workflow.history import run_history
 
     done = run_history(folder, add=add or (), events=event or (), out=out)
-    if as_json:
-        print_json(done.history.document())
-        log(f"written to {done.page}")
-    else:
-        print_out(f"{done.history}\n\nwritten to {done.page}")
+    print_done(done.history, as_json, where=f"written to {done.page}")
 
 
 @app.command()
@@ -184,11 +169,11 @@ def fleet(
     ],
     out: Annotated[
         str,
-        typer.Option(
-            metavar="FILE",
-            help="Write where the next machine begins to this file [default: fleet.toml].",
+        out_option(
+            "FILE", "Write where the next machine begins to this file [default: fleet.toml]."
         ),
     ] = "fleet.toml",
+    force: ForceOption = False,
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Skip the page beside it, fleet.html.")
     ] = False,
@@ -200,8 +185,4 @@ def fleet(
 
     done = run_fleet(results, out=out, report=not no_report, function=mechanism)
     where = f"written to {' and '.join(str(path) for path in done.written)}"
-    if as_json:
-        print_json(done.fleet.document())
-        log(where)
-    else:
-        print_out(f"{done.fleet}\n\n{where}")
+    print_done(done.fleet, as_json, where=where)

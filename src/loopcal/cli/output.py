@@ -12,9 +12,9 @@ import os
 import re
 import sys
 from contextlib import suppress
-from typing import Any
+from typing import Any, TextIO
 
-from loopcal.errors import InputError
+from loopcal.errors import LONGEST_TEXT, Unfinished, short
 
 _STEERING = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f"
@@ -28,12 +28,17 @@ def escaped(text: str) -> str:
     >>> print(escaped("arm\\x1b[2J\\u202e.toml"))
     arm\\x1b[2J\\u202e.toml
     """
-    return _STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    return _STEERING.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
+
+
+def shown(text: str) -> str:
+    """Text for people: escaped, and lines of bounded length, whatever names they hold."""
+    return escaped("\n".join(short(line, LONGEST_TEXT) for line in text.split("\n")))
 
 
 def print_out(text: str) -> None:
     """Print text for people to stdout."""
-    _print(escaped(text))
+    _print(shown(text))
 
 
 def print_data(text: str) -> None:
@@ -44,19 +49,24 @@ def print_data(text: str) -> None:
 def _print(text: str) -> None:
     """Print to stdout, now; quietly to nobody where its reader has gone.
 
-    Raises InputError where it cannot be written (a full disk).
+    Raises Unfinished where it cannot be written (a full disk): files are written by then.
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         # a terminal that knows no µ shall not stop a result
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         print(text)
+        # Now: as the process ends, a full disk would show too late for an exit code.
         sys.stdout.flush()
-    except BrokenPipeError:
-        silence_stdout()
     except OSError as error:
-        silence_stdout()
-        raise InputError(
+        unprinted(error)
+
+
+def unprinted(error: OSError) -> None:
+    """Go on in silence where stdout has no reader; Unfinished where it cannot be written."""
+    silence(sys.stdout)
+    if not isinstance(error, BrokenPipeError):
+        raise Unfinished(
             f"cannot be written: {error.strerror or error}",
             code="unwritable-file",
             place="standard output",
@@ -71,9 +81,25 @@ def print_json(document: Any) -> None:
     """
     from loopcal.document.plain import plain
 
+    # JSON's escapes are ASCII, which every stream can hold.
     utf8 = (getattr(sys.stdout, "encoding", None) or "").lower().startswith("utf")
     text = json.dumps(plain(document), indent=1, ensure_ascii=not utf8, allow_nan=False)
-    _print(_STEERING.sub(lambda found: json.dumps(found[0])[1:-1], text))
+    _print(_STEERING.sub(lambda match: json.dumps(match[0])[1:-1], text))
+
+
+def print_done(done: Any, as_json: bool, *, text: str = "", where: str = "") -> None:
+    """Print what a command made: its document as JSON, or a text, by default its own, for people.
+
+    where: the files that were written, on stderr beside JSON and below a text.
+    """
+    if as_json:
+        document = getattr(done, "document", done)
+        print_json(document() if callable(document) else document)
+        if where:
+            log(where)
+    else:
+        text = text or str(done)
+        print_out(f"{text}\n\n{where}" if where else text)
 
 
 def log(line: str) -> None:
@@ -82,11 +108,32 @@ def log(line: str) -> None:
 
 
 def print_error(text: str) -> None:
-    """Print text to stderr."""
-    print(escaped(text), file=sys.stderr)
+    """Print text to stderr; drop it where that cannot be written."""
+    try:
+        print(shown(text), file=sys.stderr, flush=True)
+    except OSError:
+        silence(sys.stderr)
 
 
-def silence_stdout() -> None:
-    """Nothing more shall be written to stdout, not even when the process ends."""
+def silence(stream: TextIO) -> None:
+    """Nothing more shall be written to a stream, not even when the process ends."""
     with suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def open_streams() -> None:
+    """Give this process the standard streams that its caller closed: they lead nowhere.
+
+    The next file that is opened would get their numbers, and whatever a library prints.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            # The system gives the lowest free number, mostly that of the closed stream.
+            handle = os.open(os.devnull, os.O_RDWR)
+            if handle != number:
+                os.dup2(handle, number)
+                os.close(handle)
+            mode = "r" if number == 0 else "w"
+            setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115

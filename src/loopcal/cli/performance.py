@@ -6,8 +6,13 @@ from typing import Annotated
 
 import typer
 
-from loopcal.cli.application import JsonOption, app
-from loopcal.cli.output import log, print_json, print_out
+from loopcal.cli.application import (
+    ForceOption,
+    JsonOption,
+    app,
+    out_option,
+)
+from loopcal.cli.output import print_done
 
 
 @app.command()
@@ -75,9 +80,9 @@ def performance(
         ),
     ] = None,
     out: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="Write a page with figures here [default: none]."),
+        str | None, out_option("FILE", "Write a page with figures here [default: none].")
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Compute pose accuracy, repeatability and drift of a robot after ISO 9283, with intervals."""
@@ -93,9 +98,4 @@ def performance(
         file, commanded=commanded, units=units, angles=angles, ask=ask_on_terminal()
     )
     done = run_performance(attained, errors, distances=distance or (), out=out)
-    if as_json:
-        print_json(done.document())
-        if out is not None:
-            log(f"written to {out}")
-    else:
-        print_out(str(done) if out is None else f"{done}\n\nwritten to {out}")
+    print_done(done, as_json, where="" if out is None else f"written to {out}")

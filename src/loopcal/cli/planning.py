@@ -7,14 +7,17 @@ from typing import Annotated
 import typer
 
 from loopcal.cli.application import (
+    ForceOption,
     FunctionOption,
     JsonOption,
     ProjectArgument,
     PulsesOption,
     app,
     numbers_of,
+    out_option,
 )
-from loopcal.cli.output import log, print_json, print_out
+from loopcal.cli.output import print_done
+from loopcal.files.programs.registry import WRITTEN
 
 
 @app.command()
@@ -49,23 +52,19 @@ def plan(
     ] = None,
     out: Annotated[
         str | None,
-        typer.Option(
-            metavar="DIR",
-            help="Write the plan to this folder [default: NAME-plan beside NAME.toml].",
-        ),
+        out_option("DIR", "Write the plan to this folder [default: NAME-plan beside NAME.toml]."),
     ] = None,
+    force: ForceOption = False,
     program: Annotated[
         str | None,
         typer.Option(
             metavar="FILE",
-            help="Write the poses as a program too: .mod (RAPID), .src (KRL), .ls (Fanuc), .jbi "
-            "(Yaskawa) or .script (URScript) [default: none].",
+            help="Write the poses as a program too: "
+            + ", ".join(f"{ending} ({one.kind})" for ending, one in WRITTEN.items())
+            + " [default: none].",
         ),
     ] = None,
     pulses_per_degree: PulsesOption = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace the program where it exists.")
-    ] = False,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
     no_report: Annotated[
@@ -87,7 +86,6 @@ def plan(
                 not no_report,
                 program,
                 numbers_of(pulses_per_degree, "--pulses-per-degree"),
-                force,
             ),
             out=out,
             function=mechanism,
@@ -95,8 +93,4 @@ def plan(
         )
     where = f"written to {done.folder}: {', '.join(done.files)}"
     where += "" if done.program is None else f"\nprogram: {done.program}"
-    if as_json:
-        print_json({"title": done.title, **done.plan.document()})
-        log(where)
-    else:
-        print_out(f"{done.title}\n{done.plan}\n\n{where}")
+    print_done(done, as_json, text=f"{done.title}\n{done.plan}", where=where)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, TextIO
 
-from loopcal.cli.output import escaped, log
+from loopcal.cli.output import log, shown, silence
 from loopcal.presentation.shown import with_unit
 
 if TYPE_CHECKING:
@@ -34,13 +34,10 @@ class _Line:
         if now < self.due:
             return
         self.due = now + (ON_TERMINAL if self.terminal else ELSEWHERE)
-        text = escaped(line(now - self.began))
-        if self.terminal:
-            self.stream.write("\r" + text.ljust(self.shown))
-            self.shown = len(text)
-        else:
-            self.stream.write(text + "\n")
-        self.stream.flush()
+        text = shown(line(now - self.began))
+        # Blanks cover the end of a longer line before.
+        self._write("\r" + text.ljust(self.shown) if self.terminal else text + "\n")
+        self.shown = len(text) if self.terminal else 0
 
     def waiting(self) -> None:
         """Say what is waited for after an interrupt."""
@@ -50,9 +47,15 @@ class _Line:
     def clear(self) -> None:
         """Leave the line empty."""
         if self.shown:
-            self.stream.write("\r" + " " * self.shown + "\r")
-            self.stream.flush()
+            self._write("\r" + " " * self.shown + "\r")
             self.shown = 0
+
+    def _write(self, text: str) -> None:
+        try:
+            self.stream.write(text)
+            self.stream.flush()
+        except OSError:  # a full disk shall not end the work
+            silence(self.stream)
 
     def __enter__(self) -> Self:
         return self
@@ -69,7 +72,7 @@ class _Line:
 class Progress(_Line):
     """Called by the solver at every iteration."""
 
-    known = ""
+    fitted_words = ""
     """The accuracy of the fit, once it is there."""
 
     def __call__(self, iteration: int, chi_squared: float, decrease: float) -> None:
@@ -83,16 +86,16 @@ class Progress(_Line):
 
     def pieces(self, what: str, done: int, total: int) -> None:
         """Show how many of the folds, or of other pieces, are done, if it is time to."""
-        self.show(lambda _: f"{self.known}{done} of {total} {what}")
+        self.show(lambda _: f"{self.fitted_words}{done} of {total} {what}")
 
     def fitted(self, result: Result) -> None:
         """Show the accuracy of the fit while it is judged; on a terminal at once."""
-        found = result.accuracy_after
-        if found is not None:
-            self.known = f"fitted: error {with_unit(found.rms, found.unit)} rms; "
+        accuracy = result.accuracy_after
+        if accuracy is not None:
+            self.fitted_words = f"fitted: error {with_unit(accuracy.rms, accuracy.unit)} rms; "
         if self.terminal:
             self.due = 0.0
-        self.show(lambda _: f"{self.known}judging")
+        self.show(lambda _: f"{self.fitted_words}judging")
 
 
 class Counted(_Line):

@@ -6,8 +6,13 @@ from typing import Annotated
 
 import typer
 
-from loopcal.cli.application import JsonOption, app
-from loopcal.cli.output import print_json, print_out
+from loopcal.cli.application import (
+    ForceOption,
+    JsonOption,
+    app,
+    out_option,
+)
+from loopcal.cli.output import print_done
 from loopcal.errors import NoTrustworthyResult, UsageError
 
 
@@ -29,10 +34,9 @@ def record(
     ] = None,
     out: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE", help="Write the page here [default: record.html in the result folder]."
-        ),
+        out_option("FILE", "Write the page here [default: record.html in the result folder]."),
     ] = None,
+    force: ForceOption = False,
     dcc: Annotated[
         bool,
         typer.Option("--dcc", help="Write also a digital calibration certificate, XML beside it."),
@@ -56,22 +60,16 @@ def record(
     if not verify:
         dcc = dcc or schema is not None
         done = write_record(result, project=project, out=out, dcc=dcc, schema=schema)
-        if as_json:
-            print_json(done.document())
-        else:
-            print_out(str(done))
+        print_done(done, as_json)
         return
     if project is not None or out is not None or dcc or schema is not None:
         raise UsageError(
             "--verify checks a record and writes none",
             remedy="leave --project, --out, --dcc and --schema out",
         )
-    found = verify_record(result)
-    if as_json:
-        print_json(found.document())
-    else:
-        print_out(str(found))
-    if not found.unaltered:
+    check = verify_record(result)
+    print_done(check, as_json)
+    if not check.unaltered:
         raise NoTrustworthyResult(
             "the record or a file behind it is not as it was",
             code="not-verified",

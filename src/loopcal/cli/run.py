@@ -1,12 +1,13 @@
 """Runs the command and ends it: every outcome has its exit code and at most one message.
 
 0 done; 1 a fault of ours, with its traceback; 2 usage; 3 bad input; 4 no trustworthy result;
-130 interrupted.
+5 files are written, but not the rest; 130 interrupted.
 """
 
 from __future__ import annotations
 
 import copy
+import errno
 import gc
 import io
 import sys
@@ -14,19 +15,12 @@ import warnings
 from collections.abc import Sequence
 
 import typer
-from typer.models import CommandInfo
 
-from loopcal.cli.app import serve_app
 from loopcal.cli.application import app
-from loopcal.cli.commands import calibrate
-from loopcal.cli.correct import correct
-from loopcal.cli.export import export
-from loopcal.cli.life import update
-from loopcal.cli.output import log, print_error
-from loopcal.cli.performance import performance
-from loopcal.cli.planning import plan
-from loopcal.cli.record import record
-from loopcal.errors import LONGEST_TEXT, LoopcalError, short
+from loopcal.cli.output import log, open_streams, print_error, unprinted
+from loopcal.cli.registry import loaded
+from loopcal.errors import LONGEST_TEXT, InputError, LoopcalError, UsageError, short
+from loopcal.files.outputs import command
 
 try:
     from typer.exceptions import Abort, TyperException
@@ -34,29 +28,31 @@ except ModuleNotFoundError:  # typer before 0.26 raises the exceptions of click
     from click.exceptions import Abort  # type: ignore[assignment]
     from click.exceptions import ClickException as TyperException  # type: ignore[assignment]
 
-LOADED = (calibrate, correct, export, performance, plan, record, serve_app, update)
-"""A command of each module: all commands of a module join as it is imported."""
 INTERRUPTED = 130
+_SYSTEM = (errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO)
+"""What no file is to blame for."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `loopcal ARGUMENTS` (by default those of this process) and return its exit code."""
     gc.set_threshold(50_000, 20, 20)  # what a command makes mostly lives until it ends
+    open_streams()
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_, **__: log(f"warning: {message}")
-        return _run(arguments)
+        with command():
+            return _run(arguments)
 
 
 def _run(arguments: Sequence[str] | None) -> int:
     try:
         asked = sys.argv[1:] if arguments is None else list(arguments)
-        own = _with_command(asked)
-        code = own(asked, prog_name="loopcal", standalone_mode=False, obj=main) or 0
+        _refuse_bytes(asked)
+        application = _with_command(asked)
+        # In standalone mode click would print errors and end the process by itself.
+        code = application(asked, prog_name="loopcal", standalone_mode=False, obj=main) or 0
+        _flush()
     except LoopcalError as error:
-        if type(error) is LoopcalError:
-            return _fault(error)
-        log(str(error))
-        return error.exit_code
+        return _refused(error)
     except TyperException as error:  # arguments that do not parse
         shown = io.StringIO()
         error.show(file=shown)  # type: ignore[attr-defined]
@@ -67,11 +63,72 @@ def _run(arguments: Sequence[str] | None) -> int:
     except MemoryError:
         log("out of memory\n  What to do: use fewer poses (data.every thins them)")
         return 3
-    except Exception as error:
+    except OSError as error:
+        return _by_system(error)
+    except UnicodeEncodeError as error:
+        return _refused(_no_text(error.object)) if _is_bytes(error.object) else _fault(error)
+    except BaseException as error:
+        if isinstance(error.__context__, BrokenPipeError):  # as typer ends without a reader
+            return 0
         return _fault(error)
     if code == INTERRUPTED:
         log("interrupted")
     return int(code)
+
+
+def _refused(error: LoopcalError) -> int:
+    # By itself the root of all errors means a fault of ours; its kinds are refusals.
+    if type(error) is LoopcalError:
+        return _fault(error)
+    log(str(error))
+    return error.exit_code
+
+
+def _flush() -> None:
+    """Raise Unfinished where what was printed cannot be written."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        unprinted(error)
+
+
+def _by_system(error: OSError) -> int:
+    """How a command ends that the system refused something: an input error if that has a name."""
+    try:
+        _flush()
+    except InputError as refused:
+        return _refused(refused)
+    if error.filename is None and error.errno not in _SYSTEM:
+        return _fault(error)
+    why = error.strerror or type(error).__name__
+    place = None if error.filename is None else str(error.filename)
+    return _refused(
+        InputError(
+            f"the system refuses this: {why}",
+            code="unreadable-file",
+            place=place,
+            remedy="name another file or folder" if place else "free space or memory",
+        )
+    )
+
+
+def _is_bytes(text: str) -> bool:
+    """Whether it holds bytes that are no text, as the names of files may."""
+    return any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
+def _no_text(name: str) -> UsageError:
+    begin = next(i for i, letter in enumerate(name) if "\ud800" <= letter <= "\udfff")
+    return UsageError(
+        f"the name {name[max(begin - 40, 0) : begin + 40]!r} is not UTF-8",
+        remedy="rename the file or folder",
+    )
+
+
+def _refuse_bytes(arguments: Sequence[str]) -> None:
+    for one in arguments:
+        if _is_bytes(one):
+            raise _no_text(one)
 
 
 def _with_command(arguments: Sequence[str]) -> typer.Typer:
@@ -79,17 +136,14 @@ def _with_command(arguments: Sequence[str]) -> typer.Typer:
 
     To prepare the options of every command takes longer than a short calibration.
     """
-    own = copy.copy(app)
-    named = [one for one in app.registered_commands if _name(one) in arguments[:1]]
-    own.registered_commands = named or app.registered_commands
-    return own
+    application = copy.copy(app)
+    # the version needs the options of no command
+    version = list(arguments[:1]) == ["--version"]
+    application.registered_commands = loaded(["calibrate"] if version else arguments[:1])
+    return application
 
 
-def _name(command: CommandInfo) -> str:
-    return command.name or str(getattr(command.callback, "__name__", ""))
-
-
-def _fault(error: Exception) -> int:
+def _fault(error: BaseException) -> int:
     import platform
     import traceback
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.deployment.rigid import inverse, pose
+from loopcal.deployment.rigid import crossing, inverse, pose
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.expressions.tape import Tape
 
@@ -36,7 +36,7 @@ class ArmPose:
     tape: Tape
     parameters: Array
     joints: tuple[str, ...]
-    known: Mapping[str, float]
+    constants: Mapping[str, float]
     base: Array
     tool: Array
 
@@ -50,8 +50,15 @@ class ArmPose:
         """(3,) where the tool's point is on the body, after the last change along the run [m]."""
         points, _, _ = self._points(np.zeros((1, len(self.joints))), (), Stage.VALUES)
         t, R = _frame(points)
-        found: Array = R[0].T @ (t[0] - points[0, 3:6])
-        return found
+        on_body: Array = R[0].T @ (t[0] - points[0, 3:6])
+        return on_body
+
+    def moving(self, q: Array) -> tuple[Array, Array]:
+        """(N, 4, 4) at joints q (N, n), and (N, 6, n) the twists by the joints."""
+        points, by_joint, _ = self._points(q, (), Stage.BY_QUANTITY)
+        t, R = _frame(points)
+        T = inverse(self.base) @ pose(R @ self.tool, t)
+        return T, _twist(R, by_joint, self.base[:3, :3].T)
 
     def twists(self, q: Array, names: Sequence[str] = ()) -> tuple[Array, Array]:
         """(N, 6, n) by the joints and (N, 6, p) by the named parameters, in the arm's base."""
@@ -66,8 +73,7 @@ class ArmPose:
         quantities = self.tape.quantities
         rows = [quantities.index(joint) for joint in self.joints]
         engine = engine_for(self.tape, names, min(_BLOCK, max(len(q), 1)), self.joints)
-        engine.at(self.parameters)
-        constants = np.array([self.known[name] for name in self.tape.known])
+        constants = np.array([self.constants[name] for name in self.tape.pose_constants])
         points = np.empty((len(q), 12))
         by_joint = np.empty((len(q), 12, len(self.joints)))
         by_parameter = np.empty((len(q), 12, len(names)))
@@ -75,29 +81,36 @@ class ArmPose:
             part = slice(begin, min(begin + _BLOCK, len(q)))
             x = np.zeros((len(quantities), len(q[part])))
             x[rows] = q[part].T
-            known = np.broadcast_to(constants[:, None], (len(constants), x.shape[1]))
-            found = engine.evaluate(x, np.ascontiguousarray(known), stage)
-            points[part] = found.f.T
+            by_pose = np.broadcast_to(constants[:, None], (len(constants), x.shape[1]))
+            values = engine.evaluate(self.parameters, x, np.ascontiguousarray(by_pose), stage)
+            points[part] = values.f.T
             if stage >= Stage.BY_QUANTITY:
-                by_joint[part] = found.by_quantity.transpose(2, 1, 0)
+                by_joint[part] = values.by_quantity.transpose(2, 1, 0)
             if stage >= Stage.BY_PARAMETER:
-                by_parameter[part] = found.by_parameter.transpose(2, 1, 0)
+                by_parameter[part] = values.by_parameter.transpose(2, 1, 0)
         return points, by_joint, by_parameter
 
 
 def _frame(points: Array) -> tuple[Array, Array]:
-    """The tool's point (N, 3) and R (N, 3, 3): the rotation nearest to the axes that are given."""
+    """The tool's point (N, 3) and R (N, 3, 3): the rotation nearest to the axes that are given.
+
+    Of M = [x y], M (M^T M)^-1/2, the root of a matrix of 2 rows by its trace and determinant.
+    """
     b = points[:, 3:6]
     x, y = points[:, 6:9] - b, points[:, 9:12] - b
-    U, _, V = np.linalg.svd(np.stack([x, y, np.cross(x, y)], axis=-1))
-    return points[:, :3], U @ V
+    xx, xy, yy = (np.einsum("ni,ni->n", u, v)[:, None] for u, v in ((x, x), (x, y), (y, y)))
+    root = np.sqrt(xx * yy - xy * xy)
+    scale = root * np.sqrt(xx + yy + 2.0 * root)
+    x, y = ((yy + root) * x - xy * y) / scale, ((xx + root) * y - xy * x) / scale
+    z = np.einsum("nij,nj->ni", crossing(x), y)
+    return points[:, :3], np.stack([x, y, z], axis=-1)
 
 
 def _twist(R: Array, by: Array, turn: Array) -> Array:
     """(N, 6, n) twists of derivatives (N, 12, n) of the points, turned into the arm's base."""
     dx, dy = (by[:, i : i + 3] - by[:, 3:6] for i in (6, 9))
-    x, y = R[:, :, 0, None], R[:, :, 1, None]
-    dz = np.cross(dx, y, axis=1) + np.cross(x, dy, axis=1)
-    w = 0.5 * sum(np.cross(R[:, :, i, None], d, axis=1) for i, d in enumerate((dx, dy, dz)))
+    X, Y, Z = (crossing(R[:, :, i]) for i in range(3))
+    # dz = dx x y + x x dy
+    w = 0.5 * ((X - Z @ Y) @ dx + (Y + Z @ X) @ dy)
     both: Array = np.concatenate([turn @ by[:, :3], turn @ w], axis=1)
     return both

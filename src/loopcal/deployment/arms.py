@@ -21,6 +21,7 @@ from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from loopcal.expressions.vectors import vector
 from loopcal.files.machines.further_points import with_points
+from loopcal.lazy import cached_property
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.limits import Limit, joint_limits
@@ -33,6 +34,7 @@ from loopcal.mechanisms.structure.structured import EFFECT
 Array = NDArray[np.float64]
 _BODY = {"body_o": (0.0, 0.0, 0.0), "body_x": (1.0, 0.0, 0.0), "body_y": (0.0, 1.0, 0.0)}
 _TOOL = "body_tool"
+# Random readings around home: many times the six freedoms of a base.
 _PLACES = 60
 _REACH = {"rad": 1.0, "m": 0.1}
 """Around home, readings at which a base is sought."""
@@ -49,6 +51,7 @@ class Arms:
     limits: Mapping[str, Limit]
     tool: Tool
 
+    @cached_property
     def spans(self) -> Array:
         """(n, 2) lowest and highest readings [SI]; infinite where no limit is stated."""
         rows = [self.limits.get(q, Limit(-np.inf, np.inf)) for q in self.joints]
@@ -114,8 +117,8 @@ def _machine(
     looked_at = with_points(calibrated, points, station.name if station else None)
     looked_at = looked_at.with_nominal(values)
     tape = looked_at.tape
-    own = [f"{name}_{axis}" for name in points for axis in "xyz"]
-    tape = tape.only([tape.loops.index(name) for name in own])
+    coordinates = [f"{name}_{axis}" for name in points for axis in "xyz"]
+    tape = tape.only([tape.loops.index(name) for name in coordinates])
     machine = ArmPose(
         tape,
         np.array([p.nominal for p in looked_at.parameters]),
@@ -131,9 +134,9 @@ def _machine(
 
 def _constants(mechanism: Mechanism, tape: Tape, at: Mapping[str, float]) -> dict[str, float]:
     """The known constants of every target; those that the pose does not depend on are 0."""
-    stated, names = {**mechanism.latest, **at}, tape.known
+    stated, names = {**mechanism.latest, **at}, tape.pose_constants
     used = frozenset().union(*tape.depends_on())
-    unknown = [name for name in at if name not in mechanism.known]
+    unknown = [name for name in at if name not in mechanism.pose_constants]
     missing = [n for n in names if n not in stated and n in used]
     if unknown or missing:
         words = (
@@ -144,7 +147,7 @@ def _constants(mechanism: Mechanism, tape: Tape, at: Mapping[str, float]) -> dic
         raise InputError(
             words,
             code="unknown-name" if unknown else "missing-reading",
-            remedy=f"state {listed(missing or [*mechanism.known])} with --at NAME=VALUE",
+            remedy=f"state {listed(missing or [*mechanism.pose_constants])} with --at NAME=VALUE",
         )
     return {name: stated.get(name, 0.0) for name in names}
 
@@ -160,8 +163,8 @@ def _based(
     reach = np.array([_REACH[unit] for unit in joints.values()])
     q = home + reach * np.random.default_rng(0).uniform(-1.0, 1.0, (_PLACES, len(joints)))
     seen, drawn = (arm(q)[:, :3, 3].T for arm in (machine, controller))
-    found = align(drawn, seen)
-    return replace(machine, base=rigid(found.rotation, found.shift))
+    alignment = align(drawn, seen)
+    return replace(machine, base=rigid(alignment.rotation, alignment.shift))
 
 
 def _controller(

@@ -9,8 +9,9 @@ controller maps back to q. Source: pose redefinition, as in doi 10.1177/16878132
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +19,33 @@ from numpy.typing import NDArray
 from loopcal.deployment.arms import Arms
 from loopcal.deployment.inverse import least_gain, solve
 from loopcal.deployment.reached import Reached, reached
-from loopcal.deployment.refusals import Refusal
 from loopcal.deployment.rigid import between
 from loopcal.measurements.dataset import Dataset
 from loopcal.statistics.prediction import predict
 from loopcal.statistics.predictor import Predictor
 
 Array = NDArray[np.float64]
+# Poses on the way to the corrected joints, at which the controller's Jacobian is looked at.
 _BETWEEN = 5
+_BLOCK = 4096
+"""Targets at a time."""
+Reason = Literal[
+    "configuration-changed",
+    "configuration-missing",
+    "moved-too-far",
+    "not-reached",
+    "not-stated",
+    "outside-limits",
+    "singular",
+]
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a target stays as it is, in words for a user."""
+
+    reason: Reason
+    words: str
 
 
 @dataclass(frozen=True)
@@ -87,7 +107,7 @@ class Corrected:
 
 def corrected(
     arms: Arms,
-    known: Predictor,
+    predictor: Predictor,
     targets: Targets,
     bounds: CorrectionBounds,
     at: Mapping[str, float],
@@ -97,27 +117,26 @@ def corrected(
     at: constants of the programme, name -> value [SI].
     """
     count = len(targets.names)
-    there = np.isfinite(targets.joints).all(axis=1) & np.isfinite(targets.poses).all(axis=(1, 2))
+    solvable = np.isfinite(targets.joints).all(axis=1) & np.isfinite(targets.poses).all(axis=(1, 2))
     q, q0 = np.full(targets.joints.shape, np.nan), targets.joints
     left, settled = np.full((count, 6), np.nan), np.zeros(count, dtype=bool)
-    solved = solve(arms.machine, targets.poses[there], q0[there])
-    q[there], left[there], settled[there] = solved.joints, solved.left, solved.settled
+    solved = solve(arms.machine, targets.poses[solvable], q0[solvable])
+    q[solvable], left[solvable], settled[solvable] = solved.joints, solved.left, solved.settled
     before = np.full((count, 6), np.nan)
-    before[there] = between(targets.poses[there], arms.machine(q0[there]))
+    before[solvable] = between(targets.poses[solvable], arms.machine(q0[solvable]))
     usable = np.where(settled[:, None], q, np.nan_to_num(q0))
-    refused = tuple(
-        _refusal(arms, targets, i, q[i], bool(settled[i]), bounds) for i in range(count)
-    )
+    ways = _ways(arms, q0, q, settled)
+    refused = tuple(_refusal(arms, targets, i, q[i], ways[i], bounds) for i in range(count))
     readings = {name: usable[:, i] for i, name in enumerate(arms.joints)}
     constants = {name: np.full(count, value) for name, value in at.items()}
-    seen = predict(known, Dataset.from_arrays(readings | constants))
+    seen = predict(predictor, Dataset.from_arrays(readings | constants))
     return Corrected(
         targets,
         q,
         arms.controller(usable),
         before,
         -left,
-        reached(known, arms, usable, _rounding(arms, targets, usable)),
+        reached(predictor, arms, usable, _rounding(arms, targets, usable)),
         seen.ratio,
         seen.extrapolated,
         refused,
@@ -129,39 +148,68 @@ def _rounding(arms: Arms, targets: Targets, q: Array) -> Array:
     J, _ = arms.machine.twists(q)
     n, out = q.shape[1], np.empty((len(q), 6, 6))
     for i, written in enumerate(targets.cartesian):
+        # Rounding to a step is uniform: variance step^2 / 12.
         variance = np.square(targets.step[i, : 6 if written else n]) / 12.0
         out[i] = np.diag(variance) if written else (J[i] * variance) @ J[i].T
     return out
 
 
+class _Way(NamedTuple):
+    """From the joints that a controller takes to the corrected ones.
+
+    settled: whether there are such; gain: smallest singular value on the way; changed: whether it
+    leads through a singular pose into another configuration.
+    """
+
+    settled: bool
+    gain: float
+    changed: bool
+
+
+def _ways(arms: Arms, q0: Array, q: Array, settled: NDArray[np.bool_]) -> list[_Way]:
+    """The ways of joints (N, n)."""
+    n, ways = q0.shape[1], list[_Way]()
+    for begin in range(0, len(q0), _BLOCK):
+        part = slice(begin, begin + _BLOCK)
+        solved, begun = settled[part], q0[part]
+        end = np.where(solved[:, None], q[part], begun)
+        way = begun[:, None] + np.linspace(0.0, 1.0, _BETWEEN)[:, None] * (end - begun)[:, None]
+        J, _ = arms.controller.twists(way.reshape(-1, n))
+        last, _ = arms.machine.twists(end)
+        J = np.concatenate([J.reshape(-1, _BETWEEN, 6, n), last[:, None]], axis=1)
+        gains = least_gain(J.reshape(-1, 6, n)).reshape(len(begun), -1)
+        gain = np.where(solved, gains.min(axis=1), gains[:, :-1].min(axis=1))
+        with np.errstate(invalid="ignore"):
+            sides = np.sign(np.linalg.det(J)) if n == 6 else np.ones(gains.shape)
+        changed = np.ptp(sides, axis=1) > 0
+        ways += map(_Way, solved.tolist(), gain.tolist(), changed.tolist())
+    return ways
+
+
 def _refusal(
-    arms: Arms, targets: Targets, i: int, q: Array, settled: bool, bounds: CorrectionBounds
+    arms: Arms, targets: Targets, i: int, q: Array, way: _Way, bounds: CorrectionBounds
 ) -> Refusal | None:
     """Why the target is refused, the first reason that holds."""
     if i in targets.missing:
         return targets.missing[i]
-    q0 = targets.joints[i]
-    way = q0 + np.linspace(0.0, 1.0, _BETWEEN)[:, None] * ((q if settled else q0) - q0)
-    J, _ = arms.controller.twists(way)
-    gains = least_gain(J if not settled else np.concatenate([J, arms.machine.twists(q[None])[0]]))
-    if gains.min() < bounds.gain:
+    if way.gain < bounds.gain:
         return Refusal(
             "singular",
-            f"near a singular pose: the smallest singular value is {gains.min():.2g}, below "
+            f"near a singular pose: the smallest singular value is {way.gain:.2g}, below "
             f"{bounds.gain:.2g}",
         )
-    if not settled:
+    if not way.settled:
         return Refusal("not-reached", "no joints of the calibrated machine give this pose")
-    away = _beyond(arms, q) or _moved(arms, q - q0, bounds)
+    away = _beyond(arms, q) or _moved(arms, q - targets.joints[i], bounds)
     if away is not None:
         return away
-    if J.shape[2] == 6 and np.ptp(np.sign(np.linalg.det(J))) > 0:
+    if way.changed:
         return Refusal("configuration-changed", "the corrected joints are in another configuration")
     return None
 
 
 def _beyond(arms: Arms, q: Array) -> Refusal | None:
-    for (name, unit), value, (low, high) in zip(arms.joints.items(), q, arms.spans(), strict=True):
+    for (name, unit), value, (low, high) in zip(arms.joints.items(), q, arms.spans, strict=True):
         if not low <= value <= high:
             return Refusal(
                 "outside-limits",
@@ -186,9 +234,3 @@ def _moved(arms: Arms, step: Array, bounds: CorrectionBounds) -> Refusal | None:
 def shown(value: float, unit: str) -> str:
     """A joint's reading for people: degrees or millimetres."""
     return f"{1e3 * value:.3f} mm" if unit == "m" else f"{math.degrees(value):.3f} deg"
-
-
-def joint_targets(arms: Arms, names: Sequence[str], joints: Array, step: Array) -> Targets:
-    """Targets that are written as joints (N, n), with last digits of `step` (N, n)."""
-    none = np.zeros(len(joints), dtype=bool)
-    return Targets(tuple(names), joints, arms.controller(joints), none, step)

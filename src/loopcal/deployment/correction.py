@@ -71,14 +71,14 @@ class Correction:
 
     def words(self) -> str:
         """What was changed, refused and not understood."""
-        found, done = self.corrected, self.corrected.done
+        corrected, done = self.corrected, self.corrected.done
         lines = [f"{int(done.sum())} of {len(done)} targets corrected ({self.kind})"]
         if done.any():
             lines += self._numbers()
         refused = [
             (target, line, refusal)
             for target, line, refusal in zip(
-                found.targets.names, self.lines, found.refused, strict=True
+                corrected.targets.names, self.lines, corrected.refused, strict=True
             )
             if refusal is not None
         ]
@@ -97,27 +97,27 @@ class Correction:
         return "\n".join([*lines, *self.remarks])
 
     def _numbers(self) -> list[str]:
-        found, done = self.corrected, self.corrected.done
+        corrected, done = self.corrected, self.corrected.done
         before, after = (
-            np.linalg.norm(part[done, :3], axis=1) for part in (found.before, found.after)
+            np.linalg.norm(part[done, :3], axis=1) for part in (corrected.before, corrected.after)
         )
-        turned = np.linalg.norm(found.before[done, 3:], axis=1)
-        step = np.abs(found.joints - found.targets.joints)[done]
+        turned = np.linalg.norm(corrected.before[done, 3:], axis=1)
+        step = np.abs(corrected.joints - corrected.targets.joints)[done]
         lines = [
             f"error before: median {_m(np.median(before))}, largest {_m(before.max())}; "
             f"turned by up to {_deg(turned.max())}",
-            f"error left: {_left(after, found.after[done, 3:])}",
+            f"error left: {_left(after, corrected.after[done, 3:])}",
             f"U95 of the reached point: {_spread(self.u95[done])}",
-            f"U95 of the reached turn: {_turns(found.reached.radial(3)[done])}",
+            f"U95 of the reached turn: {_turns(corrected.reached.radial(3)[done])}",
             f"largest change of a joint: {_joint(step, self.arms.joints)}",
         ]
-        beyond = found.extrapolated & done
+        beyond = corrected.extrapolated & done
         if beyond.any():
             lines.append(
                 f"EXTRAPOLATION  {int(beyond.sum())} targets are unlike the calibration poses: the "
                 "stated accuracy of the calibration does not apply there"
             )
-        if not found.reached.readings:
+        if not corrected.reached.readings:
             lines.append("U95 without the joints' readings, whose sds are unknown")
         return lines
 
@@ -140,30 +140,30 @@ class Correction:
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
-        found, half = self.corrected, self.corrected.reached.half_widths
-        shift, turn = found.reached.radial(0), found.reached.radial(3)
+        corrected, half = self.corrected, self.corrected.reached.half_widths
+        shift, turn = corrected.reached.radial(0), corrected.reached.radial(3)
         targets = []
-        for i, name in enumerate(found.targets.names):
-            refusal = found.refused[i]
-            known = refusal is None
+        for i, name in enumerate(corrected.targets.names):
+            refusal = corrected.refused[i]
+            accepted = refusal is None
             targets.append(
                 {
                     "target": name,
                     "line": self.lines[i],
-                    "corrected": known,
+                    "corrected": accepted,
                     "refused": None
                     if refusal is None
                     else {"reason": refusal.reason, "words": refusal.words},
-                    "joints_before": self._named(found.targets.joints[i]),
-                    "joints": self._named(found.joints[i]) if known else None,
-                    "pose": _rows(found.poses[i]) if known else None,
-                    "error_before": _list(found.before[i]),
-                    "error_left": _list(found.after[i]) if known else None,
-                    "u95": _list(half[i]) if known else None,
-                    "u95_point": _plain(shift[i]) if known else None,
-                    "u95_turn": _plain(turn[i]) if known else None,
-                    "ratio": _plain(found.ratio[i]),
-                    "extrapolated": bool(found.extrapolated[i]),
+                    "joints_before": self._named(corrected.targets.joints[i]),
+                    "joints": self._named(corrected.joints[i]) if accepted else None,
+                    "pose": _rows(corrected.poses[i]) if accepted else None,
+                    "error_before": _list(corrected.before[i]),
+                    "error_left": _list(corrected.after[i]) if accepted else None,
+                    "u95": _list(half[i]) if accepted else None,
+                    "u95_point": _plain(shift[i]) if accepted else None,
+                    "u95_turn": _plain(turn[i]) if accepted else None,
+                    "ratio": _plain(corrected.ratio[i]),
+                    "extrapolated": bool(corrected.extrapolated[i]),
                 }
             )
         return {
@@ -171,16 +171,16 @@ class Correction:
             "format": self.kind,
             "written": self.written,
             "units": {"joints": dict(self.arms.joints), "shift": "m", "turn": "rad"},
-            "corrected": int(found.done.sum()),
-            "refused": int((~found.done).sum()),
-            "readings_included": found.reached.readings,
+            "corrected": int(corrected.done.sum()),
+            "refused": int((~corrected.done).sum()),
+            "readings_included": corrected.reached.readings,
             "not_understood": [{"line": one.line, "words": one.words} for one in self.left],
             "remarks": list(self.remarks),
             "straight_moves": [
                 {
                     "line": move.line,
-                    "from": found.targets.names[move.begin],
-                    "to": found.targets.names[move.end],
+                    "from": corrected.targets.names[move.begin],
+                    "to": corrected.targets.names[move.end],
                     "error": _plain(move.error),
                     "inserted": [self._named(q) for q in move.inserted],
                     "not_inserted": move.why or None,

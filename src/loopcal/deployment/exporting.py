@@ -1,9 +1,9 @@
-"""What of a calibration can be told to a controller or simulator, and what that is worth.
+"""What of a calibration can be entered into a controller or simulator, and its accuracy.
 
 A machine is exported as its geometry. Where the calibration found effects beyond geometry (sag,
-gears, a smooth discrepancy), the geometric parameters are refitted to the full model's predictions
-in the working region, and the accuracy of that is stated. Beside it stands the accuracy of entering
-zeros, tool and base alone, for controllers that keep their nominal geometry.
+gears, a smooth discrepancy), the geometric parameters are refitted. Their goal is what the full
+model predicts in the working region, and the remaining error is stated. Beside it stands the error
+of zeros, tool and base alone, for controllers that keep their nominal geometry.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import LinkJoint
 from loopcal.mechanisms.outputs import points
+from loopcal.mechanisms.parameters import BEYOND
 from loopcal.mechanisms.placement import rigid
 from loopcal.mechanisms.rest import rest_chain
 from loopcal.mechanisms.serial import places_itself
@@ -38,16 +39,16 @@ from loopcal.small_samples import t_quantile
 from loopcal.statistics.predictor import Predictor
 
 Array = NDArray[np.float64]
+# 1200 coordinates are some times the parameters of any arm (record 0080).
 _POSES = 400
 _POINT = "point:"
-_GEOMETRY = ("length", "angle", "placement", "mounting")
 
 
 def exported(
     document: ResultDocument,
     mechanism: Mechanism,
     poses: Dataset | None,
-    known: Predictor | None,
+    predictor: Predictor | None,
     *,
     offsets_apart: bool = False,
 ) -> Exported:
@@ -61,22 +62,20 @@ def exported(
     name = document.mechanism.name if document.mechanism else mechanism.name
     if not mechanism.chain:
         return Exported(name, None, (), document.parameters, values)
-    beyond = {n: v for its in mechanism.effects.values() for n in its if (v := values[n]) != 0.0}
-    if known is not None and poses is not None:
+    beyond = {
+        n: v for names in mechanism.effects.values() for n in names if (v := values[n]) != 0.0
+    }
+    if predictor is not None and poses is not None:
         kept = [i for i, pose in enumerate(poses.poses) if pose not in document.data.discarded]
-        poses = after_last_change(known.mechanism, poses.take(kept))
-    full = None if known is None else _Full.of(document, known, poses)
+        poses = after_last_change(predictor.mechanism, poses.take(kept))
+    full = None if predictor is None else _Full.of(document, predictor, poses)
     bare = {n: 0.0 if n in beyond else v for n, v in values.items()}
     geometry, warnings = bare, list[str]()
     if beyond and full is not None:
-        free = [
-            p.name
-            for p in mechanism.parameters
-            if not p.fixed and mechanism.kinds[p.name] in _GEOMETRY
-        ]
+        free = [p.name for p in mechanism.parameters if not p.fixed and p.role not in BEYOND]
         units = {p.name: p.unit for p in mechanism.parameters}
-        found = refit(full.goals, bare | full.standing, free, units=units)
-        geometry = {n: v for n, v in found.values.items() if n in bare}
+        refitted = refit(full.goals, bare | full.standing, free, units=units)
+        geometry = {n: v for n, v in refitted.values.items() if n in bare}
     elif beyond:
         warnings.append(
             "The geometry is not refitted to the full model, which is written as a function. "
@@ -104,7 +103,26 @@ def exported(
         accuracy,
         _omitted(mechanism, beyond),
         tuple(warnings),
+        {
+            one.name: one.limits
+            for one in described.get("joints", ())
+            if getattr(one, "limits", None) and getattr(one, "mimic", None) is None
+        },
+        _links(joints, geometry, axes=bool(described.get("axes"))),
     )
+
+
+def _links(
+    joints: Sequence[LinkJoint], values: Mapping[str, float], *, axes: bool
+) -> dict[str, Array]:
+    """Joint -> frame of the link behind it in the base's frame, all joints at zero."""
+    T, frames = np.eye(4), {}
+    for joint in joints:
+        read = joint.reads
+        still = {} if read is None else {read[0]: 0.0}
+        T = T @ product(list(joint.steps(axes=axes)), still, values)
+        frames[joint.name] = T
+    return frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +130,10 @@ class _Full:
     """The full model in the working region: what it predicts there, and from which readings.
 
     floating: parameters of where the base stands, 0 in the full model, of an arm that has none:
-    lengths alone are measured, which do not tell, or its own transitions hold it.
+    lengths alone are measured, which do not determine it, or its own transitions hold it.
     """
 
-    known: Predictor
+    predictor: Predictor
     seen: tuple[SeenPoint, ...]
     goals: tuple[Goal, ...]
     x: Array
@@ -124,14 +142,16 @@ class _Full:
     floating: tuple[str, ...]
 
     @classmethod
-    def of(cls, document: ResultDocument, known: Predictor, poses: Dataset | None) -> _Full | None:
+    def of(
+        cls, document: ResultDocument, predictor: Predictor, poses: Dataset | None
+    ) -> _Full | None:
         """None for an arm written as a function, or where the region is unknown."""
-        machine, floating = known.mechanism, Station(None)
+        machine, floating = predictor.mechanism, Station(None)
         seen = seen_points(machine)
         if not seen:
             floating = Station("base:")
             machine = _looked_at(machine)
-            known = replace(known, mechanism=machine)
+            predictor = replace(predictor, mechanism=machine)
             seen = seen_points(machine)
         elif places_itself(machine):
             floating = Station("base:")
@@ -148,7 +168,8 @@ class _Full:
         if not set(joints) <= ranges.keys():
             return None
         rng = np.random.default_rng(0)
-        home = {q: v for q, v in known.typical.items() if q not in machine.disturbances}
+        # Disturbances are predicted at their mean, 0.
+        home = {q: v for q, v in predictor.typical.items() if q not in machine.disturbances}
         x = np.repeat([[home.get(q, 0.0)] for q in names], _POSES, axis=1)
         for q, (low, high) in ranges.items():
             if q in names:
@@ -166,7 +187,7 @@ class _Full:
         )
         if not good.any():
             return None
-        return cls(known, seen, goals, x, constants, poses, floating.parameters)
+        return cls(predictor, seen, goals, x, constants, poses, floating.parameters)
 
     @property
     def standing(self) -> dict[str, float]:
@@ -175,16 +196,18 @@ class _Full:
 
     def by_parameter(self) -> Array:
         """(rows, n) derivatives of all points of the goals by the estimated parameters."""
-        machine = self.known.mechanism.predicting()
+        machine = self.predictor.mechanism.predicting()
         values = np.array([p.nominal for p in machine.parameters])
-        kept = [self.known.mechanism.tape.quantities.index(q) for q in machine.tape.quantities]
+        kept = [self.predictor.mechanism.tape.quantities.index(q) for q in machine.tape.quantities]
         S = output_sensitivity(
-            machine, values, self.known.names, self.x[kept], self.constants
+            machine, values, self.predictor.names, self.x[kept], self.constants
         ).by_parameter
         parts = []
         for goal in self.goals:
             rows = [machine.outputs.index(q) for q in goal.seen.outputs]
-            at = self.x[[self.known.mechanism.tape.quantities.index(q) for q in goal.seen.outputs]]
+            at = self.x[
+                [self.predictor.mechanism.tape.quantities.index(q) for q in goal.seen.outputs]
+            ]
             J = _cartesian_by_output(goal.seen, at)
             parts.append((J @ S[:, rows]).reshape(-1, S.shape[2]))
         return np.vstack(parts)
@@ -204,18 +227,19 @@ def _looked_at(machine: Mechanism) -> Mechanism:
 
 def _constants(machine: Mechanism, poses: Dataset | None, rng: np.random.Generator) -> Array:
     """Known constants (c, N) of each pose: as after the last change, else as in measured poses."""
-    names = machine.tape.known
-    found = np.zeros((len(names), _POSES))
+    names = machine.tape.pose_constants
+    constants = np.zeros((len(names), _POSES))
     for i, name in enumerate(names):
         if name in machine.latest:
-            found[i] = machine.latest[name]
+            constants[i] = machine.latest[name]
         elif poses is not None and name in poses.readings:
-            found[i] = poses.readings[name][rng.integers(0, len(poses), _POSES)]
-    return found
+            constants[i] = poses.readings[name][rng.integers(0, len(poses), _POSES)]
+    return constants
 
 
 def _cartesian_by_output(seen: SeenPoint, at: Array) -> Array:
     """(N, 3, 3) derivatives of x, y, z by the outputs that say where the point is."""
+    # Central differences: step^2 / 6 and the rounding 1e-16 / step, per metre, stay below 1e-9.
     step = 1e-6
     columns = [
         (points(seen.family, at + step * e[:, None]) - points(seen.family, at - step * e[:, None]))
@@ -238,28 +262,28 @@ def _zeros(
     document: ResultDocument, mechanism: Mechanism, full: _Full, bare: Mapping[str, float]
 ) -> _Zeros:
     """Zeros, tool and base alone: the drawing's geometry refitted by these to the full model."""
-    kinds = mechanism.kinds
+    roles = mechanism.roles
     nominal = {p.name: p.nominal for p in document.parameters}
     placed = ("mounting",) if full.floating else ("placement", "mounting")
-    start = {n: v if kinds[n] in placed else nominal[n] for n, v in bare.items()}
-    start |= {n: 0.0 for its in mechanism.effects.values() for n in its}
+    start = {n: v if roles[n] in placed else nominal[n] for n, v in bare.items()}
+    start |= {n: 0.0 for effect_parameters in mechanism.effects.values() for n in effect_parameters}
     start |= full.standing
-    names = [p.name for p in mechanism.parameters if not p.fixed and kinds[p.name] in placed]
+    names = [p.name for p in mechanism.parameters if not p.fixed and p.role in placed]
     names += full.floating
     joints = {s.joint: s.unit for s in mechanism.chain if s.joint}
     determined = separable(full.goals, start, names, list(joints))
-    found = refit(full.goals, start, names, determined)
-    spread = full.known.covariance.through(found.map @ full.by_parameter())
+    refitted = refit(full.goals, start, names, determined)
+    spread = full.predictor.covariance.through(refitted.map @ full.by_parameter())
     sd = np.sqrt(np.maximum(np.diag(spread.matrix), 0.0))
     half = {
         n: t_quantile(0.95, float(f)) * float(s)
-        for n, s, f in zip(found.names, sd, spread.freedom, strict=True)
+        for n, s, f in zip(refitted.names, sd, spread.freedom, strict=True)
     }
     rows = tuple(
-        ZeroOffset(q, unit, found.offsets.get(q, 0.0), half.get(q), q in determined)
+        ZeroOffset(q, unit, refitted.offsets.get(q, 0.0), half.get(q), q in determined)
         for q, unit in joints.items()
     )
-    return _Zeros(rows, found, refit(full.goals, start, names))
+    return _Zeros(rows, refitted, refit(full.goals, start, names))
 
 
 def _accuracy(
@@ -270,7 +294,7 @@ def _accuracy(
     nominal = calibrated = None
     if stated is not None and stated.unit == "m":
         nominal, calibrated = stated.nominal, stated.after
-    if full.known.mechanism.latest:  # the stated one is of the machine before its changes too
+    if full.predictor.mechanism.latest:  # the stated one is of the machine before its changes too
         nominal = None
     alone = Refit({**geometry, **full.standing}, {}, (), np.empty((0, 0)))
     return (
@@ -292,15 +316,15 @@ def _measured(full: _Full, model: Refit) -> Distances | None:
     if full.poses is None:
         return None
     readings = full.poses.readings
-    found = []
+    distances = []
     for seen in full.seen:
         if not all(q in readings for q in seen.outputs):
             continue
         joints = {s.joint: readings[s.joint] for s in seen.steps if s.joint}
         moved = {q: v + model.offsets.get(q, 0.0) for q, v in joints.items()}
-        there = traced(seen.steps, seen.target, moved, model.values).points
-        found.append(np.linalg.norm(there - seen.measured(readings), axis=1))
-    return _distances(np.concatenate(found)) if found else None
+        predicted = traced(seen.steps, seen.target, moved, model.values).points
+        distances.append(np.linalg.norm(predicted - seen.measured(readings), axis=1))
+    return _distances(np.concatenate(distances)) if distances else None
 
 
 def _distances(d: Array) -> Distances | None:
@@ -313,29 +337,29 @@ def _distances(d: Array) -> Distances | None:
 
 def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tuple[Placed, ...]:
     """Tools on the flange, stations beside the base; of transitions, which have none, axis 1."""
-    found: dict[str, Placed] = {}
+    placed: dict[str, Placed] = {}
     for family in mechanism.families:
         units = [(n, mechanism.parameters[n].unit) for n in family.mounted]
         shift = [n for n, unit in units if unit == "m"][:3]
         turns = [n for n, unit in units if unit == "rad"]
         if len(shift) == 3 and len(turns) in (0, 3):
-            tool = shift[0].removesuffix("_x") if shift[0].endswith("_x") else "tool"
+            tool = mechanism.parameters[shift[0]].owner
             steps = _frame_steps([*shift, *turns])
             T = product(steps, {}, values)
-            found.setdefault(tool, Placed(tool, "flange", T, bool(turns), model))
+            placed.setdefault(tool, Placed(tool, "flange", T, bool(turns), model))
         stands = family.placement
         if isinstance(stands, Station) and stands.name is not None and len(stands.steps) == 6:
             T = product(stands.steps, {}, values)
             name = stands.name if stands.name != "base" else "instrument"
-            found.setdefault(f"base in {name}", Placed("base", name, T, True, model))
+            placed.setdefault(f"base in {name}", Placed("base", name, T, True, model))
             back = rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
-            found.setdefault(f"{name} in base", Placed(name, "base", back, True, model))
+            placed.setdefault(f"{name} in base", Placed(name, "base", back, True, model))
     if places_itself(mechanism):
         ahead = Station("base:").steps if "base:_x" in values else ()
         first = rest_chain((*ahead, *mechanism.chain), values).along_z.joints[0]
         name = f"axis of {first.name} (z)"
-        found[name] = Placed(name, "instrument", first.before, True, model)
-    return tuple(found.values())
+        placed[name] = Placed(name, "instrument", first.before, True, model)
+    return tuple(placed.values())
 
 
 def _frame_steps(names: Sequence[str]) -> list[Step]:
@@ -345,12 +369,12 @@ def _frame_steps(names: Sequence[str]) -> list[Step]:
 
 def _omitted(mechanism: Mechanism, beyond: Mapping[str, float]) -> tuple[str, ...]:
     """Names of the effects, and of the terms of the model error, that are not geometry."""
-    found = []
-    for name, its in mechanism.effects.items():
+    omitted = []
+    for name, effect_parameters in mechanism.effects.items():
         if name != EFFECT:
-            found += [name] * any(n in beyond for n in its)
+            omitted += [name] * any(n in beyond for n in effect_parameters)
             continue
         for term in mechanism.terms:
-            if any(n in beyond for n in term.parameters if n in its):
-                found.append(term.name)
-    return tuple(found)
+            if any(n in beyond for n in term.parameters if n in effect_parameters):
+                omitted.append(term.name)
+    return tuple(omitted)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.prediction import predict_outputs
-from loopcal.estimation.problem.constants import known_constants, with_implied
+from loopcal.estimation.problem.constants import constants_by_pose, with_implied
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 
@@ -21,10 +21,11 @@ def after_last_change(machine: Mechanism, poses: Dataset) -> Dataset:
     if not dated:
         return poses
     data = with_implied(machine, poses)
-    then = known_constants(machine, data)
+    # Only the difference counts, so what the model does not explain in a reading stays in it.
+    then = constants_by_pose(machine, data)
     now = then.copy()
     for name in dated:
-        now[machine.tape.known.index(name)] = machine.latest[name]
+        now[machine.tape.pose_constants.index(name)] = machine.latest[name]
     values = np.array([p.nominal for p in machine.parameters])
     x = np.array([_read(machine, data, q) for q in machine.tape.quantities])
     moved = predict_outputs(machine, values, x, now) - predict_outputs(machine, values, x, then)
@@ -33,7 +34,7 @@ def after_last_change(machine: Mechanism, poses: Dataset) -> Dataset:
 
 
 def _read(machine: Mechanism, data: Dataset, quantity: str) -> NDArray[np.float64]:
-    """(N,) readings; of what nobody reads its value at home, 0 of an error of the model."""
+    """(N,) readings; without any, the value at home, which is 0 for errors of the model."""
     if quantity in data.readings:
         return data.readings[quantity]
     return np.full(len(data), machine.home.get(quantity, 0.0))

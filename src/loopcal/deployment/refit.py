@@ -22,7 +22,9 @@ from loopcal.deployment.seen_points import SeenPoint, Traced, traced
 from loopcal.mechanisms.structure.structured import MOUNTED
 
 Array = NDArray[np.float64]
+# s of the criterion, 10 um: against it the 5 mm of w only hold what the region leaves open.
 _NOISE = 1e-5
+# Gauss-Newton from a nominal geometry ends in a few steps; the rest is reserve.
 _STEPS, _SETTLED = 30, 1e-12
 _ALIKE = 5e-5
 """Of a column, what is left of one that the columns before it can express."""
@@ -73,12 +75,12 @@ def refit(
     weight = (
         np.zeros(len(u)) if units is None else _NOISE / np.array([MOUNTED[units[n]] for n in names])
     )
-    own = [*names, *joints]
-    A = np.zeros((0, len(own)))
+    fitted_names = [*names, *joints]
+    A = np.zeros((0, len(fitted_names)))
     for _ in range(_STEPS):
         now = _with(values, names, u)
         offsets = dict(zip(joints, u[len(names) :].tolist(), strict=True))
-        A, left = _system(goals, own, now, offsets)
+        A, left = _system(goals, fitted_names, now, offsets)
         scale = np.sqrt(np.square(A).sum(axis=0) + np.square(weight))
         scale[scale == 0.0] = 1.0
         B = np.vstack([A, np.diag(weight)]) / scale
@@ -92,7 +94,7 @@ def refit(
     return Refit(
         _with(values, names, u),
         dict(zip(joints, u[len(names) :].tolist(), strict=True)),
-        tuple(own),
+        tuple(fitted_names),
         back / scale[:, None],
     )
 
@@ -105,16 +107,17 @@ def separable(
     size = np.linalg.norm(A, axis=0)
     A = A / np.where(size > 0.0, size, 1.0)
     basis = np.zeros((len(A), 0))
-    found = []
+    separate = []
     for i, name in enumerate([*names, *joints]):
         rest = A[:, i] - basis @ (basis.T @ A[:, i])
+        # Twice is enough (Kahan and Parlett).
         rest = rest - basis @ (basis.T @ rest)
         length = float(np.linalg.norm(rest))
         if length > _ALIKE:
             basis = np.column_stack([basis, rest / length])
             if i >= len(names):
-                found.append(name)
-    return tuple(found)
+                separate.append(name)
+    return tuple(separate)
 
 
 def _with(values: Mapping[str, float], names: Sequence[str], u: Array) -> dict[str, float]:

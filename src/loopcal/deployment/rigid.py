@@ -1,7 +1,7 @@
 """Many poses at once: logarithms, exponentials and ways of writing rigid motions, (N, 4, 4).
 
-Turns are rotation vectors; a twist of two poses is (v, w), the shift of the origin and the turn,
-both in the frame that the poses are given in.
+Turns are rotation vectors. A twist of two poses is (v, w), the shift of the origin and the turn,
+both in the frame of the poses.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ def turned(w: Array) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), by Rodrigues' formula."""
     angle = np.linalg.norm(w, axis=-1)[..., None, None]
     K = crossing(w)
+    # Below, sin(a)/a and (1 - cos a)/a^2 equal 1 and 1/2 to rounding.
     small = angle < 1e-8
     safe = np.where(small, 1.0, angle)
     first = np.where(small, 1.0, np.sin(safe) / safe)
@@ -62,31 +63,12 @@ def quaternion_of(R: Array) -> Array:
     return signed
 
 
-def of_quaternion(q: Array) -> Array:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4), w first, of any length but zero."""
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    K = crossing(q[..., 1:])
-    R: Array = np.eye(3) + 2.0 * q[..., :1, None] * K + 2.0 * (K @ K)
-    return R
-
-
 def of_yaw_pitch_roll(angles: Array) -> Array:
     """Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (..., 3) [rad] in this order."""
     R: Array = np.broadcast_to(np.eye(3), (*angles.shape[:-1], 3, 3))
     for i, axis in enumerate((2, 1, 0)):
         R = R @ turned(angles[..., i, None] * np.eye(3)[axis])
     return R
-
-
-def yaw_pitch_roll_of(R: Array) -> Array:
-    """Yaw, pitch and roll (..., 3) [rad] of rotation matrices (..., 3, 3), pitch within +-pi/2."""
-    yaw = np.arctan2(R[..., 1, 0], R[..., 0, 0])
-    c, s = np.cos(yaw), np.sin(yaw)
-    along = c[..., None] * R[..., 0, :] + s[..., None] * R[..., 1, :]
-    across = c[..., None] * R[..., 1, :] - s[..., None] * R[..., 0, :]
-    pitch = np.arctan2(-R[..., 2, 0], along[..., 0])
-    roll = np.arctan2(-across[..., 2], across[..., 1])
-    return np.stack([yaw, pitch, roll], axis=-1)
 
 
 def pose(R: Array, p: Array) -> Array:

@@ -45,7 +45,7 @@ class Traced:
 
 def seen_points(mechanism: Mechanism) -> tuple[SeenPoint, ...]:
     """The points in space that instruments see of an arm; none of other machines."""
-    found = []
+    seen = []
     for family in mechanism.families if mechanism.chain else ():
         outputs = point_outputs(mechanism, family)
         target = tuple(n for n in family.mounted if mechanism.parameters[n].unit == "m")
@@ -53,8 +53,8 @@ def seen_points(mechanism: Mechanism) -> tuple[SeenPoint, ...]:
             continue
         stands = family.placement
         station = stands.steps if isinstance(stands, Station) else ()
-        found.append(SeenPoint(family, outputs, (*station, *mechanism.chain), target))
-    return tuple(found)
+        seen.append(SeenPoint(family, outputs, (*station, *mechanism.chain), target))
+    return tuple(seen)
 
 
 def traced(

@@ -39,9 +39,11 @@ class Tool:
     def moved_to(self, point: Array) -> Tool:
         """The tool at another point (3,) [m] of the body; in the controller too, if it has the
         machine's numbers."""
-        own = np.concatenate([point, self.of_machine[3:]])
+        numbers = np.concatenate([point, self.of_machine[3:]])
         alike = self.of_controller is self.of_machine
-        return replace(self, of_machine=own, of_controller=own if alike else self.of_controller)
+        return replace(
+            self, of_machine=numbers, of_controller=numbers if alike else self.of_controller
+        )
 
 
 def tool_of(
@@ -92,6 +94,7 @@ def _numbers(point: Sequence[str], turns: Sequence[str], values: Mapping[str, fl
 def turning(tool: Tool) -> Array:
     """(3, 3) columns: the turns of the tool by each of rz, ry, rx, in the frame of the body."""
     rz, ry, _ = tool.of_machine[3:]
+    # Rz Ry Rx: each turn is about the axis that the turns before it have left.
     about_y = of_yaw_pitch_roll(np.array([rz, 0.0, 0.0]))
     about_x = of_yaw_pitch_roll(np.array([rz, ry, 0.0]))
     return np.stack([np.array([0.0, 0.0, 1.0]), about_y[:, 1], about_x[:, 0]], axis=1)

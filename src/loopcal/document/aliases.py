@@ -88,9 +88,9 @@ def confidence(result: Any, alpha: float = 0.05) -> dict[str, list[float]]:
     By the covariance and Student's t; `lc.intervals` gives those by profile likelihood.
     """
     entries = (result.params[name] for name in result.estimated)
-    found = {}
+    intervals = {}
     for entry in entries:
         freedom = np.inf if entry.degrees_of_freedom is None else entry.degrees_of_freedom
         half = np.inf if entry.sd is None else entry.sd * t_quantile(1.0 - alpha, freedom)
-        found[entry.name] = [entry.value - half, entry.value + half]
-    return found
+        intervals[entry.name] = [entry.value - half, entry.value + half]
+    return intervals

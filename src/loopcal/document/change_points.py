@@ -61,15 +61,23 @@ class ChangePoint:
         """What changed: parameters or readings."""
         return tuple(self.changes)
 
-    def __str__(self) -> str:
+    @property
+    def what(self) -> str:
+        """When it changed, and what."""
+        text = f"{when([self])} {_WORDS[self.moved].format(names=', '.join(self.names))}"
+        return f"{text} (or else {'; '.join(self.alternatives)})" if self.alternatives else text
+
+    @property
+    def sizes(self) -> str:
+        """By how much, and how sure."""
+        # Parts within their noise would read as moves; all are shown only where none is clear.
         clear = {n: c for n, c in self.changes.items() if abs(c.size) >= 3.0 * c.sd}
-        sizes = ", ".join(
-            f"{name} by {with_unit(c.size, c.unit)}" for name, c in (clear or self.changes).items()
-        )
-        text = _WORDS[self.moved].format(names=", ".join(self.names))
-        if self.alternatives:
-            text += f" (or else {'; '.join(self.alternatives)})"
-        return f"{when([self])} {text}: {sizes}, p = {self.p_value:.2g}"
+        moved = (clear or self.changes).items()
+        sizes = ", ".join(f"{name} by {with_unit(c.size, c.unit)}" for name, c in moved)
+        return f"{sizes}, p = {self.p_value:.2g}"
+
+    def __str__(self) -> str:
+        return f"{self.what}: {self.sizes}"
 
 
 @dataclass(frozen=True)
@@ -87,22 +95,6 @@ class ChangePoints:
     unsure: tuple[ChangePoint, ...] = ()
     """Steps without a sharp edge: a slow drift or a smooth model error explains them as well."""
 
-    def warnings(self) -> tuple[str, ...]:
-        """What was modelled, what was not, and the remedy."""
-        found = []
-        if modelled := [point for point in self.found if point.modelled]:
-            found.append(
-                f"The fit models {_counted(modelled)}. {hold(modelled)} To "
-                "state the changes yourself, copy the lines toml of change_points in result.json "
-                "into the project."
-            )
-        if others := [point for point in self.found if not point.modelled]:
-            found.append(
-                f"The residuals show {_counted(others)}. Correct the setup, or "
-                f"model the changes with the effects that change_points of result.json lists."
-            )
-        return tuple(found)
-
 
 def when(points: Sequence[ChangePoint]) -> str:
     """When these changes happened."""
@@ -116,8 +108,3 @@ def hold(points: Sequence[ChangePoint]) -> str:
     if any(point.shape == "ramp" for point in points):
         return "Predictions hold for the end of the run."
     return "Predictions hold after the last change."
-
-
-def _counted(points: Sequence[ChangePoint]) -> str:
-    words = "; ".join(str(point) for point in points)
-    return f"{len(points)} change{'s' if len(points) > 1 else ''} along the run: {words}"

@@ -10,6 +10,21 @@ from loopcal.document.dependence import Likeness
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.terms import TermEntry
 
+# Two-sided 3.29 of the normal distribution (record 0150).
+BEATEN = 3.3
+"""Standard errors at p = 0.001: several rivals are tried."""
+
+
+def beats(difference: float, sd: float, regions: float | None, other: float | None) -> bool:
+    """Whether a rival predicts poses not used better than what is judged: the rule of the choice
+    and of the verdict.
+
+    difference, sd: of its rms at random poses over that of the other; regions, other: rms of both
+    in regions not used, where it must be no worse: poses of a narrow set show nothing of elsewhere.
+    """
+    worse_elsewhere = regions is not None and other is not None and regions > other
+    return difference < -BEATEN * sd and not worse_elsewhere
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -37,6 +52,11 @@ class Candidate:
     """Of residuals of consecutive poses, of a plain candidate whose residuals depend on the pose
     order, where the chosen one has a model error; null: they do not, or were not tested."""
 
+    @property
+    def rms_elsewhere(self) -> float | None:
+        """In regions not used."""
+        return None if self.blocked is None else self.blocked.rms
+
 
 @dataclass(frozen=True)
 class Chosen:
@@ -50,3 +70,6 @@ class Chosen:
     """What was chosen, over what, by how much, in a sentence."""
     over: tuple[Candidate, ...]
     """All candidates, the chosen one first."""
+    contradicted: str | None = None
+    """Readings stated as exact that contradict each other, so that no candidate could use the
+    stated sds; null: none."""

@@ -50,6 +50,7 @@ class Dependence:
     @property
     def serial(self) -> tuple[InstrumentDependence, ...]:
         """The instruments that depend on the pose order."""
+        # The level is family-wise: the instruments share it (Bonferroni; record 0050).
         limit = self.level / max(len(self.instruments), 1)
         return tuple(i for i in self.instruments if i.serial and i.serial.p_value < limit)
 
@@ -66,10 +67,10 @@ class Dependence:
 
     def warnings(self) -> tuple[str, ...]:
         """What it means, and what to do."""
-        found = []
+        lines = []
         for one in self.serial:
             assert one.serial is not None
-            found.append(
+            lines.append(
                 f"Residuals of {one.instrument!r} depend on the pose order (correlation of "
                 f"consecutive poses {significant(one.serial.correlation, 2)}, p = "
                 f"{one.serial.p_value:.2g}): it drifts, was moved, or lacks a term of the model "
@@ -79,11 +80,11 @@ class Dependence:
             )
         for one in self.spatial:
             assert one.spatial is not None
-            found.append(
+            lines.append(
                 f"Residuals of {one.instrument!r} depend on the place in joint space (correlation "
                 f"of neighbours {significant(one.spatial.correlation, 2)}, p = "
                 f"{one.spatial.p_value:.2g}): the machine model lacks a term, such as sag or a "
                 f"gear error. Standard deviations do not allow for it. Add effects, or fit "
                 f"with model error."
             )
-        return tuple(found)
+        return tuple(lines)

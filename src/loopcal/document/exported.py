@@ -7,7 +7,7 @@ controller that keeps its nominal geometry, everything else holds the whole cali
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +67,10 @@ class ModelAccuracy:
     @property
     def figures(self) -> tuple[float | None, ...]:
         """rms, 95 % and max at the measured poses, and rms from the full model [m]."""
-        here, away = self.measured, self.from_full
-        at_poses = (None, None, None) if here is None else (here.rms, here.p95, here.max)
+        measured, away = self.measured, self.from_full
+        at_poses = (
+            (None, None, None) if measured is None else (measured.rms, measured.p95, measured.max)
+        )
         if away is None:
             return (*at_poses, None)
         return (*at_poses, away.rms if away.rms > _NOTHING else 0.0)
@@ -82,7 +84,8 @@ class Exported:
     described by joint origins; parameters: all of the result; values: by name [SI], as exported:
     those of the geometry refitted where the machine has effects beyond geometry; zeros, frames:
     for a controller that keeps its nominal geometry; accuracy: what each model reaches; omitted:
-    effects beyond geometry that the exported geometry cannot hold; warnings.
+    effects beyond geometry that the exported geometry cannot hold; warnings; limits: of readings
+    [SI]; links: joint -> the frame (4, 4) behind it in the base's frame, all joints at zero.
     """
 
     name: str
@@ -95,6 +98,8 @@ class Exported:
     accuracy: tuple[ModelAccuracy, ...] = ()
     omitted: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    links: Mapping[str, Array] = field(default_factory=dict)
 
     def of(self, model: str) -> ModelAccuracy | None:
         """The accuracy of a model; None where it is not known."""

@@ -303,7 +303,7 @@ class OutlierTests:
 class ColumnFault:
     """A fault of whole columns, of the order of rows, or of the whole file.
 
-    Misfit: the rms distance [SI] of the nine tenths of the poses where the nominal machine is
+    Misfit: the rms distance [`unit`] of the nine tenths of the poses where the nominal machine is
     nearest to the readings, with instruments and targets placed as well as can be.
     """
 
@@ -311,7 +311,7 @@ class ColumnFault:
     words: str
     """What it is; alternatives that the readings cannot distinguish are joined by "or"."""
     before: Size | None
-    """Misfit [SI] as read; null: no loop closes."""
+    """Misfit [`unit`] as read; null: no loop closes."""
     after: Size | None
     """The same with the fault corrected; null: the readings do not say how."""
     placed: bool = True
@@ -319,12 +319,14 @@ class ColumnFault:
     code: str = "column"
     """left-handed, reversed, unit, exchanged, orientation, pose-inverted, rows-shifted,
     rows-shuffled, constant or wrong-machine; column: written by an earlier version."""
+    unit: str = "m"
+    """Of both misfits, SI; "1": a plain number."""
 
     def __str__(self) -> str:
         if self.after is None:
             return self.words
         meets = "the nominal machine meets the readings" if self.placed else "the loops fit"
-        unit = " m" if self.placed else ""
+        unit = f" {self.unit}" if self.unit != "1" else ""
         before = "inf" if self.before is None else f"{self.before:.3g}"
         return (
             f"{self.words}: once corrected, {meets} to {self.after:.3g}{unit} rms instead of "

@@ -7,6 +7,7 @@ from typing import Literal
 
 from loopcal.document.bounds import Count, Probability, Size
 from loopcal.document.triangle import Rows
+from loopcal.mechanisms.parameters import Role, dimension_of
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,18 @@ class ParameterEntry:
     """Null where it was not asked for."""
     degrees_of_freedom: Size | None = None
     """Of Student's t, where sds were learnt; null: normal, because all sds are known."""
+    role: Role | Literal[""] = ""
+    """What it says: placement, mounting, length, twist, zero, angle, scale, effect or model error;
+    empty: written by an early version."""
+    owner: str = ""
+    """The joint, link, instrument, target or effect that it belongs to."""
+    meaning: str = ""
+    """One line on it, in words."""
+
+    @property
+    def dimension(self) -> Literal["length", "angle", ""]:
+        """What the machine's own drawing says in m or rad: "length" or "angle"; else ""."""
+        return dimension_of(self.role, self.unit)
 
     @property
     def stderr(self) -> float | None:

@@ -39,11 +39,13 @@ class ChiSquared:
         """Whether the corrections are larger than the stated sds allow."""
         if self.p_value is None or self.variance_factor is None:
             return False
+        # A single test among several rejects at 0.001 (record 0054).
         return self.p_value < 1e-3 and self.variance_factor > 1.0
 
     @property
     def too_small(self) -> bool:
         """Whether the corrections are smaller than the stated sds let expect."""
+        # 0.8 is sds 12 % too large: with many poses still less is significant, and harmless.
         left = self.degrees_of_freedom - self.absorbed
         if self.p_value is None or left <= 0.0 or self.value >= 0.8 * left:
             return False

@@ -57,10 +57,8 @@ def _verdict(verdict: Verdict) -> str:
     colour = _GRADES[verdict.grade]
     lines = [f"<b {_ink(colour)}>{escape(verdict.headline)}</b>"]
     for question, answer in verdict.answers.items():
-        if answer.code == "no-tolerance":
-            continue
         mark = f"<span {_ink(_MARKS[answer.mark])}>{answer.mark}</span>"
-        after = f" <i>{escape(answer.next)}</i>" if answer.next else ""
+        after = f" <i>{escape(answer.next)}</i>" if answer.next and answer.asked else ""
         lines.append(f"{question}: {mark}. {escape(answer.words)}{after}")
     style = f"border-left:4px solid {colour};padding-left:8px"
     return f'<p style="{style}">{"<br>".join(lines)}</p>'
@@ -96,11 +94,11 @@ def _ink(colour: str, more: str = "") -> str:
 
 def _row(cells: Sequence[str], last: str = "") -> str:
     first, *others = (escape(cell) for cell in cells)
-    told = "".join(f'<td style="{_CELL}">{cell}</td>' for cell in others)
-    return f'<tr><td style="{_FIRST}">{first}</td>{told}{last}</tr>'
+    further = "".join(f'<td style="{_CELL}">{cell}</td>' for cell in others)
+    return f'<tr><td style="{_FIRST}">{first}</td>{further}{last}</tr>'
 
 
 def _table(head: Sequence[str], rows: Sequence[str]) -> str:
     first, *others = (escape(cell) for cell in head)
-    told = "".join(f'<th style="{_CELL}">{cell}</th>' for cell in others)
-    return f'<table><tr><th style="{_FIRST}">{first}</th>{told}</tr>{"".join(rows)}</table>'
+    further = "".join(f'<th style="{_CELL}">{cell}</th>' for cell in others)
+    return f'<table><tr><th style="{_FIRST}">{first}</th>{further}</tr>{"".join(rows)}</table>'

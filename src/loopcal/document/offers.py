@@ -26,16 +26,16 @@ class Plots(Protocol):
         """Correlations of the estimated parameters, as a map."""
 
 
-_found: list[Find] = []
+_finders: list[Find] = []
 
 
 def connect(find: Find) -> None:
     """State who finds what is offered: a name -> a function of the result."""
-    _found[:] = [find]
+    _finders[:] = [find]
 
 
 def offered(name: str) -> Callable[..., Any]:
     """The function of this name, found by the package."""
-    if not _found:
+    if not _finders:
         raise LoopcalError(f"{name!r} is not connected", remedy="import loopcal")
-    return _found[0](name)
+    return _finders[0](name)

@@ -63,6 +63,7 @@ class ParameterTable(Mapping[str, ParameterEntry]):
                 code="missing-dependency",
                 remedy="pip install pandas, or use to_polars()",
             ) from None
+        # A column with None would hold objects: as float it holds NaN.
         numbers = dict.fromkeys(("value", "sd", "nominal", "change", "prior_sd"), float)
         return pandas.DataFrame(self.columns()).astype(numbers).set_index("name")
 

@@ -23,6 +23,6 @@ def plain(value: Any) -> Any:
     return value
 
 
-def known(value: float | None) -> float | None:
+def finite(value: float | None) -> float | None:
     """None for a number that is not finite: it stands for what is unknown or unbounded."""
     return value if value is not None and math.isfinite(value) else None

@@ -49,8 +49,8 @@ class Reliability:
     @property
     def worst(self) -> SensorReliability | None:
         """The sensor whose undetected errors move the result most."""
-        known = [one for one in self.sensors if one.effect is not None]
-        return max(known, key=lambda one: one.effect or 0.0, default=None)
+        with_effect = [one for one in self.sensors if one.effect is not None]
+        return max(with_effect, key=lambda one: one.effect or 0.0, default=None)
 
     def lines(self) -> list[str]:
         """For the summary: one line."""

@@ -30,6 +30,7 @@ from loopcal.document.fit import (
     StatusEntry,
 )
 from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.judgement import Finding
 from loopcal.document.reliability import Reliability
 from loopcal.document.tables import (
     accuracy_table,
@@ -48,7 +49,7 @@ from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import percent, with_unit
 from loopcal.presentation.wrapped import wrapped
 
-SCHEMA: Literal[2] = 2
+SCHEMA: Literal[3] = 3
 
 
 @dataclass(frozen=True)
@@ -101,21 +102,29 @@ class DataEntry:
     """Ids of the outliers that the method "auto" left out of the fit and of its accuracy."""
     coarse: tuple[CoarseReadings, ...] = ()
     """Readings recorded in steps that are not small against their sds."""
+    agreeing: tuple[str, ...] = ()
+    """Ids of poses whose rows equal others, as rows of such coarse readings may by chance: used."""
 
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know of the rows."""
-        found = []
+        lines = []
         if number := len(self.copied):
             rows = f"{number} rows copy others" if number > 1 else "1 row copies another"
             named = _first(self.copied)
-            found.append(f"{rows} in every column (pose {named}): each measurement counts once.")
+            lines.append(f"{rows} in every column (pose {named}): each measurement counts once.")
+        if number := len(self.agreeing):
+            rows = f"{number} rows equal others" if number > 1 else "1 row equals another"
+            lines.append(
+                f"{rows} in every column (pose {_first(self.agreeing)}). Readings as coarse as "
+                "these may agree by chance, so every row counts."
+            )
         if number := len(self.discarded):
             poses = f"{number} poses do" if number > 1 else "1 pose does"
-            found.append(
+            lines.append(
                 f"{poses} not fit the others (pose {_first(self.discarded)}): discarded from the "
                 "fit and from every accuracy. Inspect the readings."
             )
-        return tuple(found)
+        return tuple(lines)
 
 
 def _first(poses: tuple[str, ...], most: int = 5) -> str:
@@ -140,9 +149,6 @@ class MechanismEntry:
     """What a user should know of it, such as why a parameter is fixed."""
     unstated: tuple[tuple[str, ...], ...] = ()
     """The parameters of each thing on the body whose place nobody stated: all free, flat and 0."""
-    kinds: Mapping[str, str] = field(default_factory=dict)
-    """Parameter -> what it says: placement, mounting, length, angle, gain or effect; empty: written
-    by an earlier version."""
 
     @classmethod
     def of(cls, mechanism: Mechanism) -> MechanismEntry:
@@ -151,12 +157,11 @@ class MechanismEntry:
             mechanism.name,
             mechanism.tape.loops,
             dict(mechanism.quantities),
-            dict(mechanism.known),
+            dict(mechanism.pose_constants),
             mechanism.outputs,
             mechanism.compared,
             mechanism.remarks,
             unstated_mountings(mechanism),
-            dict(mechanism.kinds),
         )
 
 
@@ -175,7 +180,7 @@ class ResultDocument:
         "use_attribute_docstrings": True,
     }
 
-    schema: Literal[2]
+    schema: Literal[3]
     loopcal: str
     """Version of loopcal that wrote this file."""
     title: str | None
@@ -215,6 +220,8 @@ class ResultDocument:
     """Null: no validation was made."""
     verdict: Verdict | None = None
     """Null: not judged."""
+    findings: tuple[Finding, ...] = ()
+    """All that was found out, the gravest first; empty: not judged, or by an earlier version."""
     models: tuple[ModelEntry, ...] | None = None
     """Models that were compared; null: none were."""
     dependence: Dependence | None = None
@@ -244,11 +251,21 @@ class ResultDocument:
     """The project as it was read; infinite sds are the text "inf"."""
     versions: Mapping[str, str]
     """Versions of Python and of the libraries."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of the files of this result beside it, by name; empty: written by an earlier
+    version."""
 
     @property
     def sensors_exact(self) -> bool:
         """Whether the method takes the sensors as exact: it then knows no noise."""
         return not self.noise
+
+    @property
+    def why_no_accuracy(self) -> str:
+        """Why `accuracy` is null."""
+        if self.mechanism is not None and not self.mechanism.outputs:
+            return "the mechanism has no outputs to predict"
+        return "no pose has readings of outputs and of all that predicts them"
 
     def __str__(self) -> str:
         """The summary: the verdict, then state, accuracy, sensors, parameters, warnings."""
@@ -308,15 +325,19 @@ def _state(document: ResultDocument) -> list[str]:
         lines.append(f"  {status.message}")
     chi = document.chi_squared
     if chi is not None and chi.variance_factor is not None:
-        told = "no p: all sds were learnt" if chi.p_value is None else f"p = {chi.p_value:.2g}"
+        probability = (
+            "no p: all sds were learnt" if chi.p_value is None else f"p = {chi.p_value:.2g}"
+        )
         lines.append(
             f"chi-squared {significant(chi.value, 5)} at {chi.degrees_of_freedom} degrees of "
-            f"freedom (per degree {significant(chi.variance_factor, 3)}, {told})"
+            f"freedom (per degree {significant(chi.variance_factor, 3)}, {probability})"
         )
     information = document.identifiability
     condition = information.condition_number
-    told = f"{information.rank} of {information.parameters} parameters determined"
-    lines.append(told + (f", condition number {significant(condition, 3)}" if condition else ""))
+    determined = f"{information.rank} of {information.parameters} parameters determined"
+    lines.append(
+        determined + (f", condition number {significant(condition, 3)}" if condition else "")
+    )
     if remarks := len(document.mechanism.remarks) if document.mechanism else 0:
         lines.append(
             f"{remarks} remark{'s' if remarks > 1 else ''} on the mechanism, such as why a "
@@ -334,9 +355,7 @@ def _state(document: ResultDocument) -> list[str]:
 def _accuracy(document: ResultDocument) -> list[str]:
     accuracy, validation = document.accuracy, document.validation
     if accuracy is None:
-        if document.mechanism is not None and not document.mechanism.outputs:
-            return ["accuracy unknown: the mechanism has no outputs to predict"]
-        return ["accuracy unknown: no pose has readings for all outputs and their inputs"]
+        return [f"accuracy unknown: {document.why_no_accuracy}"]
     note = "(computed from the other readings minus measured, on the poses used for the fit"
     if validation is not None and validation.accuracy is not None:
         note += f"; poses not used: {validation.words}"

@@ -45,14 +45,15 @@ def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None)
     positions = [_Row("", accuracy, held.accuracy)]
     turns = [_Row("", accuracy.orientation, held.orientation)]
     for e in accuracy.by if len(accuracy.by) > 1 else ():
-        its = unseen.get(e.instrument, InstrumentDistances(e.instrument, None, None, None))
+        held_out = unseen.get(e.instrument, InstrumentDistances(e.instrument, None, None, None))
         if accuracy.orientation is None and e.position is None:
-            positions.append(_Row(e.instrument, e.orientation, its.orientation))
+            positions.append(_Row(e.instrument, e.orientation, held_out.orientation))
         else:
-            positions.append(_Row(e.instrument, e.position, its.position))
-            turns.append(_Row(e.instrument, e.orientation, its.orientation))
+            positions.append(_Row(e.instrument, e.position, held_out.position))
+            turns.append(_Row(e.instrument, e.orientation, held_out.orientation))
     position = list(_stages(positions, accuracy.unit))
     if accuracy.nominal is not None:
+        # After the last "nominal", for several instruments have one each.
         last = max(i for i, stage in enumerate(position) if stage.name == "nominal")
         position.insert(last + 1, Stage("nominal, best placed", "", accuracy.nominal))
     blocked = validation and validation.blocked and validation.blocked.accuracy
@@ -64,14 +65,14 @@ def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None)
 @dataclass(frozen=True)
 class _Row:
     instrument: str
-    found: AccuracyEntry | Deviation | None
+    deviation: AccuracyEntry | Deviation | None
     unseen: Distances | None
 
 
 def _stages(rows: Sequence[_Row], unit: str) -> tuple[Stage, ...]:
-    shown = [(r, r.found) for r in rows if r.found is not None and r.found.unit == unit]
-    stages = [Stage("nominal", r.instrument, found.before) for r, found in shown]
-    stages += [Stage("calibrated", r.instrument, found.after) for r, found in shown]
+    shown = [(r, r.deviation) for r in rows if r.deviation is not None and r.deviation.unit == unit]
+    stages = [Stage("nominal", r.instrument, deviation.before) for r, deviation in shown]
+    stages += [Stage("calibrated", r.instrument, deviation.after) for r, deviation in shown]
     for row, _ in shown:
         if row.unseen is not None:
             stages.append(Stage("on poses not used", row.instrument, row.unseen))
@@ -112,10 +113,10 @@ def validation_table(validations: Mapping[str, ValidationEntry], unit: str) -> l
     """One line per method that was validated on the same poses: accuracy [unit], likelihood."""
     shown = unit_shown(unit)
     rows = [["on poses not used", f"mean [{shown}]", "rms", "95 %", "max", "log-likelihood"]]
-    for name, found in validations.items():
-        told = [""] * 4 if found.accuracy is None else distances_shown(found.accuracy, unit)
-        likely = found.log_likelihood
-        rows.append([name, *told, "" if likely is None else f"{likely:.1f}"])
+    for name, entry in validations.items():
+        cells = [""] * 4 if entry.accuracy is None else distances_shown(entry.accuracy, unit)
+        likely = entry.log_likelihood
+        rows.append([name, *cells, "" if likely is None else f"{likely:.1f}"])
     return columns(rows)
 
 
@@ -140,15 +141,15 @@ def model_table(models: Sequence[ModelEntry], unit: str, scheme: str) -> list[st
 
 def recommendation(models: Sequence[ModelEntry]) -> str:
     """Which model to take, and why."""
-    known = [m for m in models if m.behind is not None]
-    best = next(m for m in known if m.behind == 0.0)
-    taken = next(m for m in known if m.recommended)
+    compared = [m for m in models if m.behind is not None]
+    best = next(m for m in compared if m.behind == 0.0)
+    taken = next(m for m in compared if m.recommended)
     if best is not taken:
         return (
             f"Recommended: {taken.name}, the simplest that is not significantly worse than "
             f"{best.name}."
         )
-    if all(m is best or m.parameters >= best.parameters for m in known):
+    if all(m is best or m.parameters >= best.parameters for m in compared):
         return f"Recommended: {best.name}, which predicts best and is the simplest."
     return (
         f"Recommended: {best.name}, which predicts best; every simpler model is significantly "
@@ -204,7 +205,7 @@ def term_table(terms: Sequence[TermEntry]) -> list[str]:
     numbers = columns([list(row[:-1]) for row in rows])
     lines = [f"{line}  {row[-1]}" for line, row in zip(numbers, rows, strict=True)]
     lines.append(f"(gain above {DECISIVE:g}: the machine model is wrong without this term)")
-    return lines + [f"  {words}" for term in terms for words in term.told]
+    return lines + [f"  {words}" for term in terms for words in term.sentences]
 
 
 def shown_parameters(
@@ -236,18 +237,18 @@ def parameter_table(parameters: Sequence[ParameterEntry]) -> list[str]:
 
 def interval_table(parameters: Sequence[ParameterEntry]) -> list[str]:
     """Confidence intervals, by covariance and by profile; those that differ are marked."""
-    known = [(p, p.interval) for p in parameters if p.interval is not None]
-    level = f"{percent(known[0][1].level)} " if known else ""
+    intervals = [(p, p.interval) for p in parameters if p.interval is not None]
+    level = f"{percent(intervals[0][1].level)} " if intervals else ""
     rows = [[f"{level}interval", "from", "to", "profile from", "to", "", "unit"]]
-    for p, its in known:
+    for p, interval in intervals:
         unit = unit_shown(p.unit)
-        if its.covariance[0] is None:
+        if interval.covariance[0] is None:
             rows.append([p.name, *[""] * 4, "fixed" if p.fixed else "unbounded", unit])
             continue
-        ends = (*its.covariance, *its.profile)
-        told = ["none" if end is None else by_sd(end, p.sd, p.unit) for end in ends]
-        rows.append([p.name, *told, "differs" if its.differs else "", unit])
+        ends = (*interval.covariance, *interval.profile)
+        cells = ["none" if end is None else by_sd(end, p.sd, p.unit) for end in ends]
+        rows.append([p.name, *cells, "differs" if interval.differs else "", unit])
     lines = columns(rows)
-    if any(its.differs for _, its in known):
+    if any(interval.differs for _, interval in intervals):
         lines.append("(differs: use the profile; the covariance ignores the model's curvature)")
     return lines

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from loopcal.document.bounds import Count, Size
 
+# p = 0.0008: half of chi-squared(1), as a variance of 0 is at the boundary (Self and Liang 1987).
 DECISIVE = 10.0
 """Gain in -2 log restricted likelihood from which a model without the term is wrong."""
 _CLEAR, _MOST = 3.0, 3
@@ -68,7 +69,7 @@ class TermEntry:
         return 1.0 if needed else self.effective
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def sentences(self) -> tuple[str, ...]:
         """What the term does to the machine, a sentence per joint, where the data need it."""
         if self.gain is None or self.gain < DECISIVE:
             return ()

@@ -18,7 +18,7 @@ def lower(matrix: Array) -> Rows:
 
 def symmetric(rows: Sequence[Sequence[float]]) -> Array:
     """The matrix (n, n) of such rows; whole rows, as older files have them, serve as well."""
-    found = np.zeros((len(rows), len(rows)))
+    matrix = np.zeros((len(rows), len(rows)))
     for i, row in enumerate(rows):
-        found[i, : i + 1] = found[: i + 1, i] = row[: i + 1]
-    return found
+        matrix[i, : i + 1] = matrix[: i + 1, i] = row[: i + 1]
+    return matrix

@@ -7,6 +7,7 @@ from typing import Literal
 from loopcal.document.fit import ParameterEntry
 
 Validity = Literal["determined", "prior", "undetermined", "fixed"]
+# 1 / sd^2 = 4 / prior_sd^2: beyond it the prior is more than a quarter of what is known.
 MOSTLY_PRIOR = 0.5
 """Sd over prior sd above which a parameter rests on what was known before."""
 

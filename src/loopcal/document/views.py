@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,11 +22,17 @@ class Views:
     same (`loopcal.document.aliases`).
     """
 
+    # At run time these would become defaults of fields with the same names in dataclasses below.
     if TYPE_CHECKING:
 
         @property
         def document(self) -> ResultDocument:
             """Everything that result.json holds."""
+            ...
+
+        @property
+        def judged(self) -> ResultDocument:
+            """The same with verdict and findings, if anything is there to judge it."""
             ...
 
         @property
@@ -48,40 +53,41 @@ class Views:
     @property
     def plot(self) -> Plots:
         """The report's figures, as plotly figures: `result.plot.residuals()`."""
-        found: Plots = offered("plot")(self)
-        return found
+        plots: Plots = offered("plot")(self)
+        return plots
+
+    def __str__(self) -> str:
+        return str(self.judged)
 
     def summary(self) -> str:
         """The printed summary, headed by the verdict."""
-        return str(self._judged)
+        return str(self)
 
-    def predict(self, data: Any, **given: Any) -> Any:
+    def predict(self, data: Any, **options: Any) -> Any:
         """`loopcal.predict` of this result: outputs for readings, with their covariance."""
-        return offered("predict")(self, data, **given)
+        return offered("predict")(self, data, **options)
 
-    def save(self, folder: str | Path, *, report: bool = True) -> WrittenResult:
+    def save(
+        self, folder: str | Path, *, report: bool = True, force: bool = False
+    ) -> WrittenResult:
         """Write result.json, residuals.csv, mechanism.toml and report.html to a folder.
 
-        `loopcal.read_result` reads them back. report: whether report.html is written too. Raises
-        InputError where they cannot be written, and for a result that has a folder already.
+        `loopcal.read_result` reads them back. report: whether report.html is written too; force:
+        replace files that loopcal did not write, keeping backups. Raises InputError where they
+        cannot be written, and for a result that has a folder already.
         """
-        written: WrittenResult = offered("save")(self, folder, report=report)
+        written: WrittenResult = offered("save")(self, folder, report=report, force=force)
         return written
 
     def to_dict(self) -> dict[str, Any]:
         """The content of result.json as plain data."""
-        content: dict[str, Any] = plain(self._judged)
+        content: dict[str, Any] = plain(self.judged)
         return content
-
-    @property
-    def _judged(self) -> ResultDocument:
-        document = self.document
-        return document if document.verdict else replace(document, verdict=self.verdict)
 
     def _repr_html_(self) -> str:
         from loopcal.document.notebook_html import result_html
 
-        return result_html(self._judged)
+        return result_html(self.judged)
 
     if not TYPE_CHECKING:  # a type checker shall still find misspelt names
 

@@ -138,14 +138,25 @@ def _apart(mechanism: Mechanism, seen: Seen, measured: Array, differences: Array
         gap = differences[index]
         if seen.form in POLAR:
             gap = cartesian(measured[index] + gap) - cartesian(measured[index])
-        position = np.sqrt(np.square(gap).sum(axis=0))
+        position = _lengths(gap)
     if seen.turns:
         off = differences[[names.index(q) for q in seen.turns]]
         if not seen.small:
             off = off - math.tau * np.round(off / math.tau)
         size = np.sqrt(np.square(off).sum(axis=0))
+        # Small turns have the length 2 tan(angle / 2).
         angle = 2.0 * np.arctan(0.5 * size) if seen.small else size
     return Apart(seen, position, angle)
+
+
+def _lengths(gap: Array) -> Array:
+    """(N,) lengths of the columns of (r, N); where no column is whole, those of what each has."""
+    finite = np.isfinite(gap)
+    if finite.all(axis=0).any():
+        finite[:] = True  # what is not whole stays unknown
+    squares = np.where(finite, np.square(gap), 0.0).sum(axis=0)
+    lengths: Array = np.where(finite.any(axis=0), np.sqrt(squares), np.nan)
+    return lengths
 
 
 def main_unit(apart: Sequence[Apart]) -> str | None:
@@ -173,9 +184,9 @@ def by_pose(apart: Sequence[Apart]) -> Array | None:
     values = main_distances(apart)
     if values is None:
         return None
-    there = np.isfinite(values)
-    squares = np.where(there, np.square(values), 0.0).sum(axis=0)
-    count = there.sum(axis=0)
+    finite = np.isfinite(values)
+    squares = np.where(finite, np.square(values), 0.0).sum(axis=0)
+    count = finite.sum(axis=0)
     return np.where(count > 0, np.sqrt(squares / np.maximum(count, 1)), np.nan)
 
 

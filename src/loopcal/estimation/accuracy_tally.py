@@ -19,6 +19,7 @@ class Tally:
     The percentile comes from counts in bins of 0.2 % width, the first up to SMALLEST.
     """
 
+    # 17,500 bins of 0.2 % reach up to 1e-12 exp(35) = 1,600 [SI].
     SMALLEST, WIDTH, BINS = 1e-12, 0.002, 17_500
 
     def __init__(self) -> None:
@@ -50,6 +51,7 @@ class Tally:
         if not number:
             return None
         bin_ = int(np.searchsorted(np.cumsum(self.counts), 0.95 * number))
+        # A bin counts as its upper edge, which may lie beyond the largest distance.
         p95 = min(self.SMALLEST * math.exp(bin_ * self.WIDTH), self.largest)
         rms = float(np.sqrt(self.squares / number))
         return Accuracy(unit, self.total / number, rms, p95, self.largest, number)
@@ -75,10 +77,10 @@ class AccuracyTally:
     def add_other(self, other: AccuracyTally) -> None:
         """Add the distances of another chunk."""
         self._begin(other.apart)
-        for mine, its in zip(
+        for mine, other_tally in zip(
             [*self.positions, *self.angles], [*other.positions, *other.angles], strict=True
         ):
-            mine.add_other(its)
+            mine.add_other(other_tally)
 
     def accuracy(self) -> Accuracy | None:
         """The distances of all poses summed up; None where there are none."""

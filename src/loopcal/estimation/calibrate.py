@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError, NoTrustworthyResult
-from loopcal.estimation.faults.misfit import at_start
-from loopcal.estimation.faults.search import PLAUSIBLE, UNREPAIRED, column_faults, suspicious
-from loopcal.estimation.fit import Fit, FitOptions, Start
+from loopcal.estimation.faults.search import suspicious
+from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.methods.registry import PLAIN, names_where
-from loopcal.estimation.model_error import modelled, noise_told, weighed
-from loopcal.estimation.noise.learning import components, with_model
-from loopcal.estimation.problem.alignment import begun
-from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
-from loopcal.estimation.problem.problem import Problem, build_problem
-from loopcal.estimation.problem.size import refuse_collapse
-from loopcal.estimation.problem.unreachable import refuse_unreachable
+from loopcal.estimation.noise.learning import components
+from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.fallback import solve_or_fall_back
 from loopcal.estimation.solve.robust import solve_robust
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress
+from loopcal.estimation.steps import STEPS, State, ended, placed, prepared, refuse_loss
 from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 
-FAULTY = 3
-"""Iterations of the fit of a file that is at fault as a whole."""
 TRIED, ROUGHLY = 30, 1e-2
 """Iterations, and tolerance, of the fit that shows whether only the drawing is far off."""
 LEARNT = 1e-5
@@ -63,114 +55,103 @@ def calibrate(
     sought.
     """
     fit = Fit.of(fit or Fit(method=PLAIN), options)
-    taken = _prepared(mechanism, data, Noise.of(noise), fit)
-    mechanism, data, told = taken.mechanism, taken.data, taken.noise
-    if taken.copied.size:
-        near = near and {name: np.delete(values, taken.copied) for name, values in near.items()}
+    state = _without_copies(mechanism, data, Noise.of(noise), fit, near)
+    state = replace(state, trusted=trusted)
+    with one_blas_thread():
+        for step in STEPS:
+            state = step(state)
+        return _fitted(state, progress)
 
-    def fitted(
-        problem: Problem, tolerance: float | None, max_iterations: int = fit.max_iterations
-    ) -> Solution:
-        limits: dict[str, Any] = {
-            "max_iterations": max_iterations,
-            "tolerance": tolerance,
-            "progress": progress,
-        }
-        if (loss := fit.robust_loss) is not None:
-            return solve_robust(problem, loss, method=fit.solver, **limits)
-        return fit.solver.solve(problem, **limits)
 
-    learns = told is not None and bool(told.estimate or mechanism.learnt_terms)
-    judged = not (near is not None or fit.solver.exact or fit.robust_loss or learns)
+def _fitted(state: State, progress: Progress | None) -> Result:
+    """The result of all poses in memory, once the machine is placed."""
+    fit, problem, rest = state.fit, state.problem, (state.fit, state.data)
 
-    own = (fit.tolerance or LEARNT) if learns and mechanism.learnt_terms else fit.tolerance
+    def short(most: int, tolerance: float | None) -> Solution:
+        """A fit that shows no more than whether the file is at fault."""
+        limits = {"max_iterations": most, "tolerance": tolerance, "progress": progress}
+        end = _solve(fit, problem, limits)
+        return replace(end, status=end.status.ended_early())
 
-    arrived = near is not None
+    if state.hopeless:
+        end = short(state.most_iterations, fit.tolerance)
+        return Result(*rest, problem, end, problem, faults=state.faults)
+    solved = _fits(state, progress)
+    if state.noise is None or not state.learns:
+        end = solved(problem)
+        return Result(*rest, problem, end, problem, faults=ended(state, end).faults)
+    if state.faults:  # nothing is learnt before a fit at the stated sds has come near
+        end = short(min(fit.max_iterations, TRIED), ROUGHLY)
+        if left := ended(state, end).faults:
+            return Result(*rest, problem, end, problem, faults=left)
+    from loopcal.estimation.noise.estimation import estimate_noise
+
+    learnt = components(problem, state.noise)
+    estimate = estimate_noise(problem, learnt, solved, begin=state.noise.begin)
+    # The result evaluates the nominal machine at the start of its problem.
+    at_learnt, end = replace(estimate.problem, start=problem.start), estimate.solution
+    faults = ended(state, end).faults
+    return Result(*rest, at_learnt, end, problem, estimate, faults=faults)
+
+
+def _fits(state: State, progress: Progress | None) -> Callable[..., Solution]:
+    """The solution at the sds of the problem, from other starts where it does not converge."""
+    fit, learns = state.fit, state.learns
+    judged = not (fit.solver.exact or fit.robust_loss or learns)
+    with_terms = learns and bool(state.mechanism.learnt_terms)
+    usual = (fit.tolerance or LEARNT) if with_terms else fit.tolerance
+    arrived = state.near is not None
+    if with_terms:
+        import scipy.linalg  # noqa: F401  before more threads: the limit on BLAS then holds for it
 
     def solved(problem: Problem, *, tolerance: float | None = None) -> Solution:
         nonlocal arrived
 
         def once(problem: Problem) -> Solution:
-            return fitted(problem, own if tolerance is None else tolerance)
+            limits = {"tolerance": usual if tolerance is None else tolerance, "progress": progress}
+            return _solve(fit, problem, {"max_iterations": fit.max_iterations, **limits})
 
         # an undamped method is for study: it shows how its own iteration ends; a fit begun near its
         # end needs no other start, nor does one at other sds that begins where another converged
         if fit.solver.damped or arrived:
             return once(problem)
-        found = solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
-        arrived = learns and found.status.converged
-        return found
+        end = solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
+        arrived = learns and end.status.converged
+        return end
 
-    if learns and mechanism.learnt_terms:
-        import scipy.linalg  # noqa: F401  before the limit, which then holds for its threads too
-
-    with one_blas_thread():
-        problem = started(mechanism, data, told, fit.start)
-        if near is not None:
-            problem = begun_near(problem, near)
-        if fit.solver.exact or fit.solver.at_readings:
-            arrays = problem.readings, problem.known, problem.uncertainty.sd
-            refuse_collapse(problem.mechanism, *arrays, priors=not fit.solver.exact)
-        faults: tuple[ColumnFault, ...] = ()
-        if not trusted and isinstance(fit.start, str):
-            faults = column_faults(problem, suspected=False, stated=_stated(told))
-        if any(fault.code not in UNREPAIRED for fault in faults):
-            # no fit is of use: a short one, so that there is a result to say so
-            short = fitted(problem, fit.tolerance, min(fit.max_iterations, FAULTY))
-            short = replace(short, status=short.status.ended_early())
-            return Result(fit, data, problem, short, problem, faults=faults)
-        if told is None or not learns:
-            found = solved(problem)
-            faults = faults and left_after(faults, problem, found)
-            return Result(fit, data, problem, found, problem, faults=faults)
-        if faults:  # nothing is learnt before a fit at the stated sds has come near
-            tried = fitted(problem, ROUGHLY, min(fit.max_iterations, TRIED))
-            if left := left_after(faults, problem, tried):
-                tried = replace(tried, status=tried.status.ended_early())
-                return Result(fit, data, problem, tried, problem, faults=left)
-        from loopcal.estimation.noise.estimation import estimate_noise
-
-        estimate = estimate_noise(
-            problem,
-            components(problem, told),
-            solved,
-            at_readings=fit.solver.at_readings,
-            begin=told.begin,
-        )
-        learnt = replace(estimate.problem, start=problem.start)
-        faults = faults and left_after(faults, problem, estimate.solution)
-        return Result(fit, data, learnt, estimate.solution, problem, estimate, faults=faults)
+    return solved
 
 
-@dataclass(frozen=True, eq=False)
-class _Prepared:
-    """A machine with its model error, its readings, and what is known of their noise; copied:
-    positions of the rows that copy others, which are out."""
-
-    mechanism: Mechanism
-    data: Dataset
-    noise: Noise | None
-    copied: NDArray[np.intp]
+def _solve(fit: Fit, problem: Problem, limits: Mapping[str, Any]) -> Solution:
+    """The fit of a problem from its start. limits: iterations, tolerance and listeners."""
+    if (loss := fit.robust_loss) is not None:
+        return solve_robust(problem, loss, method=fit.solver, **limits)
+    return fit.solver.solve(problem, **limits)
 
 
-def _prepared(
-    mechanism: Mechanism, data: Dataset | Any, stated: Noise | None, fit: Fit
-) -> _Prepared:
-    """What is fitted; raises InputError for settings that do not go together."""
-    refuse_noise(fit, stated)
+def _without_copies(
+    mechanism: Mechanism,
+    data: Dataset | Any,
+    noise: Noise | None,
+    fit: Fit,
+    near: Mapping[str, Array] | None = None,
+) -> State:
+    """Where a calibration begins: without the rows that copy others.
+
+    Raises InputError for a method that needs another noise.
+    """
+    refuse_noise(fit, noise)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
-    copied = copies(data, [*mechanism.quantities, *mechanism.known], mechanism.outputs)
+    repeated = copies(data, [*mechanism.quantities, *mechanism.pose_constants], mechanism.outputs)
+    copied = repeated.copied
+    if repeated.rows.size and repeated.by_chance:
+        data = data.with_agreeing(repeated.rows)
     if copied.size:
         kept = np.delete(np.arange(len(data)), copied)
-        data, stated = data.without_copies(copied), stated and stated.take(kept)
-    mechanism = modelled(fit, fit.with_prior(mechanism), len(data))
-    told = noise_told(fit, mechanism, data, stated)
-    refuse_learning(fit, mechanism, told)
-    if told is not None:
-        data = weighed(fit, data)
-        mechanism, data = with_model(mechanism, data, told)
-    return _Prepared(mechanism, data, told, copied)
+        data, noise = data.without_copies(copied), noise and noise.take(kept)
+        near = near and {name: np.delete(values, copied) for name, values in near.items()}
+    return State(fit, mechanism, data, noise, len(data), near=near)
 
 
 def may_be_faulty(mechanism: Mechanism, data: Dataset, noise: Noise | None, fit: Fit) -> bool:
@@ -182,31 +163,10 @@ def may_be_faulty(mechanism: Mechanism, data: Dataset, noise: Noise | None, fit:
         return False
     with one_blas_thread():
         try:
-            at = _prepared(mechanism, data, noise, fit)
-            problem = started(at.mechanism, at.data, at.noise, fit.start)
-            return suspicious(problem, stated=_stated(at.noise))
+            state = placed(prepared(_without_copies(mechanism, data, noise, fit)))
+            return suspicious(state.problem, stated=state.stated)
         except (InputError, NoTrustworthyResult):
             return True
-
-
-def _stated(noise: Noise | None) -> bool:
-    """Whether the sds say how large the noise is, because none of them is learnt."""
-    return noise is not None and not noise.estimate
-
-
-def left_after(
-    faults: tuple[ColumnFault, ...], problem: Problem, found: Solution
-) -> tuple[ColumnFault, ...]:
-    """The faults that a fit has not removed: a machine far from its drawing may yet be found."""
-    missed = at_start(replace(problem, start=found.parameters))
-    return faults if not found.status.converged or missed > PLAUSIBLE else ()
-
-
-def begun_near(problem: Problem, near: Mapping[str, Array]) -> Problem:
-    """The problem, which begins at these corrections (N,) of what no sensor reads."""
-    names = problem.mechanism.tape.quantities
-    zero = np.zeros(problem.count)
-    return replace(problem, found=np.array([near.get(name, zero) for name in names]))
 
 
 def refuse_noise(fit: Fit, noise: Noise | None) -> None:
@@ -219,41 +179,4 @@ def refuse_noise(fit: Fit, noise: Noise | None) -> None:
             f"method={' or '.join(map(repr, names_where('exact')))}",
         )
     if noise is not None and noise.estimate:
-        _refuse_loss(fit)
-
-
-def refuse_learning(fit: Fit, mechanism: Mechanism, noise: Noise | None) -> None:
-    """Raise InputError where a loss would have to learn the sds of terms."""
-    if noise is not None and (noise.estimate or mechanism.learnt_terms):
-        _refuse_loss(fit)
-
-
-def _refuse_loss(fit: Fit) -> None:
-    if fit.robust_loss is not None:
-        raise InputError(
-            f"sds cannot be estimated under the loss {fit.loss!r}: outliers would inflate them",
-            code="unsupported",
-            remedy="find the outliers with this loss first and exclude them, then estimate; or "
-            'take the sds as given (leave out "estimate")',
-        )
-
-
-def started(mechanism: Mechanism, data: Dataset, noise: Noise | None, start: Start) -> Problem:
-    """The problem of a mechanism and its readings, at the point where a fit begins.
-
-    noise: None takes the readings as exact. Raises InputError for readings that the machine cannot
-    have made, for parallel axes whose parameters have no solution, and for parameter values by a
-    name that is not there.
-    """
-    if not isinstance(start, str):
-        for name in start:
-            mechanism.parameters[name]  # raises for a name that is not there
-        problem = build_problem(mechanism, data, noise, start)
-        refuse_parallel_axes(mechanism)
-        return problem
-    problem = build_problem(mechanism, data, noise)
-    refuse_parallel_axes(mechanism)
-    if (placed := begun(problem, start)) is not mechanism:
-        problem = problem.with_nominal(placed)
-    refuse_unreachable(problem, problem.start)
-    return problem
+        refuse_loss(fit)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.fit import CovarianceEntry, NoiseEntry, ParameterEntry, StatusEntry
-from loopcal.document.plain import known
+from loopcal.document.plain import finite
 from loopcal.document.result_document import CoarseReadings, DataEntry, JoinedFile
 from loopcal.document.terms import TermEntry
 from loopcal.document.triangle import lower
@@ -20,12 +21,14 @@ from loopcal.estimation.redundancy import UNCONTROLLED, Redundancy
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
-from loopcal.measurements.rounding import recorded_step
+from loopcal.measurements.resolution import recorded_step
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.small_samples import LearntCovariance
 
 Array = NDArray[np.float64]
 _ALIKE = 1e-9
+# docs/decisions/0065.
 _COARSE = 0.5
 """Steps whose rounding alone is this share of an sd are not small against it."""
 
@@ -44,11 +47,14 @@ def parameter_entry(
         parameter.unit,
         parameter.nominal,
         value,
-        known(sd),
-        known(parameter.prior_sd),
+        finite(sd),
+        finite(parameter.prior_sd),
         parameter.fixed,
         None if sd is None else math.isfinite(sd),
         error,
+        role=parameter.role,
+        owner=parameter.owner,
+        meaning=parameter.meaning,
     )
 
 
@@ -66,13 +72,15 @@ def covariance_entry(
     matrix = tuple(
         tuple(None if gone else value for value, gone in zip(*row, strict=True)) for row in rows
     )
-    own, known = None, covariance.plain if len(covariance.slopes) else covariance.matrix
-    if not np.allclose(unwidened, known, rtol=_ALIKE, atol=0.0, equal_nan=True):
-        own = lower(unwidened)
+    lower_unwidened, plain = None, covariance.plain if len(covariance.slopes) else covariance.matrix
+    if not np.allclose(unwidened, plain, rtol=_ALIKE, atol=0.0, equal_nan=True):
+        lower_unwidened = lower(unwidened)
     if not len(covariance.slopes):
-        return CovarianceEntry(names, "SI", matrix, unwidened=own)
+        return CovarianceEntry(names, "SI", matrix, unwidened=lower_unwidened)
     slopes = tuple(map(lower, _short(covariance.slopes)))
-    return CovarianceEntry(names, "SI", matrix, lower(covariance.plain), slopes, unwidened=own)
+    return CovarianceEntry(
+        names, "SI", matrix, lower(covariance.plain), slopes, unwidened=lower_unwidened
+    )
 
 
 def _short(values: Array) -> Array:
@@ -99,7 +107,7 @@ def noise_entries(
     checked: Redundancy | None,
 ) -> tuple[NoiseEntry, ...]:
     """The sds with the share of each in chi-squared, and what tests it; quantities: of its rows."""
-    found = []
+    entries = []
     for entry in noise:
         entry = replace(entry, share=min(sum(shares.get(q, 0.0) for q in entry.quantities), 1.0))
         if checked is not None:
@@ -109,8 +117,8 @@ def noise_entries(
             tested = number > UNCONTROLLED * np.isfinite(checked.numbers[rows]).sum()
             factor = square / number if tested else None
             entry = replace(entry, redundancy=number, variance_factor=factor)
-        found.append(entry)
-    return tuple(found)
+        entries.append(entry)
+    return tuple(entries)
 
 
 def absorbed(problem: Problem, terms: Sequence[TermEntry]) -> float:
@@ -128,10 +136,10 @@ def coarse_readings(
     """Quantities whose rounding makes a quarter or more of the variance of their readings.
 
     equations: of every pose where the fit ended. Corrections far smaller than the rounding show
-    that the column holds targets on a grid, unless an error of the model is there in their place,
-    as large as the rounding would make it.
+    that the column holds targets on a grid. They do not where an error of the model took their
+    place, as large as the rounding would make it.
     """
-    found: dict[tuple[str, float], list[str]] = {}
+    coarse: dict[tuple[str, float], list[str]] = {}
     instead: dict[tuple[str, float], list[str]] = {}
     modelled = any(entry.role == "disturbance" and entry.sd > 0.0 for entry in noise)
     for entry in noise:
@@ -144,7 +152,7 @@ def coarse_readings(
             step = recorded_step(data, quantity, entry.unit)
             sd = rounding_sd(step)
             if sd > 0.0 and shown >= _COARSE * sd >= _COARSE**2 * entry.sd:
-                found.setdefault((entry.unit, step), []).append(quantity)
+                coarse.setdefault((entry.unit, step), []).append(quantity)
             elif sd > _COARSE * entry.sd and (modelled or not entry.sd):
                 instead.setdefault((entry.unit, step), []).append(quantity)
     caused = _caused(problem, equations) if instead else {}
@@ -153,10 +161,10 @@ def coarse_readings(
     )
     if _COARSE**2 <= share <= 1.0 / _COARSE**2:
         for key, names in instead.items():
-            found.setdefault(key, []).extend(names)
+            coarse.setdefault(key, []).extend(names)
     return tuple(
         CoarseReadings(tuple(names), unit, step, rounding_sd(step))
-        for (unit, step), names in found.items()
+        for (unit, step), names in coarse.items()
     )
 
 
@@ -184,4 +192,28 @@ def data_entry(dataset: Dataset, used: int, quantities: Sequence[str]) -> DataEn
         tuple(JoinedFile(part.file, part.sha256) for part in source.joined),
         source.copied,
         source.discarded,
+        agreeing=source.agreeing,
     )
+
+
+def inputs_entry(dataset: Dataset, mechanism: Mechanism) -> dict[str, Any]:
+    """How the readings of this mechanism came in, as a project states it; empty where all are SI
+    under their own names.
+
+    Later readings are then read alike. What has no readings is unmeasured.
+    """
+    names = (*mechanism.quantities, *mechanism.pose_constants)
+    aside = {*dataset.readings, *mechanism.implied, *mechanism.disturbances}
+    unread = [q for q in mechanism.quantities if q not in aside]
+    if not dataset.source.entry and not unread:
+        return {}
+
+    def of_mechanism(entry: Mapping[str, Any]) -> dict[str, Any]:
+        columns = {q: c for q, c in entry.get("columns", {}).items() if q in names}
+        return {"file": "", **entry, "columns": columns}
+
+    data = of_mechanism(dataset.source.entry)
+    if "join" in data:
+        data["join"] = [of_mechanism(part) for part in data["join"]]
+    noise = {q: {"sd": "inf"} for q in unread}
+    return {"data": data, "noise": noise} if noise else {"data": data}

@@ -11,6 +11,7 @@ from loopcal.errors import InputError, nearest
 from loopcal.estimation.methods.method import Method
 from loopcal.estimation.methods.registry import DEFAULT, PLAIN, method_named, names_where
 from loopcal.estimation.solve.loss import Loss, loss_named
+from loopcal.estimation.solve.status import MOST_ITERATIONS
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -39,9 +40,9 @@ class Fit:
 
     method: its name, see `loopcal.estimation.methods`; loss: "gaussian", "huber" or "student-t";
     start: "nominal", "align", "auto", or parameter values [SI] by name; prior: sds of the
-    parameters, by default those of the mechanism; max_iterations: of one fit; tolerance: the step
-    [sds] that counts as converged, None is the method's own; model_error: "none", or "structured",
-    which adds terms for what the machine model lacks, their sizes learnt
+    parameters, by default those of the mechanism; max_iterations: of one fit, at most; tolerance:
+    the step [sds] that counts as converged, None is the method's own; model_error: "none", or
+    "structured", which adds terms for what the machine model lacks, their sizes learnt
     (`loopcal.estimation.model_error`).
 
     >>> Fit(method="reweighted", loss="huber").method.label
@@ -65,18 +66,18 @@ class Fit:
         loss: str = "gaussian",
         start: Start = "auto",
         prior: PriorLike | None = None,
-        max_iterations: int = 100,
+        max_iterations: int = MOST_ITERATIONS,
         tolerance: float | None = None,
         model_error: str = "none",
     ) -> None:
         chosen = method if isinstance(method, Method) else method_named(method)
         if loss_named(loss) is not None and not chosen.robust:
-            known = " or ".join(f'"{name}"' for name in names_where("robust"))
+            robust_methods = " or ".join(f'"{name}"' for name in names_where("robust"))
             raise InputError(
                 f"the method {chosen.name!r} cannot use the loss {loss!r}: it does not use the "
                 f"sds of the readings",
                 code="unsupported",
-                remedy=f"use method = {known} with the sds of the readings",
+                remedy=f"use method = {robust_methods} with the sds of the readings",
             )
         if isinstance(start, str) and start not in STARTS:
             raise InputError(
@@ -115,8 +116,8 @@ class Fit:
     @classmethod
     def of(cls, fit: Fit | None, options: FitOptions) -> Fit:
         """The settings given as one value, as keyword arguments, or both: these then win."""
-        given = fit or cls()
-        return given.changed(**options) if options else given
+        settings = fit or cls()
+        return settings.changed(**options) if options else settings
 
     def changed(self, **options: Unpack[FitOptions]) -> Fit:
         """These settings with others in place of some."""

@@ -26,7 +26,7 @@ class Inherited:
     terms: tuple[TermEntry, ...]
     noise: tuple[NoiseEntry, ...]
 
-    def added_to(self, own: LearntCovariance, S: Array | None = None) -> LearntCovariance:
+    def added_to(self, covariance: LearntCovariance, S: Array | None = None) -> LearntCovariance:
         """The covariance of the estimated parameters with it, or that of S (N, m, n) times them."""
         wider = self.covariance if S is None else S @ self.covariance @ np.swapaxes(S, -1, -2)
-        return own.plus(LearntCovariance(wider, 0.0 * wider, 0.0 * own.slopes))
+        return covariance.plus(LearntCovariance(wider, 0.0 * wider, 0.0 * covariance.slopes))

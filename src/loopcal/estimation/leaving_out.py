@@ -45,14 +45,15 @@ def leaving_out(whole: Result, index: NDArray[np.intp]) -> Beginning | None:
 
     whole: the fit of all poses; index: positions of those left out.
     """
-    problem, end, exact = whole.problem, whole.solution, whole.fit.solver.exact
+    problem, end = whole.problem, whole.solution
     with one_blas_thread():
         try:
-            part = Sweeper(taken(problem, index), exact=exact)
+            part = Sweeper(taken(problem, index))
             gone = part.sweep(end.parameters, end.corrections[:, index])
         except InputError:
             return None
         rest = Accumulator(len(problem.free), False, problem.units)
+        # Sums of products can be subtracted; the digits that this loses do not matter for a start.
         rest.add_total(end.data.products - gone.data.total)
         left, all_ = (
             np.diag(sums)[: len(problem.free)] for sums in (rest.total, end.data.products)
@@ -69,10 +70,11 @@ def leaving_out(whole: Result, index: NDArray[np.intp]) -> Beginning | None:
             positions = [component.quantities for component in learnt]
             at = learnt_by_sums(problem, sums, end.parameters, positions)
             problem, factor = with_scales(at.problem), at.factor
+            # The sums are whitened at the fit's sds; noise larger by this factor weighs them less.
             rest.total /= factor
-        own = problem.unknowns.without_prior() if exact else problem.unknowns
-        system = spectrum(rest, problem.unknowns.offset(end.parameters), own.prior_sd)
-        after = problem.unknowns.moved(end.parameters, system.step())
+        unknowns = problem.unknowns
+        system = spectrum(rest, unknowns.offset(end.parameters), unknowns.prior_sd)
+        after = unknowns.moved(end.parameters, system.step())
     if not np.isfinite(after).all():
         return None
     names = problem.mechanism.parameters.names

@@ -27,7 +27,7 @@ BEGIN = 1e-4
 """Learnt sds begin here [SI]: 0.1 mm, 0.1 mrad."""
 
 
-def noise_told(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | None) -> Noise | None:
+def used_noise(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | None) -> Noise | None:
     """The noise that a fit uses; None where every reading is exact and no sd is learnt.
 
     Raises InputError where least squares with model error meets a loop without instrument.
@@ -37,8 +37,12 @@ def noise_told(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | Non
     if fit.model_error == "none":
         return noise
     if fit.method.exact:
-        own = instrument_noise(mechanism, data)
-        return own if noise is None or noise.begin is None else own.begun_at(noise.begin)
+        sensor_noise = instrument_noise(mechanism, data)
+        return (
+            sensor_noise
+            if noise is None or noise.begin is None
+            else sensor_noise.begun_at(noise.begin)
+        )
     if noise is not None and _isotropic(mechanism) and MODEL not in noise.entries:
         return noise.with_learnt(MODEL, BEGIN)
     return noise

@@ -48,10 +48,10 @@ class Bodies:
     origins: Array
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def complete(self) -> NDArray[np.bool_]:
         """(N,) whether all joints were read."""
-        there: NDArray[np.bool_] = np.asarray(np.isfinite(self.origins).all(axis=1))
-        return there
+        joints_read: NDArray[np.bool_] = np.asarray(np.isfinite(self.origins).all(axis=1))
+        return joints_read
 
     def at(self, targets: Array) -> Array:
         """(N, 3) the points of the body at one place on it, (3,)."""
@@ -94,10 +94,10 @@ class Mounted:
 
 
 def _rms(away: Array) -> float:
-    known = np.sort(away[np.isfinite(away)])
-    if not known.size:
+    distances = np.sort(away[np.isfinite(away)])
+    if not distances.size:
         return float("inf")
-    return float(np.sqrt(np.square(known[: max(int(KEPT * known.size), 1)]).mean()))
+    return float(np.sqrt(np.square(distances[: max(int(KEPT * distances.size), 1)]).mean()))
 
 
 def see_points(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounted:
@@ -106,7 +106,7 @@ def see_points(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounte
     Raises InputError where the points do not determine where the instrument stands.
     """
     targets = np.zeros((len(measured), 3))
-    good = np.isfinite(measured).all(axis=(0, 2)) & bodies.known
+    good = np.isfinite(measured).all(axis=(0, 2)) & bodies.complete
     for _ in range(rounds):
         targets, away = _points(bodies, measured, targets, good)
         good = _better(away)
@@ -127,11 +127,12 @@ def _points(
         seen = np.array([bodies.at(u) for u in targets])
         motion = align(seen[:, good].reshape(-1, 3).T, measured[:, good].reshape(-1, 3).T)
         S, t = motion.rotation, motion.shift
-        there = seen @ S.T + t
-        left = (measured - there)[:, good]
+        placed = seen @ S.T + t
+        left = (measured - placed)[:, good]
         n = left.shape[1]
         J = np.zeros((K, n, 3, 6 + 3 * K))
-        J[..., :3] = -_cross(there[:, good] - t)
+        # A small turn w moves v by w x v = -[v] w.
+        J[..., :3] = -_cross(placed[:, good] - t)
         J[..., 3:6] = np.eye(3)
         for k in range(K):
             J[k, ..., 6 + 3 * k : 9 + 3 * k] = S @ bodies.rotations[good]
@@ -149,7 +150,7 @@ def _points(
 def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUNDS) -> Mounted:
     """A frame on the body, seen as positions (N, 3) [m] and rotations M (N, 3, 3)."""
     spread = _spread(measured)
-    good = np.isfinite(measured).all(axis=1) & np.isfinite(turns).all(axis=(1, 2)) & bodies.known
+    good = np.isfinite(measured).all(axis=1) & np.isfinite(turns).all(axis=(1, 2)) & bodies.complete
     near = np.zeros(3)
     for _ in range(rounds):
         S, X = _hand_eye(bodies.rotations[good], turns[good])
@@ -158,8 +159,8 @@ def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUN
         rest = measured[good] - bodies.origins[good] @ S.T
         columns, left = J.reshape(-1, 6), rest.reshape(-1)
         near = _held(columns, left, np.zeros(3), n, COMMON)[3:]
-        found = np.linalg.lstsq(columns, left, rcond=_WEAK)[0]
-        t, u = found[:3], found[3:]
+        solution = np.linalg.lstsq(columns, left, rcond=_WEAK)[0]
+        t, u = solution[:3], solution[3:]
         off = bodies.at(u) @ S.T + t - measured
         away = np.sqrt(np.square(off).sum(axis=1))
         M = np.swapaxes(turns, 1, 2) @ S @ bodies.rotations @ X
@@ -175,7 +176,10 @@ def _held(J: Array, left: Array, at: Array, count: int, common: float) -> Array:
     It is held near the body with `common`, as the head of this module says; count: of readings.
     """
     free = np.linalg.lstsq(J, left, rcond=_WEAK)[0]
+    if not common:
+        return np.asarray(free, dtype=np.float64)
     remains = float(np.sqrt(np.square(left - J @ free).sum() / count))
+    # |left|^2 / (count (common remains)^2) + |u|^2 / NEAR^2, times the first denominator.
     weight = np.sqrt(count) * common * remains / NEAR
     held = np.hstack([np.zeros((at.size, J.shape[1] - at.size)), weight * np.eye(at.size)])
     rows, rest = np.vstack([J, held]), np.concatenate([left, -weight * at])
@@ -216,7 +220,7 @@ def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
 
     Begins where it is linear: l^2 - o^2 = -2 o A + 2 l c + (A^2 - c^2).
     """
-    good = np.isfinite(measured) & bodies.known
+    good = np.isfinite(measured) & bodies.complete
     o = bodies.origins
     A, c, u = np.zeros(3), 0.0, np.zeros(3)
     middle = np.median(measured[good])
@@ -225,9 +229,10 @@ def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
         if first:
             J = np.column_stack([-2.0 * o, 2.0 * measured, np.ones(len(o))])[good]
             b = (np.square(measured) - np.square(o).sum(axis=1))[good]
+            # Columns in metres beside one without unit: rcond compares lengths that must be alike.
             scale = np.linalg.norm(J, axis=0)
-            found = np.linalg.lstsq(J / scale, b, rcond=1e-9)[0] / scale
-            A, c = found[:3], float(found[3])
+            solution = np.linalg.lstsq(J / scale, b, rcond=1e-9)[0] / scale
+            A, c = solution[:3], float(solution[3])
         else:
             for _ in range(_STEPS):
                 to = bodies.at(u) - A
@@ -250,14 +255,14 @@ def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
 
 def _better(away: Array) -> NDArray[np.bool_]:
     """The poses that decide; nine tenths of those that were read."""
-    known = away[np.isfinite(away)]
-    if known.size < 5:
+    distances = away[np.isfinite(away)]
+    if distances.size < 5:
         raise InputError(
-            f"{known.size} poses are too few to recognise what was read",
+            f"{distances.size} poses are too few to recognise what was read",
             code="too-few-poses",
-            remedy="measure at least 5 poses that differ in every joint",
+            remedy="measure at least 5 poses",
         )
-    return away <= np.quantile(known, KEPT, method="higher")
+    return away <= np.quantile(distances, KEPT, method="higher")
 
 
 def _cross(v: Array) -> Array:
@@ -270,14 +275,14 @@ def _cross(v: Array) -> Array:
 
 def _spread(points: Array) -> float:
     """Median distance [m] of points (N, 3) from their middle."""
-    known = points[np.isfinite(points).all(axis=1)]
-    if not len(known):
+    complete = points[np.isfinite(points).all(axis=1)]
+    if not len(complete):
         return 0.0
-    off = known - np.median(known, axis=0)
+    off = complete - np.median(complete, axis=0)
     return float(np.median(np.sqrt(np.square(off).sum(axis=1))))
 
 
-def own_coordinates(bodies: Bodies, measured: Array) -> float:
+def origin_rms(bodies: Bodies, measured: Array) -> float:
     """Rms [m] of points (N, 3) beside the body's origin itself, in the machine's base.
 
     Near zero for what a controller computed; an instrument stands elsewhere.

@@ -18,8 +18,7 @@ def nominal_machine(mechanism: Mechanism, moved: Collection[str] = ()) -> Mechan
 
     moved: parameters of what slipped during the run, which is no fault of the drawing's.
     """
-    kinds = mechanism.kinds
-    placed = {name for name, kind in kinds.items() if kind in ("placement", "mounting")} | {*moved}
+    placed = {*mechanism.parameters.of_role("placement", "mounting"), *moved}
     fixed = [p.name for p in mechanism.parameters if p.name not in placed]
     made = mounted(mechanism)
     return made.with_parameters(made.parameters.with_fixed(fixed))

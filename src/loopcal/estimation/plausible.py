@@ -16,6 +16,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
 
+# This, TURNS and HALF: docs/decisions/0052.
 LONG, TIMES = 10.0, 20.0
 """A length [m] beyond this that is so many times the longest reading of a length."""
 TURNS = 4.0 * math.pi
@@ -67,24 +68,24 @@ def refuse_other_units(mechanism: Mechanism, dataset: Dataset, noise: Noise | No
 
 def _largest(mechanism: Mechanism, dataset: Dataset, si: str) -> float | None:
     """The largest reading of this unit; None where nothing is read in it."""
-    its = [q for q, u in mechanism.quantities.items() if u == si and q in dataset.readings]
-    sizes = [np.abs(dataset.readings[q]) for q in its]
-    known = [float(np.nanmax(s)) for s in sizes if np.isfinite(s).any()]
-    return max(known, default=None)
+    names = [q for q, u in mechanism.quantities.items() if u == si and q in dataset.readings]
+    sizes = [np.abs(dataset.readings[q]) for q in names]
+    maxima = [float(np.nanmax(s)) for s in sizes if np.isfinite(s).any()]
+    return max(maxima, default=None)
 
 
 def _scalar_sds(mechanism: Mechanism, noise: Noise | None) -> Iterator[tuple[str, float]]:
     """The sds that are stated as one number and not learnt; later entries win."""
-    found: dict[str, float] = {}
+    sds: dict[str, float] = {}
     if noise is None:
         return
     for key, value in noise.entries.items():
         for name in () if isinstance(key, tuple) or key == MODEL else mechanism.quantity_group(key):
-            found.pop(name, None)
+            sds.pop(name, None)
             if isinstance(value, int | float | np.ndarray) and np.ndim(value) == 0:
-                found[name] = float(value)
+                sds[name] = float(value)
     for key in noise.estimate:
         for part in key if isinstance(key, tuple) else (key,):
             for name in () if part == MODEL else mechanism.quantity_group(part):
-                found.pop(name, None)
-    yield from found.items()
+                sds.pop(name, None)
+    yield from sds.items()

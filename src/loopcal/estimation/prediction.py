@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.problem.patterns import Pattern, held_loops
 from loopcal.estimation.problem.problem import BLOCK, Problem
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.expressions.tape import Tape
@@ -25,20 +26,21 @@ def predict_outputs(
     mechanism: Mechanism,
     parameters: Array,
     readings: Array,
-    known: Array,
+    pose_constants: Array,
     estimated: Sequence[str] = (),
 ) -> Array:
     """The outputs (o, N) [SI] that close the loops at these parameters; NaN where none do.
 
-    parameters: (n_all,); readings: (k, N), with start values for the outputs; known: (c, N);
-    estimated: parameters by which an engine of these loops has derivatives already: it serves here.
+    parameters: (n_all,); readings: (k, N), with start values for the outputs;
+    pose_constants: (c, N); estimated: parameters by which an engine of these loops has
+    derivatives already.
     """
     rows = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
     predicting = mechanism.predicting()
     loops = tuple(range(len(predicting.tape.loops)))
     place = {name: i for i, name in enumerate(predicting.parameters.names)}
     free = np.array([place[name] for name in estimated], dtype=np.intp)
-    return _closed(predicting, loops, rows, parameters, readings, known, free)[rows]
+    return _closed(predicting, loops, rows, parameters, readings, pose_constants, free)[rows]
 
 
 def solving(mechanism: Mechanism, hidden: Collection[str]) -> Mechanism:
@@ -60,29 +62,31 @@ def _closed(
     unknown: Sequence[int],
     parameters: Array,
     readings: Array,
-    known: Array,
+    pose_constants: Array,
     free: NDArray[np.intp],
 ) -> Array:
     """All quantities (k, N) [SI], those at the positions `unknown` found; NaN where none close.
 
-    They close the loops at the given positions with all other readings taken as exact, or come
-    nearest in least squares where there are more loops than unknowns. A pose whose loops have no
+    They close the loops at the given positions with all other readings taken as exact. Where there
+    are more loops than unknowns, they come nearest in least squares. A pose whose loops have no
     value at the start is lost. free: the parameters that a fit estimates, whose engine serves here.
     """
     names = tuple(mechanism.parameters.names[i] for i in free)
-    start = _loop_values(held_loops(mechanism.tape, loops), parameters, readings, known, names)
+    start = _loop_values(
+        held_loops(mechanism.tape, loops), parameters, readings, pose_constants, names
+    )
     begun = np.isfinite(start).all(axis=0)
-    found: Array = np.full(readings.shape, np.nan)
+    all_readings: Array = np.full(readings.shape, np.nan)
     if not begun.any():
-        return found
+        return all_readings
     if not begun.all():
-        some = readings[:, begun], known[:, begun]
-        found[:, begun] = _closed(mechanism, loops, unknown, parameters, *some, free)
-        return found
+        some = readings[:, begun], pose_constants[:, begun]
+        all_readings[:, begun] = _closed(mechanism, loops, unknown, parameters, *some, free)
+        return all_readings
     problem = Problem(
         mechanism,
         readings,
-        known,
+        pose_constants,
         ReadingUncertainty(np.zeros((len(readings), 1))),
         parameters,
         free,
@@ -90,11 +94,12 @@ def _closed(
         np.full(len(free), np.inf),
         ("",) * readings.shape[1],
         (Pattern(loops, tuple(unknown), (), slice(None)),),
+        weighting=Weighting.ALIKE,
     )
-    sweeper = Sweeper(problem, exact=True)
+    sweeper = Sweeper(problem)
     closed = sweeper.close(parameters, np.zeros(readings.shape), _SETTLED, 1.0)
-    np.add(readings, closed.corrections, out=found, where=~closed.open)
-    return found
+    np.add(readings, closed.corrections, out=all_readings, where=~closed.open)
+    return all_readings
 
 
 def output_differences(
@@ -115,25 +120,25 @@ def output_differences(
     for pattern in problem.patterns:
         loops = tuple(i for i in pattern.loops if mechanism.tape.loops[i] in predicting)
         inputs = frozenset().union(*(depends[i] for i in loops))
-        there = [row for row in outputs if row not in pattern.absent]
-        measured = [row for row in there if row not in pattern.unmeasured]
-        found_too = [i for i in pattern.unmeasured if quantities[i] in inputs]
-        unknown = list(dict.fromkeys([*there, *found_too]))
+        present = [row for row in outputs if row not in pattern.absent]
+        measured = [row for row in present if row not in pattern.unmeasured]
+        further = [i for i in pattern.unmeasured if quantities[i] in inputs]
+        unknown = list(dict.fromkeys([*present, *further]))
         if not measured or len(unknown) > len(loops):
             continue  # nothing to compare with, or the other readings do not say where they are
         x = problem.readings[:, pattern.poses]
         if corrections is not None and pattern.unmeasured:
             x = x.copy()
             x[list(pattern.unmeasured)] += corrections[list(pattern.unmeasured)][:, pattern.poses]
-        known = problem.known[:, pattern.poses]
-        found = _closed(mechanism, loops, unknown, parameters, x, known, problem.free)
+        constants = problem.pose_constants[:, pattern.poses]
+        predicted = _closed(mechanism, loops, unknown, parameters, x, constants, problem.free)
         for row in measured:
-            computed = found[row] - problem.readings[row, pattern.poses]
+            computed = predicted[row] - problem.readings[row, pattern.poses]
             differences[compared.index(row), pattern.poses] = computed
         turns = [i for i in pattern.loops if mechanism.tape.loops[i] in mechanism.turns]
         if turns:
             values = _loop_values(
-                held_loops(mechanism.tape, tuple(turns)), parameters, found, known, ()
+                held_loops(mechanism.tape, tuple(turns)), parameters, predicted, constants, ()
             )
             for loop, value in zip(turns, values, strict=True):
                 row = mechanism.compared.index(mechanism.tape.loops[loop])
@@ -142,13 +147,14 @@ def output_differences(
 
 
 def _loop_values(
-    tape: Tape, parameters: Array, readings: Array, known: Array, names: tuple[str, ...]
+    tape: Tape, parameters: Array, readings: Array, pose_constants: Array, names: tuple[str, ...]
 ) -> Array:
     """f(x, p) (m, N) at readings (k, N), by the engine with derivatives by these parameters."""
     engine = engine_for(tape, names, min(BLOCK, max(readings.shape[1], 1)))
-    engine.at(parameters)
     out = np.empty((len(tape.loops), readings.shape[1]))
     for begin in range(0, readings.shape[1], BLOCK):
         part = slice(begin, begin + BLOCK)
-        out[:, part] = engine.evaluate(readings[:, part], known[:, part], Stage.VALUES).f
+        out[:, part] = engine.evaluate(
+            parameters, readings[:, part], pose_constants[:, part], Stage.VALUES
+        ).f
     return out

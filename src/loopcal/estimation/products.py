@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 def rows_times(rows: Array, matrix: Array) -> Array:
     """Rows (..., n) times a matrix (n, k), (..., k)."""
     flat = rows.reshape(int(np.prod(rows.shape[:-1])), rows.shape[-1])
-    found: Array = (flat @ matrix).reshape(*rows.shape[:-1], matrix.shape[1])
-    return found
+    product: Array = (flat @ matrix).reshape(*rows.shape[:-1], matrix.shape[1])
+    return product
 
 
 def rows_times_upper(rows: Array, matrix: Array) -> Array:
@@ -27,5 +27,5 @@ def rows_times_upper(rows: Array, matrix: Array) -> Array:
     from scipy.linalg.blas import dtrmm
 
     flat = np.ascontiguousarray(rows).reshape(-1, len(matrix))
-    found: Array = dtrmm(1.0, np.asfortranarray(matrix), flat.T, trans_a=1)
-    return found.T.reshape(rows.shape)
+    product: Array = dtrmm(1.0, np.asfortranarray(matrix), flat.T, trans_a=1)
+    return product.T.reshape(rows.shape)

@@ -48,19 +48,19 @@ def redundancy(
     sd = np.broadcast_to(problem.uncertainty.sd, shape)
     variance = np.where(np.isfinite(sd), np.square(sd), 0.0)
     for block in equations:
-        here = block.poses
+        poses = block.poses
         spread = rows_times(block.D, covariance) @ block.D.transpose(0, 2, 1)
         WX = block.X - spread @ block.X
         inner = block.X.transpose(0, 2, 1) @ WX
         seen = np.einsum("brk,br->bk", block.X, block.E)
-        power[:, here] = np.einsum("bkk->kb", inner)
-        own, corrections = variance.T[here, :, None] * inner, variance.T[here] * seen
-        for joint in problem.uncertainty.of(here).blocks:
+        power[:, poses] = np.einsum("bkk->kb", inner)
+        shares, corrections = variance.T[poses, :, None] * inner, variance.T[poses] * seen
+        for joint in problem.uncertainty.of(poses).blocks:
             rows = list(joint.indices)
             matrix = joint.factor @ np.swapaxes(joint.factor, -1, -2)
-            own[:, rows] = matrix @ inner[:, rows]
+            shares[:, rows] = matrix @ inner[:, rows]
             corrections[:, rows] = (matrix @ seen[:, rows, None])[..., 0]
-        numbers[:, here] = np.einsum("bkk->kb", own)
-        squares[:, here] = (corrections * seen).T
+        numbers[:, poses] = np.einsum("bkk->kb", shares)
+        squares[:, poses] = (corrections * seen).T
     lost = np.isinf(sd)
     return Redundancy(*(np.where(lost, np.nan, part) for part in (numbers, squares, power)))

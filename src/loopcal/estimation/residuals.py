@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.fit import ClosureSize
-from loopcal.document.plain import known
+from loopcal.document.plain import finite
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage
@@ -29,12 +29,10 @@ def residuals(
     loops = problem.mechanism.tape.loops
     out = np.full((len(loops), len(problem.poses)), np.nan)
     sweeper = Sweeper(problem)
-    sweeper.at(parameters)
-    none = np.broadcast_to(0.0, problem.readings.shape)
-    for pattern, block in sweeper.blocks(none if corrections is None else corrections):
-        found = sweeper.engine(pattern).evaluate(block.corrected, block.known, Stage.VALUES)
+    for pattern, block in sweeper.blocks(parameters, corrections):
+        values = sweeper.loop_values(pattern, block, Stage.VALUES)
         for row, loop in enumerate(pattern.loops):
-            out[loop, block.poses] = found.f[row]
+            out[loop, block.poses] = values.f[row]
     return by_name(loops, out)
 
 
@@ -57,12 +55,12 @@ class Closure:
     @property
     def entry(self) -> ClosureSize:
         """As a document holds it."""
-        return ClosureSize(known(self.rms), known(self.max))
+        return ClosureSize(finite(self.rms), finite(self.max))
 
 
 def by_name(names: tuple[str, ...], rows: Array) -> Mapping[str, Array]:
     """A read-only mapping from each name to its row, itself read-only."""
-    found = dict(zip(names, rows, strict=True))
-    for array in found.values():
+    arrays = dict(zip(names, rows, strict=True))
+    for array in arrays.values():
         array.setflags(write=False)
-    return MappingProxyType(found)
+    return MappingProxyType(arrays)

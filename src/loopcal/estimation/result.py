@@ -16,7 +16,7 @@ from loopcal.document.dependence import Dependence
 from loopcal.document.findings import ColumnFault, Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
-from loopcal.document.plain import known
+from loopcal.document.plain import finite
 from loopcal.document.result_document import SCHEMA, DataEntry, MechanismEntry, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Verdict
@@ -35,6 +35,7 @@ from loopcal.estimation.document_parts import (
     coarse_readings,
     covariance_entry,
     data_entry,
+    inputs_entry,
     noise_entries,
     parameter_entry,
     shares,
@@ -67,7 +68,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-Judge = Callable[["Result"], Verdict]
+Judge = Callable[["Result"], ResultDocument]
 Addition = Callable[[ResultDocument], ResultDocument]
 """Adds to the document of a result what was found beside the fit."""
 
@@ -148,19 +149,13 @@ class Result(Views):
     @property
     def freedom(self) -> int:
         """Degrees of freedom: loop equations + finite priors - determined parameters."""
-        informed = 0 if self.fit.solver.exact else int(np.isfinite(self.problem.prior_sd).sum())
+        informed = int(np.count_nonzero(self.problem.precision))
         return self.solution.equations + informed - self.spectrum.rank
 
     def pose_equations(self) -> tuple[PoseEquations, ...]:
         """The equations of every pose where the fit ended, whitened as its method does."""
-        method, at = self.fit.solver, self.solution
-        return pose_equations(
-            self.problem,
-            at.parameters,
-            at.corrections,
-            exact=method.exact,
-            at_readings=method.at_readings,
-        )
+        at = self.solution
+        return pose_equations(self.problem, at.parameters, at.corrections)
 
     @cached_property
     def value(self) -> Mapping[str, float]:
@@ -170,13 +165,13 @@ class Result(Views):
 
     @cached_property
     def learnt_covariance(self) -> LearntCovariance:
-        """Of the estimated parameters, and how sure it is itself: sds that were learnt are not
+        """Of the estimated parameters, and how sure it is itself. Sds that were learnt are not
         known, and those of least squares come from its residuals. It allows for serial dependence
         where there is any."""
-        own = self._independent
+        covariance = self._independent
         if self._depending is not None and self._depending.covariance is not None:
-            own = LearntCovariance.known(self._depending.covariance)
-        return own if self.inherited is None else self.inherited.added_to(own)
+            covariance = LearntCovariance.certain(self._depending.covariance)
+        return covariance if self.inherited is None else self.inherited.added_to(covariance)
 
     @property
     def drifting(self) -> Drifting | None:
@@ -186,18 +181,14 @@ class Result(Views):
     def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
         """Of S (N, m, n) times the estimated parameters, under a known drift, or without any."""
         if drifting is not None:
-            known = covariance_under(
-                drifting,
-                self.problem,
-                self.solution,
-                self.pose_equations(),
-                exact=self.fit.solver.exact,
+            under_drift = covariance_under(
+                drifting, self.problem, self.solution, self.pose_equations()
             )
-            own = LearntCovariance.known(known).through(S)
+            covariance = LearntCovariance.certain(under_drift).through(S)
         else:
             learnt = None if self.variance_factor_applied else self.learnt
-            own = (learnt or self._independent).through(S)
-        return own if self.inherited is None else self.inherited.added_to(own, S)
+            covariance = (learnt or self._independent).through(S)
+        return covariance if self.inherited is None else self.inherited.added_to(covariance, S)
 
     @property
     def learnt_noise(self) -> tuple[tuple[tuple[int, ...], Array], ...]:
@@ -213,7 +204,7 @@ class Result(Views):
         loss, method = self.fit.robust_loss, self.fit.solver
         if loss is not None:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
-            return LearntCovariance.known(sums.covariance(self.spectrum, self.problem.prior_sd))
+            return LearntCovariance.certain(sums.covariance(self.spectrum, self.problem.prior_sd))
         if method.exact:
             return self._by_residuals()
         factor = self._variance_factor if self.variance_factor_applied else None
@@ -222,13 +213,13 @@ class Result(Views):
             return learnt if factor is None else learnt.scaled_by(factor)
         if factor is not None:
             return self._by_residuals()
-        return LearntCovariance.known(self.spectrum.covariance())
+        return LearntCovariance.certain(self.spectrum.covariance())
 
     def _by_residuals(self) -> LearntCovariance:
         """Scaled by the mean square of the residuals."""
         plain = self.spectrum.covariance()
         if self.freedom <= 0:
-            return LearntCovariance.known(plain * math.inf)
+            return LearntCovariance.certain(np.full_like(plain, math.inf))
         variance = self.solution.chi_squared / self.freedom
         return LearntCovariance.scaled(plain * variance, self.freedom)
 
@@ -252,16 +243,18 @@ class Result(Views):
     @cached_property
     def degrees_of_freedom(self) -> Mapping[str, float | None]:
         """Of Student's t of every parameter: None if fixed, inf where its sd is known."""
-        found: dict[str, float | None] = dict.fromkeys(self.mechanism.parameters.names)
-        found |= dict(zip(self.estimated, self.learnt_covariance.freedom.tolist(), strict=True))
-        return MappingProxyType(found)
+        by_parameter: dict[str, float | None] = dict.fromkeys(self.mechanism.parameters.names)
+        by_parameter |= dict(
+            zip(self.estimated, self.learnt_covariance.freedom.tolist(), strict=True)
+        )
+        return MappingProxyType(by_parameter)
 
     @property
     def dependence(self) -> Dependence | None:
         """Whether residuals of neighbouring poses are alike; None of a stream, under a loss, or
         where the fit did not converge. Where they depend on the pose order, `covariance` is valid
         under a drift that was learnt."""
-        return None if self._depending is None else self._depending.found
+        return None if self._depending is None else self._depending.entry
 
     @cached_property
     def _depending(self) -> Depending | None:
@@ -269,36 +262,35 @@ class Result(Views):
         if not tested or not self.status.converged or self.taken_as_independent:
             return None
         with one_blas_thread():
-            equations, exact = self.pose_equations(), self.fit.solver.exact
-            return dependence(self.problem, self.solution, equations, exact=exact)
+            return dependence(self.problem, self.solution, self.pose_equations())
 
     @property
     def robust_sums(self) -> RobustSums:
         """What the covariance under a loss needs of the poses; nothing under the gaussian one."""
-        loss, at_readings = self.fit.robust_loss, self.fit.solver.at_readings
+        loss = self.fit.robust_loss
         if loss is None:
             return RobustSums({})
-        return RobustSums.of(self.problem, self.solution, loss, at_readings=at_readings)
+        return RobustSums.of(self.problem, self.solution, loss)
 
     @cached_property
     def sd(self) -> Mapping[str, float | None]:
         """Of every parameter: None if fixed, inf if not identifiable."""
-        found: dict[str, float | None] = dict.fromkeys(self.mechanism.parameters.names)
+        sds: dict[str, float | None] = dict.fromkeys(self.mechanism.parameters.names)
         variances = np.diag(self.covariance).tolist()
         for name, variance in zip(self.estimated, variances, strict=True):
             loose = name in self.identifiability.loose
-            found[name] = math.inf if loose else math.sqrt(max(variance, 0.0))
-        return MappingProxyType(found)
+            sds[name] = math.inf if loose else math.sqrt(max(variance, 0.0))
+        return MappingProxyType(sds)
 
     @cached_property
     def chi_squared(self) -> ChiSquared | None:
         """None where the method or the loss has none."""
         value = self.solution.chi_squared
-        known = not self.fit.solver.exact and self.fit.robust_loss is None
-        if not known or not math.isfinite(value):
+        applicable = not self.fit.solver.exact and self.fit.robust_loss is None
+        if not applicable or not math.isfinite(value):
             return None
-        found = ChiSquared.of(value, self.freedom, absorbed(self.problem, self.terms))
-        return replace(found, p_value=None) if self._all_sds_learnt else found
+        statistic = ChiSquared.of(value, self.freedom, absorbed(self.problem, self.terms))
+        return replace(statistic, p_value=None) if self._all_sds_learnt else statistic
 
     @property
     def _all_sds_learnt(self) -> bool:
@@ -325,7 +317,7 @@ class Result(Views):
             return self.inherited.terms
         return () if self.estimate is None else term_entries(self.mechanism, self.estimate.terms)
 
-    def told_terms(self) -> tuple[TermEntry, ...]:
+    def terms_with_parts(self) -> tuple[TermEntry, ...]:
         """With what each term does joint by joint."""
         if not self.terms or not self.problem.count or self.inherited is not None:
             return self.terms
@@ -439,19 +431,19 @@ class Result(Views):
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know before using the result."""
-        found = [*self._data.warnings(), *self.identifiability.warnings()]
+        lines = [*self._data.warnings(), *self.identifiability.warnings()]
         if self.status.converged and self.status.note:
-            found.insert(0, self.status.note)
+            lines.insert(0, self.status.note)
         if self.mechanism.placement is not None:
-            found += self.mechanism.placement.advice(self.value)
+            lines += self.mechanism.placement.advice(self.value)
         if self.chi_squared is not None:
             unit = next((self.mechanism.quantities[q] for q in self.mechanism.outputs), "")
-            found += self.chi_squared.warnings(self.model_discrepancy, unit)
+            lines += self.chi_squared.warnings(self.model_discrepancy, unit)
         if self.estimate is not None:
-            found += words(self.estimate, self.noise, self.chi_squared_shares)
+            lines += words(self.estimate, self.noise, self.chi_squared_shares)
         if self.dependence is not None:
-            found += self.dependence.warnings()
-        return (*found, *self.notes)
+            lines += self.dependence.warnings()
+        return (*lines, *self.notes)
 
     def noted(self, *notes: str) -> Result:
         """The same result with further warnings."""
@@ -495,8 +487,7 @@ class Result(Views):
     @property
     def _redundancy(self) -> Redundancy | None:
         """What readings control of each other; None of a stream, a robust loss, exact readings."""
-        exact = self.fit.solver.exact
-        if self.all_poses is not None or self.fit.robust_loss is not None or exact:
+        if self.all_poses is not None or self.fit.robust_loss is not None or self.fit.solver.exact:
             return None
         return redundancy(self.problem, self.pose_equations(), self.spectrum.covariance())
 
@@ -509,18 +500,18 @@ class Result(Views):
     def _data(self) -> DataEntry:
         return data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities])
 
-    def remembered(self, what: object, found: Callable[[], T]) -> T:
+    def remembered(self, what: object, compute: Callable[[], T]) -> T:
         """What was found of this fit under this name, found once."""
         if what not in self.memory:
-            self.memory[what] = found()
+            self.memory[what] = compute()
         return cast(T, self.memory[what])
 
     def adding(self, *additions: Addition, judge: Judge | None = None) -> Result:
         """The same result with a document that gains these, judged by this, else as before."""
-        told = replace(self, additions=(*self.additions, *additions), judge=judge or self.judge)
-        anew = {*vars(told), "document", "verdict"}  # what else follows from the fit stays known
-        vars(told).update({n: value for n, value in vars(self).items() if n not in anew})
-        return told
+        result = replace(self, additions=(*self.additions, *additions), judge=judge or self.judge)
+        anew = {*vars(result), "document", "judged"}  # what else follows from the fit stays known
+        vars(result).update({n: value for n, value in vars(self).items() if n not in anew})
+        return result
 
     @property
     def chosen(self) -> Chosen | None:
@@ -528,13 +519,15 @@ class Result(Views):
         return self.document.chosen
 
     @cached_property
-    def verdict(self) -> Verdict | None:
-        """Whether the result can be used, and for what; None: nothing was there to judge it.
+    def judged(self) -> ResultDocument:
+        """The document with verdict and findings, if anything is there to judge it; it takes as
+        long as the search for outliers, change points and other optima."""
+        return self.document if self.judge is None else self.judge(self)
 
-        With the validation and the candidates of a choice of method. It takes as long as the search
-        for outliers, change points and other optima.
-        """
-        return None if self.judge is None else self.judge(self)
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the result can be used, and for what; None: nothing was there to judge it."""
+        return self.judged.verdict
 
     @cached_property
     def document(self) -> ResultDocument:
@@ -564,14 +557,14 @@ class Result(Views):
             parameters=tuple(
                 replace(
                     parameter_entry(p, self.value[p.name], self.sd[p.name], errors.get(p.name)),
-                    degrees_of_freedom=known(self.degrees_of_freedom[p.name]),
+                    degrees_of_freedom=finite(self.degrees_of_freedom[p.name]),
                 )
                 for p in self.mechanism.parameters
             ),
             covariance=covariance_entry(self.estimated, *spread, loose),
             noise=noise,
             noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
-            terms=self.told_terms(),
+            terms=self.terms_with_parts(),
             sds_settled=None if self.estimate is None else self.estimate.settled,
             model_discrepancy=self.model_discrepancy,
             variance_factor_applied=self.variance_factor_applied,
@@ -588,12 +581,9 @@ class Result(Views):
             column_faults=self.faults or None,
             data=replace(self._data, coarse=coarse),
             warnings=self.warnings,
-            inputs={},
+            inputs=inputs_entry(self.dataset, self.mechanism),
             versions={},
         )
-
-    def __str__(self) -> str:
-        return str(self.document)
 
     def __repr__(self) -> str:
         state = "converged" if self.status.converged else self.status.reason

@@ -33,33 +33,34 @@ def output_sensitivity(
     parameters: Array,
     names: Sequence[str],
     x: Array,
-    known: Array,
+    pose_constants: Array,
     also: Sequence[int] = (),
 ) -> Sensitivity:
     """Derivatives of the outputs by the named parameters and by the readings.
 
-    parameters: (n_all,); x: (k, N) where the loops close [SI]; known: (c, N); also: positions of
-    further quantities that the loops determine.
+    parameters: (n_all,); x: (k, N) where the loops close [SI]; pose_constants: (c, N); also:
+    positions of further quantities that the loops determine.
     """
     mechanism = mechanism.predicting()
     quantities, unused = mechanism.tape.quantities, mechanism.unused
     outputs = [quantities.index(name) for name in mechanism.outputs]
-    found = [i for i in dict.fromkeys([*outputs, *also]) if quantities[i] not in unused]
+    determined = [i for i in dict.fromkeys([*outputs, *also]) if quantities[i] not in unused]
     poses, o = x.shape[1], len(outputs)
     by_parameter = np.full((poses, o, len(names)), np.nan)
     by_reading = np.full((poses, o, len(quantities)), np.nan)
     engine = engine_for(mechanism.tape, tuple(names), min(BLOCK, max(poses, 1)))
-    engine.at(parameters)
     for begin in range(0, poses, BLOCK):
         part = slice(begin, min(begin + BLOCK, poses))
-        values = engine.evaluate(x[:, part], known[:, part])
+        values = engine.evaluate(parameters, x[:, part], pose_constants[:, part])
         J_x = values.by_quantity.transpose(2, 1, 0)
         J_p = values.by_parameter.transpose(2, 1, 0)
         good = np.isfinite(J_x).all(axis=(1, 2)) & np.isfinite(J_p).all(axis=(1, 2))
-        solve = -np.linalg.pinv(J_x[good][:, :, found])[:, :o]
+        # There may be more loops than unknowns, which then come nearest in least squares. The
+        # outputs are the first o of them.
+        solve = -np.linalg.pinv(J_x[good][:, :, determined])[:, :o]
         where = np.flatnonzero(good) + begin
         by_parameter[where] = solve @ J_p[good]
         J_r = J_x[good].copy()
-        J_r[:, :, found] = 0.0
+        J_r[:, :, determined] = 0.0
         by_reading[where] = solve @ J_r
     return Sensitivity(by_parameter, by_reading)

@@ -58,16 +58,16 @@ class Cluster(Executor):
     def ready(self) -> str:
         """How many workers there are, all of them having our versions."""
         with self._client() as client:
-            found = client.get_versions(packages=[*PACKAGES])
-            for address, worker in found["workers"].items():
+            report = client.get_versions(packages=[*PACKAGES])
+            for address, worker in report["workers"].items():
                 packages = dict(worker["packages"])
                 packages["python"] = _minor(packages["python"])
                 _check(packages, _installed(), f"the worker {address}")
-            for address, there in client.run(versions).items():
-                _check(there, versions(), f"the worker {address}")
+            for address, worker_versions in client.run(versions).items():
+                _check(worker_versions, versions(), f"the worker {address}")
             threads = sum(client.nthreads().values())
             return (
-                f"{_counted(len(found['workers']), 'worker')} with {_counted(threads, 'thread')} "
+                f"{_counted(len(report['workers']), 'worker')} with {_counted(threads, 'thread')} "
                 f"at {self.name}"
                 if threads
                 else f"waiting for the first worker at {self.name}"
@@ -109,20 +109,20 @@ def _minor(python: str) -> str:
     return ".".join(python.split(".")[:2])
 
 
-def _check(there: Mapping[str, str | None], here: Mapping[str, str], who: str) -> None:
+def _check(remote: Mapping[str, str | None], local: Mapping[str, str], who: str) -> None:
     """The same versions give the same numbers; others may not even understand each other."""
-    missing = [name for name in here if there.get(name) is None]
+    missing = [name for name in local if remote.get(name) is None]
     if missing:
         raise InputError(
             f"{who} has no {', '.join(missing)}", code="version-mismatch", remedy=_REMEDY
         )
-    other = [name for name in here if there[name] != here[name]]
+    other = [name for name in local if remote[name] != local[name]]
     if other:
         raise InputError(
             f"{who} has "
-            + ", ".join(f"{name} {there[name]}" for name in other)
+            + ", ".join(f"{name} {remote[name]}" for name in other)
             + ", and here is "
-            + ", ".join(f"{name} {here[name]}" for name in other),
+            + ", ".join(f"{name} {local[name]}" for name in other),
             code="version-mismatch",
             remedy=_ENGINE if other == ["engine"] else _REMEDY,
         )
@@ -220,12 +220,12 @@ async def _meet(address: str, how: Mapping[str, Any]) -> None:
     async def identity() -> Mapping[str, Any]:
         comm = await distributed.comm.connect(address, **how)
         try:
-            found: Mapping[str, Any] = await distributed.core.send_recv(
+            reply: Mapping[str, Any] = await distributed.core.send_recv(
                 comm, op="identity", n_workers=0
             )
         finally:
             comm.abort()
-        return found
+        return reply
 
     patience = utils.parse_timedelta(config.get("distributed.comm.timeouts.connect"))
     try:

@@ -126,11 +126,11 @@ def gathered(
 
     Raises what `in_order` raises.
     """
-    with closing((executor or InProcess()).run(work, shared, pieces)) as found:
-        return list(in_order(_told(found, len(pieces), progress)))
+    with closing((executor or InProcess()).run(work, shared, pieces)) as outcomes:
+        return list(in_order(_reported(outcomes, len(pieces), progress)))
 
 
-def _told(
+def _reported(
     outcomes: Iterable[Done[Value]], count: int, progress: Progress | None
 ) -> Iterator[Done[Value]]:
     for number, outcome in enumerate(outcomes, 1):

@@ -40,13 +40,14 @@ from loopcal.expressions.choice import engine_threads, use_threads
 _LEAVES = (str, bytes, int, float, complex, type, FunctionType, ModuleType, type(None))
 _LONGEST = 1_000
 """Longer sequences are sent whole: they are data, not objects that others refer to."""
+# Pipes take up to PIPE_BUF bytes at once (pipe(7)), so notices of several copies never mix.
 _NOTICE = struct.Struct("<IIQ")
 """Which copy has done which piece, and how many bytes it has written of it."""
 _SIGNALS = {signal.SIGINT, signal.SIGTERM}
 _role = threading.local()
 
 
-def own_cores() -> Executor:
+def process_cores() -> Executor:
     """Who shares work among the cores of this process; this process where only one is its own.
 
     Forked copies where that is safe: on Linux, where no other Python thread may hold a lock that
@@ -167,6 +168,7 @@ class _Copy:
     def take(self, size: int) -> bytes:
         """The next bytes that it has written."""
         self.read += size
+        # The copy shares the place in this file and writes on there; read() would move it.
         return os.pread(self.results, size, self.read - size)
 
     def end(self) -> None:
@@ -184,7 +186,7 @@ class _Copies:
 
     job: _Job
     queue: _Queue
-    known: Mapping[int, object]
+    common: Mapping[int, object]
     notices: tuple[int, int] = field(default_factory=os.pipe)
     alive: tuple[int, int] = field(default_factory=os.pipe)
     begun: list[_Copy] = field(default_factory=list)
@@ -221,15 +223,18 @@ class _Copies:
                 while (number := self.queue.next()) is not None:
                     heard.clear()
                     outcome = self.job.done(number)
-                    told = [(one.message, one.category, one.filename, one.lineno) for one in heard]
-                    sent = _pickled((outcome, told), self.known)
+                    messages = [
+                        (one.message, one.category, one.filename, one.lineno) for one in heard
+                    ]
+                    sent = _pickled((outcome, messages), self.common)
                     _write(results, sent)
                     os.write(self.notices[1], _NOTICE.pack(which, number, len(sent)))
+            # exit() would flush buffers and run handlers that belong to the parent.
             os._exit(0)
         finally:
             os._exit(1)  # what it was doing is done by its parent, who tells what is wrong with it
 
-    def found(self, *, wait: bool) -> Generator[Done[Any], None, None]:
+    def finished(self, *, wait: bool) -> Generator[Done[Any], None, None]:
         """What they have done since; wait: until all of them have ended."""
         if not self.begun:
             return
@@ -239,8 +244,10 @@ class _Copies:
             if not notice:
                 return
             which, _, size = _NOTICE.unpack(notice)
-            outcome, told = _Reader(io.BytesIO(self.begun[which].take(size)), self.known).load()
-            for message, category, name, line in told:
+            outcome, messages = _Reader(
+                io.BytesIO(self.begun[which].take(size)), self.common
+            ).load()
+            for message, category, name, line in messages:
                 warnings.warn_explicit(message, category, name, line)
             yield outcome
 
@@ -257,8 +264,8 @@ def _outcomes(job: _Job, workers: int) -> Generator[Done[Any], None, None]:
     count = len(job.pieces)
     missing = dict.fromkeys(range(count))
     helpers = min(workers, count) - 1
-    known = _within(job.shared, job.pieces) if helpers > 0 else {}
-    copies = _Copies(job, _Queue.of(count), known)
+    common = _within(job.shared, job.pieces) if helpers > 0 else {}
+    copies = _Copies(job, _Queue.of(count), common)
     try:
         number = copies.queue.next()  # the first piece is done here
         copies.begin(helpers)
@@ -267,10 +274,10 @@ def _outcomes(job: _Job, workers: int) -> Generator[Done[Any], None, None]:
             del missing[number]
             yield outcome
             number = copies.queue.next()
-            for outcome in copies.found(wait=False):
+            for outcome in copies.finished(wait=False):
                 del missing[outcome.number]
                 yield outcome
-        for outcome in copies.found(wait=True):
+        for outcome in copies.finished(wait=True):
             del missing[outcome.number]
             yield outcome
     finally:
@@ -299,28 +306,28 @@ def _write(file: int, content: bytes) -> None:
         rest = rest[os.write(file, rest) :]
 
 
-def _within(*given: object) -> dict[int, object]:
+def _within(*roots: object) -> dict[int, object]:
     """All objects that others are made of, by identity, but for lists and dictionaries, which a
     copy may have filled."""
-    found: dict[int, object] = {}
-    waiting = list(given)
+    objects: dict[int, object] = {}
+    waiting = list(roots)
     while waiting:
         one = waiting.pop()
-        if id(one) in found or isinstance(one, _LEAVES):
+        if id(one) in objects or isinstance(one, _LEAVES):
             continue
-        found[id(one)] = one
+        objects[id(one)] = one
         if isinstance(one, tuple | list | frozenset | set | Mapping):
             if len(one) <= _LONGEST:
                 waiting += one.values() if isinstance(one, Mapping) else one
         else:
             waiting += getattr(one, "__dict__", {}).values()
-    return {number: one for number, one in found.items() if not isinstance(one, list | dict)}
+    return {number: one for number, one in objects.items() if not isinstance(one, list | dict)}
 
 
-def _pickled(value: object, known: Mapping[int, object]) -> bytes:
+def _pickled(value: object, common: Mapping[int, object]) -> bytes:
     class Writer(pickle.Pickler):
         def persistent_id(self, one: object) -> int | None:
-            return id(one) if id(one) in known else None
+            return id(one) if id(one) in common else None
 
     written = io.BytesIO()
     Writer(written, pickle.HIGHEST_PROTOCOL).dump(value)
@@ -330,10 +337,10 @@ def _pickled(value: object, known: Mapping[int, object]) -> bytes:
 class _Reader(pickle.Unpickler):
     """Reads what a copy has written; what both knew before is that again."""
 
-    def __init__(self, file: io.BytesIO, known: Mapping[int, object]) -> None:
+    def __init__(self, file: io.BytesIO, common: Mapping[int, object]) -> None:
         super().__init__(file)
-        self._known = known
+        self._common = common
 
     def persistent_load(self, identity: int) -> object:
         """The object that the copy meant."""
-        return self._known[identity]
+        return self._common[identity]

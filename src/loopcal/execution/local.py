@@ -24,6 +24,7 @@ from loopcal.execution.executor import (
     done,
 )
 from loopcal.expressions.choice import cores, engine_threads
+from loopcal.import_path import elsewhere
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -115,18 +116,20 @@ class Processes(_Local):
         Runs raise InputError where a worker is killed, or none could begin.
         """
         if self.workers == 1:
-            with InProcess().crew(work, shared) as here:
-                yield here
+            with InProcess().crew(work, shared) as process:
+                yield process
             return
         from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
         from multiprocessing import get_context
 
+        # Forked beside other threads, a process may hold a lock that is never released.
         spawning = get_context("spawn")
         ending, alive = spawning.Pipe(duplex=False)
-        given = ending, work, shared, self._share
-        pool = ProcessPoolExecutor(
-            self.workers, mp_context=spawning, initializer=_begin, initargs=given
-        )
+        arguments = ending, work, shared, self._share
+        with elsewhere():
+            pool = ProcessPoolExecutor(
+                self.workers, mp_context=spawning, initializer=_begin, initargs=arguments
+            )
 
         some_done = False
 
@@ -141,13 +144,15 @@ class Processes(_Local):
                     yield outcome
 
         try:
-            yield outcomes
+            with elsewhere():
+                yield outcomes
         except BrokenProcessPool:
             raise _ended(some_done) from None
         except BaseException:
             alive.close()  # nobody waits for the pieces that are being done
             raise
         finally:
+            # Workers end with the pipe: closed first, it would end pieces that are being done.
             pool.shutdown(cancel_futures=True)
             alive.close()
             ending.close()
@@ -200,14 +205,14 @@ def _shared_out(work: Any, shared: Any, piece: Any, number: int, threads: int) -
         return done(work, shared, piece, number)
 
 
-_given: dict[str, Any] = {}
+_job: dict[str, Any] = {}
 """What this worker process works with."""
 
 
 def _begin(ending: Connection, work: Any, shared: Any, threads: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent stops its workers
     threading.Thread(target=_end_with, args=(ending,), daemon=True).start()
-    _given.update(work=work, shared=shared, threads=threads)
+    _job.update(work=work, shared=shared, threads=threads)
 
 
 def _end_with(parent: Connection) -> None:
@@ -217,4 +222,4 @@ def _end_with(parent: Connection) -> None:
 
 
 def _work(piece: Any, number: int) -> Done[Any]:
-    return _shared_out(_given["work"], _given["shared"], piece, number, _given["threads"])
+    return _shared_out(_job["work"], _job["shared"], piece, number, _job["threads"])

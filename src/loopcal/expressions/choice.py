@@ -123,6 +123,7 @@ def engine_threads(count: int) -> Generator[None, None, None]:
 
 def _among_siblings() -> bool:
     processes = sys.modules.get("multiprocessing.process")
+    # Siblings share the cores: threads of each would wait for the others' (see `execution`).
     return processes is not None and processes.parent_process() is not None
 
 

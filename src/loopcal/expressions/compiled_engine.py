@@ -36,22 +36,31 @@ class CompiledEngine:
     def __init__(self, linearisation: Linearisation, size: int) -> None:
         self.size = size
         self.loops, self.parameters = linearisation.loops, len(linearisation.parameters)
-        self.native = _native(linearisation)
+        self._native = _native(linearisation)
+        self._set: bytes | None = None
         self._linearisation = linearisation
         self._outputs = np.empty((len(linearisation.tape.outputs), size))
 
-    def at(self, parameters: Array) -> None:
-        """Set the parameters (`Engine.at`)."""
-        self.native.at(np.ascontiguousarray(parameters, dtype=np.float64))
+    def native(self, p: Array) -> _compiled.Engine:
+        """The engine itself at parameters (n_all,), whose part is computed where they change."""
+        present = p.tobytes()
+        if present != self._set:
+            self._native.at(np.ascontiguousarray(p, dtype=np.float64))
+            self._set = present
+        return self._native
 
     def evaluate(
-        self, x: Array, known: Array | None = None, stage: Stage = Stage.BY_PARAMETER
+        self,
+        p: Array,
+        x: Array,
+        pose_constants: Array | None = None,
+        stage: Stage = Stage.BY_PARAMETER,
     ) -> LoopValues:
         """Run a block of poses (`Engine.evaluate`)."""
         width = x.shape[1]
         out = self._outputs[:, :width]
-        known = None if known is None else side_by_side(known)
-        self.native.evaluate(side_by_side(x), known, int(stage), out)
+        pose_constants = None if pose_constants is None else side_by_side(pose_constants)
+        self.native(p).evaluate(side_by_side(x), pose_constants, int(stage), out)
         return arranged(out, self._linearisation, stage)
 
 
@@ -87,15 +96,16 @@ def _native(linearisation: Linearisation) -> _compiled.Engine:
 @lru_cache(maxsize=64)
 def _tables(linearisation: Linearisation) -> tuple[Any, ...]:
     """What an engine is made from; several threads make one each."""
-    tape, varies, program = _prepared(linearisation)
+    tape, varies, program = prepared(linearisation)
     used = sorted(
         {a for one in program.instructions for a in one.arguments if not varies[a]}
         | {output for output in tape.outputs if not varies[output]}
     )
+    # Negative places are numbers of the parameters, rows of poses count from 0.
     place = {position: -1 - i for i, position in enumerate(used)} | program.rows
     once = _Once(tape, varies)
     shape = (linearisation.loops, len(linearisation.quantities), len(linearisation.parameters))
-    inputs = (len(tape.quantities), len(tape.known))
+    inputs = (len(tape.quantities), len(tape.pose_constants))
     return (
         _instructions(program, place),
         program.ends,
@@ -149,13 +159,9 @@ class _Once:
                 self.rows[i] = codes[name], places[0], places[-1]
 
 
-def program_for(linearisation: Linearisation) -> Program:
-    """The instructions that the engine runs."""
-    return _prepared(linearisation)[2]
-
-
 @lru_cache(maxsize=64)
-def _prepared(linearisation: Linearisation) -> tuple[Tape, tuple[bool, ...], Program]:
+def prepared(linearisation: Linearisation) -> tuple[Tape, tuple[bool, ...], Program]:
+    """The tape in stages, the operations that vary by pose, and the instructions."""
     ends = stage_ends(linearisation)
     tape = in_stages(linearisation.tape, ends)
     varies = varying(tape.operations)

@@ -1,8 +1,8 @@
 """First derivatives of a tape, as a tape: reverse mode, one sweep per loop equation.
 
-The adjoints are built in the graph of the tape itself, so they share subexpressions with the
-loops and with each other, vanish where a derivative is zero, and need no second evaluator:
-an engine that can run a tape can run its Jacobian.
+The adjoints are built in the graph of the tape itself. So they share subexpressions with the loops
+and with each other, and vanish where a derivative is zero. They need no second evaluator: an engine
+that can run a tape can run its Jacobian.
 
 Source of the method: Griewank and Walther, Evaluating Derivatives, 2nd ed. (2008), chapter 3.
 """
@@ -46,6 +46,7 @@ def _linearised(
     loops = [place[output] for output in tape.outputs]
     inputs = [graph.leaf("quantity", tape.quantities.index(q)) for q in quantities]
     inputs += [graph.leaf("parameter", tape.parameters.index(p)) for p in parameters]
+    # Adjoints are symbolic nodes, so the loops of one tape share what they have in common.
     useful = _leading_to(graph, inputs)
     gradients = [_reverse(graph, loop, inputs, useful) for loop in loops]
     outputs = [*loops, *(gradient[i] for i in range(len(inputs)) for gradient in gradients)]
@@ -56,7 +57,7 @@ def _linearised(
             lowered,
             [place[output] for output in outputs],
             quantities=tape.quantities,
-            known=tape.known,
+            pose_constants=tape.pose_constants,
             parameters=tape.parameters,
             loops=names,
         ),
@@ -76,14 +77,14 @@ def lagrangian_gradient(tape: Tape) -> Tape:
     graph, place = rewritten(tape.operations, unchanged)
     total = graph.constant(0.0)
     for i, output in enumerate(tape.outputs):
-        multiplier = graph.leaf("known", len(tape.known) + i)
+        multiplier = graph.leaf("known", len(tape.pose_constants) + i)
         total = graph.apply("add", total, graph.apply("mul", multiplier, place[output]))
     inputs = [graph.leaf("quantity", i) for i in range(len(tape.quantities))]
     return Tape.from_graph(
         graph,
         _reverse(graph, total, inputs, _leading_to(graph, inputs)),
         quantities=tape.quantities,
-        known=[*tape.known, *(f"lambda {loop}" for loop in tape.loops)],
+        pose_constants=[*tape.pose_constants, *(f"lambda {loop}" for loop in tape.loops)],
         parameters=tape.parameters,
         loops=[f"d/d {quantity}" for quantity in tape.quantities],
     )
@@ -138,6 +139,7 @@ def _chain(
             return apply("mul", bar, arguments[1 - position])
         case ("div", 0):
             return apply("div", bar, arguments[1])
+        # d(a/b)/db = -(a/b)/b: the quotient is a node already.
         case ("div", 1):
             return apply("neg", apply("mul", bar, apply("div", node, arguments[1])))
         case ("pow", 0):
@@ -186,6 +188,7 @@ def _chain_polar(
     apply = graph.apply
     if name == "hypot":
         return apply("mul", bar, apply("div", arguments[position], node))
+    # d arctan2(s, c) = (c ds - s dc) / r^2; divided by r twice, because r^2 may overflow.
     radius = apply("hypot", *arguments)
     other = apply("div", apply("div", arguments[1 - position], radius), radius)
     term = apply("mul", bar, other)

@@ -20,20 +20,23 @@ Array = NDArray[np.float64]
 def explain_domain(
     tape: Tape,
     x: Array,
-    known: Array,
+    pose_constants: Array,
     parameters: Array,
     poses: Sequence[str],
     remedies: Mapping[str, str] | None = None,
 ) -> DomainError:
-    """The error that names loop, pose and operation; x: (k, N), known: (c, N), (n_all,) [SI].
+    """The error that names loop, pose and operation.
 
-    remedies: what to do where a loop cannot be evaluated, for loops that know.
+    x: (k, N), pose_constants: (c, N), parameters: (n_all,) [SI]; remedies: what to do where a loop
+    cannot be evaluated, for loops that know.
     """
     for part, looked_at in (("", tape), ("the derivative of ", _with_derivatives(tape))):
         for column, pose in enumerate(poses):
-            found = _first_undefined(looked_at, x[:, column], known[:, column], parameters)
-            if found is not None:
-                loop, text = found
+            undefined = _first_undefined(
+                looked_at, x[:, column], pose_constants[:, column], parameters
+            )
+            if undefined is not None:
+                loop, text = undefined
                 return DomainError(
                     f"{text} in {part}loop equation {loop!r} at pose {pose!r}",
                     remedy=(remedies or {}).get(loop)
@@ -55,8 +58,10 @@ def _with_derivatives(tape: Tape) -> Tape:
     )
 
 
-def _first_undefined(tape: Tape, x: Array, known: Array, p: Array) -> tuple[str, str] | None:
-    inputs = {"quantity": x, "known": known, "parameter": p}
+def _first_undefined(
+    tape: Tape, x: Array, pose_constants: Array, p: Array
+) -> tuple[str, str] | None:
+    inputs = {"quantity": x, "known": pose_constants, "parameter": p}
     values: list[float] = []
     for position, (name, payload) in enumerate(tape.operations):
         if name in LEAVES:

@@ -40,6 +40,7 @@ def engine_for(
     key = (kind, tape, parameters, quantities)
     present = kept.get(key)
     if present is None or present.size < size:
+        # Studies make tapes without end; a mechanism at work needs a handful of engines.
         if len(kept) > 32:
             kept.clear()
         present = kept[key] = kind(linearise(tape, quantities, parameters), size)

@@ -24,7 +24,7 @@ class Graph:
 
     def __init__(self) -> None:
         self.operations: list[tuple[str, tuple[float, ...]]] = []
-        self._known: dict[tuple[str, tuple[float, ...]], Node] = {}
+        self._nodes: dict[tuple[str, tuple[float, ...]], Node] = {}
 
     def leaf(self, kind: str, payload: float) -> Node:
         """A constant (payload: its value) or an input (payload: its position)."""
@@ -33,11 +33,6 @@ class Graph:
     def constant(self, value: float) -> Node:
         """The node of a number; 0.0 and -0.0 are one."""
         return self._intern("constant", (value + 0.0,))
-
-    def value_of(self, node: Node) -> float | None:
-        """The number a node stands for, None if it is not a constant."""
-        name, payload = self.operations[node]
-        return payload[0] if name == "constant" else None
 
     def apply(self, name: str, *arguments: Node) -> Node:
         """The node of an operation on nodes, simplified where the result is the same number."""
@@ -67,11 +62,11 @@ class Graph:
 
     def _intern(self, name: str, payload: tuple[float, ...]) -> Node:
         key = (name, payload)
-        node = self._known.get(key)
+        node = self._nodes.get(key)
         if node is None:
             node = len(self.operations)
             self.operations.append(key)
-            self._known[key] = node
+            self._nodes[key] = node
         return node
 
     def _negated(self, node: Node) -> Node | None:

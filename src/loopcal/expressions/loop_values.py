@@ -43,14 +43,16 @@ class Engine(Protocol):
 
     size: int
 
-    def at(self, parameters: Array) -> None:
-        """Set the parameters, (n_all,) in the order of the tape [SI], for the blocks to come."""
-
     def evaluate(
-        self, x: Array, known: Array | None = None, stage: Stage = Stage.BY_PARAMETER
+        self,
+        p: Array,
+        x: Array,
+        pose_constants: Array | None = None,
+        stage: Stage = Stage.BY_PARAMETER,
     ) -> LoopValues:
-        """f and its derivatives at x, (k_all, b) [SI], known constants (c, b); b <= size.
+        """f(x, p) and its derivatives; b <= size.
 
+        p: (n_all,) in the order of the tape [SI]; x: (k_all, b) [SI]; known constants: (c, b);
         stage: how far to go; derivatives beyond it are left out, as if none were chosen.
 
         Values outside an operation's domain come out as NaN or infinity, without a warning:

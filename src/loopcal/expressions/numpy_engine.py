@@ -1,8 +1,8 @@
 """The NumPy engine: runs a linearised tape over a block of poses, structure of arrays.
 
-What depends on parameters alone is evaluated once per set of parameters with plain numbers;
-the rest is a list of NumPy calls on arrays of poses, in registers that are reused as soon as
-their value is spent, so that a block stays in the processor's cache.
+What depends on parameters alone is evaluated once per set of parameters with plain numbers. The
+rest is a list of NumPy calls on arrays of poses. Their registers are reused as soon as a value is
+spent, so that a block stays in the processor's cache.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ _Instructions = list[tuple[np.ufunc, tuple[Array, ...]]]
 class NumpyEngine:
     """Evaluates one linearised tape over blocks of at most `size` poses.
 
-    `at(p)` sets the parameters; `evaluate(x, known)` runs a block. One engine belongs to one
-    thread: its registers are its own.
+    One engine belongs to one thread: its registers are its own.
     """
 
     def __init__(self, linearisation: Linearisation, size: int) -> None:
@@ -42,17 +41,23 @@ class NumpyEngine:
         self._number = {position: number for number, position in enumerate(once)}
         self._once = [_renumbered(tape.operations[position], self._number) for position in once]
         self._numbers = np.zeros(len(once))
-        self._inputs = np.zeros((len(tape.quantities) + len(tape.known), size))
+        self._inputs = np.zeros((len(tape.quantities) + len(tape.pose_constants), size))
         self._quantities = len(tape.quantities)
         self._outputs = np.zeros((len(tape.outputs), size))
         self._targets = tape.outputs
+        # Of an output that stands in several rows the first holds it; `_copies` fills the others.
         self._row = {o: row for row, o in reversed(list(enumerate(tape.outputs)))}
         self._register, count = self._allocate()
         self._registers = np.zeros((count, size))
         self._bound: dict[int, list[_Instructions]] = {}
+        self._set: bytes | None = None
 
-    def at(self, parameters: Array) -> None:
-        """Set the parameters (`Engine.at`)."""
+    def _prepare(self, parameters: Array) -> None:
+        """What depends on parameters alone, computed once for all blocks at the same ones."""
+        present = parameters.tobytes()
+        if present == self._set:
+            return
+        self._set = present
         numbers: list[float] = []
         for name, payload in self._once:
             if name == "constant":
@@ -67,13 +72,18 @@ class NumpyEngine:
                 self._outputs[row] = numbers[self._number[output]]
 
     def evaluate(
-        self, x: Array, known: Array | None = None, stage: Stage = Stage.BY_PARAMETER
+        self,
+        p: Array,
+        x: Array,
+        pose_constants: Array | None = None,
+        stage: Stage = Stage.BY_PARAMETER,
     ) -> LoopValues:
         """Run a block of poses (`Engine.evaluate`)."""
+        self._prepare(p)
         width = x.shape[1]
         self._inputs[: self._quantities, :width] = x
-        if known is not None and known.size:
-            self._inputs[self._quantities :, :width] = known
+        if pose_constants is not None and pose_constants.size:
+            self._inputs[self._quantities :, :width] = pose_constants
         bound = self.size
         while bound >= 2 * width and bound > 64:
             bound //= 2  # few widths, because binding one takes longer than running it

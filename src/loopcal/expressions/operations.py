@@ -1,8 +1,8 @@
 """The elementary operations of a tape, each described once.
 
-An operation is its name, its number of arguments, how plain numbers and how arrays of poses
-evaluate it, how it is written, and where it is defined. Everything else (tracing, derivatives,
-engines, printing, domain errors) reads this table.
+An operation is its name, functions of plain numbers and of arrays of poses,
+text, and where it is defined. Everything else (tracing, derivatives, engines, printing, domain
+errors) reads this table.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ class Operation:
 
     scalar evaluates one number, array one NumPy array of poses; text is a format string over
     its arguments, binding how tightly it binds (1 sums, 2 products, 3 powers, 4 functions);
-    undefined tells, for plain arguments, why value or derivative does not exist
+    undefined states, for plain arguments, why value or derivative does not exist
     (None where they do).
     """
 
     name: str
-    arity: int
     scalar: Callable[..., float]
     array: np.ufunc | None
     text: str
@@ -62,53 +61,49 @@ def _sign(a: float) -> float:
 
 
 _ALL = [
-    Operation("add", 2, lambda a, b: a + b, np.add, "{} + {}", 1),
-    Operation("sub", 2, lambda a, b: a - b, np.subtract, "{} - {}", 1),
-    Operation("mul", 2, lambda a, b: a * b, np.multiply, "{}*{}", 2),
+    Operation("add", lambda a, b: a + b, np.add, "{} + {}", 1),
+    Operation("sub", lambda a, b: a - b, np.subtract, "{} - {}", 1),
+    Operation("mul", lambda a, b: a * b, np.multiply, "{}*{}", 2),
     Operation(
         "div",
-        2,
         lambda a, b: a / b,
         np.divide,
         "{}/{}",
         2,
         lambda a, b: "by zero" if b == 0.0 else None,
     ),
-    Operation("neg", 1, lambda a: -a, np.negative, "-{}", 1),
-    Operation("pow", 2, lambda a, b: a**b, np.power, "{}**{}", 3, _power_undefined),
-    Operation("square", 1, lambda a: a * a, np.square, "square({})"),
-    Operation("sqrt", 1, math.sqrt, np.sqrt, "sqrt({})", undefined=_sqrt_undefined),
-    Operation("sin", 1, math.sin, np.sin, "sin({})"),
-    Operation("cos", 1, math.cos, np.cos, "cos({})"),
-    Operation("tan", 1, math.tan, np.tan, "tan({})"),
-    Operation("arcsin", 1, math.asin, np.arcsin, "arcsin({})", undefined=_arc_undefined),
-    Operation("arccos", 1, math.acos, np.arccos, "arccos({})", undefined=_arc_undefined),
-    Operation("arctan", 1, math.atan, np.arctan, "arctan({})"),
-    Operation("arctan2", 2, math.atan2, np.arctan2, "arctan2({}, {})", undefined=_hypot_undefined),
-    Operation("hypot", 2, math.hypot, np.hypot, "hypot({}, {})", undefined=_hypot_undefined),
-    Operation("exp", 1, math.exp, np.exp, "exp({})"),
+    Operation("neg", lambda a: -a, np.negative, "-{}", 1),
+    Operation("pow", lambda a, b: a**b, np.power, "{}**{}", 3, _power_undefined),
+    Operation("square", lambda a: a * a, np.square, "square({})"),
+    Operation("sqrt", math.sqrt, np.sqrt, "sqrt({})", undefined=_sqrt_undefined),
+    Operation("sin", math.sin, np.sin, "sin({})"),
+    Operation("cos", math.cos, np.cos, "cos({})"),
+    Operation("tan", math.tan, np.tan, "tan({})"),
+    Operation("arcsin", math.asin, np.arcsin, "arcsin({})", undefined=_arc_undefined),
+    Operation("arccos", math.acos, np.arccos, "arccos({})", undefined=_arc_undefined),
+    Operation("arctan", math.atan, np.arctan, "arctan({})"),
+    Operation("arctan2", math.atan2, np.arctan2, "arctan2({}, {})", undefined=_hypot_undefined),
+    Operation("hypot", math.hypot, np.hypot, "hypot({}, {})", undefined=_hypot_undefined),
+    Operation("exp", math.exp, np.exp, "exp({})"),
     Operation(
         "log",
-        1,
         math.log,
         np.log,
         "log({})",
         undefined=lambda a: f"of a number that is not positive ({a:.6g})" if a <= 0.0 else None,
     ),
-    Operation("abs", 1, abs, np.absolute, "abs({})"),
-    Operation("sign", 1, _sign, np.sign, "sign({})"),
+    Operation("abs", abs, np.absolute, "abs({})"),
+    Operation("sign", _sign, np.sign, "sign({})"),
     # A plane rotation of (a, b) by the angle c, kept whole until derivatives are taken:
     # d turn_cos/dc = -turn_sin and d turn_sin/dc = turn_cos, far cheaper than through cos and sin.
     Operation(
         "turn_cos",
-        3,
         lambda a, b, c: a * math.cos(c) - b * math.sin(c),
         None,
         "turn_cos({}, {}, {})",
     ),
     Operation(
         "turn_sin",
-        3,
         lambda a, b, c: a * math.sin(c) + b * math.cos(c),
         None,
         "turn_sin({}, {}, {})",

@@ -1,6 +1,6 @@
 """A linearised tape as instructions for the compiled engine, fused where that saves work.
 
-cos and sin of one angle are one instruction, sums of two products are one, and the two sums of a
+cos and sin of one angle are one instruction, and so is a sum of two products. The two sums of a
 plane rotation, a c - b d and a d + b c, are one together. Rounding stays as on the tape.
 """
 
@@ -60,6 +60,7 @@ def _sums(tape: Tape, varies: Sequence[bool]) -> list[Instruction]:
     uses.update(tape.outputs)
     inside: set[Position] = set()
     for position, (name, payload) in enumerate(tape.operations):
+        # A product that is used elsewhere has to be kept anyway: fusing it would compute it twice.
         if (name == "add" or name == "sub") and varies[position]:
             a, b = int(payload[0]), int(payload[1])
             if (
@@ -102,6 +103,7 @@ def _turns(instructions: Iterable[Instruction]) -> tuple[Instruction, ...]:
         if one.name != "minus":
             continue
         a, c, b, d = one.arguments
+        # The partner of a c - b d is a d + b c; products commute, so a and c may change places.
         for order in ((a, b, c, d), (c, b, a, d)):
             partner = sums.get(_pairs((order[0], d, b, order[2])))
             if partner is not None and partner not in gone and partner not in turned:
@@ -123,7 +125,7 @@ def _in_rows(tape: Tape, instructions: Sequence[Instruction], ends: Sequence[int
     for position, (name, payload) in enumerate(tape.operations):
         if name in ("quantity", "known"):
             rows[position] = int(payload[0]) + (len(tape.quantities) if name == "known" else 0)
-    count = len(tape.quantities) + len(tape.known)
+    count = len(tape.quantities) + len(tape.pose_constants)
     # of each position: whether its row stays its own, and the last instruction that takes it
     kept, last = bytearray(len(tape.operations)), [-1] * len(tape.operations)
     for position in (*rows, *tape.outputs):
@@ -137,16 +139,16 @@ def _in_rows(tape: Tape, instructions: Sequence[Instruction], ends: Sequence[int
         for argument in set(one.arguments):
             if last[argument] == i and not kept[argument] and argument in rows:
                 free.append(rows[argument])
-        own = []
+        result_rows = []
         for _ in one.results:
             if not free:
                 free.append(count)
                 count += 1
-            own.append(free.pop())
-        for result, row in zip(one.results, own, strict=True):
+            result_rows.append(free.pop())
+        for result, row in zip(one.results, result_rows, strict=True):
             if result is not None:
                 rows[result] = row
             if result is None or (last[result] < 0 and not kept[result]):
                 free.append(row)
-        results.append(tuple(own))
+        results.append(tuple(result_rows))
     return Program(tuple(instructions), tuple(ends), rows, tuple(results), count)

@@ -64,7 +64,7 @@ def half_angles(tape: Tape) -> Tape:
         graph,
         [place[output] for output in tape.outputs],
         quantities=tape.quantities,
-        known=tape.known,
+        pose_constants=tape.pose_constants,
         parameters=tape.parameters,
         loops=tape.loops,
     )
@@ -73,7 +73,7 @@ def half_angles(tape: Tape) -> Tape:
 def in_stages(tape: Tape, ends: Sequence[int]) -> Tape:
     """The same tape, first all that outputs[:ends[0]] need, then what outputs[:ends[1]] do, ...
 
-    Whoever wants only the first outputs may stop after the last operation of theirs.
+    An engine that needs the first outputs alone stops after their last operation.
     """
     order: dict[int, int] = {}
     for end in ends:

@@ -1,18 +1,13 @@
 """A loop as data: a flat list of elementary operations that ends in the loop equations.
 
-A tape is a value: frozen, compared by its contents, printed readably, written to and read from
-plain JSON data, so that a mechanism can travel in a file without any code being run.
+A tape is a value: frozen, compared by its contents, printed readably.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from operator import index
-from typing import Any
 
-from loopcal.errors import InputError, nearest
 from loopcal.expressions.graph import Graph, Node
 from loopcal.expressions.operations import LEAVES, OPERATIONS
 from loopcal.lazy import cached_property
@@ -30,7 +25,7 @@ class Tape:
     """
 
     quantities: tuple[str, ...]
-    known: tuple[str, ...]
+    pose_constants: tuple[str, ...]
     parameters: tuple[str, ...]
     loops: tuple[str, ...]
     operations: tuple[tuple[str, tuple[float, ...]], ...]
@@ -45,14 +40,14 @@ class Tape:
         quantities: Sequence[str],
         parameters: Sequence[str],
         loops: Sequence[str],
-        known: Sequence[str] = (),
+        pose_constants: Sequence[str] = (),
     ) -> Tape:
         """The part of a graph that its outputs need, renumbered."""
         return cls._made_of(
             graph.operations,
             outputs,
             quantities=quantities,
-            known=known,
+            pose_constants=pose_constants,
             parameters=parameters,
             loops=loops,
         )
@@ -64,10 +59,11 @@ class Tape:
         outputs: Sequence[Node],
         *,
         quantities: Sequence[str],
-        known: Sequence[str],
+        pose_constants: Sequence[str],
         parameters: Sequence[str],
         loops: Sequence[str],
     ) -> Tape:
+        # Positions stay in order, so arguments stand before what they make without sorting.
         needed = _reachable(everything, outputs)
         place = {node: position for position, node in enumerate(needed)}
         operations = tuple(
@@ -78,7 +74,7 @@ class Tape:
         )
         return cls(
             tuple(quantities),
-            tuple(known),
+            tuple(pose_constants),
             tuple(parameters),
             tuple(loops),
             operations,
@@ -98,8 +94,8 @@ class Tape:
         names: list[frozenset[str]] = []
         for name, payload in self.operations:
             if name in LEAVES:
-                own = () if name == "constant" else (self._input(name, payload),)
-                names.append(frozenset(own))
+                inputs = () if name == "constant" else (self._input(name, payload),)
+                names.append(frozenset(inputs))
             else:
                 names.append(frozenset().union(*(names[int(a)] for a in payload)))
         return tuple(frozenset(names[output]) for output in self.outputs)
@@ -110,7 +106,7 @@ class Tape:
             self.operations,
             [self.outputs[i] for i in loops],
             quantities=self.quantities,
-            known=self.known,
+            pose_constants=self.pose_constants,
             parameters=self.parameters,
             loops=[self.loops[i] for i in loops],
         )
@@ -120,7 +116,11 @@ class Tape:
         return _reachable(self.operations, outputs)
 
     def _input(self, kind: str, payload: tuple[float, ...]) -> str:
-        table = {"quantity": self.quantities, "known": self.known, "parameter": self.parameters}
+        table = {
+            "quantity": self.quantities,
+            "known": self.pose_constants,
+            "parameter": self.parameters,
+        }
         return table[kind][int(payload[0])]
 
     def __str__(self) -> str:
@@ -161,85 +161,10 @@ class Tape:
             written.append(text if inside_function or binding >= tighter else f"({text})")
         return operation.text.format(*written), operation.binding
 
-    def to_data(self) -> dict[str, Any]:
-        """The tape as plain data for JSON; floats survive exactly."""
-        return {
-            "quantities": list(self.quantities),
-            "known": list(self.known),
-            "parameters": list(self.parameters),
-            "loops": list(self.loops),
-            "operations": [[name, *payload] for name, payload in self.operations],
-            "outputs": list(self.outputs),
-        }
-
-    @classmethod
-    def from_data(cls, data: Mapping[str, Any]) -> Tape:
-        """The tape written by `to_data`.
-
-        Raises InputError naming the operation that is not one, or refers ahead of itself.
-        """
-        try:
-            tables = [_names(data[key]) for key in _TABLES]
-            rows, outputs = list(data["operations"]), [index(o) for o in data["outputs"]]
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                f"this is not a tape: {error!r}", code="wrong-file-type", remedy=_REWRITE
-            ) from None
-        quantities, known, parameters, loops = tables
-        sizes = {
-            "quantity": len(quantities),
-            "known": len(known),
-            "parameter": len(parameters),
-        }
-        operations = tuple(_checked(i, row, sizes) for i, row in enumerate(rows))
-        if len(outputs) != len(loops) or not all(0 <= o < len(operations) for o in outputs):
-            raise InputError(
-                "the outputs of the tape are not among its operations",
-                code="unknown-name",
-                remedy=_REWRITE,
-            )
-        return cls(quantities, known, parameters, loops, operations, tuple(outputs))
-
 
 _ATOM = 4
 _BRACKETS = {"sub": (1,), "div": (1,), "neg": (0,), "pow": (0, 1)}
 """Which arguments are bracketed also where they bind as tightly as the operation itself."""
-_TABLES = ("quantities", "known", "parameters", "loops")
-_REWRITE = "write it again with Tape.to_data()"
-
-
-def _names(values: Any) -> tuple[str, ...]:
-    if isinstance(values, str) or not all(isinstance(value, str) for value in values):
-        raise TypeError(f"{values!r} is not a list of names")
-    return tuple(values)
-
-
-def _checked(position: int, row: Any, sizes: Mapping[str, int]) -> tuple[str, tuple[float, ...]]:
-    """One operation of a tape read from outside, or the error that says what is wrong with it."""
-    place = f"operation {position}"
-    try:
-        name, payload = str(row[0]), list(row[1:])
-        numbers = tuple(float(v) if name == "constant" else index(v) for v in payload)
-    except (TypeError, ValueError, IndexError):
-        raise InputError(
-            f"{row!r} is not an operation", code="wrong-shape", place=place, remedy=_REWRITE
-        ) from None
-    if name in sizes or name == "constant":
-        valid = len(numbers) == 1 and (
-            math.isfinite(numbers[0]) if name == "constant" else 0 <= numbers[0] < sizes[name]
-        )
-    elif name in OPERATIONS:
-        valid = len(numbers) == OPERATIONS[name].arity and all(0 <= n < position for n in numbers)
-    else:
-        remedy = nearest(name, [*LEAVES, *OPERATIONS])
-        raise InputError(
-            f"operation {name!r} is not known", code="unknown-name", place=place, remedy=remedy
-        )
-    if not valid:
-        raise InputError(
-            f"{row!r} has wrong arguments", code="wrong-shape", place=place, remedy=_REWRITE
-        )
-    return name, numbers
 
 
 def _reachable(

@@ -136,6 +136,7 @@ class Scalar:
                 remedy="use + - * / ** and np." + ", np.".join(sorted(set(_UFUNCS))),
             )
         if any(isinstance(value, np.ndarray) and value.ndim for value in inputs):
+            # NumPy has no loops for objects here, so the operation is applied to each element.
             each = np.frompyfunc(
                 lambda *arguments: self._apply(_UFUNCS[name], *arguments), ufunc.nin, 1
             )
@@ -257,7 +258,7 @@ def trace(
     *,
     quantities: Sequence[str],
     parameters: Sequence[str],
-    known: Sequence[str] = (),
+    pose_constants: Sequence[str] = (),
     loops: Sequence[str] | None = None,
 ) -> Tape:
     """The tape of f(x, p), whose values are zero where the loops close.
@@ -268,10 +269,14 @@ def trace(
     Raises TraceError where the function does what a tape cannot hold.
     """
     graph = Graph()
-    x_names = [*quantities, *known]
+    x_names = [*quantities, *pose_constants]
     leaves = [
         Scalar(graph, graph.leaf(kind, i))
-        for kind, names in (("quantity", quantities), ("known", known), ("parameter", parameters))
+        for kind, names in (
+            ("quantity", quantities),
+            ("known", pose_constants),
+            ("parameter", parameters),
+        )
         for i in range(len(names))
     ]
     x = Inputs(x_names, leaves[: len(x_names)], "quantity")
@@ -293,7 +298,7 @@ def trace(
         graph,
         [equation.node for equation in equations],
         quantities=quantities,
-        known=known,
+        pose_constants=pose_constants,
         parameters=parameters,
         loops=names,
     )

@@ -30,10 +30,12 @@ def distance_histogram(before: Array, after: Array, unit: str) -> Figure | None:
     positive = np.concatenate([part[part > 0.0] for part in parts.values()])
     if not positive.size:
         return None
+    # A linear scale of 40 bins would show most of such distances in the first one.
     logarithmic = positive.max() > 30.0 * np.median(positive[positive <= np.median(positive)])
     low = max(positive.min(), positive.max() * 1e-6)
     space = np.geomspace(low, positive.max(), BINS + 1)
     edges = space if logarithmic else np.linspace(0.0, positive.max(), BINS + 1)
+    # The largest distance falls into the last bin in spite of rounding.
     edges[-1] = positive.max() * (1.0 + 1e-12)
     data = []
     for (name, values), colour in zip(parts.items(), (BEFORE, AFTER), strict=True):
@@ -52,13 +54,13 @@ def distance_histogram(before: Array, after: Array, unit: str) -> Figure | None:
     scale = {"type": "log"} if logarithmic else {"rangemode": "tozero"}
     hint = " The scale of distances is logarithmic." if logarithmic else ""
     medians = {name: float(np.median(v)) for name, v in parts.items() if v.size}
-    told = ", ".join(f"median {m:.3g} {unit} {name}" for name, m in medians.items())
+    medians_text = ", ".join(f"median {m:.3g} {unit} {name}" for name, m in medians.items())
     return Figure(
         "histogram",
         "Distances between computed and measured points",
         "Each step counts the poses at that distance. Where blue lies left of grey, the "
         f"calibration improved them; inspect the poses in the right tail of blue.{hint}",
-        f"Histogram of distances before and after calibration: {told}.",
+        f"Histogram of distances before and after calibration: {medians_text}.",
         tuple(data),
         layout(
             300,
@@ -108,7 +110,7 @@ def over_poses(
         more["yaxis"]["domain"] = [0.55, 1.0]
         more["yaxis2"] = axis(f"after [{unit}]", domain=[0.0, 0.45], zeroline=True, anchor="x")
     worst = [float(np.nanmax(np.abs(_stack([panel])), initial=0.0)) for panel in panels]
-    told = " and ".join(
+    largest_text = " and ".join(
         f"at most {w:.3g} {unit} {when}"
         for w, when in zip(worst, ("before", "after"), strict=False)
     )
@@ -118,7 +120,7 @@ def over_poses(
         "The two panels have different scales. Before: patterns show errors of the nominal "
         "model. After: only scatter without pattern should remain. A drift or step means that "
         f"something moved during the measurement.{chosen.words}",
-        f"{what} of {len(sizes)} poses in order, {told}.",
+        f"{what} of {len(sizes)} poses in order, {largest_text}.",
         tuple(data),
         layout(
             520 if len(panels) == 2 else 320,

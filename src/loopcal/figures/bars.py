@@ -32,15 +32,16 @@ class Bars:
         }
         if self.low is None or self.high is None:
             return made
-        known = [
+        intervals = [
+            # A missing end is drawn as the value itself: no line to that side.
             (v, v if low is None else low, v if high is None else high)
             for v, low, high in zip(self.values, self.low, self.high, strict=True)
         ]
         lines = {
             "type": "data",
             "symmetric": False,
-            "array": numbers(np.array([high - v for v, _, high in known])),
-            "arrayminus": numbers(np.array([v - low for v, low, _ in known])),
+            "array": numbers(np.array([high - v for v, _, high in intervals])),
+            "arrayminus": numbers(np.array([v - low for v, low, _ in intervals])),
             "thickness": 1.5,
         }
         return made | {"error_y": lines}

@@ -25,13 +25,13 @@ def model_bars(models: Sequence[str], rms: Array, most: Array) -> Figure | None:
     if not np.isfinite(rms).any():
         return None
     series = (Bars("rms", AFTER, rms.tolist()), Bars("largest", BEFORE, most.tolist()))
-    told = ", ".join(f"{m} {v:.3g} mm" for m, v in zip(models, rms, strict=True))
+    errors_text = ", ".join(f"{m} {v:.3g} mm" for m, v in zip(models, rms, strict=True))
     return Figure(
         "models",
         "What each way of entering the calibration reaches",
         "Distance between computed and measured point at the calibration poses. Nominal: the "
         "drawing, placed as well as can be. Geometry: what exported files hold.",
-        f"Rms error of each model: {told}.",
+        f"Rms error of each model: {errors_text}.",
         tuple(bars.trace(models) for bars in series),
         bar_layout(300, "distance [mm]"),
     )

@@ -67,14 +67,16 @@ def error_bars(
             )
     names = [bar.name for bar in shown[0][1]]
     widest = {method: max(bar.high - bar.low for bar in bars) for method, bars in shown}
-    told = ", ".join(f"{method} up to {width:.3g} {unit} wide" for method, width in widest.items())
+    widths_text = ", ".join(
+        f"{method} up to {width:.3g} {unit} wide" for method, width in widest.items()
+    )
     return Figure(
         key,
         title,
         "Points are means over the draws, bars contain the middle 95 % of them, open diamonds "
         "are the published draw. A mean away from zero is bias. An invisible bar is too short "
         "for this scale.",
-        f"{title} by method: {told}.",
+        f"{title} by method: {widths_text}.",
         tuple(data),
         layout(
             340,

@@ -22,6 +22,10 @@ COLOURS = (
 """Distinct also without green cones (deuteranopia); the first eight after Okabe and Ito."""
 
 
+WIDTH, LEGEND_ROW, LEGEND_MARK, LEGEND_LETTER = 700, 20, 45, 7
+"""[px] of a figure on paper, and of the entries of its legend."""
+
+
 def colours(names: Iterable[str]) -> dict[str, str]:
     """A colour for each name, the same in every figure of a page."""
     return {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(dict.fromkeys(names))}
@@ -54,9 +58,25 @@ class Figure:
         layout = {**self.layout, "shapes": lines}
         return replace(self, caption=self.caption + words, layout=layout)
 
+    @property
+    def height(self) -> int:
+        """[px] The layout's, with the room of a legend of many or long names.
+
+        Plotly lays the entries out in columns of one width and cuts a legend at half the height.
+        """
+        height = int(self.layout["height"])
+        named = [t for t in self.data if t.get("showlegend", True) and t.get("name")]
+        shown = [t for t in named if t.get("visible", True)]
+        if len(shown) < 2 or not self.layout.get("showlegend", True):
+            return height
+        widest = max(LEGEND_MARK + LEGEND_LETTER * len(str(trace["name"])) for trace in shown)
+        rows = -(-len(shown) // max(WIDTH // widest, 1))
+        return max(height + LEGEND_ROW * max(rows - 2, 0), 2 * LEGEND_ROW * (rows + 1))
+
     def json(self) -> str:
         """For a script element: nothing in it can end that element or begin a comment."""
-        content = {"data": self.data, "layout": self.layout}
+        layout = {**self.layout, "height": self.height}
+        content = {"data": self.data, "layout": layout}
         text = json.dumps(content, allow_nan=False, separators=(",", ":"))
         return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
@@ -71,13 +91,19 @@ class Figure:
 
 
 def numbers(values: Array) -> list[Any]:
-    """Numbers to six significant digits, which no eye can tell apart; None where there is none."""
+    """Numbers to six significant digits, finer than any screen; None where there is none."""
     return [float(f"{v:.6g}") if v - v == 0.0 else None for v in values.tolist()]
 
 
 def shown_text(text: str) -> str:
     """A user's text for plotly, which reads some markup: shown as it was written."""
     return escape(text, quote=False)
+
+
+def panel_title(name: str, words: str = "", most: int = 22) -> str:
+    """A name beside a panel, cut to the end of `most` characters, and words after it."""
+    short = name if len(name) <= most else f"…{name[1 - most :]}"
+    return shown_text(f"{short}, {words}" if words else short)
 
 
 def names(texts: Sequence[str]) -> list[str]:

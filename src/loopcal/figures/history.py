@@ -18,6 +18,10 @@ from loopcal.figures.figure import (
     numbers,
     shown_text,
 )
+from loopcal.presentation.wrapped import shortened
+
+EVENT = 30
+"""Characters of an event that stand beside its line; the table of entries holds all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +133,11 @@ def accuracy_chart(
 def _events(events: Sequence[Event]) -> dict[str, Any]:
     line = {"type": "line", "yref": "paper", "y0": 0, "y1": 1}
     look = {"color": MARK, "width": 1.5, "dash": "dash"}
+    # Upright beside its line, so that neighbouring events do not cover each other.
     words = {"yref": "paper", "y": 1, "showarrow": False, "textangle": -90, "xanchor": "right"}
     return {
         "shapes": [{**line, "x0": e.time, "x1": e.time, "line": look} for e in events],
-        "annotations": [{**words, "x": e.time, "text": shown_text(e.words)} for e in events],
+        "annotations": [
+            {**words, "x": e.time, "text": shown_text(shortened(e.words, EVENT))} for e in events
+        ],
     }

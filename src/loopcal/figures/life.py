@@ -30,7 +30,7 @@ class Reach:
 
     name: str
     smallest: float
-    found: float | None
+    change: float | None
     half: float | None
 
 
@@ -50,18 +50,18 @@ def changes(key: str, unit: str, candidates: Sequence[Reach]) -> Figure | None:
             "marker": {"color": BEFORE},
         }
     ]
-    found = [one for one in shown if one.found is not None]
-    if found:
+    changed = [one for one in shown if one.change is not None]
+    if changed:
         data.append(
             {
                 "type": "scatter",
                 "mode": "markers",
                 "name": "change that was found, 95 % interval",
-                "y": names([one.name for one in found]),
-                "x": numbers(np.array([abs(one.found or 0.0) for one in found])),
+                "y": names([one.name for one in changed]),
+                "x": numbers(np.array([abs(one.change or 0.0) for one in changed])),
                 "error_x": {
                     "type": "data",
-                    "array": numbers(np.array([one.half or 0.0 for one in found])),
+                    "array": numbers(np.array([one.half or 0.0 for one in changed])),
                     "thickness": 1.5,
                 },
                 "marker": {"color": MARK, "size": 9},
@@ -71,7 +71,7 @@ def changes(key: str, unit: str, candidates: Sequence[Reach]) -> Figure | None:
         key,
         f"Changes in {unit}",
         "A change to the left of its bar is not always seen.",
-        f"The smallest visible change of {len(shown)} candidates, {len(found)} changes found.",
+        f"The smallest visible change of {len(shown)} candidates, {len(changed)} changes found.",
         tuple(data),
         layout(
             110 + 22 * len(shown),
@@ -149,6 +149,7 @@ def spread(parameters: Sequence[str], machines: Mapping[str, Array], unusual: se
             130 + 26 * len(parameters),
             xaxis=axis("deviation [sds]", zeroline=True),
             yaxis=axis("", autorange="reversed"),
+            # Deviates are normal by construction, so 1.96 bounds 95 % of them.
             shapes=[{**band, "x0": -1.96, "x1": 1.96, **look}],
         ),
     )

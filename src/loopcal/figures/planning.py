@@ -37,6 +37,7 @@ def by_number(lines: Sequence[Line], unit: str, number: int) -> Figure | None:
     """Expected sd of the end point by the number of poses; number: of the plan."""
     if not any(np.isfinite(line.values).any() for line in lines):
         return None
+    # The plan as "after", random poses as "before".
     shades = (AFTER, COLOURS[1], BEFORE)
     data = [
         {
@@ -50,7 +51,7 @@ def by_number(lines: Sequence[Line], unit: str, number: int) -> Figure | None:
         }
         for line, shade in zip(lines, shades, strict=False)
     ]
-    told = ", ".join(
+    sds_text = ", ".join(
         f"{line.name} {float(line.values[list(line.poses).index(number)]):.3g} {unit}"
         for line in lines
         if number in line.poses
@@ -60,7 +61,7 @@ def by_number(lines: Sequence[Line], unit: str, number: int) -> Figure | None:
         "Expected sd of the end point by the number of poses",
         "Stop where the curve is flat: further poses would improve little. Grey: random poses "
         "from the same candidates.",
-        f"Expected sd against the number of poses; after {number} poses {told}.",
+        f"Expected sd against the number of poses; after {number} poses {sds_text}.",
         tuple(data),
         layout(
             360,
@@ -106,7 +107,11 @@ def parameters_by_number(groups: Mapping[str, Sequence[Line]]) -> Figure | None:
         "A line begins where the poses determine its parameter.",
         f"Expected sds of {count} parameters against the number of poses.",
         tuple(data),
-        layout(300 * len(groups) + 80, xaxis=axis("poses", rangemode="tozero"), **more),
+        layout(
+            300 * len(groups) + 80,
+            xaxis=axis("poses", rangemode="tozero", anchor=f"y{end}"),
+            **more,
+        ),
     )
 
 
@@ -144,5 +149,5 @@ def chosen_points(
         "End points in the order to measure them, which has short joint travel.",
         f"{len(use)} end points in space, joined in the order to measure them.",
         tuple(data),
-        space_layout(len(points)),
+        space_layout(data),
     )

@@ -19,6 +19,7 @@ from loopcal.figures.figure import (
     colours,
     layout,
     numbers,
+    panel_title,
     shown_text,
 )
 
@@ -80,7 +81,7 @@ def scatter(clouds: Sequence[Cloud], plane: tuple[int, int] = (0, 1)) -> Figure:
         left, top = column / COLUMNS, 1.0 - row / rows
         at = cloud.offsets[:, plane]
         mean = at.mean(axis=0)
-        here = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
+        panel_axes = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
         more[f"xaxis{suffix}"] = axis(
             f"{letters[0]} [mm]",
             domain=[left + 0.02, left + 0.86 / COLUMNS],
@@ -97,17 +98,18 @@ def scatter(clouds: Sequence[Cloud], plane: tuple[int, int] = (0, 1)) -> Figure:
             nticks=5,
         )
         look = {"color": COLOURS[0], "size": 5, "opacity": 0.6}
-        data.append(_dots("readings", at, look, i == 0) | here)
+        data.append(_dots("readings", at, look, i == 0) | panel_axes)
         cross = {"color": COLOURS[1], "size": 11, "symbol": "cross-thin-open"}
-        data.append(_dots("mean", mean[None], cross, i == 0) | here)
+        data.append(_dots("mean", mean[None], cross, i == 0) | panel_axes)
+        # Drawn last, on top of the readings.
         star = {"color": BEFORE, "size": 10, "symbol": "x-open"}
-        data.append(_dots("commanded", np.zeros((1, 2)), star, i == 0) | here)
+        data.append(_dots("commanded", np.zeros((1, 2)), star, i == 0) | panel_axes)
         if cloud.radius is not None:
             shapes.append(
                 {
                     "type": "circle",
-                    "xref": here["xaxis"],
-                    "yref": here["yaxis"],
+                    "xref": panel_axes["xaxis"],
+                    "yref": panel_axes["yaxis"],
                     **{f"x{e}": float(mean[0] + s * cloud.radius) for e, s in ((0, -1), (1, 1))},
                     **{f"y{e}": float(mean[1] + s * cloud.radius) for e, s in ((0, -1), (1, 1))},
                     "line": {"color": COLOURS[4], "width": 1.5},
@@ -115,7 +117,7 @@ def scatter(clouds: Sequence[Cloud], plane: tuple[int, int] = (0, 1)) -> Figure:
             )
         titles.append(
             {
-                "text": shown_text(cloud.name),
+                "text": panel_title(cloud.name),
                 "x": left + 0.02,
                 "y": top - 0.05 / rows,
                 "xref": "paper",

@@ -14,6 +14,7 @@ from loopcal.figures.figure import (
     layout,
     names,
     numbers,
+    panel_title,
     shown_text,
 )
 from loopcal.figures.thinning import POINTS, thinned
@@ -33,6 +34,7 @@ def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> F
     usable = {name: values for name, values in usable.items() if values.size}
     if not usable:
         return None
+    # Four sds show the shape of a normal curve; beyond twelve one outlier would flatten it.
     reach = min(max(4.0, *(float(np.abs(v).max()) for v in usable.values())), 12.0)
     curve = np.linspace(-reach, reach, 61)
     edges = np.linspace(-reach, reach, 41)
@@ -45,7 +47,7 @@ def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> F
         suffix = str(i + 1) if i else ""
         left, top = column / COLUMNS, 1.0 - row / rows
         right, bottom = left + 0.88 / COLUMNS, top - 0.72 / rows
-        here = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
+        panel_axes = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
         quiet = {"showticklabels": False, "rangemode": "tozero", "title": {"text": ""}}
         more[f"xaxis{suffix}"] = axis("", domain=[left, right], anchor=f"y{suffix}", nticks=5)
         more[f"yaxis{suffix}"] = axis("", domain=[bottom, top], anchor=f"x{suffix}") | quiet
@@ -67,13 +69,13 @@ def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> F
                     "line": {"color": shades[name], **line},
                     "fill": fill,
                     "hoverinfo": "skip",
-                    **here,
+                    **panel_axes,
                 }
             )
         rms = float(np.sqrt(np.square(values).mean()))
         titles.append(
             {
-                "text": f"{shown_text(name)}, rms {rms:.2f}",
+                "text": panel_title(name, f"rms {rms:.2f}"),
                 "x": left,
                 "y": top,
                 "xref": "paper",
@@ -83,7 +85,7 @@ def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> F
                 "showarrow": False,
             }
         )
-    told = ", ".join(
+    rms_text = ", ".join(
         f"{shown_text(n)} rms {np.sqrt(np.square(v).mean()):.2f}" for n, v in usable.items()
     )
     return Figure(
@@ -92,7 +94,7 @@ def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> F
         "A weakly checked sensor is corrected by less than its sd, so its curve is narrower "
         "than the dotted one. A wider, skewed or two-humped curve: its sd is too small, or its "
         "errors are not only noise. Values beyond the ends are counted at the ends.",
-        f"Distributions of corrections over their sds beside the normal curve: {told}.",
+        f"Distributions of corrections over their sds beside the normal curve: {rms_text}.",
         tuple(data),
         layout(150 * rows + 40, annotations=titles, showlegend=False, **more)
         | {"margin": {"l": 8, "r": 8, "t": 32, "b": 8}},
@@ -119,7 +121,9 @@ def drift(
         suffix = "" if i == 0 else str(i + 1)
         top = 1.0 - i / count
         domain = [top - 0.88 / count, top]
-        more[f"yaxis{suffix}"] = axis(shown_text(name), domain=domain, zeroline=True, nticks=4)
+        more[f"yaxis{suffix}"] = axis(
+            panel_title(name, most=12), domain=domain, zeroline=True, nticks=4
+        )
         data.append(
             {
                 "type": "scatter",

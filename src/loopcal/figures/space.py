@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,15 @@ from loopcal.figures.figure import Array, Figure, axis, layout, names, numbers
 from loopcal.figures.thinning import thinned
 from loopcal.presentation.rounding import significant
 
+# More hide each other, and a browser turns them slowly.
 ARROWS = 500
 SHADES = ("#0072b2", "#56b4e9", "#c9b200", "#e69f00", "#b5340a")
 """From the shortest to the longest arrows."""
 MACHINE = "#8d8f96"
+FIELD = np.pi / 4.0
+"""Field of view of plotly's camera, up and down."""
+LABELS = 1.0
+"""Room for the labels of the axes around their box."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +53,7 @@ def arrows(
         return None
     at = points[:, chosen.index]
     drawn = {}
-    told = []
+    enlargements = []
     for name, differences in stages.items():
         along, size = differences[:, chosen.index], sizes[name][chosen.index]
         labels = [
@@ -56,7 +62,7 @@ def arrows(
         ]
         scale = _scale(at, size)
         drawn[name] = _stage(at, scale * along, size / factor, labels, f"{unit} {name}")
-        told.append(f"{_times(scale)} times {name}")
+        enlargements.append(f"{_times(scale)} times {name}")
     data: list[dict[str, Any]] = []
     if machine is not None:
         data.append(machine_trace(machine))
@@ -67,13 +73,13 @@ def arrows(
     return Figure(
         "arrows",
         "Where the model differs from what was measured",
-        f"Arrows from measured to computed point, enlarged {', '.join(told)}, coloured by size. "
-        "Parallel neighbours indicate a missing effect in the model; arrows in all directions "
-        f"are noise.{chosen.words}",
+        f"Arrows from measured to computed point, enlarged {', '.join(enlargements)}, coloured by "
+        "size. Parallel neighbours indicate a missing effect in the model; arrows in all "
+        f"directions are noise.{chosen.words}",
         f"{chosen.index.size} arrows at the measured points; the largest difference "
         f"{last} calibration is {largest} {unit}.",
         tuple(data),
-        space_layout(len(points), _switch(list(stages), still, of)),
+        space_layout(data, _switch(list(stages), still, of)),
     )
 
 
@@ -83,20 +89,20 @@ def _stage(
     """Arrows by shade, and a mark at each point that names its pose."""
     edges = np.linspace(0.0, float(np.nanmax(size)), len(SHADES) + 1)
     shade = np.clip(np.searchsorted(edges, size, side="left") - 1, 0, len(SHADES) - 1)
-    found = []
+    traces = []
     for i, colour in enumerate(SHADES):
         which = (shade == i) & np.isfinite(size)
         if which.any():
             lines = _lines(at[:, which], along[:, which])
             name = f"up to {significant(float(edges[i + 1]), 2)} {words}"
-            found.append(
+            traces.append(
                 {**_trace(lines, name, {"color": colour, "width": 2}), "hoverinfo": "skip"}
             )
     marks = {"color": [SHADES[i] for i in shade], "size": 2 if len(at) == 3 else 5}
     trace = _trace(at, "pose", {})
     del trace["line"]
     hover = {"text": names(labels), "hoverinfo": "text", "showlegend": False}
-    return [*found, {**trace, "mode": "markers", "marker": marks, **hover}]
+    return [*traces, {**trace, "mode": "markers", "marker": marks, **hover}]
 
 
 def machine_trace(machine: Machine) -> dict[str, Any]:
@@ -128,6 +134,7 @@ def _switch(stages: Sequence[str], still: int, of: Sequence[str]) -> dict[str, A
 
 def _scale(at: Array, size: Array) -> float:
     extent = float(np.linalg.norm(np.ptp(at, axis=1))) or 1.0
+    # The 95th percentile of the arrows becomes 8 % of the extent: visible, without overlap.
     return _round(0.08 * extent / max(float(np.nanpercentile(size, 95)), 1e-15))
 
 
@@ -135,17 +142,43 @@ def _times(scale: float) -> str:
     return f"{scale:,.0f}" if scale >= 1 else f"{scale:.3g}"
 
 
-def space_layout(dimensions: int, more: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Two or three axes to scale."""
-    more = more or {}
-    below = {"orientation": "h", "x": 0, "y": -0.02 if dimensions == 3 else -0.1, "yanchor": "top"}
+def space_layout(
+    data: Sequence[Mapping[str, Any]], more: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Two or three axes to scale; in space, all that the traces hold is in the picture."""
+    more, dimensions = more or {}, 3 if "z" in data[0] else 2
+    below = {"orientation": "h", "x": 0, "y": -0.02 if dimensions == 3 else -0.14, "yanchor": "top"}
     more = {**more, "margin": {"l": 8, "r": 8, "t": 48 if more else 16, "b": 8}, "legend": below}
     if dimensions == 2:
         plane = {"xaxis": axis("[m]"), "yaxis": axis("[m]", scaleanchor="x", scaleratio=1)}
         return layout(520, dragmode="pan", **plane) | more
-    scene = {f"{a}axis": {"title": {"text": f"{a} [m]"}} for a in "xyz"}
-    camera = {"eye": {"x": 1.0, "y": 1.0, "z": 0.45}}
-    return layout(620, scene={"aspectmode": "data", "camera": camera, **scene}) | more
+    return layout(620, scene=_scene(data)) | more
+
+
+def _scene(data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Axes to scale around all traces, seen from where every corner of their box is in view.
+
+    A corner c is in view of an eye at distance d along u where |right . c| and |up . c| are at most
+    tan(fov / 2) (d - u . c).
+    """
+    drawn = np.hstack([np.array([trace[a] for a in "xyz"], dtype=float) for trace in data])
+    low, high = np.nanmin(drawn, axis=1), np.nanmax(drawn, axis=1)
+    margin = 0.05 * (float((high - low).max()) or 1.0)
+    low, high = low - margin, high + margin
+    box = (high - low) / (high - low).max()
+    corners = 0.5 * box[:, None] * np.array(list(product((-1.0, 1.0), repeat=3))).T
+    toward = np.array([1.0, 1.0, 0.45]) / np.linalg.norm([1.0, 1.0, 0.45])
+    right = np.cross([0.0, 0.0, 1.0], toward)
+    right /= np.linalg.norm(right)
+    aside = np.maximum(np.abs(right @ corners), np.abs(np.cross(toward, right) @ corners))
+    distance = float((toward @ corners + LABELS * aside / np.tan(FIELD / 2.0)).max())
+    axes = {
+        f"{a}axis": {"title": {"text": f"{a} [m]"}, "range": [float(ends[0]), float(ends[1])]}
+        for a, ends in zip("xyz", np.column_stack([low, high]), strict=True)
+    }
+    ratio = dict(zip("xyz", box.tolist(), strict=True))
+    eye = dict(zip("xyz", (distance * toward).tolist(), strict=True))
+    return {"aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": eye}, **axes}
 
 
 def _trace(coordinates: Array, name: str, line: dict[str, Any]) -> dict[str, Any]:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+# Markers that a browser draws without delay.
 POINTS = 2000
 LARGEST = 50
-"""So many of the poses shown are those where the figure is largest."""
+"""How many of the poses shown are those where the figure is largest."""
 
 
 @dataclass(frozen=True, eq=False)

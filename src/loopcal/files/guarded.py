@@ -15,6 +15,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
 from importlib import import_module
@@ -22,11 +23,18 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from loopcal import errors
+from loopcal.import_path import without_folder
 
+# Why a child, and why these limits: docs/decisions/0031 and 0137.
 MEMORY, MEMORY_PER_BYTE = 1 << 30, 64
-"""Bytes that a call may allocate, and those it may allocate per byte of its file."""
-SECONDS, BYTES_PER_SECOND = 60.0, 200_000
-"""Seconds that a call may take, and bytes of its file for each of which it may take one more."""
+"""Bytes that any call may allocate, or else those per byte of its file."""
+SECONDS, BYTES_PER_SECOND, PATIENCE = 20, 1_000_000, 10
+"""Seconds of computing that any call may take, or else bytes of its file per second; and times as
+long until it ends on a busy machine."""
+
+
+_OVERTIME = getattr(signal, "SIGXCPU", 0)
+"""What ends a process that computes for longer than its limit."""
 
 
 class Stopped(Exception):
@@ -36,18 +44,20 @@ class Stopped(Exception):
 def guarded(function: str, arguments: Mapping[str, Any], size: int) -> bytes:
     """What a function "module:name" returns (bytes) for arguments that JSON can hold.
 
-    size: [bytes] of the file it reads; memory and time are limited in proportion. The limit of
-    memory needs Linux. Raises the function's own LoopcalError, and Stopped where it raised
-    another error, its process ended, or a limit was reached.
+    size: [bytes] of the file it reads; memory and time of large ones are limited in proportion.
+    The limit of memory needs Linux, that of computing time a system like it. Raises the function's
+    own LoopcalError, and Stopped where it raised another error, its process ended, or a limit was
+    reached.
     """
-    memory = MEMORY + MEMORY_PER_BYTE * size
+    memory = max(MEMORY, MEMORY_PER_BYTE * size)
+    seconds = max(SECONDS, size // BYTES_PER_SECOND)
     request = {"function": function, "arguments": dict(arguments), "memory": memory}
-    answer = _CHILDREN.ask(json.dumps(request).encode(), SECONDS + size / BYTES_PER_SECOND)
+    answer = _CHILDREN.ask(json.dumps({**request, "seconds": seconds}).encode(), seconds)
     if answer[:1] == b"v":
         return answer[1:]
-    told = json.loads(answer[1:])
-    kind = getattr(errors, told.pop("kind"), None)
-    raise Stopped(told["message"]) if kind is None else kind(**told)
+    error_fields = json.loads(answer[1:])
+    kind = getattr(errors, error_fields.pop("kind"), None)
+    raise Stopped(error_fields["message"]) if kind is None else kind(**error_fields)
 
 
 class _Children:
@@ -59,7 +69,8 @@ class _Children:
         self.parent = 0
 
     def ask(self, request: bytes, seconds: float) -> bytes:
-        """The child's answer. Raises Stopped where it gives none in that time."""
+        """The child's answer. Raises Stopped where it gives none in that time of computing."""
+        # One request at a time: an answer does not state which request it belongs to.
         with self.lock:
             child = self._running()
             late = threading.Event()
@@ -68,17 +79,17 @@ class _Children:
                 late.set()
                 child.kill()
 
-            timer = threading.Timer(seconds, stop)
+            timer = threading.Timer(PATIENCE * seconds, stop)
             timer.daemon = True
             timer.start()
             try:
                 _send(child.stdin, request)
                 answer = _received(child.stdout)
             except (OSError, EOFError):
-                self._end(kill=True)
+                code = self._end(kill=True)
                 raise Stopped(
-                    f"reading it takes longer than {seconds:.0f} s"
-                    if late.is_set()
+                    f"reading it takes longer than {seconds:g} s"
+                    if late.is_set() or code == -_OVERTIME
                     else "the program that reads it crashes"
                 ) from None
             except BaseException:
@@ -92,9 +103,11 @@ class _Children:
         if self.parent != os.getpid():  # a fork has its parent's child, which is not its own
             self.child, self.parent = None, os.getpid()
         if self.child is None or self.child.poll() is not None:
-            start = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
+            path = without_folder(sys.path)
+            start = f"import sys; sys.path[:] = {path!r}; from {__name__} import serve; serve()"
+            # -P: no module of the user's folder shadows an installed one.
             self.child = subprocess.Popen(
-                [sys.executable, "-c", start],
+                [sys.executable, "-P", "-c", start],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
@@ -106,16 +119,20 @@ class _Children:
         if self.parent == os.getpid():
             self._end(kill=False)
 
-    def _end(self, *, kill: bool) -> None:
+    def _end(self, *, kill: bool) -> int | None:
+        """How the child ended, by itself or by this."""
         child, self.child = self.child, None
         if child is not None:
             if kill:
+                with suppress(subprocess.TimeoutExpired):
+                    child.wait(0.2)  # it may be about to end by itself, which says why
                 child.kill()
             for pipe in (child.stdin, child.stdout):
                 with suppress(OSError):
                     assert pipe is not None
                     pipe.close()
-            child.wait()
+            return child.wait()
+        return None
 
 
 _CHILDREN = _Children()
@@ -136,20 +153,34 @@ def serve() -> None:
         _send(answers, _answer(**request))
 
 
-def _answer(function: str, arguments: dict[str, Any], memory: int) -> bytes:
+def _answer(function: str, arguments: dict[str, Any], memory: int, seconds: float) -> bytes:
     module, name = function.split(":")
     called = getattr(import_module(module), name)
     try:
+        _at_most_seconds(seconds)
         with _at_most(memory):
             return b"v" + bytes(called(**arguments))
     except errors.LoopcalError as error:
-        told = vars(error)
-        return b"e" + json.dumps({"kind": type(error).__name__, **told}).encode()
+        error_fields = vars(error)
+        return b"e" + json.dumps({"kind": type(error).__name__, **error_fields}).encode()
     except MemoryError:
         message = f"reading it takes more than {memory / 1e9:.1f} GB of memory"
     except BaseException as error:  # a panic of a library in Rust is no Exception
         message = (str(error).strip().splitlines() or [type(error).__name__])[0]
     return b"e" + json.dumps({"kind": "", "message": errors.short(message, 300)}).encode()
+
+
+def _at_most_seconds(seconds: float) -> None:
+    """From now on at most so many seconds of computing, or the process ends."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_CPU)
+        # RLIMIT_CPU counts from the start of the process, which has answered other requests before.
+        until = int(time.process_time() + seconds) + 1
+        if most != resource.RLIM_INFINITY:
+            until = min(until, most)
+        resource.setrlimit(resource.RLIMIT_CPU, (until, most))
 
 
 @contextmanager
@@ -161,6 +192,7 @@ def _at_most(memory: int) -> Generator[None, None, None]:
         return
     import resource
 
+    # RLIMIT_DATA counts memory in use too: field six of statm, data and stack in pages.
     used = int(statm.read_text().split()[5]) * resource.getpagesize()
     before = resource.getrlimit(resource.RLIMIT_DATA)
     most = used + memory

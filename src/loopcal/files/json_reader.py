@@ -11,7 +11,8 @@ from loopcal.errors import InputError
 from loopcal.files.tables.raw import bytes_of
 
 _ESCAPED_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
-MOST_BYTES = 1_000_000_000
+MOST_BYTES, MOST_PARTS = 100_000_000, 500_000
+"""Bytes of a file, and objects and lists in it, each of which takes much more memory than text."""
 
 
 def read_json(path: str | Path, kind: str, *schemas: int) -> dict[str, Any]:
@@ -20,14 +21,7 @@ def read_json(path: str | Path, kind: str, *schemas: int) -> dict[str, Any]:
     Raises InputError, with line and column, for what is no such file.
     """
     remedy = f"name a {kind} that loopcal wrote"
-    content = bytes_of(path, MOST_BYTES)
-    if len(content) > MOST_BYTES:
-        raise InputError(
-            f"the file is larger than {MOST_BYTES / 1e9:g} GB",
-            code="too-large",
-            place=str(path),
-            remedy=remedy,
-        )
+    content = json_bytes(path, remedy)
     try:
         document = json.loads(content, parse_constant=_refused, parse_int=_whole)
     except json.JSONDecodeError as error:
@@ -42,6 +36,7 @@ def read_json(path: str | Path, kind: str, *schemas: int) -> dict[str, Any]:
         raise InputError(
             f"this is not valid JSON: {why}", code="invalid-syntax", place=str(path), remedy=remedy
         ) from None
+    # Python's json accepts half of a surrogate pair, which UTF-8 cannot hold.
     if _ESCAPED_SURROGATE.search(content):
         try:
             json.dumps(document, ensure_ascii=False).encode("utf-8")
@@ -60,10 +55,11 @@ def read_json(path: str | Path, kind: str, *schemas: int) -> dict[str, Any]:
             place=str(path),
             remedy=remedy,
         )
+    # True == 1 in Python.
     if document["schema"] is True or document["schema"] not in schemas:
-        known = " or ".join(map(str, schemas))
+        readable = " or ".join(map(str, schemas))
         raise InputError(
-            f"schema is {document['schema']!r}, and only schema {known} can be read",
+            f"schema is {document['schema']!r}, and only schema {readable} can be read",
             code="wrong-schema",
             place=f"{path}: schema",
             remedy="use the loopcal version that wrote this file, or write the file again",
@@ -71,7 +67,24 @@ def read_json(path: str | Path, kind: str, *schemas: int) -> dict[str, Any]:
     return document
 
 
+def json_bytes(path: str | Path, remedy: str) -> bytes:
+    """The bytes of a JSON file. Raises InputError where it is larger than loopcal writes any."""
+    content = bytes_of(path, MOST_BYTES)
+    # Brackets inside texts count too: the bound is met too early, never too late.
+    parts = content.count(b"[") + content.count(b"{")
+    if len(content) > MOST_BYTES or parts > MOST_PARTS:
+        raise InputError(
+            f"the file is larger than {MOST_BYTES // 1_000_000} MB, or holds more than "
+            f"{MOST_PARTS:,} lists",
+            code="too-large",
+            place=str(path),
+            remedy=remedy,
+        )
+    return content
+
+
 def _whole(digits: str) -> int:
+    # A double ends at 309 digits, and int() costs the square of the digits.
     if len(digits) > 300:
         raise ValueError(f"it holds a number of {len(digits)} digits")
     return int(digits)

@@ -28,16 +28,30 @@ def expanded(path: str, folder: Path, place: Place) -> Path:
                 place=str(place),
                 remedy=f"set it to the folder: export {name}=/path/to/folder",
             )
-    found = folder / Path(_VARIABLE.sub(lambda match: os.environ[match[1]], path))
+    joined_path = folder / Path(_VARIABLE.sub(lambda match: os.environ[match[1]], path))
+    refuse_outside(joined_path, path, str(place))
+    # nothing leads through a folder that is not there
+    return joined_path if folder.is_dir() else Path(os.path.normpath(joined_path))
+
+
+def refuse_outside(path: Path, named: str, place: str) -> None:
+    """Raise InputError for a path that leads out of the folder in `INSIDE`, by whatever links.
+
+    named: the path as the user wrote it; place: where.
+    """
     inside = os.environ.get(INSIDE)
-    if inside and not Path(os.path.realpath(found)).is_relative_to(os.path.realpath(inside)):
+    if inside and not leads_into(path, Path(inside)):
         raise InputError(
-            f"the path {path!r} leads out of the folder {inside}",
+            f"the path {named!r} leads out of the folder {inside}",
             code="missing-file",
-            place=str(place),
-            remedy="name a file in the folder",
+            place=place,
+            remedy="name a file in the folder, no link to another",
         )
-    return found if folder.is_dir() else Path(os.path.normpath(found))  # nothing leads through it
+
+
+def leads_into(path: str | Path, folder: Path) -> bool:
+    """Whether a path ends in a folder, or in one inside it, when all links are followed."""
+    return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
 
 
 def relative(path: str | Path, folder: str | Path) -> str:

@@ -7,9 +7,10 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from loopcal.errors import InputError
+from loopcal.files.guarded import Stopped, guarded
 from loopcal.files.tables.raw import bytes_of
 
-MOST_BYTES = 20_000_000
+MOST_BYTES = 5_000_000
 SHOWN = 5
 """Places that a message names."""
 _XS = "{http://www.w3.org/2001/XMLSchema}"
@@ -23,38 +24,56 @@ def schema_version(schema: Path) -> str | None:
 
 
 def check_against(content: str, schema: Path) -> None:
-    """Raise InputError where XML does not validate against a schema.
+    """Raise InputError where XML does not validate against a schema, or this has no end.
+
+    The guarded child does it: a short schema may stand for any number of elements.
 
     What the schema imports is taken from the folder of the schema: by the stated path, by the name
     of the file, or by that and its last folder (`si/SI_Format.xsd`). An address is never opened.
     """
+    arguments = {"content": content, "schema": str(schema.absolute())}
+    try:
+        guarded(f"{__name__}:validate", arguments, len(content))
+    except Stopped as why:
+        raise _no_schema(schema, str(why)) from None
+
+
+def validate(content: str, schema: str) -> bytes:
+    """`check_against`; runs in the child."""
     from lxml import etree
 
-    files = _imported(schema)
+    path = Path(schema)
+    files = _imported(path)
 
     class Local(etree.Resolver):  # type: ignore[misc]
         def resolve(self, url: str, _: str, context: Any) -> Any:
-            found = files.get(_name(url or ""))
-            if found is None:
+            imported = files.get(_name(url or ""))
+            if imported is None:
+                # All else, an address above all, is empty instead of fetched.
                 return self.resolve_empty(context)
-            return self.resolve_string(bytes_of(found, MOST_BYTES), context, base_url=str(found))
+            return self.resolve_string(
+                bytes_of(imported, MOST_BYTES), context, base_url=str(imported)
+            )
 
     parser = _parser()
     parser.resolvers.add(Local())
     try:
-        compiled = etree.XMLSchema(etree.parse(str(schema), parser))
+        compiled = etree.XMLSchema(etree.parse(schema, parser))
     except (etree.XMLSchemaParseError, etree.XMLSyntaxError) as error:
-        raise _no_schema(schema, str(error)) from None
+        raise _no_schema(path, str(error)) from None
     document = etree.fromstring(content.encode("utf-8"), _parser())
     if not compiled.validate(document):
-        found = [f"line {entry.line}: {entry.message}" for entry in compiled.error_log]
-        more = f"\nand {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+        complaints = [f"line {entry.line}: {entry.message}" for entry in compiled.error_log]
+        more = f"\nand {len(complaints) - SHOWN} more" if len(complaints) > SHOWN else ""
         raise InputError(
-            "the XML does not validate against this schema:\n" + "\n".join(found[:SHOWN]) + more,
+            "the XML does not validate against this schema:\n"
+            + "\n".join(complaints[:SHOWN])
+            + more,
             code="invalid-value",
-            place=str(schema),
+            place=schema,
             remedy="correct the keys of [record] that these lines name",
         )
+    return b""
 
 
 def _parser() -> Any:
@@ -88,18 +107,19 @@ def _no_schema(path: Path, why: str) -> InputError:
 
 def _imported(schema: Path) -> dict[str, Path]:
     """The files that a schema imports, and these import, by name."""
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     waiting = [schema]
     while waiting:
         path = waiting.pop()
         for node in _parsed(path).iter(*_IMPORTS):
             location = node.get("schemaLocation")
             name = _name(location or "")
-            if location is None or name in found:
+            # Schemas may import each other.
+            if location is None or name in files:
                 continue
-            found[name] = _beside(location, path, schema)
-            waiting.append(found[name])
-    return found
+            files[name] = _beside(location, path, schema)
+            waiting.append(files[name])
+    return files
 
 
 def _beside(location: str, importing: Path, schema: Path) -> Path:

@@ -42,7 +42,7 @@ class Sds:
 
 
 def learnt(
-    known: Calibrated, earlier: Earlier, found: Result, anew: NDArray[np.bool_], drifts: Array
+    calibrated: Calibrated, earlier: Earlier, result: Result, anew: NDArray[np.bool_], drifts: Array
 ) -> Sds | None:
     """The learnt sds of a calibration, learnt from its poses and those of an update.
 
@@ -50,29 +50,31 @@ def learnt(
     (n_all,) sds. None where no sd was learnt, the earlier poses are not there, or the loops have no
     noise.
     """
-    which = [i for i, entry in enumerate(known.noise) if _begun(entry) is not None]
+    which = [i for i, entry in enumerate(calibrated.noise) if _begun(entry) is not None]
     if not which or earlier.problem is None:
         return None
-    begun = {i: _begun(known.noise[i]) or 0.0 for i in which}
+    begun = {i: _begun(calibrated.noise[i]) or 0.0 for i in which}
     apart = tuple(
-        replace(entry, sd=begun[i]) if i in begun else entry for i, entry in enumerate(known.noise)
+        replace(entry, sd=begun[i]) if i in begun else entry
+        for i, entry in enumerate(calibrated.noise)
     )
-    reference = replace(known, noise=apart)
-    names = found.problem.mechanism.tape.quantities
+    reference = replace(calibrated, noise=apart)
+    names = result.problem.mechanism.tape.quantities
     components = [
         Component(", ".join(entry.quantities), tuple(names.index(q) for q in entry.quantities))
-        for entry in (known.noise[i] for i in which)
+        for entry in (calibrated.noise[i] for i in which)
     ]
-    model = _model(components, reference, found, earlier, anew, drifts)
-    start = np.square([known.noise[i].sd / begun[i] for i in which])
+    model = _model(components, reference, result, earlier, anew, drifts)
+    # Ratios are of variances to those at which the loadings are made.
+    start = np.square([calibrated.noise[i].sd / begun[i] for i in which])
     try:
         estimate = estimate_ratios(model, start)
     except NoTrustworthyResult:
         return None
-    noise = list(known.noise)
+    noise = list(calibrated.noise)
     for j, i in enumerate(which):
-        told = judged(model, estimate, j, components[j], _unsure(estimate, j))
-        noise[i] = replace(learnt_entry(noise[i], told, begun[i]), slopes=())
+        learnt_sd = judged(model, estimate, j, components[j], _unsure(estimate, j))
+        noise[i] = replace(learnt_entry(noise[i], learnt_sd, begun[i]), slopes=())
     noisy = (start > 0.0) & (estimate.ratios > 0.0)
     change = np.abs(np.log(estimate.ratios[noisy] / start[noisy])).max(initial=0.0)
     vanished = bool(((start > 0.0) != (estimate.ratios > 0.0)).any())
@@ -93,7 +95,7 @@ def _unsure(estimate: Estimate, which: int) -> bool:
 def _model(
     components: Sequence[Component],
     reference: Calibrated,
-    found: Result,
+    result: Result,
     earlier: Earlier,
     anew: NDArray[np.bool_],
     drifts: Array,
@@ -102,20 +104,21 @@ def _model(
 
     reference: at the sds whose ratios are sought.
     """
-    today = day_problem(reference, found.dataset, noise_of(reference))
+    today = day_problem(reference, result.dataset, noise_of(reference))
     positions = [component.quantities for component in components]
-    parameters = found.solution.parameters
-    new = linear_model(today, parameters, found.solution.corrections, positions).blocks
-    there = earlier.there(parameters, anew)
-    old = earlier.linear(reference, there, positions)
-    free = np.array([not p.fixed for p in found.mechanism.parameters])
+    parameters = result.solution.parameters
+    new = linear_model(today, parameters, result.solution.corrections, positions).blocks
+    parameters_then = earlier.parameters_then(parameters, anew)
+    old = earlier.linear(reference, parameters_then, positions)
+    free = np.array([not p.fixed for p in result.mechanism.parameters])
     every = np.eye(len(parameters))
     shared, placed = every[:, free & ~anew], every[:, free & anew]
     drift = every[:, free & ~anew & (drifts > 0.0)]
-    none, still = np.zeros_like(placed), np.zeros_like(drift)
-    of_today = np.hstack([shared, placed, none, still])
-    of_then = np.hstack([shared, none, placed, -drift])
-    n, prior = of_today.shape[1], earlier.prior(there)
+    stood = every[:, free & anew & earlier.estimated]
+    of_today = np.hstack([shared, placed, np.zeros_like(stood), np.zeros_like(drift)])
+    # d = p - drift: the earlier poses saw the machine before it drifted.
+    of_then = np.hstack([shared, np.zeros_like(placed), stood, -drift])
+    n, prior = of_today.shape[1], earlier.prior(parameters_then)
     unit = np.hstack([np.zeros((drift.shape[1], n - drift.shape[1])), np.eye(drift.shape[1])])
     sds = drifts[free & ~anew & (drifts > 0.0)]
     blocks = (

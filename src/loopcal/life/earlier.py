@@ -92,7 +92,8 @@ class Around:
     """What earlier poses say near centre (n_all,): mean (n_all,), covariance root root^T.
 
     carried: R in these coordinates, phi_0'^-1 R with phi_0 the coordinates at p_0, both (n_all, r);
-    seen: None where the coordinates are the parameters themselves; D: (R, n_all) of the poses.
+    seen: None where the coordinates are the parameters themselves; D: (R, n_all) of the poses;
+    estimated: (n_all,) what the calibration did not hold.
     """
 
     centre: Array
@@ -101,13 +102,14 @@ class Around:
     carried: Array
     seen: Seen | None
     D: Array | None
+    estimated: NDArray[np.bool_]
 
     def follows(self, anew: NDArray[np.bool_]) -> Array:
         """(n_all, n_all) the earlier parameters from those of today, as steps: what was placed anew
         (n_all,) moves so that the earlier loops stay closed."""
-        moves = np.diag((~anew).astype(float))
+        moves, then = np.diag((~anew).astype(float)), anew & self.estimated
         if self.D is not None:
-            moves[np.ix_(anew, ~anew)] = -_least_squares(self.D[:, anew], self.D[:, ~anew])
+            moves[np.ix_(then, ~anew)] = -_least_squares(self.D[:, then], self.D[:, ~anew])
         return moves
 
 
@@ -116,12 +118,14 @@ class Earlier:
     """The poses of an earlier calibration, None where they are not there.
 
     root: R (n_all, r) with inverse (r, n_all); added: (r, r) R^T M R; pull: (r,) R^T D_0^T E_0;
-    seen: the coordinates at p_0; kept: positions of the poses whose loops close.
+    estimated: (n_all,) what it did not hold; seen: the coordinates at p_0; kept: positions of the
+    poses whose loops close.
     """
 
     begin: Array
     root: Array
     inverse: Array
+    estimated: NDArray[np.bool_]
     problem: Problem | None = None
     kept: NDArray[np.intp] | None = None
     added: Array | None = None
@@ -129,18 +133,20 @@ class Earlier:
     seen: Seen | None = None
 
     @classmethod
-    def of(cls, known: Calibrated, *, with_poses: bool = True) -> Earlier:
+    def of(cls, calibrated: Calibrated) -> Earlier:
         """Of a calibration, at its own sds."""
-        parameters = known.mechanism.parameters
+        parameters = calibrated.mechanism.parameters
         begin = np.array([p.nominal for p in parameters])
-        root = root_of(known.unwidened)
+        root = root_of(calibrated.unwidened)
+        # Metres and radians side by side: rows of unit length keep the pseudo-inverse from
+        # preferring one.
         scale = np.linalg.norm(root, axis=1)
         scale = np.where(scale > 0.0, scale, 1.0)
         inverse = np.linalg.pinv(root / scale[:, None]) / scale
-        bare = cls(begin, root, inverse)
-        if not with_poses or known.poses is None or len(known.poses) > _MOST:
+        bare = cls(begin, root, inverse, calibrated.estimated)
+        if calibrated.poses is None or len(calibrated.poses) > _MOST:
             return bare
-        problem = day_problem(known, known.poses, noise_of(known))
+        problem = day_problem(calibrated, calibrated.poses, noise_of(calibrated))
         sweeper = Sweeper(problem)
         closed = sweeper.close(begin, start_corrections(sweeper, begin), NEGLIGIBLE, 1.0)
         kept = np.flatnonzero(~closed.open)
@@ -148,18 +154,19 @@ class Earlier:
         E, D = one._equations(begin)
         D = D @ root
         f, V = np.linalg.eigh(D.T @ D)
+        # R^T M R = 1 - R^T D_0^T D_0 R; what is left of it below the share is rounding.
         left = np.where(1.0 - f > _SHARE, 1.0 - f, 0.0)
         seen = one._seen(begin, root)
         return replace(one, added=(V * left) @ V.T, pull=D.T @ E, seen=seen)
 
-    def at_sds(self, known: Calibrated) -> Earlier:
+    def at_sds(self, calibrated: Calibrated) -> Earlier:
         """The same poses at other sds of their readings, with the same prior."""
-        return replace(self, problem=self._poses(known))
+        return replace(self, problem=self._poses(calibrated))
 
-    def _poses(self, known: Calibrated) -> Problem | None:
-        if self.kept is None or known.poses is None:
+    def _poses(self, calibrated: Calibrated) -> Problem | None:
+        if self.kept is None or calibrated.poses is None:
             return None
-        return taken(day_problem(known, known.poses, noise_of(known)), self.kept)
+        return taken(day_problem(calibrated, calibrated.poses, noise_of(calibrated)), self.kept)
 
     def prior(self, parameters: Array) -> PriorRows:
         """What the earlier calibration knew beside its poses, of steps from parameters (n_all,)."""
@@ -173,48 +180,53 @@ class Earlier:
         return PriorRows(rows, -(root * (V[:, kept].T @ away)) - V[:, kept].T @ self.pull / root)
 
     def linear(
-        self, known: Calibrated, parameters: Array, components: Sequence[Sequence[int]]
+        self, calibrated: Calibrated, parameters: Array, components: Sequence[Sequence[int]]
     ) -> tuple[ModelBlock, ...]:
         """The poses, with loadings at the sds of `known`, linearised where their loops close at
         parameters (n_all,)."""
-        problem = self._poses(known)
+        problem = self._poses(calibrated)
         assert problem is not None
         return linear_model(problem, parameters, self._closed(parameters), components).blocks
 
-    def wider(self, known: Calibrated) -> Array:
+    def wider(self, calibrated: Calibrated) -> Array:
         """(r, r) by how much the stated covariance is larger, in shares of the own one."""
-        stated: Array = self.inverse @ known.covariance.matrix @ self.inverse.T
-        return stated - self.inverse @ known.unwidened @ self.inverse.T
+        stated: Array = self.inverse @ calibrated.covariance.matrix @ self.inverse.T
+        return stated - self.inverse @ calibrated.unwidened @ self.inverse.T
 
     def around(self, centre: Array) -> Around:
         """Near parameters (n_all,); without poses, near the calibration itself."""
         if self.problem is None or self.added is None or self.pull is None:
-            return Around(self.begin, self.begin, self.root, self.root, None, None)
+            at = self.begin, self.begin, self.root, self.root
+            return Around(*at, None, None, self.estimated)
         E, D = self._equations(centre)
         if not (np.isfinite(E).all() and np.isfinite(D).all()):
             return self.around(self.begin)
         step, DR = self.inverse @ (centre - self.begin), D @ self.root
         values, vectors = np.linalg.eigh(DR.T @ DR + self.added)
-        half = vectors / np.sqrt(values)
+        if centre is not self.begin and not values.min(initial=1.0) > _SHARE:
+            return self.around(self.begin)  # so far off the poses determine less
+        # In units of R the information is DR^T DR + added, and R half half^T R^T its inverse.
+        half = vectors / np.sqrt(np.maximum(values, _SHARE))
         root, pull = self.root @ half, DR.T @ E - self.pull - self.added @ step
         carried = self.root
         if self.seen is not None:
-            carried = np.asarray(np.linalg.solve(self.seen.at(centre).slopes, self.root))
+            carried = _least_squares(self.seen.at(centre).slopes, self.root)
         mean = centre + root @ (half.T @ pull)
-        return Around(centre, mean, root, carried, self._seen(centre, root), D)
+        seen = self._seen(centre, root)
+        return Around(centre, mean, root, carried, seen, D, self.estimated)
 
     def beside(self, today: Array, anew: NDArray[np.bool_]) -> Around:
         """Near the machine of today (n_all,), where that stood then: what was placed anew since
         (n_all,) is found from the earlier poses."""
-        return self.around(self.there(today, anew))
+        return self.around(self.parameters_then(today, anew))
 
-    def there(self, today: Array, anew: NDArray[np.bool_]) -> Array:
+    def parameters_then(self, today: Array, anew: NDArray[np.bool_]) -> Array:
         """The machine of today (n_all,) with what was placed anew since where it stood then."""
-        there = np.where(anew, self.begin, today)
-        for _ in range(_PLACINGS if self.problem is not None and anew.any() else 0):
-            E, D = self._equations(there)
-            there[anew] += _least_squares(D[:, anew], E[:, None])[:, 0]
-        return there
+        parameters, then = np.where(anew, self.begin, today), anew & self.estimated
+        for _ in range(_PLACINGS if self.problem is not None and then.any() else 0):
+            E, D = self._equations(parameters)
+            parameters[then] += _least_squares(D[:, then], E[:, None])[:, 0]
+        return parameters
 
     def _closed(self, parameters: Array) -> Array:
         """The corrections of all poses that close their loops."""

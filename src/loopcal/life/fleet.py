@@ -29,6 +29,7 @@ from loopcal.presentation.wrapped import wrapped
 Array = NDArray[np.float64]
 FEWEST = 3
 """Machines from which a spread is learnt."""
+# Fixed values that went through a file agree to nine digits.
 _SAME = 1e-9
 
 
@@ -123,7 +124,7 @@ class Fleet:
         return begun.with_parameters(begun.parameters.with_prior(sds))
 
     @classmethod
-    def from_document(cls, its: Mapping[str, Any]) -> Fleet:
+    def from_document(cls, document: Mapping[str, Any]) -> Fleet:
         """From `document`."""
         machines = tuple(
             FleetMachine(
@@ -133,14 +134,14 @@ class Fleet:
                 one["p_value"],
                 tuple(one["outstanding"]),
             )
-            for one in its["machines"]
+            for one in document["machines"]
         )
         return cls(
-            its["machine"],
-            tuple(FleetParameter(**p) for p in its["parameters"]),
+            document["machine"],
+            tuple(FleetParameter(**p) for p in document["parameters"]),
             machines,
-            tuple(LeftOut(**one) for one in its["left_out"]),
-            its["fewest"],
+            tuple(LeftOut(**one) for one in document["left_out"]),
+            document["fewest"],
         )
 
     def document(self) -> dict[str, Any]:
@@ -182,18 +183,18 @@ class Fleet:
     def _deviations(self) -> list[list[str]]:
         rows = [["parameter", *(one.name for one in self.machines), "unit"]]
         for i, p in enumerate(self.parameters):
-            its = [one.deviations[i] for one in self.machines]
-            shown = [by_sd(d.value, d.sd, p.unit, sign=True) for d in its]
+            deviations = [one.deviations[i] for one in self.machines]
+            shown = [by_sd(d.value, d.sd, p.unit, sign=True) for d in deviations]
             rows.append([p.name, *shown, unit_shown(p.unit)])
         return rows
 
     def _left_out(self) -> list[str]:
-        found: dict[str, list[str]] = {}
+        by_reason: dict[str, list[str]] = {}
         for one in self.left_out:
-            found.setdefault(one.reason, []).append(one.name)
+            by_reason.setdefault(one.reason, []).append(one.name)
         return [
             line
-            for reason, names in found.items()
+            for reason, names in by_reason.items()
             for line in wrapped(f"left out: {', '.join(names)} ({reason})", then="  ")
         ]
 
@@ -248,9 +249,18 @@ def learn(machines: Sequence[MeasuredMachine]) -> Fleet:
         first.mechanism.name,
         tuple(
             FleetParameter(
-                name, unit, s.mean, s.mean_sd, s.sd, s.low, s.high, s.predictive_sd, its_alone, its
+                name,
+                unit,
+                s.mean,
+                s.mean_sd,
+                s.sd,
+                s.low,
+                s.high,
+                s.predictive_sd,
+                poses_alone,
+                poses_needed,
             )
-            for name, unit, s, its_alone, its in zip(
+            for name, unit, s, poses_alone, poses_needed in zip(
                 names, units, spreads, alone.tolist(), needed.tolist(), strict=True
             )
         ),
@@ -340,17 +350,29 @@ def _judged(
         ]
         for r in range(R)
     ]
-    least = np.array([min(1.0, n * min(d.p_value for d in its)) for its in deviations])
+    # Bonferroni over the parameters of a machine, then Holm over the machines.
+    least = np.array(
+        [
+            min(1.0, n * min(d.p_value for d in deviations_of_one))
+            for deviations_of_one in deviations
+        ]
+    )
     order = np.argsort(least)
     times = np.empty(R)
     times[order] = R - np.arange(R)
     adjusted = np.empty(R)
     adjusted[order] = np.minimum(np.maximum.accumulate((least * times)[order]), 1.0)
-    found = []
-    for one, its, p, k in zip(machines, deviations, adjusted.tolist(), times, strict=True):
-        beyond = [d.parameter for d in its if p < 1.0 - LEVEL and k * n * d.p_value < 1.0 - LEVEL]
-        found.append(FleetMachine(one.name, one.poses, tuple(its), p, tuple(beyond)))
-    return tuple(found)
+    judged = []
+    for one, deviations_of_one, p, k in zip(
+        machines, deviations, adjusted.tolist(), times, strict=True
+    ):
+        beyond = [
+            d.parameter
+            for d in deviations_of_one
+            if p < 1.0 - LEVEL and k * n * d.p_value < 1.0 - LEVEL
+        ]
+        judged.append(FleetMachine(one.name, one.poses, tuple(deviations_of_one), p, tuple(beyond)))
+    return tuple(judged)
 
 
 def _poses(
@@ -359,12 +381,14 @@ def _poses(
     """(n,) the least numbers of poses for the sds reached, without the prior and with it."""
     reached = np.sqrt(np.einsum("rii->ri", C).mean(axis=0))
     scale = reached[:, None] * reached
+    # Scaled by the sds reached, all parameters weigh alike and the inverse keeps its digits.
     L = sum(np.linalg.inv(c / scale) / k for c, k in zip(C, poses.tolist(), strict=True)) / len(C)
+    # Variances in units of those reached; the margin is rounding.
     wanted = 1.0 + 1e-9
     alone = np.maximum(np.ceil(np.diag(np.linalg.inv(L)) / wanted), fewest).astype(np.intp)
-    known = np.diag(np.square(reached / prior))
-    found, enough = alone, np.ones(len(prior), dtype=bool)
+    prior_information = np.diag(np.square(reached / prior))
+    needed, enough = alone, np.ones(len(prior), dtype=bool)
     for k in range(int(alone.max()), fewest - 1, -1):
-        enough = enough & (np.diag(np.linalg.inv(k * L + known)) <= wanted)
-        found = np.where(enough, np.minimum(found, k), found)
-    return alone, found
+        enough = enough & (np.diag(np.linalg.inv(k * L + prior_information)) <= wanted)
+        needed = np.where(enough, np.minimum(needed, k), needed)
+    return alone, needed

@@ -14,6 +14,7 @@ from loopcal.life.trends import FEWEST, Chart, chart, drift_rate
 from loopcal.presentation.shown import by_sd, chance, size, unit_shown, with_unit
 from loopcal.presentation.text_table import columns
 
+# [s] A Julian year: drift rates need no finer one.
 _YEAR = 365.25 * 86400.0
 
 
@@ -47,10 +48,11 @@ class History:
         points: dict[str, list[tuple[Entry, float, float]]] = {}
         units: dict[str, str] = {}
         for entry in self.of_kind("calibration"):
-            for name, its in entry.content["parameters"].items():
-                units[name] = its["unit"]
-                points.setdefault(name, []).append((entry, its["value"], its["sd"]))
-        return tuple(_trend(name, units[name], its) for name, its in points.items())
+            for name, parameter in entry.content["parameters"].items():
+                units[name] = parameter["unit"]
+                point = entry, parameter["value"], parameter["sd"]
+                points.setdefault(name, []).append(point)
+        return tuple(_trend(name, units[name], series) for name, series in points.items())
 
     @property
     def accuracy(self) -> tuple[float, ...]:
@@ -84,13 +86,14 @@ class History:
         return {one.name: one.rate * years**0.5 for one in self.trends if one.rate}
 
     @classmethod
-    def from_document(cls, its: Mapping[str, Any]) -> History:
+    def from_document(cls, document: Mapping[str, Any]) -> History:
         """From `document`."""
         whole = (
-            Entry(**{**one, "time": datetime.fromisoformat(one["time"])}) for one in its["entries"]
+            Entry(**{**one, "time": datetime.fromisoformat(one["time"])})
+            for one in document["entries"]
         )
-        skipped = (Skipped(**one) for one in its["skipped"])
-        return cls(Entries(Path(its["folder"]), tuple(whole), tuple(skipped)))
+        skipped = (Skipped(**one) for one in document["skipped"])
+        return cls(Entries(Path(document["folder"]), tuple(whole), tuple(skipped)))
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI."""
@@ -110,6 +113,8 @@ class History:
         ]
         lines = columns(rows) if len(rows) > 1 else ["no entry yet"]
         lines += [f"SKIPPED  {one.file}: {one.reason}" for one in self.entries.skipped]
+        if self.entries.skipped:
+            lines.append("Restore skipped entries from a backup, or delete their files.")
         if self.chart is not None and self.chart.outside:
             lines += ["", "WARNING  The accuracy is outside its limits (EWMA). Verify the machine."]
         rated = [trend for trend in self.trends if trend.rate is not None]

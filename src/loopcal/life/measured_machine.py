@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.structure.structured import EFFECT
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import root_of
 
 Array = NDArray[np.float64]
-_ELSEWHERE = ("placement", "mounting")
+_ELSEWHERE = ("placement", "mounting", "model error")
 _SHARE = 1e-3
 """Of the information: where readings give less, they determine nothing."""
+# Share of an undetermined direction below which a parameter takes no part in it.
 _TOUCHED = 1e-6
 
 
@@ -36,7 +36,7 @@ class MeasuredMachine:
     """names: of the parameters of the machine itself; values (n,), covariance (n, n) [SI].
 
     determined: (n,) whether the readings determine each; fixed: (n,) whether it was not estimated;
-    poses: how many were measured; data: what tells the readings apart from others; fewest: how many
+    poses: how many were measured; data: identifies the readings; fewest: how many
     poses have as many equations as parameters.
     """
 
@@ -52,47 +52,47 @@ class MeasuredMachine:
     fewest: int
 
     @classmethod
-    def of(cls, known: Calibrated, poses: int, *, updated: bool = False) -> MeasuredMachine:
+    def of(cls, calibrated: Calibrated, poses: int, *, updated: bool = False) -> MeasuredMachine:
         """From a calibration; updated: its prior is of this machine too, and stays."""
-        mechanism, all_ = known.mechanism, known.mechanism.parameters
-        found = np.array([p.nominal for p in all_])
+        mechanism, all_ = calibrated.mechanism, calibrated.mechanism.parameters
+        estimates = np.array([p.nominal for p in all_])
         names = machine_parameters(mechanism)
-        its = [all_.names.index(name) for name in names]
-        P = np.zeros(len(found))
+        positions = [all_.names.index(name) for name in names]
+        P = np.zeros(len(estimates))
         if not updated:
-            P[its] = 1.0 / np.square(known.prior_sd[its])
+            P[positions] = 1.0 / np.square(calibrated.prior_sd[positions])
         P = np.where([p.fixed for p in all_], 0.0, P)
-        G = known.unwidened
+        G = calibrated.unwidened
         R = root_of(G)
-        own, V = np.linalg.eigh(np.eye(R.shape[1]) - R.T @ (P[:, None] * R))
-        seen = own > _SHARE
-        half = R @ V[:, seen] / np.sqrt(own[seen])
+        # 1 - R^T P R has the eigenvalues f: what is left of the information without the prior.
+        shares, V = np.linalg.eigh(np.eye(R.shape[1]) - R.T @ (P[:, None] * R))
+        seen = shares > _SHARE
+        half = R @ V[:, seen] / np.sqrt(shares[seen])
         D = half @ half.T
-        A = np.eye(len(found)) + D * P
-        covariance = D + A @ (known.as_its_residuals.covariance.matrix - G) @ A.T
-        values = found + D @ (P * (found - known.nominal))
-        open_ = np.hstack([known.undetermined, R @ V[:, ~seen]])
-        sds = np.sqrt(np.square(np.hstack([R, known.undetermined])).sum(axis=1))
+        A = np.eye(len(estimates)) + D * P
+        covariance = D + A @ (calibrated.by_residuals.covariance.matrix - G) @ A.T
+        values = estimates + D @ (P * (estimates - calibrated.nominal))
+        open_ = np.hstack([calibrated.undetermined, R @ V[:, ~seen]])
+        sds = np.sqrt(np.square(np.hstack([R, calibrated.undetermined])).sum(axis=1))
         scaled = open_ / np.where(sds > 0.0, sds, 1.0)[:, None]
         sizes = np.abs(scaled).max(axis=0, initial=1e-300)
         loose = (np.abs(scaled) / sizes).max(axis=1, initial=0.0) > _TOUCHED
-        at, free = np.ix_(its, its), len(all_) - sum(p.fixed for p in all_)
+        at, free = np.ix_(positions, positions), len(all_) - sum(p.fixed for p in all_)
         return cls(
-            known.name,
+            calibrated.name,
             mechanism,
             names,
-            values[its],
+            values[positions],
             covariance[at],
-            ~loose[its],
-            np.array([all_[all_.names[i]].fixed for i in its], dtype=bool),
+            ~loose[positions],
+            np.array([all_[all_.names[i]].fixed for i in positions], dtype=bool),
             poses,
-            known.data,
+            calibrated.data,
+            # Rounded up: so many poses have at least as many equations as parameters.
             -(-free // max(len(mechanism.outputs), 1)),
         )
 
 
 def machine_parameters(mechanism: Mechanism) -> tuple[str, ...]:
     """The parameters that no instrument, mounting or structured model error brings."""
-    kinds, added = mechanism.kinds, mechanism.effects.get(EFFECT, ())
-    names = mechanism.parameters.names
-    return tuple(n for n in names if kinds[n] not in _ELSEWHERE and n not in added)
+    return tuple(p.name for p in mechanism.parameters if p.role not in _ELSEWHERE)

@@ -28,7 +28,9 @@ Array = NDArray[np.float64]
 LEVEL = 0.95
 _EDGES = np.concatenate([[0.0], np.geomspace(1e-7, 0.1, 61), np.linspace(0.1, 1.0, 46)[1:]])
 """Levels of chi-squared between which draws are taken; dense where the spread is large."""
+# Bisections: 2^-60 of the first interval is below the rounding of a double.
 _STEPS = 60
+# The fixed-point steps below converge linearly; they end by themselves long before.
 _ROUNDS = 2_000
 
 
@@ -53,6 +55,8 @@ class Spread:
         for _ in range(_ROUNDS):
             g = 1.0 / (w + v)
             rest = y - float(g @ y) / float(g.sum())
+            # d/dw of the restricted likelihood is 0 where the sum of squares equals its
+            # expectation; the multiplicative step w sqrt(squares / expected) never leaves w > 0.
             squares, expected = np.square(g * rest).sum(), g.sum() - np.square(g).sum() / g.sum()
             before, w = w, w * float(np.sqrt(squares / expected))
             if abs(w - before) <= 1e-9 * before or w < 1e-9 * begun:
@@ -122,6 +126,7 @@ class Spread:
             w = 0.5 * (low + high)
             above = self._Q(w) > Q
             low, high = np.where(above, w, low), np.where(above, high, w)
+        # Where Q(0) is below the quantile, chance alone explains the scatter: w = 0.
         return np.where(self._Q(np.zeros(len(Q))) > Q, high, 0.0)
 
     def _Q(self, w: Array) -> Array:

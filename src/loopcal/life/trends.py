@@ -21,10 +21,13 @@ Array = NDArray[np.float64]
 Values = Sequence[float] | Array
 FEWEST = 5
 """Results from which a drift rate is learnt."""
+# Usually 0.2 to 0.3 (Hunter 1986); the largest follows few calibrations soonest.
 WEIGHT = 0.3
+# Shewhart's three sds, as in the formula above.
 _LIMIT = 3.0
 _RANGE = 1.128
 """Mean range of two normal values, in sds."""
+# Powers of two, four to an octave: from a drift that no readings show to one that hides them all.
 _GRID = np.linspace(-16.0, 8.0, 97)
 
 

@@ -36,23 +36,28 @@ from loopcal.estimation.solve.merit import Evaluation
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress, solve_with
+from loopcal.estimation.solve.status import MOST_ITERATIONS
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.life.both_days import learnt
 from loopcal.life.earlier import Around, Coordinates, Earlier
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
+from loopcal.mechanisms.parameters import ROLES
 from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.gauge import values_of
 from loopcal.statistics.replacing import Freedom, Replaced, replaced
 from loopcal.statistics.verification import as_learnt, day_problem, noise_of, verify
 from loopcal.statistics.verified import Verification
 
 Array = NDArray[np.float64]
-KINDS = ("length", "angle", "mounting", "gain", "effect")
-"""Kinds of parameters that may drift."""
+DRIFTING = tuple(role for role in ROLES if role not in ("placement", "model error"))
+"""Roles of parameters that may drift."""
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
+_NOTHING, _NEWS = "The update changed no parameter of the machine", 0.01
 _RANK = 1e-12
 _ROUNDS, _SETTLED = 12, 2e-2
-"""Fits, each near the end of the last, until they end within so many sds, at sds that settle."""
+"""Most fits of an update, each begun near the end of the last. They have settled where parameters
+change by less than this share of an sd, and learnt variances by less than this share."""
 
 
 @dataclass(frozen=True)
@@ -92,12 +97,13 @@ def update(
 
     data: readings [SI] as `calibrate` takes them; noise: their sds, else the calibration's; moved:
     whether instruments stand elsewhere, so that nothing is known of their placement; remounted: as
-    in `verify`; drift: sd [SI] by which parameters may have changed since, by kind ("length",
-    "angle", "mounting", "gain", "effect") or by name. The prior is the covariance of the
+    in `verify`; drift: sd [SI] by which parameters may have changed since, by role ("length",
+    "twist", "zero", "angle", "scale", "mounting", "effect") or by name; "length" and "angle" hold
+    all of the machine in that unit. The prior is the covariance of the
     calibration (Kalman 1960), near the end of the update as its poses say (Bell 1994). A warning of
     the result says where the readings are of another machine (`verify`).
 
-    Raises InputError for a calibration or readings without sds, and for a kind that is not there.
+    Raises InputError for a calibration or readings without sds, and for a role that is not there.
     """
     return updated(calibration, data, Since(moved, remounted, drift or {}), noise).result
 
@@ -106,55 +112,61 @@ def updated(
     calibration: Result | Calibrated, data: Dataset | Any, since: Since, noise: NoiseLike | None
 ) -> Updated:
     """`update`, with the check of the machine."""
-    known = Calibrated.of(calibration, "") if isinstance(calibration, Result) else calibration
+    calibrated = Calibrated.of(calibration, "") if isinstance(calibration, Result) else calibration
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     stated = Noise.of(noise)
-    if known.residual is not None and stated is None:
+    if calibrated.residual is not None and stated is None:
         raise InputError(
             "the calibration took its readings as exact, so their sds are unknown",
             code="missing-sd",
             remedy="give noise, or update a calibration by another method",
         )
-    known = replace(known, residual=None)
-    drifts = _drifts(known, since.drift)
-    check = verify(known.drifted(drifts), data, noise=stated, remounted=since.remounted)
+    calibrated = replace(calibrated.stationed if since.moved else calibrated, residual=None)
+    drifts = _drifts(calibrated, since.drift)
+    check = verify(calibrated.drifted(drifts), data, noise=stated, remounted=since.remounted)
     held = stated is not None
     if stated is None:
-        stated, data = noise_of(known), as_learnt(known, data)
-    data = with_latest(known.mechanism, data)
+        stated, data = noise_of(calibrated), as_learnt(calibrated, data)
+    data = with_latest(calibrated.mechanism, data)
     with one_blas_thread():
-        problem = day_problem(known, data, stated)
-        freedom = Freedom.of(known.mechanism, since.remounted)
+        problem = day_problem(calibrated, data, stated)
+        freedom = Freedom.of(calibrated.mechanism, since.remounted)
         if not since.moved:
-            freedom = _without_placement(known, freedom)
-        here = replaced(problem, freedom)
-        earlier = Earlier.of(known, with_poses=not freedom.whole)
-    found: Result | None = None
+            freedom = _without_placement(calibrated, freedom)
+        placed = replaced(problem, freedom)
+        earlier = Earlier.of(calibrated)
+    result: Result | None = None
     for _ in range(_ROUNDS):
-        before = found
+        before = result
         with one_blas_thread():
-            prior = _Prior.of(known, here, drifts, earlier, before)
-        found = _fitted(known, here, prior, data, stated, before)
+            prior = _Prior.of(calibrated, placed, drifts, earlier, before)
+        result = _fitted(calibrated, placed, prior, data, stated, before)
+        if not result.status.converged:
+            break  # it has no end that a further fit could begin near
         with one_blas_thread():
-            sds = None if held else learnt(known, earlier, found, here.anew, drifts)
+            sds = None if held else learnt(calibrated, earlier, result, placed.anew, drifts)
         if sds is not None:
-            known = replace(known, noise=sds.noise)
-            stated, earlier = noise_of(known), earlier.at_sds(known)
+            calibrated = replace(calibrated, noise=sds.noise)
+            stated, earlier = noise_of(calibrated), earlier.at_sds(calibrated)
         settled = sds is None or sds.change < _SETTLED
-        if before is not None and settled and _apart(found, before) < _SETTLED:
+        if before is not None and settled and _apart(result, before) < _SETTLED:
             break
-    assert found is not None
+    assert result is not None
     with one_blas_thread():
-        terms = calibration.told_terms() if isinstance(calibration, Result) else known.terms
-        noted = () if held else known.noise
-        found = replace(found, inherited=Inherited(prior.widened(found), terms, noted))
-    done = Updated(found, check)
-    return done if done.mixed is None else replace(done, result=found.noted(done.mixed))
+        terms = (
+            calibration.terms_with_parts() if isinstance(calibration, Result) else calibrated.terms
+        )
+        noted = () if held else calibrated.noise
+        result = replace(result, inherited=Inherited(prior.widened(result), terms, noted))
+    if (words := _unchanged(calibrated, result, placed)) is not None:
+        result = result.noted(words)
+    done = Updated(result, check)
+    return done if done.mixed is None else replace(done, result=result.noted(done.mixed))
 
 
 def _fitted(
-    known: Calibrated,
-    here: Replaced,
+    calibrated: Calibrated,
+    placed: Replaced,
     prior: _Prior,
     data: Dataset,
     noise: Noise,
@@ -169,14 +181,15 @@ def _fitted(
         "prior.",
         solve=partial(_solved, prior=prior),
     )
-    names = known.mechanism.parameters.names
-    begun = replace(known.mechanism, terms=()).with_nominal(
-        dict(zip(names, here.parameters.tolist(), strict=True))
+    names = calibrated.mechanism.parameters.names
+    begun = replace(calibrated.mechanism, terms=()).with_nominal(
+        dict(zip(names, placed.parameters.tolist(), strict=True))
     )
     sds = {names[i]: float(sd) for i, sd in zip(prior.free, prior.sds, strict=True)}
     begun = begun.with_parameters(begun.parameters.with_prior(sds))
     start = "nominal" if before is None else before.value
-    near = dict(zip(here.problem.mechanism.tape.quantities, here.corrections, strict=True))
+    # Where the machine already closes the loops of the new poses; the fit begins there.
+    near = dict(zip(placed.problem.mechanism.tape.quantities, placed.corrections, strict=True))
     how = Fit(method=method, start=start, tolerance=LEARNT)
     return calibrate(begun, data, noise=noise, fit=how, near=near, trusted=True)
 
@@ -188,16 +201,36 @@ def _apart(a: Result, b: Result) -> float:
     return float((away / np.where(sd > 0.0, sd, np.inf)).max(initial=0.0))
 
 
-def _without_placement(known: Calibrated, freedom: Freedom) -> Freedom:
+def _unchanged(calibrated: Calibrated, result: Result, placed: Replaced) -> str | None:
+    """That the update says nothing new of the machine; None where it does."""
+    names, before = calibrated.mechanism.parameters.names, np.diag(calibrated.covariance.matrix)
+    kept = [
+        i for i, n in enumerate(names) if n in result.estimated and not placed.anew[i] and before[i]
+    ]
+    if not kept:
+        return f"{_NOTHING}: the calibration estimates none that the update keeps."
+    sds = np.sqrt(before[kept])
+    was = values_of(calibrated.mechanism)
+    now = np.array([result.value[names[i]] - was[i] for i in kept])
+    sure = np.array([result.sd[names[i]] or np.inf for i in kept])
+    if (np.abs(now) < _NEWS * sds).all() and (sure > (1.0 - _NEWS) * sds).all():
+        return (
+            f"{_NOTHING}: values and sds are within {100 * _NEWS:g} % of an sd of the "
+            "calibration's. Measure more poses, or state the drift that is expected."
+        )
+    return None
+
+
+def _without_placement(calibrated: Calibrated, freedom: Freedom) -> Freedom:
     """What else was mounted anew: the instruments stand where they stood."""
-    standing = set(Freedom.of(known.mechanism).names)
+    standing = set(Freedom.of(calibrated.mechanism).names)
     return Freedom(tuple(n for n in freedom.names if n not in standing))
 
 
-def _drifts(known: Calibrated, drift: Mapping[str, float]) -> Array:
+def _drifts(calibrated: Calibrated, drift: Mapping[str, float]) -> Array:
     """(n_all,) sds [SI] of the drift of each parameter."""
-    parameters, kinds = known.mechanism.parameters, known.mechanism.kinds
-    found = np.zeros(len(parameters))
+    parameters = calibrated.mechanism.parameters
+    sds = np.zeros(len(parameters))
     for key, sd in drift.items():
         if not sd >= 0.0:
             raise InputError(
@@ -205,16 +238,33 @@ def _drifts(known: Calibrated, drift: Mapping[str, float]) -> Array:
                 code="invalid-value",
                 remedy="give an sd above zero, or leave it out",
             )
-        if key not in KINDS and key not in parameters.names:
+        if key not in DRIFTING and key not in parameters.names:
             raise InputError(
-                f"there is no parameter and no kind of parameter {key!r}",
+                f"there is no parameter and no role of parameters {key!r}",
                 code="unknown-name",
-                remedy=nearest(key, (*KINDS, *parameters.names)),
+                remedy=nearest(key, (*DRIFTING, *parameters.names)),
             )
-        for i, name in enumerate(parameters.names):
-            if name == key or (key in KINDS and kinds[name] == key):
-                found[i] = sd
-    return found
+        named = [p.name for p in parameters if key in (p.name, p.role, p.dimension)]
+        free = [n for n in named if not parameters[n].fixed]
+        if sd > 0.0 and not free:
+            raise _held(calibrated, key)
+        sds[[parameters.names.index(n) for n in free]] = sd
+    return sds
+
+
+def _held(calibrated: Calibrated, key: str) -> InputError:
+    """Of a drift that no estimated parameter can follow."""
+    what = f"the parameter {key!r} is"
+    if key in DRIFTING:
+        what = f"all parameters of the role {key!r} are"
+    remarks = [r for r in calibrated.mechanism.remarks if r.startswith(f"{key!r} is fixed")]
+    why = f" ({remarks[0].rstrip('.')})" if remarks else ""
+    return InputError(
+        f"{what} fixed in the calibration{why}, so the update cannot follow its drift",
+        code="no-free-parameter",
+        remedy="allow the drift of an estimated parameter that does the same, or free it in the "
+        "mechanism file (fixed = false) and calibrate anew",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,8 +287,8 @@ class _Prior:
     @classmethod
     def of(
         cls,
-        known: Calibrated,
-        here: Replaced,
+        calibrated: Calibrated,
+        placed: Replaced,
         drifts: Array,
         earlier: Earlier,
         before: Result | None,
@@ -247,35 +297,35 @@ class _Prior:
 
         before: a fit whose end is near that of the next one.
         """
-        free = np.flatnonzero([not p.fixed for p in known.mechanism.parameters])
+        free = np.flatnonzero([not p.fixed for p in calibrated.mechanism.parameters])
         around = earlier.around(earlier.begin)
         if before is not None:
-            around = earlier.beside(before.solution.parameters, here.anew)
-        held = ~here.anew[:, None]
-        root = here.brought(around.root * held)[free]
-        drift = here.brought(np.diag(drifts) * held)[free]
+            around = earlier.beside(before.solution.parameters, placed.anew)
+        held = ~placed.anew[:, None]
+        root, drift = (around.root * held)[free], (np.diag(drifts) * held)[free]
         C = root @ root.T + drift @ drift.T
-        loose = here.brought(known.undetermined * held)[free]
-        whole = here.directions[:, : here.directions.shape[1] - int(here.anew.sum())][free]
-        open_ = np.hstack([loose, whole, np.eye(len(C))[:, here.anew[free]]])
+        loose = (calibrated.undetermined * held)[free]
+        open_ = np.hstack([loose, np.eye(len(C))[:, placed.anew[free]]])
         sd = np.sqrt(np.maximum(np.diag(C), 0.0))
         scale = np.where(sd > 0.0, sd, 1.0)
         U, s, _ = np.linalg.svd(np.hstack([open_ / scale[:, None], np.zeros((len(C), 1))]))
         K = U[:, int((s > 1e-9 * max(s.max(), 1e-300)).sum()) :].T / scale
         values, vectors = np.linalg.eigh(K @ C @ K.T)
+        # Contrasts that yesterday determines exactly, such as fixed parameters, have no variance to
+        # whiten.
         kept = values > _RANK * max(float(values.max(initial=0.0)), 1e-300)
         rows = (vectors[:, kept] / np.sqrt(values[kept])).T @ K
-        carried = rows @ here.brought(around.carried * held)[free]
-        known_at_all = (np.abs(rows).max(axis=0, initial=0.0) > 0.0) & (sd > 0.0)
-        centre = np.where(here.anew, here.parameters, around.mean)
+        carried = rows @ (around.carried * held)[free]
+        informed = (np.abs(rows).max(axis=0, initial=0.0) > 0.0) & (sd > 0.0)
+        centre = np.where(placed.anew, placed.parameters, around.mean)
         return cls(
             rows,
-            here.parameters if around.seen is None and before is None else centre,
+            placed.parameters if around.seen is None and before is None else centre,
             free,
-            np.where(known_at_all, sd, np.inf),
-            carried @ earlier.wider(known) @ carried.T,
+            np.where(informed, sd, np.inf),
+            carried @ earlier.wider(calibrated) @ carried.T,
             around,
-            around.follows(here.anew),
+            around.follows(placed.anew),
         )
 
     def at(self, parameters: Array) -> Coordinates:
@@ -283,15 +333,15 @@ class _Prior:
         around, free = self.around, self.free
         if around.seen is None:
             return Coordinates(self.rows @ (parameters - self.centre)[free], self.rows)
-        there = around.mean + self.follows @ (parameters - around.mean)
-        found = around.seen.at(there)
-        away = found.values - (around.mean - around.centre)
-        slopes = (found.slopes @ self.follows)[np.ix_(free, free)]
+        then = around.mean + self.follows @ (parameters - around.mean)
+        coordinates = around.seen.at(then)
+        away = coordinates.values - (around.mean - around.centre)
+        slopes = (coordinates.slopes @ self.follows)[np.ix_(free, free)]
         return Coordinates(self.rows @ away[free], self.rows @ slopes)
 
-    def widened(self, found: Result) -> Array:
+    def widened(self, result: Result) -> Array:
         """(n, n) what the covariance of a fit gains: G wider G^T, G its change with the rows."""
-        gain = found.spectrum.covariance() @ self.at(found.solution.parameters).slopes.T
+        gain = result.spectrum.covariance() @ self.at(result.solution.parameters).slopes.T
         wider: Array = gain @ self.wider @ gain.T
         return wider
 
@@ -306,21 +356,14 @@ class _WithPrior(InMemory):
 
 
 def _evaluated(
-    sweeper: Sweeper,
-    prior: _Prior,
-    parameters: Array,
-    corrections: Array,
-    *,
-    triangular: bool = False,
-    closing: float | None = None,
-    contraction: float = 1.0,
+    sweeper: Sweeper, prior: _Prior, parameters: Array, corrections: Array, **how: Any
 ) -> Evaluation[Array]:
     """A sweep over the new poses, to which the prior is added."""
-    how: dict[str, Any] = {"triangular": triangular, "closing": closing}
-    found = sweeper.sweep(parameters, corrections, contraction=contraction, **how)
-    there = prior.at(parameters)
-    found.data.add(np.vstack([there.slopes.T, -there.values])[:, :, None])
-    return found
+    evaluation = sweeper.sweep(parameters, corrections, **how)
+    prior_rows = prior.at(parameters)
+    # The prior's rows as one more pose: derivatives and minus the residual, as a sweep adds them.
+    evaluation.data.add(np.vstack([prior_rows.slopes.T, -prior_rows.values])[:, :, None])
+    return evaluation
 
 
 def _solved(
@@ -328,7 +371,7 @@ def _solved(
     *,
     prior: _Prior,
     loss: Loss | None = None,
-    max_iterations: int = 100,
+    max_iterations: int = MOST_ITERATIONS,
     tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> Solution:

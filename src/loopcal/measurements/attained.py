@@ -15,7 +15,7 @@ class AttainedPoses:
     """One row per measurement; all arrays have N rows.
 
     pose, cycle, direction, block: ids of the commanded pose, of the cycle, of the direction of
-    approach and of the block of cycles for drift, the last two None where no column holds them.
+    approach and of the block of cycles for drift. The last two are None where no column holds them.
     conditions: column header -> value per row (payload, speed). commanded, measured: positions
     (N, 3) [m]; commanded_turns, measured_turns: rotation matrices (N, 3, 3), None without
     orientations; time: (N,) [s], None without. notes: what a reader must know of how the table

@@ -54,9 +54,10 @@ def check_dataset(
 
     Quantities that the dataset does not have are passed over, as are other columns of it.
     Those `trusted`, here or by `check = false` where they were read, are looked at for their
-    unit's dimension only. points: the coordinates of each measured point. Raises InputError, with
-    file, row and column, for a unit of another dimension, a quantity without a single reading,
-    degrees taken as rad, millimetres as m, and points whose coordinates all read 0.
+    unit's dimension only. points: the coordinates of each measured point.
+
+    Raises InputError, with file, row and column, for a unit of another dimension and for a quantity
+    without a reading. The same for degrees taken as rad, millimetres as m, and points of zeros.
     """
     check_units(dataset, quantities)
     sure = {*trusted, *dataset.source.trusted}
@@ -85,7 +86,7 @@ def check_dataset(
 def refuse_implausible(dataset: Dataset, quantities: Mapping[str, str]) -> None:
     """Raise InputError for degrees taken as rad, millimetres as m, and degC as K.
 
-    quantities: quantity -> unit the mechanism expects, of those whose unit nobody stated.
+    quantities: quantity -> unit the mechanism expects, of those without a stated unit.
     """
     for quantity, si in quantities.items():
         if quantity in dataset.readings and not np.isnan(dataset.readings[quantity]).all():
@@ -162,6 +163,7 @@ def _stop_if_far(dataset: Dataset, quantity: str, si: str) -> None:
     size = np.abs(values[~np.isnan(values)])
     for bound, share in _BOUNDS.get(si, ()):
         beyond = size > bound
+        # Single wild values are outliers, not a wrong unit; `_wild_values` names them.
         if beyond.mean() < share:
             continue
         index = int(np.nanargmax(np.abs(values)))
@@ -258,12 +260,14 @@ def _suspiciously_small(dataset: Dataset, suspects: Mapping[str, str]) -> Iterat
 def _constant(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[DataWarning]:
     for quantity in suspects:
         values = dataset.readings[quantity]
-        here = values[~np.isnan(values)]
-        if here.size > 1 and here.min() == here.max():
+        read = values[~np.isnan(values)]
+        if read.size > 1 and read.min() == read.max():
+            stated_unit = _stated(dataset, quantity, suspects[quantity])
             yield DataWarning(
                 quantity,
-                f"{_column(dataset, quantity)}: {quantity!r} reads {here[0]:.6g} in all of "
-                f"{here.size} poses: its parameters may be undetermined",
+                f"{_column(dataset, quantity)}: {quantity!r} reads "
+                f"{from_si(read[0], stated_unit):.6g} {stated_unit} in all of "
+                f"{read.size} poses: its parameters may be undetermined",
             )
 
 
@@ -272,7 +276,7 @@ def _duplicated(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[DataW
     for quantity in suspects:
         values = dataset.readings[quantity]
         if np.nanmin(values) == np.nanmax(values):
-            continue  # constant columns are equal easily, and said already
+            continue  # constant columns are equal easily, and have their warning
         other = first.setdefault((values + 0.0).tobytes(), quantity)
         if other != quantity:
             yield DataWarning(

@@ -25,8 +25,8 @@ _MOST = {"rad": 1e8, "": 1e30}
 class Dataset:
     """Readings of N poses, SI; arrays are float64, contiguous and read-only.
 
-    Raises InputError when lengths differ, a reading is infinite or larger than any could be, an sd
-    is negative or missing beside a reading, or no pose is left. Make one with `from_arrays` or
+    Raises InputError when lengths differ, a reading is infinite or implausibly large, an sd is
+    negative or missing, or no pose is left. Make one with `from_arrays` or
     `read_dataset`.
     """
 
@@ -101,12 +101,19 @@ class Dataset:
         number = len(next(iter(readings.values()), ()))
         listed = column(table, poses) if isinstance(poses, str) else poses
         ids = counted(number) if listed is None else tuple(map(pose_id, listed))
+        entry: dict[str, Any] = {"pose": poses} if isinstance(poses, str) else {}
+        if entry or units or sd_columns:
+            both = (("unit", units), ("sd_column", sd_columns))
+            columns = {
+                q: {"column": q, **{key: of[q] for key, of in both if q in of}} for q in names
+            }
+            entry = {"file": "", "columns": columns, **entry}
         return cls(
             readings,
             {q: unit(u).si for q, u in units.items()},
             ids,
             spread,
-            Source(rows_read=number, stated=units, sd_columns=sd_columns),
+            Source(rows_read=number, stated=units, sd_columns=sd_columns, entry=entry),
         )
 
     @property
@@ -159,6 +166,7 @@ class Dataset:
 
         Raises InputError naming the nearest id when one is unknown, or when no pose is left.
         """
+        # The positions of all rows of an id: repeated ids go together.
         gone = positions_of(poses, self.poses, self.source.name)
         names = tuple(dict.fromkeys(self.poses[i] for i in gone))
         source = replace(self.source, excluded=(*self.source.excluded, *names))
@@ -168,14 +176,19 @@ class Dataset:
     def without_copies(self, copied: NDArray[np.intp]) -> Dataset:
         """All poses but those at these positions, whose rows copy others; the source lists them."""
         names = tuple(self.poses[i] for i in copied)
-        told = replace(self.source, copied=(*self.source.copied, *names), judged=True)
-        return self._without(copied, told)
+        source = replace(self.source, copied=(*self.source.copied, *names), judged=True)
+        return self._without(copied, source)
+
+    def with_agreeing(self, rows: NDArray[np.intp]) -> Dataset:
+        """The same poses; the source lists those at these positions, which agree by chance."""
+        names = tuple(self.poses[i] for i in rows)
+        return replace(self, source=replace(self.source, agreeing=names, judged=True))
 
     def without_outliers(self, outlying: NDArray[np.intp]) -> Dataset:
         """All poses but those at these positions, which do not fit; the source lists them."""
         names = tuple(self.poses[i] for i in outlying)
-        told = replace(self.source, discarded=(*self.source.discarded, *names))
-        return self._without(outlying, told)
+        source = replace(self.source, discarded=(*self.source.discarded, *names))
+        return self._without(outlying, source)
 
     def _without(self, index: NDArray[np.intp], source: Source) -> Dataset:
         source = replace(source, rows_read=source.rows_read or len(self))
@@ -191,15 +204,24 @@ class Dataset:
         self, readings: Mapping[str, ArrayLike], *, units: Mapping[str, str] | None = None
     ) -> Dataset:
         """The same poses with readings (N,) replaced or added, SI unless `units` says otherwise."""
-        given = dict(units or {})
-        new = {q: to_si(as_numbers(v, f"{q!r}"), given.get(q, "1")) for q, v in readings.items()}
+        stated_units = dict(units or {})
+        new = {
+            q: to_si(as_numbers(v, f"{q!r}"), stated_units.get(q, "1")) for q, v in readings.items()
+        }
         columns = {q: c for q, c in self.source.columns.items() if q not in new}
         stated = {q: u for q, u in self.source.stated.items() if q not in new}
+        entry = dict(self.source.entry)
+        if entry or stated_units:  # what replaces a column of a file is in that file no more
+            new_columns = {q: {"column": q, "unit": u} for q, u in stated_units.items()}
+            left = {q: c for q, c in entry.get("columns", {}).items() if q not in new}
+            entry = {"file": "", **entry, "columns": {**left, **new_columns}}
         return replace(
             self,
             readings={**self.readings, **new},
-            units={**self.units, **{q: unit(u).si for q, u in given.items()}},
-            source=replace(self.source, columns=columns, stated={**stated, **given}),
+            units={**self.units, **{q: unit(u).si for q, u in stated_units.items()}},
+            source=replace(
+                self.source, columns=columns, stated={**stated, **stated_units}, entry=entry
+            ),
         )
 
     def __repr__(self) -> str:
@@ -226,9 +248,9 @@ class Dataset:
     def _summary(self) -> list[tuple[str, ...]]:
         rows: list[tuple[str, ...]] = []
         for quantity, values in self.readings.items():
-            here = values[~np.isnan(values)]
-            ends = (f"{here.min():.6g}", f"{here.max():.6g}") if here.size else ("", "")
-            rows.append((quantity, self.units.get(quantity, "SI"), str(here.size), *ends))
+            read = values[~np.isnan(values)]
+            ends = (f"{read.min():.6g}", f"{read.max():.6g}") if read.size else ("", "")
+            rows.append((quantity, self.units.get(quantity, "SI"), str(read.size), *ends))
         return rows
 
 
@@ -247,7 +269,7 @@ def checked_every(every: int) -> int:
 
 
 def _kept(values: Array) -> Array:
-    """The same values as nobody can change them any more."""
+    """The same values, read-only."""
     if values.flags.writeable or values.dtype != np.float64 or not values.flags.c_contiguous:
         values = np.array(values, dtype=np.float64, order="C")
         values.flags.writeable = False

@@ -2,7 +2,7 @@
 
 A figure a + b L grows with the distance L from the instrument. A maximum permissible error (mpe)
 is a bound, not an sd: sd = mpe / coverage, with coverage 2 unless stated (makers of trackers call
-half of it typical), or sqrt(3) where every error within the bound is equally likely ("uniform",
+half of it typical). It is sqrt(3) where every error within the bound is equally likely ("uniform",
 GUM 4.3.7). Rounding to a step leaves a uniform error of sd = step / sqrt(12).
 """
 
@@ -11,20 +11,32 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loopcal.errors import InputError, nearest
+from loopcal.keys import Key
 from loopcal.units import unit
 
 Array = NDArray[np.float64]
 KINDS = ("mpe", "sd")
+BoundKind = Annotated[
+    str | None, Key("mpe: maximum permissible error (unless stated); or sd.", choices=KINDS)
+]
+Coverage = Annotated[
+    float | str | None,
+    Key(
+        'Maximum permissible error over sd: 2, or "uniform" (sqrt 3).',
+        positive=True,
+        choices=("uniform",),
+    ),
+]
 TYPICAL = 2.0
 """Maximum permissible error over sd, where nothing else is stated."""
 _NOWHERE = 1e-9
-"""Nobody measures a point so near the instrument [m]."""
+"""Points nearer to the instrument [m] are no measurements."""
 _TERM = re.compile(r"([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s/0-9.+]+)\s*(?:/\s*([^\s/0-9.+]+))?")
 
 
@@ -82,12 +94,22 @@ class Tracker:
     @classmethod
     def of(
         cls,
-        name: str | None = None,
+        name: Annotated[
+            str | None, Key("Name of the tracker.", alone=True, example="leica-at500")
+        ] = None,
         *,
-        range: str | None = None,  # noqa: A002
-        transverse: str | None = None,
-        kind: str | None = None,
-        coverage: float | str | None = None,
+        range: Annotated[  # noqa: A002
+            str | None, Key("Along the line of sight.", example="10 um + 0.3 um/m")
+        ] = None,
+        transverse: Annotated[
+            str | None,
+            Key(
+                "Across the line of sight, in each of the two directions.",
+                example="15 um + 6 um/m",
+            ),
+        ] = None,
+        kind: BoundKind = None,
+        coverage: Coverage = None,
         station: ArrayLike | None = None,
         rounded_to: float = 0.0,
         native: bool = False,
@@ -179,17 +201,20 @@ class Tracker:
         along = u[:, :, None] * u[:, None, :]
         across = np.eye(r.shape[1]) - along
         variance = np.square([self.range.at(distance), self.transverse.at(distance)])
-        own = variance[0][:, None, None] * along + variance[1][:, None, None] * across
-        found: Array = own + self.rounding**2 * np.eye(r.shape[1])
-        return found
+        of_direction = variance[0][:, None, None] * along + variance[1][:, None, None] * across
+        # Rounding is independent of the direction and alike in each coordinate.
+        covariance: Array = of_direction + self.rounding**2 * np.eye(r.shape[1])
+        return covariance
 
     def _of_readings(self, readings: Array) -> Array:
         distance, across = readings[:, 0], self.transverse.at(readings[:, 0]) / readings[:, 0]
         sds = [self.range.at(distance), across]
         if readings.shape[1] == 3:
+            # An azimuth moves the point by range * cos(elevation), so its sd grows towards the
+            # zenith.
             sds = [sds[0], across / np.cos(readings[:, 2]), across]
-        found: Array = np.square(sds).T[:, :, None] * np.eye(len(sds))
-        return found
+        covariance: Array = np.square(sds).T[:, :, None] * np.eye(len(sds))
+        return covariance
 
     def at_station(self, points: Array) -> NDArray[np.intp]:
         """Positions of the points (N, d) that lie where the instrument stands."""
@@ -232,12 +257,16 @@ def tracker_covariance(
 
 def encoder_sd(
     *,
-    bits: int | None = None,
-    counts: float | None = None,
-    accuracy: str | None = None,
-    kind: str | None = None,
-    coverage: float | str | None = None,
-    gear: float = 1.0,
+    bits: Annotated[
+        int | None, Key("It distinguishes 2^bits positions per turn.", low=1, high=64)
+    ] = None,
+    counts: Annotated[float | None, Key("Or so many positions per turn.", positive=True)] = None,
+    accuracy: Annotated[str | None, Key("Its bound or sd with a unit.", example="5 arcsec")] = None,
+    kind: BoundKind = None,
+    coverage: Coverage = None,
+    gear: Annotated[
+        float, Key("Turns of the encoder per turn of the joint, which divide all.", positive=True)
+    ] = 1.0,
     rounded_to: float = 0.0,
 ) -> float:
     """The sd [SI] of an encoder, its parts added in quadrature.
@@ -291,6 +320,7 @@ def rounding_sd(step: float) -> float:
             code="invalid-value",
             remedy="give the step, a number above 0",
         )
+    # Uniform within half a step to either side: variance (step / 2)^2 / 3.
     return step / math.sqrt(12.0)
 
 
@@ -315,6 +345,7 @@ def sd_per_figure(kind: str, coverage: float | str | None) -> float:
                 code="invalid-value",
                 remedy='give a number such as 2, or "uniform"',
             )
+        # A uniform error within +-a has the variance a^2 / 3 (GUM 4.3.7).
         return 1.0 / math.sqrt(3.0)
     return 1.0 / positive("coverage", TYPICAL if coverage is None else coverage)
 
@@ -326,13 +357,13 @@ def length_figure(text: str, factor: float = 1.0) -> LengthFigure:
     """
     constant = slope = 0.0
     for number, name, per in _terms(text, '"15 um + 6 um/m"'):
-        its = unit(name)
-        if per is None and its.dimension == "length":
-            constant += number * its.factor
-        elif per is None and its.dimension == "angle":
-            slope += number * its.factor
-        elif per is not None and its.dimension == unit(per).dimension == "length":
-            slope += number * its.factor / unit(per).factor
+        stated_unit = unit(name)
+        if per is None and stated_unit.dimension == "length":
+            constant += number * stated_unit.factor
+        elif per is None and stated_unit.dimension == "angle":
+            slope += number * stated_unit.factor
+        elif per is not None and stated_unit.dimension == unit(per).dimension == "length":
+            slope += number * stated_unit.factor / unit(per).factor
         else:
             raise InputError(
                 f"{text!r} is not a length that grows with distance",
@@ -366,7 +397,7 @@ def _one_term(text: str) -> tuple[float, str, str | None]:
 
 def _terms(text: str, example: str) -> list[tuple[float, str, str | None]]:
     """number, unit, and the unit it is per, of every summand."""
-    found = []
+    terms = []
     for part in text.replace("±", " ").replace("+-", " ").split("+"):
         match = _TERM.fullmatch(part.strip())
         try:
@@ -379,8 +410,8 @@ def _terms(text: str, example: str) -> list[tuple[float, str, str | None]]:
                 code="unknown-unit",
                 remedy=f"write it as {example}",
             )
-        found.append((number, match[2], match[3]))
-    return found
+        terms.append((number, match[2], match[3]))
+    return terms
 
 
 def positive(what: str, value: float) -> float:

@@ -36,8 +36,8 @@ def join(parts: Sequence[Dataset], machine: Sequence[bool]) -> Joined:
     _refuse_doubles(parts)
     everywhere = dict.fromkeys(pose for part in parts for pose in part.poses)
     have = [set(part.poses) for part in parts]
-    needed = [h for h, own in zip(have, machine, strict=True) if own]
-    others = [h for h, own in zip(have, machine, strict=True) if not own]
+    needed = [h for h, of_machine in zip(have, machine, strict=True) if of_machine]
+    others = [h for h, of_machine in zip(have, machine, strict=True) if not of_machine]
     kept = [
         pose
         for pose in everywhere
@@ -64,6 +64,7 @@ def join(parts: Sequence[Dataset], machine: Sequence[bool]) -> Joined:
         ),
         trusted=frozenset().union(*(part.source.trusted for part in parts)),
         stated={q: u for part in parts for q, u in part.source.stated.items()},
+        entry={**first.source.entry, "join": [part.source.entry for part in parts[1:]]},
     )
     dataset = Dataset(
         {
@@ -97,6 +98,7 @@ def _spread(values: Array, rows: NDArray[np.intp]) -> Array:
 def _file_rows(part: Dataset, rows: NDArray[np.intp]) -> NDArray[np.int64] | None:
     if part.source.rows is None:
         return None
+    # Rows of a file count from 1, so 0 says that the file has no such pose.
     return np.where(rows >= 0, part.source.rows[rows], 0)
 
 

@@ -30,11 +30,11 @@ ESTIMATES = ("each", "group")
 
 
 class Noise:
-    """What is said about the sensors: sd [SI] by quantity, glob or group; later entries win.
+    """What is stated about the sensors: sd [SI] by quantity, glob or group; later entries win.
 
-    A value is one sd, or an array (N,) with one sd per reading; for several quantities together,
-    keyed by a tuple of names, a covariance (b, b) or one per pose (N, b, b) [SI squared], or a
-    `Tracker`, which gives each reading the covariance of the place where it was taken.
+    A value is one sd, or an array (N,) with one sd per reading. For several quantities together,
+    keyed by a tuple of names, it is a covariance (b, b) or one per pose (N, b, b) [SI squared]. Or
+    it is a `Tracker`, which gives each reading the covariance of the place where it was taken.
 
     >>> Noise({"theta_*": 5e-5, ("x", "y", "z"): 1e-10 * np.eye(3)})
     Noise({'theta_*': 5e-05, ('x', 'y', 'z'): covariance (3, 3)})
@@ -42,8 +42,8 @@ class Noise:
     Readings that come with an sd of their own (`Dataset.sds`) keep it; an entry here serves the
     readings that have none.
 
-    The key "model" states the sd of the machine model itself, isotropic at the end point (or of
-    every loop equation, where a mechanism has no outputs): what no sensor is to blame for.
+    The key "model" states the sd of the machine model itself: what no sensor is to blame for. It is
+    isotropic at the end point, or of every loop equation where a mechanism has no outputs.
 
     estimate: for a name, glob, group, tuple of names, or "model": "each" or "group". Its sds are
     not taken as given but learnt from the calibration, one factor for each quantity, or one for
@@ -75,20 +75,20 @@ class Noise:
                 )
 
     @classmethod
-    def of(cls, given: NoiseLike | None) -> Noise | None:
+    def of(cls, noise: NoiseLike | None) -> Noise | None:
         """The noise itself, or one made of a mapping of sds.
 
         Raises InputError for anything else.
         """
-        if given is None or isinstance(given, Noise):
-            return given
-        if not isinstance(given, Mapping):
+        if noise is None or isinstance(noise, Noise):
+            return noise
+        if not isinstance(noise, Mapping):
             raise InputError(
-                f"the noise is {type(given).__name__} {given!r:.40}",
+                f"the noise is {type(noise).__name__} {noise!r:.40}",
                 code="invalid-value",
                 remedy='give Noise({"theta_*": 1e-4}), or a dict of sds by quantity',
             )
-        return cls(given)
+        return cls(noise)
 
     def begun_at(self, factors: Mapping[str, float]) -> Noise:
         """The same noise, with the search for sds begun near where it will end.
@@ -107,25 +107,20 @@ class Noise:
         more.estimate = {**self.estimate, key: "group"}
         return more
 
-    def learnt_at(self, factors: Mapping[str, float]) -> Noise:
-        """The noise as given, with the sds that are learnt in groups multiplied by their factors.
-
-        factors: by the name of the group: its quantities, joined by commas.
-        """
-        groups = [key if isinstance(key, tuple) else (key,) for key in self.estimate]
-        by = {n: factors.get(", ".join(names), 1.0) for names in groups for n in names}
-        given = copy(self)
-        given.entries = {
-            k: v * by[k] if isinstance(k, str) and k in by else v for k, v in self.entries.items()
-        }
-        given.estimate = {}
-        return given
-
     def take(self, index: NDArray[np.intp]) -> Noise:
         """The noise of the poses at these positions."""
+        return self._with_poses(lambda key: self.entries[key][index])
+
+    def before(self, others: Sequence[Noise]) -> Noise:
+        """The noise of these poses and then of others, of which the same is stated."""
+        every = (self, *others)
+        return self._with_poses(lambda key: np.concatenate([one.entries[key] for one in every]))
+
+    def _with_poses(self, stated: Callable[[Any], Array]) -> Noise:
+        """The same noise with something else for what is stated pose by pose."""
         part = copy(self)
         part.entries = {
-            key: value[index] if _by_pose(key, value) else value
+            key: stated(key) if _by_pose(key, value) else value
             for key, value in self.entries.items()
         }
         return part
@@ -224,6 +219,8 @@ def resolve_noise(
         for name in names:
             if names is key:
                 expand(name)  # a tuple may name a quantity that is not there
+            # A later entry takes its quantity out of an earlier covariance, whose block then has no
+            # meaning.
             blocks.pop(in_block.pop(name, ()), None)
             sources[name] = "datasheet" if key in noise.by_maker else "given"
         if isinstance(value, Tracker):
@@ -238,9 +235,10 @@ def resolve_noise(
             _check_length(key, value, poses, 1)
             sds |= dict.fromkeys(names, value)
     for name in quantities:
+        # A covariance is stated for readings together, so sds of single readings do not replace it.
         if name in dataset.sds and name not in in_block:
-            own = dataset.sds[name]
-            sds[name] = np.where(np.isnan(own), sds.get(name, np.nan), own)
+            stated_sds = dataset.sds[name]
+            sds[name] = np.where(np.isnan(stated_sds), sds.get(name, np.nan), stated_sds)
             sources[name] = "reading"
     rows = [_row(name, sds, dataset) for name in quantities]
     varying = any(row.ndim for row in rows)
@@ -368,6 +366,7 @@ def _check_covariance(key: Any, array: Array) -> None:
             code="invalid-covariance",
             remedy="list a quantity that is not measured with the sd inf instead",
         )
+    # Covariances that went through text are symmetric to the digits written, not to the last bit.
     if np.abs(array - np.swapaxes(array, -1, -2)).max() > 1e-9 * scale:
         raise InputError(
             f"the covariance of {key!r} is not symmetric",
@@ -394,6 +393,7 @@ def _check_length(key: Any, value: Array, poses: int, dimensions: int) -> None:
 
 def _factor(covariance: Array) -> Array:
     """A square root of covariances, also of singular ones."""
+    # Not Cholesky: a covariance of common errors alone is singular.
     values, vectors = np.linalg.eigh(covariance)
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
     return root

@@ -39,12 +39,14 @@ class Box:
         way = b - a
         flat = np.abs(way) < 1e-12
         safe = np.where(flat, 1.0, way)
+        # Slabs: the segment is inside between the last entry into a slab and the first exit from
+        # one.
         first, last = (low - a) / safe, (high - a) / safe
         enter = np.where(flat, -np.inf, np.minimum(first, last)).max(axis=0)
         leave = np.where(flat, np.inf, np.maximum(first, last)).min(axis=0)
         beside = (flat & ((a < low) | (a > high))).any(axis=0)
-        found: Mask = ~beside & (np.maximum(enter, 0.0) <= np.minimum(leave, 1.0))
-        return found
+        crossing: Mask = ~beside & (np.maximum(enter, 0.0) <= np.minimum(leave, 1.0))
+        return crossing
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.measurements.dataset import Dataset
+from loopcal.units import difference_to_si, from_si
+
 Array = NDArray[np.float64]
 _CHANCE = 1e-3
 """Numbers without a grid pass for one at most this often."""
@@ -18,7 +21,10 @@ _REPEATED = 1 / 3
 """So few different values among the readings, each far from the next, are a grid anyway."""
 _REFINEMENTS = 4
 """The smallest step seen may be this many counts."""
+# Powers of ten of the steps that are tried: doubles hold no more digits, files no coarser steps.
 _FINEST, _COARSEST = 14, -3
+_MOST = 60
+"""Readings that are looked at; the step that they show holds for all."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,8 @@ def written_step(values: Array) -> float | None:
         return None
     for digits in range(_COARSEST, _FINEST + 1):
         scaled = values * 10.0**digits
+        # Conversions of units leave errors of a few ulps, 1e-16 of the value, which scaling by
+        # 10^digits keeps.
         if 10.0**-digits < 1e-11 * size:
             return None  # all digits of a double are used: nothing was rounded
         if np.all(np.abs(scaled - np.round(scaled)) <= 1e-9 + 4e-16 * 10.0**digits * size):
@@ -57,13 +65,14 @@ def written_step(values: Array) -> float | None:
 
 
 def _counts(levels: Array, decimals: float, number: int) -> float | None:
-    """A step coarser than the decimals on which all levels lie, as far as decimals tell."""
+    """A step coarser than the decimals on which all levels lie within the decimals."""
     if len(levels) < 2:
         return None
     above = levels[1:] - levels[0]
     smallest = float(np.diff(levels).min())
     for parts in range(1, _REFINEMENTS + 1):
         step = _fitted(above, smallest / parts, decimals)
+        # On a step of few decimals every level lies within their rounding.
         if step is None or step < 4.0 * decimals:
             continue
         # each level falls within the tolerance by chance this often
@@ -79,6 +88,28 @@ def _fitted(above: Array, step: float, decimals: float) -> float | None:
     for end in range(1, len(order) + 1):
         part = order[:end]
         counts = np.maximum(np.round(part / step), 1.0)
+        # Least squares through zero; with more levels the step is known well enough to count
+        # farther ones.
         step = float(part @ counts / (counts @ counts))
     counts = np.round(above / step)
     return step if np.all(np.abs(above - counts * step) <= 1.01 * decimals) else None
+
+
+def recorded_step(data: Dataset, name: str, unit: str = "") -> float:
+    """The step of a column in the unit in which it was written; 0 for real numbers.
+
+    unit: of the quantity [SI]; angles that a program hands over in radians are looked at in
+    degrees too. Targets of a machine that were written instead of readings may lie on a grid as
+    well.
+    """
+    values = data.readings[name]
+    values = values[np.isfinite(values)]
+    stated = data.source.stated.get(name, "1")
+    some = values[:: max(1, -(-len(values) // _MOST))]
+    # A grid of degrees is hidden once a program has multiplied by pi / 180.
+    turned = unit == "rad" and stated in ("1", "rad")
+    for written in (stated, "deg") if turned else (stated,):
+        step = grid(np.asarray(from_si(some, written))).step
+        if step is not None:
+            return float(difference_to_si(step, written))
+    return 0.0

@@ -1,9 +1,10 @@
-"""Where readings came from, so that whoever meets a strange value can name its file and row."""
+"""Where readings came from, so that messages about a value name its file and row."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ class Source:
     """Ids of poses left out on request."""
     copied: tuple[str, ...] = ()
     """Ids of poses left out because their rows copy others."""
+    agreeing: tuple[str, ...] = ()
+    """Ids of poses whose rows equal others, as rows of such coarse readings may by chance."""
     discarded: tuple[str, ...] = ()
     """Ids of poses left out because they do not fit the others."""
     judged: bool = False
@@ -43,6 +46,9 @@ class Source:
     """Quantity -> unit as stated where the data came in; absent: taken as SI."""
     trusted: frozenset[str] = frozenset()
     """Quantities whose values the user vouches for (`check = false`)."""
+    entry: Mapping[str, Any] = field(default_factory=dict)
+    """How they were read, as the table [data] of a project states it: `file`, `columns` (quantity
+    -> its `column`, `unit` ...), `pose`, the layout; empty: columns named as quantities, in SI."""
     joined: tuple[Source, ...] = ()
     """Further files of the same poses, joined by id; rows are 0 where a file has no such pose."""
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from loopcal.errors import InputError
+from loopcal.keys import Key
 from loopcal.mechanisms.chain import Step
-from loopcal.mechanisms.keys import Key
 
 Triple = tuple[float, float, float]
 JointName = Annotated[str, Key("The quantity that is read; begins the names of its parameters.")]
@@ -56,6 +56,7 @@ class AxisFrame:
         along = [letter for letter, v in zip("xyz", (x, y, z), strict=True) if v != 0.0]
         if len(along) == 1:
             return cls((), _CYCLE[along[0]], 1 if x + y + z > 0.0 else -1)
+        # Rz Ry bring z onto the direction: its azimuth, then its angle to z.
         turns = (
             Step("rz", constant=math.atan2(y, x)),
             Step("ry", constant=math.atan2(math.hypot(x, y), z)),
@@ -66,7 +67,7 @@ class AxisFrame:
         self,
         joint: str,
         kind: str,
-        own: Sequence[Step] = (),
+        displacement: Sequence[Step] = (),
         direction: float = 1.0,
         constant: float = 0.0,
     ) -> list[Step]:
@@ -74,11 +75,12 @@ class AxisFrame:
 
         own: steps with parameters that displace the axis, in this frame.
         """
-        placed = [*self.turns, *own]
+        placed = [*self.turns, *displacement]
         motion = ("t" if kind == "prismatic" else "r") + self.letters[2]
         moved = Step(
             motion, joint=joint, direction=self.sign * direction, constant=self.sign * constant
         )
+        # The axis frame is left again: its parameters move the axis and nothing behind the joint.
         return [*placed, moved, *(step.inverse() for step in reversed(placed))]
 
 

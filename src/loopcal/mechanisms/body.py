@@ -1,8 +1,8 @@
 """The body that instruments look at, displaced a little from where the geometry puts it.
 
 An arm bends, a platform tilts: whatever the cause, all that is fixed to one body moves with it.
-The loops of a mechanism are therefore kept once more with the displacement of the body as further
-inputs, a shift d and a small turn w about the body's origin b, in the machine's base frame:
+The loops of a mechanism are therefore kept once more, with the displacement of the body as further
+inputs. It is a shift d and a small turn w about the body's origin b, in the machine's base frame:
 
     p' = p + d + w x (p - b),    v' = v + w x v,    for points p and directions v of the body.
 
@@ -65,20 +65,21 @@ class Displaced:
     @classmethod
     def by(cls, frame: Frame, names: tuple[str, ...], values: Mapping[str, Any]) -> Displaced:
         """The frame displaced by the inputs of these names."""
-        its = [values[name] for name in names]
-        if len(its) == len(MOTIONS[2]):
-            return cls(frame, vector(its[0], its[1], 0.0), vector(0.0, 0.0, its[2]))
-        return cls(frame, vector(*its[:3]), vector(*its[3:]))
+        inputs = [values[name] for name in names]
+        if len(inputs) == len(MOTIONS[2]):
+            return cls(frame, vector(inputs[0], inputs[1], 0.0), vector(0.0, 0.0, inputs[2]))
+        return cls(frame, vector(*inputs[:3]), vector(*inputs[3:]))
 
     def point(self, p: Vector) -> Vector:
         """p + d + w x (p - b)."""
-        there: Vector = self.frame.point(p)
-        arm = there - self.frame.point(vector(0.0, 0.0, 0.0))
-        moved: Vector = there + self.shift + cross(self.turn, arm)
+        placed: Vector = self.frame.point(p)
+        arm = placed - self.frame.point(vector(0.0, 0.0, 0.0))
+        # To first order in w a turn about b is p + w x (p - b); bodies bend by milliradians.
+        moved: Vector = placed + self.shift + cross(self.turn, arm)
         return moved
 
     def direction(self, v: Vector) -> Vector:
         """v + w x v."""
-        there = self.frame.direction(v)
-        turned: Vector = there + cross(self.turn, there)
+        rotated = self.frame.direction(v)
+        turned: Vector = rotated + cross(self.turn, rotated)
         return turned

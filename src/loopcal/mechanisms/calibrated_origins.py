@@ -2,8 +2,8 @@
 
     T_parent_child(q) = Origin J(q),   Origin = T(xyz) R_rpy Rz Ry Rx
 
-A turn of the origin about the joint's own axis (of a slide, a shift along it) is what a zero
-offset of its reading does: Origin J(q) = Origin' J(q + offset). It stands in the origin, or apart
+A turn of the origin about the joint's axis (of a slide, a shift along it) is what a zero offset
+does: Origin J(q) = Origin' J(q + offset). It stands in the origin, or apart
 for the controller to add, never in both. The offset is the twist of the new rotation against the
 drawing's about the axis.
 """
@@ -56,23 +56,24 @@ def calibrated_origins(
 ) -> tuple[CalibratedOrigin, ...]:
     """The origins at parameter values [SI]; axes: whether the axes have parameters; apart: whether
     zero offsets stand beside the origins instead of in them."""
-    found = [_of(joint, values, axes) for joint in joints]
+    origins = [_of(joint, values, axes) for joint in joints]
     if not apart:
-        return tuple(found)
+        return tuple(origins)
     offsets = {
         one.joint.name: _zero(one)
-        for one in found
+        for one in origins
         if one.joint.reads is not None and one.joint.mimic is None
     }
-    return tuple(_without(one, offsets) for one in found)
+    return tuple(_without(one, offsets) for one in origins)
 
 
 def _of(joint: LinkJoint, values: Mapping[str, float], axes: bool) -> CalibratedOrigin:
-    own = joint.own
-    steps = [*own[:3], *fixed_frame((0.0, 0.0, 0.0), joint.rpy), *own[3:]]
+    origin_steps = joint.origin_steps
+    steps = [*origin_steps[:3], *fixed_frame((0.0, 0.0, 0.0), joint.rpy), *origin_steps[3:]]
     T = product(steps, {}, values)
     axis = joint.axis
     if axes and joint.tilts and any(values[str(s.parameter)] for s in joint.tilts):
+        # The tilt is stated in the axis frame A: in the joint's frame it is A tilt A^T.
         turns = AxisFrame.of(axis, joint.name).turns
         A = product(turns, {}, {})[:3, :3]
         tilt = product(joint.tilts, {}, values)[:3, :3]
@@ -86,6 +87,7 @@ def _zero(one: CalibratedOrigin) -> float:
     drawn, axis = one.drawn, one.along
     if one.joint.kind == "prismatic":
         return float((one.T[:3, 3] - drawn[:3, 3]) @ (one.T[:3, :3] @ axis))
+    # Swing and twist: of the quaternion (w, v) of R, the twist t has tan(t/2) = v . axis / w.
     w, *vector = quaternion(drawn[:3, :3].T @ one.T[:3, :3])
     return 2.0 * math.atan2(float(np.array(vector) @ axis), w)
 
@@ -96,11 +98,11 @@ def _without(one: CalibratedOrigin, offsets: Mapping[str, float]) -> CalibratedO
     if joint.reads is None:
         return one
     if joint.mimic is None:
-        own, offset = offsets[joint.name], offsets[joint.name]
+        zero, offset = offsets[joint.name], offsets[joint.name]
     else:
-        own, offset = joint.mimic.multiplier * offsets.get(joint.mimic.joint, 0.0), 0.0
+        zero, offset = joint.mimic.multiplier * offsets.get(joint.mimic.joint, 0.0), 0.0
     if joint.kind == "prismatic":
-        back = rigid(np.eye(3), -own * one.along)
+        back = rigid(np.eye(3), -zero * one.along)
     else:
-        back = rigid(rotation(one.along.tolist(), -own), np.zeros(3))
+        back = rigid(rotation(one.along.tolist(), -zero), np.zeros(3))
     return replace(one, T=one.T @ back, offset=offset)

@@ -11,7 +11,7 @@ p_instrument = S_1 S_2 ... S_n p_tool. Tz Rz means: first move along z, then tur
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,10 +20,14 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import PLANES, rotate, vector
+from loopcal.mechanisms.parameters import Parameter, Role
 
 MOST_JOINTS = 64
 """Of one chain: loops and derivatives of longer ones take minutes and gigabytes to derive."""
 MOTIONS = ("tx", "ty", "tz", "rx", "ry", "rz")
+BASE = "base"
+"""Owner of what stands ahead of the first joint."""
+_WORDS = {"t": "shift along", "r": "turn about"}
 
 
 def refuse_long_chain(joints: int) -> None:
@@ -34,6 +38,18 @@ def refuse_long_chain(joints: int) -> None:
             code="too-large",
             remedy="calibrate a shorter part of it (another base or tip)",
         )
+
+
+def check_joints(names: Sequence[str]) -> None:
+    """Raise InputError for a chain of more than 64 joints, and for two of one name."""
+    refuse_long_chain(len(names))
+    for joint in names:
+        if names.count(joint) > 1:
+            raise InputError(
+                f"two joints are named {joint!r}",
+                code="duplicate-name",
+                remedy="give each a unique name",
+            )
 
 
 @dataclass(frozen=True)
@@ -60,6 +76,7 @@ class Step:
             total = total + value if self.sign > 0 else total - value
         if self.joint is not None:
             reading = joints[self.joint]
+            # A product by 1 would be one more operation in every loop of the tape.
             if abs(self.direction) != 1:
                 reading = abs(self.direction) * reading
             total = total + reading if self.direction > 0 else total - reading
@@ -70,6 +87,39 @@ class Step:
         return replace(self, constant=-self.constant, sign=-self.sign, direction=-self.direction)
 
 
+def chain_parameters(steps: Sequence[Step]) -> dict[str, Parameter]:
+    """The parameters of a chain, nominally 0, each owned by the joint whose motion it follows."""
+    made: dict[str, Parameter] = {}
+    owner = BASE
+    for step in steps:
+        owner = step.joint or owner
+        if step.parameter is None or step.parameter in made:
+            continue
+        behind = "before the first joint" if owner == BASE else f"after {owner}"
+        made[step.parameter] = (
+            _geometry(step, owner, behind)
+            if step.joint is None
+            else Parameter(step.parameter, 0.0, step.unit).of("zero", owner, zero_of(owner))
+        )
+    return made
+
+
+def zero_of(joint: str) -> str:
+    """What the zero of a joint is, in words."""
+    return f"zero of {joint}: added to its reading"
+
+
+def axis_parameters(joint: str, steps: Iterable[Step]) -> dict[str, Parameter]:
+    """The parameters that move the axis of a joint, nominally 0."""
+    return {str(s.parameter): _geometry(s, joint, "of its axis") for s in steps if s.parameter}
+
+
+def _geometry(step: Step, owner: str, where: str) -> Parameter:
+    role: Role = "length" if step.unit == "m" else "twist"
+    meaning = f"{_WORDS[step.motion[0]]} the {step.motion[1]} axis {where}"
+    return Parameter(str(step.parameter), 0.0, step.unit, role=role, owner=owner, meaning=meaning)
+
+
 def apply(
     steps: Sequence[Step],
     point: NDArray[Any],
@@ -77,6 +127,7 @@ def apply(
     parameters: Mapping[str, Any],
 ) -> NDArray[Any]:
     """The point of the last frame, seen in the first: S_1 ... S_n point, from tip to base."""
+    # A point turned step by step costs fewer operations of the tape than a product of matrices.
     for step in reversed(steps):
         amount = step.amount(joints, parameters)
         axis = step.motion[1]

@@ -81,13 +81,15 @@ def _row(joint: RestJoint, T: Array) -> tuple[DenavitRow, Array]:
         theta, _ = _forward(math.atan2(u[0], -u[1]), 0.0)
         normal = np.array([math.cos(theta), math.sin(theta)])
         a = float(normal @ p[:2])
+        # Rx(alpha) turns z by alpha, away from the direction z x normal.
         alpha = math.atan2(normal[1] * u[0] - normal[0] * u[1], u[2])
         # the next axis, p + s u, comes nearest to z where p + s u - a normal is along z
         s = -float(p[:2] @ u[:2]) / across**2
         d = float(p[2] + s * u[2])
-    own = _dh(theta, d, a, alpha)
+    row_transform = _dh(theta, d, a, alpha)
     row = DenavitRow(joint.name, joint.reads, joint.kind, a, alpha, d, theta, joint.factor)
-    left: Array = np.linalg.inv(own) @ T
+    # What the four numbers cannot express lies about and along the next z; the next row takes it.
+    left: Array = np.linalg.inv(row_transform) @ T
     return row, left
 
 
@@ -120,17 +122,3 @@ def modified(table: DenavitTable) -> DenavitTable:
     )
     a, alpha = ahead[-1]
     return DenavitTable(rows, table.base, _dh(0.0, 0.0, a, alpha) @ table.tool)
-
-
-def dh_pose(table: DenavitTable, readings: dict[str, float], *, modified: bool = False) -> Array:
-    """T_base_tip (4, 4) of a table at readings by quantity [m or rad]."""
-    T = table.base
-    for row in table.rows:
-        moved = row.factor * readings[row.reads]
-        theta, d = row.theta, row.d
-        theta, d = (theta, d + moved) if row.kind == "prismatic" else (theta + moved, d)
-        if modified:
-            T = T @ _dh(0.0, 0.0, row.a, row.alpha) @ _dh(theta, d, 0.0, 0.0)
-        else:
-            T = T @ _dh(theta, d, row.a, row.alpha)
-    return T @ table.tool

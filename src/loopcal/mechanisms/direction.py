@@ -54,22 +54,23 @@ class Direction:
 
 
 def _axes(nominal: Sequence[float], called: str, dimension: int) -> tuple[Any, Any, Any]:
-    given = np.array(nominal, dtype=float)
-    if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
+    vector = np.array(nominal, dtype=float)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         raise InputError(
             f"{called} is {list(nominal)}",
             code="invalid-value",
             remedy="give the three components of a direction, say [0, 0, 1]",
         )
-    if dimension == 2 and given[2]:
+    if dimension == 2 and vector[2]:
         raise InputError(
             f"{called} is {list(nominal)}, but the machine is planar",
             code="unsupported",
             remedy="give a direction in the plane, say [0, 1, 0]",
         )
-    n_0 = given / np.linalg.norm(given)
+    n_0 = vector / np.linalg.norm(vector)
     if dimension == 2:
         return n_0, np.array([-n_0[1], n_0[0], 0.0]), np.zeros(3)
+    # The coordinate axis farthest from n_0, so that the projection loses no digits.
     least = np.eye(3)[int(np.argmin(np.abs(n_0)))]
     e_1 = least - (least @ n_0) * n_0
     e_1 /= np.linalg.norm(e_1)

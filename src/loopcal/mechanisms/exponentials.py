@@ -18,12 +18,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from loopcal.errors import InputError
+from loopcal.keys import Key
 from loopcal.mechanisms.axes import AxisFrame, JointName, Limits, Triple, fixed_frame
-from loopcal.mechanisms.chain import Step, refuse_long_chain
+from loopcal.mechanisms.chain import Step, axis_parameters, check_joints
 from loopcal.mechanisms.frame import ChainFrame
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
-from loopcal.mechanisms.parameters import Parameter
 
 KINDS = ("revolute", "prismatic")
 NAME = "product of exponentials"
@@ -54,7 +53,7 @@ class ScrewJoint:
         AxisFrame.of(self.axis, self.name)
 
     @property
-    def own(self) -> tuple[Step, ...]:
+    def axis_steps(self) -> tuple[Step, ...]:
         """The steps of its parameters, in the frame of its axis."""
         normal = AxisFrame.of(self.axis, self.name).letters[:2]
         shifts = () if self.kind == "prismatic" else normal
@@ -66,10 +65,11 @@ class ScrewJoint:
     def steps(self) -> Iterator[Step]:
         """exp([S] q) as elementary steps."""
         frame = AxisFrame.of(self.axis, self.name)
-        there = [] if self.kind == "prismatic" else fixed_frame(self.point, (0.0, 0.0, 0.0))
-        yield from there
-        yield from frame.moving(self.name, self.kind, self.own)
-        yield from (step.inverse() for step in reversed(there))
+        to_axis = [] if self.kind == "prismatic" else fixed_frame(self.point, (0.0, 0.0, 0.0))
+        # The axis passes through `point`: exp([S] q) = T(point) A J(q) A^-1 T(-point).
+        yield from to_axis
+        yield from frame.moving(self.name, self.kind, self.axis_steps)
+        yield from (step.inverse() for step in reversed(to_axis))
 
 
 def exponentials(
@@ -82,8 +82,8 @@ def exponentials(
 
     home: the tool's frame M with all joints at zero, xyz [m] and roll, pitch, yaw [rad].
     Quantities: the joints' readings by their names [rad or m]; parameters, nominally 0: where each
-    axis lies, two shifts [m] (of a prismatic joint none) and two tilts [rad] normal to it, NAME_x,
-    NAME_y, NAME_rx, NAME_ry of one along z.
+    axis lies, by two shifts [m] (of a prismatic joint none) and two tilts [rad] normal to it. Of
+    one along z these are NAME_x, NAME_y, NAME_rx, NAME_ry.
 
     Source: Brockett (1984); Lynch and Park (2017), chapter 4.
     Raises InputError for a machine without joints, or with two joints of one name.
@@ -93,21 +93,13 @@ def exponentials(
         raise InputError(
             "the machine has no joint", code="missing-key", remedy="list at least one joint"
         )
-    refuse_long_chain(len(joints))
-    names = [joint.name for joint in joints]
-    for joint in names:
-        if names.count(joint) > 1:
-            raise InputError(
-                f"two joints are named {joint!r}",
-                code="duplicate-name",
-                remedy="give each a unique name",
-            )
+    check_joints([joint.name for joint in joints])
     steps = merged([*(s for joint in joints for s in joint.steps()), *fixed_frame(*home)])
-    own = [Parameter(s.parameter, 0.0, s.unit) for j in joints for s in j.own if s.parameter]
+    parameters = [p for j in joints for p in axis_parameters(j.name, j.axis_steps).values()]
     return Machine(
         name,
         {j.name: "m" if j.kind == "prismatic" else "rad" for j in joints},
-        {p.name: p for p in own},
+        {p.name: p for p in parameters},
         lambda x, p: ChainFrame(steps, x, p),
         chain=steps,
         description={
@@ -125,6 +117,7 @@ def merged(steps: Sequence[Step]) -> tuple[Step, ...]:
     run: dict[str, float] = {}
     for step in steps:
         if step.motion[0] == "t" and step.parameter is None and step.joint is None:
+            # Shifts commute with each other, so a run of them is one step along each axis.
             run[step.motion] = run.get(step.motion, 0.0) + step.constant
             continue
         made += [Step(motion, constant=v) for motion, v in run.items() if v != 0.0]

@@ -1,7 +1,7 @@
 """Which parameters of a machine only say where a frame lies, and when they are held.
 
-The joints of a parallel machine are points of two bodies, base and platform, whose own frames
-nobody drew on them. A frame is tied by an instrument that reads in it; where none does, the
+The joints of a parallel machine are points of two bodies, base and platform, whose frames cannot be
+seen. A frame is tied by an instrument that reads in it; where none does, the
 machine's `Gauge` holds as many parameters at their nominal values as the frame has freedoms, and
 what is left is determined. Nothing that can be seen depends on which are held.
 """
@@ -22,8 +22,8 @@ class Gauge:
     base: where the base frame lies, tied by an instrument that reads coordinates in it; body:
     where the body's frame lies, tied by an instrument that reads the pose of that very frame;
     scale: the size of a machine that itself reads angles alone, tied by any measured length.
-    translating: the body never turns, so the place of a target on it and that of the station
-    cannot be told apart, and the first instrument's target is held.
+    translating: the body never turns; the place of a target on it is indistinguishable from that of
+    the station, and the first instrument's target is held.
     """
 
     base: tuple[str, ...] = ()
@@ -65,11 +65,13 @@ def held(gauge: Gauge, instruments: Sequence[Reader]) -> set[str]:
     names: set[str] = set()
     if not any(i.form in _COORDINATES and not i.placement for i in instruments):
         names |= set(gauge.base)
+    # The pose of a target leaves the target's place in the body's frame open, so it ties nothing.
     if not any(i.form == "pose" and not i.parameters for i in instruments):
         names |= set(gauge.body)
     if gauge.translating and instruments:
         names |= {n for n, p in instruments[0].parameters.items() if p.unit == "m"}
     units = [u for i in instruments for q, u in i.readings.items() if q not in i.implied]
+    # Angles are the same for a machine of any size.
     if "m" not in units:
         names |= set(gauge.scale)
     return names

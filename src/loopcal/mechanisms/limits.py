@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from loopcal.mechanisms.mechanism import Mechanism
+
+MOST = 1e6
+"""Limits [rad, m] beyond this limit nothing: files write 1e16 or 1e308 for a joint without any."""
 
 
 @dataclass(frozen=True)
@@ -19,6 +23,11 @@ class Limit:
 def joint_limits(mechanism: Mechanism) -> Mapping[str, Limit]:
     """The joints of a serial arm whose limits are stated, by name."""
     listed = (mechanism.description or {}).get("joints", ())
-    stated = {joint.name: getattr(joint, "limits", None) for joint in listed}
-    found = {name: Limit(span[0], span[1]) for name, span in stated.items() if span is not None}
-    return {q: limit for q, limit in found.items() if q in mechanism.quantities}
+    limits = {name: Limit(*span) for name, span in stated_limits(listed).items()}
+    return {q: limit for q, limit in limits.items() if q in mechanism.quantities}
+
+
+def stated_limits(joints: Iterable[Any]) -> dict[str, tuple[float, float]]:
+    """Joint -> low and high [SI] of its reading, where they are stated and limit anything."""
+    stated = ((joint.name, getattr(joint, "limits", None)) for joint in joints)
+    return {n: (span[0], span[1]) for n, span in stated if span and max(map(abs, span)) <= MOST}

@@ -14,21 +14,23 @@ from dataclasses import dataclass, field, replace
 from functools import wraps
 from typing import Any, ParamSpec
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
+from loopcal.keys import described
 from loopcal.mechanisms.body import Body, Displaced, displacement_names
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import Frame, Values, Vector
 from loopcal.mechanisms.gauge import Gauge, fixed, held
 from loopcal.mechanisms.instruments.orientation import Orientation
-from loopcal.mechanisms.keys import described
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
-from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.parameters import Parameter, stated
 
 Arguments = ParamSpec("Arguments")
 SECOND = 0.01
 """By how much [m, rad] the home of a row's second pose differs from that of the first."""
+TOOL = "tool"
+"""Owner of coordinates on the body that were named one by one."""
 ENDS = ("", "_b")
 """What names the quantities of both poses of a row; `Quantity.first` says which belong together."""
 
@@ -40,7 +42,7 @@ class Machine:
     quantities: joints, passive joints and platform coordinates, name -> SI unit; parameters by
     name; frame(x, p): T_base_body; equations(x, p): values of the closure loops, named in
     `loops`; home: a typical value [SI] of the quantities that no sensor may read, from which the
-    search for them begins; known: constants that vary by pose; dimension: 2 for a machine that
+    search for them begins; pose_constants: those that vary by pose; dimension: 2 for a machine that
     moves in the plane z = 0; gauge: parameters that only say where its frames lie; chain: the
     steps from the base to the body, where it is a serial arm; lines(x, p): what draws it, polylines
     of points (3,) [m] in its base frame; description: what a mechanism file says to build it, empty
@@ -54,7 +56,7 @@ class Machine:
     loops: tuple[str, ...] = ()
     equations: Callable[[Values, Values], Sequence[Any]] = lambda x, p: ()
     home: Mapping[str, float] = field(default_factory=dict)
-    known: Mapping[str, str] = field(default_factory=dict)
+    pose_constants: Mapping[str, str] = field(default_factory=dict)
     dimension: int = 3
     gauge: Gauge = field(default_factory=Gauge)
     chain: tuple[Step, ...] = ()
@@ -71,8 +73,8 @@ class Instrument:
     those of the bodies in the machine's base, one for each pose that a row holds (`ends`).
     placement: parameters that say where it stands, with `place` telling how they change when the
     machine is moved; parameters: the others (reflector, length, zero), of which those in mounted
-    say where something sits on the body; known: constants that vary by pose; orientation: which
-    of them are a measured orientation; implied: readings that are the same in every pose by
+    say where something sits on the body; pose_constants: those that vary by pose; orientation:
+    which of them are a measured orientation; implied: readings that are the same in every pose by
     construction, such as the gap between a ball and its socket; form: what the readings are
     together, "point", "spherical", "polar", "pose", "length", "angle", "gap" (of things that
     touch) or a word of its own; dimension: that of the machines it can look
@@ -88,7 +90,7 @@ class Instrument:
     placement: Mapping[str, Parameter] = field(default_factory=dict)
     place: Placement | None = None
     mounted: tuple[str, ...] = ()
-    known: Mapping[str, str] = field(default_factory=dict)
+    pose_constants: Mapping[str, str] = field(default_factory=dict)
     orientation: Orientation | None = None
     implied: Mapping[str, float] = field(default_factory=dict)
     ends: int = 1
@@ -108,8 +110,8 @@ def recorded(make: Callable[Arguments, Instrument]) -> Callable[Arguments, Instr
 
     @wraps(make)
     def made(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Instrument:
-        given = signature.bind(*args, **kwargs).arguments
-        return replace(make(*args, **kwargs), description=described(make, given))
+        arguments = signature.bind(*args, **kwargs).arguments
+        return replace(make(*args, **kwargs), description=described(make, arguments))
 
     return made
 
@@ -125,8 +127,8 @@ def assemble(
     the machine's own loops are there: it calibrates itself if its sensors are redundant.
     Parameters that place a frame which no instrument ties are fixed (`gauge`).
 
-    Raises InputError for readings or instruments of one name, an instrument of another dimension
-    than the machine's, one name for things of different kinds, and parameters that are not there.
+    Raises InputError for names that readings, instruments or things of different kinds share. The
+    same for an instrument of another dimension than the machine's, and for unknown parameters.
     """
     ends = max((i.ends for i in instruments), default=1)
     quantities = {q + end: u for end in ENDS[:ends] for q, u in machine.quantities.items()}
@@ -134,27 +136,31 @@ def assemble(
     _refuse_repeated([i.name for i in instruments], "instruments")
     _refuse_misfits(machine, instruments)
     closure = [loop + end for end in ENDS[:ends] for loop in machine.loops]
-    known = {name + end: u for end in ENDS[:ends] for name, u in machine.known.items()}
+    pose_constants = {
+        name + end: u for end in ENDS[:ends] for name, u in machine.pose_constants.items()
+    }
     if not closure and not instruments:
         raise InputError(
             f"{machine.name!r} has no loop: only its joints are read",
             code="undetermined-quantities",
             remedy="add an instrument that measures it",
         )
+    # A shared name keeps its first declaration: stations before the machine, the machine before
+    # targets.
     parameters: dict[str, Parameter] = {}
     for part in (
-        *(i.placement for i in instruments),
+        *(_placed(i, i.placement) for i in instruments),
         machine.parameters,
-        *(i.parameters for i in instruments),
+        *(_placed(i, i.parameters) for i in instruments),
     ):
         parameters |= {name: p for name, p in part.items() if name not in parameters}
     without_effect = held(machine.gauge, instruments)
     parameters = fixed(parameters, without_effect)
-    parameters |= _stated(parameters, nominal or {})
+    parameters |= stated(parameters, nominal or {})
 
     def loops(x: Any, p: Any, displaced: Sequence[tuple[str, ...]] = ()) -> list[Any]:
-        own = [*machine.quantities, *machine.known]
-        rows = [{name: x[name + end] for name in own} for end in ENDS[:ends]]
+        varying = [*machine.quantities, *machine.pose_constants]
+        rows = [{name: x[name + end] for name in varying} for end in ENDS[:ends]]
         values = [value for row in rows for value in machine.equations(row, p)]
         frames: list[Frame] = [machine.frame(row, p) for row in rows]
         for i, names in enumerate(displaced):
@@ -169,11 +175,15 @@ def assemble(
         quantities=quantities | measured,
         parameters=parameters,
         outputs=[q for i in instruments for q in i.readings if q not in i.implied],
-        known=known | {name: u for i in instruments for name, u in i.known.items()},
+        pose_constants=pose_constants
+        | {name: u for i in instruments for name, u in i.pose_constants.items()},
         loops=[*closure, *measured],
         name=machine.name,
     )
-    firsts = {q + ENDS[1]: q for q in (*machine.quantities, *machine.known)} if ends > 1 else {}
+    # The sensor of a variable is the same in both poses of a row.
+    firsts = (
+        {q + ENDS[1]: q for q in (*machine.quantities, *machine.pose_constants)} if ends > 1 else {}
+    )
     return replace(
         made,
         variables=tuple(replace(v, first=firsts.get(v.name)) for v in made.variables),
@@ -183,7 +193,6 @@ def assemble(
         orientations=tuple(i.orientation for i in instruments if i.orientation),
         chain=machine.chain,
         placement=instruments[0].place if len(instruments) == 1 else None,
-        located=_located(instruments),
         body=_body(machine, instruments, made.tape, loops) if instruments else None,
         description=_description(machine, instruments, without_effect),
     )
@@ -197,13 +206,14 @@ def _body(
     displaced = tuple(displacement_names(machine.dimension, end) for end in ends)
     mounted = tuple(dict.fromkeys(i.mounted for i in instruments if i.mounted))
     turning = [n for i in instruments for n in i.mounted if i.parameters[n].unit == "rad"]
+    # Two targets, or a turn of one, show how the body is turned; one point alone does not.
     points = {tuple(n for n in names if n not in turning) for names in mounted}
     poses = [i for i in instruments if i.form == "pose"]
     return Body(
         trace(
             lambda x, p: loops(x, p, displaced),
             quantities=tape.quantities,
-            known=tape.known,
+            pose_constants=tape.pose_constants,
             parameters=(*tape.parameters, *(n for names in displaced for n in names)),
             loops=tape.loops,
         ),
@@ -213,12 +223,13 @@ def _body(
     )
 
 
-def _located(instruments: Sequence[Instrument]) -> dict[str, str]:
-    """What the instruments' parameters say: the place of something on the body, or beside it."""
+def _placed(instrument: Instrument, part: Mapping[str, Parameter]) -> dict[str, Parameter]:
+    """Parameters of an instrument: the place of something on the body, or beside it."""
     return {
-        name: "mounting" if name in i.mounted else "placement"
-        for i in instruments
-        for name in (*i.placement, *i.parameters)
+        name: p.of("mounting", p.owner or TOOL)
+        if name in instrument.mounted
+        else p.of("placement", p.owner or instrument.name)
+        for name, p in part.items()
     }
 
 
@@ -242,8 +253,8 @@ def _families(machine: Machine, instruments: Sequence[Instrument], ends: int) ->
             "second pose", loops, tuple(q + ENDS[1] for q in machine.quantities), "closure"
         )
     for i in instruments:
-        own = tuple(i.placement), tuple(i.parameters)
-        yield Family(i.name, i.loops, tuple(i.readings), i.form, i.place, i.remedy, *own)
+        parameters = tuple(i.placement), tuple(i.parameters)
+        yield Family(i.name, i.loops, tuple(i.readings), i.form, i.place, i.remedy, *parameters)
 
 
 def _home(machine: Machine, ends: int) -> dict[str, float]:
@@ -252,23 +263,6 @@ def _home(machine: Machine, ends: int) -> dict[str, float]:
         q + end: v + SECOND * number
         for number, end in enumerate(ENDS[:ends])
         for q, v in machine.home.items()
-    }
-
-
-def _stated(
-    own: Mapping[str, Parameter], nominal: Mapping[str, float | Parameter]
-) -> dict[str, Parameter]:
-    """The parameters that are given other values."""
-    for name in nominal:
-        if name not in own:
-            raise InputError(
-                f"there is no parameter {name!r}", code="unknown-name", remedy=nearest(name, own)
-            )
-    return {
-        name: replace(given, name=name)
-        if isinstance(given, Parameter)
-        else replace(own[name], nominal=float(given))
-        for name, given in nominal.items()
     }
 
 
@@ -291,8 +285,9 @@ def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None
                 code="unsupported",
                 remedy=f"make it for {machine.dimension} dimensions",
             )
-        own = {*i.placement, *i.parameters}
-        if machine.chain and (shared := own & set(machine.parameters)):
+        names = {*i.placement, *i.parameters}
+        # Of a chain a parameter shared with a target would be one number in two frames.
+        if machine.chain and (shared := names & set(machine.parameters)):
             raise InputError(
                 f"{min(shared)!r} is a parameter of a joint and of the instrument {i.name!r}",
                 code="duplicate-name",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,13 @@ from loopcal.lazy import cached_property
 from loopcal.mechanisms.body import Body
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.instruments.orientation import Orientation
-from loopcal.mechanisms.parameters import Parameter, Parameters, declared, matching
+from loopcal.mechanisms.parameters import BEYOND, Parameter, Parameters, Role, declared, matching
 from loopcal.mechanisms.quantity import Quantity
 from loopcal.mechanisms.terms import Term, check_terms
 from loopcal.units import unit
+
+if TYPE_CHECKING:
+    from loopcal.mechanisms.structure.parts import Structure
 
 
 class Placement(Protocol):
@@ -42,22 +45,19 @@ class Placement(Protocol):
         """What is wrong with describing the machine by these values [SI], and the remedy."""
 
 
-_KINDS = {"m": "length", "rad": "angle"}
-
-
 @dataclass(frozen=True)
 class Family:
     """Loops that stand or fall together: there only in the poses in which their readings are.
 
-    loops: names of its equations; readings: the quantities that belong to it alone, each of
-    which follows from the loops and everything else. In a pose without any of these readings the
-    loops would say nothing, and are left out. form: what the readings are together: "point"
-    (x, y, z or x, y), "spherical" (range, azimuth, elevation), "polar" (range, azimuth), "length",
-    "angle", "pose" (a point and three small turns), "gap" (between things that touch), "closure"
-    (a machine's own loops in a second pose); placement: how the parameters that place the
-    instrument change when the machine is moved; remedy: what to do where its loops cannot be
-    evaluated; standing: the parameters that say where the instrument stands; mounted: those of
-    what it looks at on the body, and of the instrument itself.
+    loops: names of its equations; readings: the quantities that belong to it alone, each of which
+    follows from the loops and everything else. In a pose without any of these readings the loops
+    would say nothing, and are left out. form: what the readings are together: "point" (x, y, z or
+    x, y), "spherical" (range, azimuth, elevation), "polar" (range, azimuth), "length" or "angle";
+    or "pose" (a point and three small turns), "gap" (between things that touch), "closure" (a
+    machine's own loops in a second pose); placement: how the parameters that place the instrument
+    change when the machine is moved; remedy: what to do where its loops cannot be evaluated;
+    standing: the parameters that say where the instrument stands; mounted: those of what it looks
+    at on the body, and of the instrument itself.
     """
 
     name: str
@@ -74,23 +74,21 @@ class Family:
 class Mechanism:
     """Loop equations f(x, p) = 0 with their names, units and nominal values.
 
-    variables: what varies by pose, of which `quantities` and `known` are name -> SI unit of what
-    is read, and of constants that carry no error; parameters: the constants to be estimated;
-    outputs: the quantities that the loop predicts from the rest (the end point of an arm; may be
-    empty); tape: the loops.
-    description: what a mechanism file says to build this mechanism, None if it was written as
-    a function; placement: how the parameters change when the machine is moved, if known.
-    families: loops that hold only where their own readings are; home: quantity -> value [SI] from
-    which the search for it begins where it is not read; implied: quantity -> reading [SI] that it
-    has in every pose by construction, unless the data say otherwise; orientations: which known
-    constants are measured orientations; remarks: what a user should
-    know of how it was made, such as why a parameter is fixed; chain: the steps of a serial arm,
-    from its base to its body; effects: by name, the parameters of each effect beyond geometry;
-    terms: groups of parameters whose common prior sd is learnt; located: which parameters of its
-    instruments are a "mounting" on the body, and which a "placement" beside it; body: the loops
-    with a body that can be displaced, where instruments look at one; gravity: the direction in
-    which it pulls, in the base of the machine, None for down; latest: known constant -> value [SI]
-    after the last change that it dates, for readings of a machine as it is now.
+    variables: what varies by pose, of which `quantities` and `pose_constants` are name -> SI unit
+    of what is read, and of constants that carry no error; parameters: the constants to be
+    estimated; outputs: the quantities that the loop predicts from the rest (the end point of an
+    arm; may be empty); tape: the loops. description: what a mechanism file says to build this
+    mechanism, None if it was written as a function; placement: how the parameters change when the
+    machine is moved, if known. families: loops that hold only where their own readings are; home:
+    quantity -> value [SI] from which the search for it begins where it is not read; implied:
+    quantity -> reading [SI] that it has in every pose by construction, unless the data say
+    otherwise; orientations: which known constants are measured orientations; remarks: what a user
+    should know of how it was made, such as why a parameter is fixed; chain: the steps of a serial
+    arm, from its base to its body; terms: groups of parameters whose common prior sd is learnt;
+    body: the loops with a body that can be displaced, where instruments look at one; gravity: the
+    direction in which it pulls, in the base of the machine, None for down; latest: known constant
+    -> value [SI] after the last change that it dates, for readings of a machine as it is now;
+    structure: what its structured model error consists of, None without one.
     """
 
     name: str
@@ -106,12 +104,11 @@ class Mechanism:
     orientations: tuple[Orientation, ...] = ()
     remarks: tuple[str, ...] = ()
     chain: tuple[Step, ...] = ()
-    effects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     terms: tuple[Term, ...] = ()
-    located: Mapping[str, str] = field(default_factory=dict)
     body: Body | None = None
     gravity: tuple[float, float, float] | None = None
     latest: Mapping[str, float] = field(default_factory=dict)
+    structure: Structure | None = None
 
     @classmethod
     def from_function(
@@ -121,16 +118,16 @@ class Mechanism:
         parameters: Mapping[str, tuple[float, str] | Parameter],
         outputs: Sequence[str] = (),
         *,
-        known: Mapping[str, str] | None = None,
+        pose_constants: Mapping[str, str] | None = None,
         loops: Sequence[str] | None = None,
         name: str | None = None,
     ) -> Mechanism:
         """A mechanism from a plain Python function f(x, p) that is zero where the loops close.
 
         The function is traced once (see `loopcal.expressions.trace`); x has the quantities and
-        known constants by name in SI units, p the parameters. quantities and known map names to
-        units, parameters to (nominal, unit); outputs name the quantities that the loops predict
-        from the others; loops name the equations.
+        known constants by name in SI units, p the parameters. quantities and pose_constants map
+        names to units, parameters to (nominal, unit); outputs name the quantities that the loops
+        predict from the others; loops name the equations.
 
         >>> m = Mechanism.from_function(lambda x, p: x.a * p.gain - x.b,
         ...     {"a": "m", "b": "m"}, {"gain": (1.0, "1")}, outputs=("b",))
@@ -139,12 +136,12 @@ class Mechanism:
 
         Raises TraceError (an InputError) for what a tape cannot hold.
         """
-        known = known or {}
-        _check_names([*quantities, *known], parameters)
+        pose_constants = pose_constants or {}
+        _check_names([*quantities, *pose_constants], parameters)
         tape = trace(
             function,
             quantities=tuple(quantities),
-            known=tuple(known),
+            pose_constants=tuple(pose_constants),
             parameters=tuple(parameters),
             loops=loops,
         )
@@ -153,7 +150,7 @@ class Mechanism:
             tape,
             (
                 *(Quantity(q, unit(u).si) for q, u in quantities.items()),
-                *(Quantity(q, unit(u).si, "known") for q, u in known.items()),
+                *(Quantity(q, unit(u).si, "known") for q, u in pose_constants.items()),
             ),
             declared(parameters),
             tuple(outputs),
@@ -165,24 +162,23 @@ class Mechanism:
         return {v.name: v.unit for v in self.variables if v.role != "known"}
 
     @cached_property
-    def known(self) -> Mapping[str, str]:
+    def pose_constants(self) -> Mapping[str, str]:
         """Constants that vary by pose and carry no error, name -> SI unit."""
         return {v.name: v.unit for v in self.variables if v.role == "known"}
 
     @cached_property
-    def kinds(self) -> Mapping[str, str]:
-        """What each parameter says.
+    def roles(self) -> Mapping[str, Role]:
+        """What each parameter says, by name (see `loopcal.mechanisms.parameters.ROLES`)."""
+        return {p.name: p.role for p in self.parameters}
 
-        "placement": where machine and instruments stand, and an instrument's zeros; "mounting":
-        where something sits on the body; "effect": of an effect beyond geometry; of the rest
-        "length" or "angle" by their units, or "gain".
-        """
-        beyond = {name for names in self.effects.values() for name in names}
-        placing = self.placement.parameters if self.placement else ()
-        found = {p.name: _KINDS.get(p.unit, "gain") for p in self.parameters}
-        found |= {name: "effect" for name in found if name in beyond}
-        found |= {name: kind for name, kind in self.located.items() if name in found}
-        return found | dict.fromkeys((n for n in placing if n in found), "placement")
+    @cached_property
+    def effects(self) -> Mapping[str, tuple[str, ...]]:
+        """By name, the parameters of each effect beyond geometry, learnt model error included."""
+        named: dict[str, list[str]] = {}
+        for p in self.parameters:
+            if p.role in BEYOND:
+                named.setdefault(p.owner, []).append(p.name)
+        return {owner: tuple(names) for owner, names in named.items()}
 
     @cached_property
     def disturbances(self) -> tuple[str, ...]:
@@ -232,6 +228,7 @@ class Mechanism:
         Raises InputError for a parameter that is in another term, or is not there.
         """
         every = (*self.terms, *terms)
+        # A term's sd begins as the prior sd of its members; the search for it starts there.
         stated = {n: t.sd for t in terms for n in t.parameters if n in self.parameters.names}
         parameters = self.parameters.with_prior(stated)
         check_terms(every, parameters)
@@ -262,9 +259,10 @@ class Mechanism:
         """The mechanism with those loops alone that predict outputs from other readings.
 
         What an instrument implies beside its outputs (small turns, gaps) is measured with them:
-        its loops would tell the prediction what it is compared with.
+        its loops would pass what is compared on to the prediction.
         """
         implied = {q for f in self.families for q in f.readings if f.form != "closure"}
+        # Outputs stay: they are what the kept loops predict.
         implied -= set(self.outputs)
         kept = [i for i, loop in enumerate(self.tape.loops) if loop not in implied]
         if len(kept) == len(self.tape.loops) or not self.outputs:
@@ -285,7 +283,7 @@ class Mechanism:
     def unused(self) -> frozenset[str]:
         """Quantities and known constants that are in no loop."""
         used = frozenset().union(*self.tape.depends_on())
-        return frozenset((*self.tape.quantities, *self.tape.known)) - used
+        return frozenset((*self.tape.quantities, *self.tape.pose_constants)) - used
 
     def quantity_group(self, key: str) -> tuple[str, ...]:
         """The quantities that a name, a glob, or the joined names of the outputs stand for."""

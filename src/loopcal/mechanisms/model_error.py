@@ -1,8 +1,8 @@
 """What no sensor is to blame for: a disturbance of the machine model, as a quantity of its own.
 
 A machine bends, its gears are not round. Such errors belong to the model, not to an encoder. They
-enter as further quantities, read as zero in every pose with an sd of their own, so that the same
-estimation weighs, corrects and learns them: the end point reached is the modelled one plus this
+enter as further quantities, read as zero in every pose with an sd. So the same estimation weighs,
+corrects and learns them: the end point reached is the modelled one plus this
 disturbance, isotropic where its coordinates share one sd. A mechanism without outputs gets one
 disturbance for each loop equation.
 """
@@ -24,7 +24,7 @@ def disturbances(mechanism: Mechanism) -> tuple[str, ...]:
     """Names of the disturbances that the mechanism has, or would be given: model_OUTPUT."""
     if mechanism.disturbances:
         return mechanism.disturbances
-    taken = {*mechanism.quantities, *mechanism.known}
+    taken = {*mechanism.quantities, *mechanism.pose_constants}
     names = [f"model_{name}" for name in (mechanism.outputs or mechanism.tape.loops)]
     while not taken.isdisjoint(names):
         names = [f"{name}_" for name in names]
@@ -49,8 +49,8 @@ def with_model_error(mechanism: Mechanism) -> Mechanism:
             remedy="read points in x, y, z with the instrument's covariance, or leave it out",
         )
     changed = mechanism.with_tape(lambda tape: _disturbed(tape, mechanism.outputs, names))
-    own = [mechanism.quantities[name] for name in mechanism.outputs] or ["1"] * len(names)
-    added = [Quantity(n, u, "disturbance") for n, u in zip(names, own, strict=True)]
+    output_units = [mechanism.quantities[name] for name in mechanism.outputs] or ["1"] * len(names)
+    added = [Quantity(n, u, "disturbance") for n, u in zip(names, output_units, strict=True)]
     return replace(changed, variables=(*mechanism.variables, *added))
 
 
@@ -66,6 +66,8 @@ def _disturbed(tape: Tape, outputs: Sequence[str], names: Sequence[str]) -> Tape
             continue
         node = graph.leaf(name, payload[0])
         if name == "quantity" and int(payload[0]) in read:
+            # y - v in place of y: where the loop closes, the modelled output plus v is the one that
+            # is read.
             disturbance = graph.leaf("quantity", offset + read[int(payload[0])])
             node = graph.apply("sub", node, disturbance)
         place.append(node)
@@ -79,7 +81,7 @@ def _disturbed(tape: Tape, outputs: Sequence[str], names: Sequence[str]) -> Tape
         graph,
         loops,
         quantities=[*tape.quantities, *names],
-        known=tape.known,
+        pose_constants=tape.pose_constants,
         parameters=tape.parameters,
         loops=tape.loops,
     )

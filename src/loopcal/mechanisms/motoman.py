@@ -1,7 +1,7 @@
 """The Yaskawa Motoman MA1400 as the seed models it (chapter 5): 27 parameters, point measured.
 
-T01 = Tx(x0) Ty(y0) Rx(phix0) Ry(phiy0) Rz(theta_1), T12 about y, T23 about y, T34 about x,
-T45 about y, T56 about z, tool point (x6B, y6B, z6B): complete and minimal for positions, and
+T01 = Tx(x0) Ty(y0) Rx(phix0) Ry(phiy0) Rz(theta_1); T12 and T23 about y, T34 about x, T45 about y,
+T56 about z; tool point (x6B, y6B, z6B): complete and minimal for positions, and
 free of singularities at parallel axes.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Annotated
 
-from loopcal.mechanisms.keys import Key
+from loopcal.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.serial import Joint, Motions, serial_arm

@@ -11,14 +11,14 @@ joint's axis; a fixed joint has none, one that mimics another moves with that on
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from loopcal.errors import InputError, nearest
+from loopcal.keys import Key
 from loopcal.mechanisms.axes import AxisFrame, JointName, Limits, Triple, fixed_frame
-from loopcal.mechanisms.chain import Step, refuse_long_chain
+from loopcal.mechanisms.chain import Step, axis_parameters, check_joints, zero_of
 from loopcal.mechanisms.frame import ChainFrame
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parameters import Parameter
 
@@ -76,7 +76,7 @@ class LinkJoint:
         return name, "m" if kind == "prismatic" else "rad"
 
     @property
-    def own(self) -> tuple[Step, ...]:
+    def origin_steps(self) -> tuple[Step, ...]:
         """The steps of its origin's parameters: NAME_x, _y, _z, and the turns NAME_rz, _ry, _rx."""
         return tuple(Step(m, f"{self.name}_{m.removeprefix('t')}") for m in ORIGIN)
 
@@ -84,8 +84,20 @@ class LinkJoint:
     def origin(self) -> tuple[Parameter, ...]:
         """The six parameters of the origin, nominally at its xyz and rpy."""
         nominal = (*self.xyz, 0.0, 0.0, 0.0)
-        named = zip(self.own, nominal, strict=True)
-        return tuple(Parameter(str(s.parameter), float(v), s.unit) for s, v in named)
+        made = axis_parameters(self.name, self.origin_steps).values()
+        along = ""
+        if self.kind != "fixed":
+            # The origin's freedom along or about the joint's axis is what a zero of its reading
+            # does.
+            along = ("t" if self.kind == "prismatic" else "r") + AxisFrame.of(
+                self.axis, self.name
+            ).letters[2]
+        return tuple(
+            replace(p, nominal=float(v)).of("zero", meaning=zero_of(self.name))
+            if motion == along
+            else replace(p, nominal=float(v))
+            for p, v, motion in zip(made, nominal, ORIGIN, strict=True)
+        )
 
     @property
     def tilts(self) -> tuple[Step, ...]:
@@ -97,9 +109,9 @@ class LinkJoint:
 
     def steps(self, *, axes: bool = False) -> Iterator[Step]:
         """Its elementary steps; axes: whether its axis has parameters of its own."""
-        yield from self.own[:3]
+        yield from self.origin_steps[:3]
         yield from fixed_frame((0.0, 0.0, 0.0), self.rpy)
-        yield from self.own[3:]
+        yield from self.origin_steps[3:]
         if self.reads is not None:
             follows = self.mimic or Mimic(self.name)
             yield from AxisFrame.of(self.axis, self.name).moving(
@@ -127,15 +139,7 @@ def joint_chain(
     Raises InputError for a chain in which nothing moves, or two joints of one name.
     """
     joints = tuple(joints)
-    refuse_long_chain(len(joints))
-    names = [joint.name for joint in joints]
-    for joint in names:
-        if names.count(joint) > 1:
-            raise InputError(
-                f"two joints are named {joint!r}",
-                code="duplicate-name",
-                remedy="give each a unique name",
-            )
+    check_joints([joint.name for joint in joints])
     reads = [read for joint in joints if (read := joint.reads)]
     if not reads:
         raise InputError(
@@ -145,7 +149,7 @@ def joint_chain(
         )
     steps = tuple(step for joint in joints for step in joint.steps(axes=axes))
     stated = {"type": "urdf", "fix_redundant": False, "axes": axes, "joints": list(joints)}
-    tilts = [Parameter(s.parameter, 0.0, "rad") for j in joints for s in j.tilts if s.parameter]
+    tilts = [p for j in joints for p in axis_parameters(j.name, j.tilts).values()]
     parameters = [*(tilts if axes else ()), *(p for joint in joints for p in joint.origin)]
     return Machine(
         name,

@@ -48,20 +48,20 @@ def distance_unit(mechanism: Mechanism) -> str:
 
 
 def _seen(mechanism: Mechanism, family: Family) -> Iterator[Seen]:
-    its = [q for q in family.readings if q in mechanism.outputs]
-    if not its:
+    outputs = [q for q in family.readings if q in mechanism.outputs]
+    if not outputs:
         return
     station = _station(family)
     small = [q for q in mechanism.turns if q in family.readings]
     if family.form in POLAR:
-        yield Seen(family.name, station, family.form, tuple(its), "m", ())
+        yield Seen(family.name, station, family.form, tuple(outputs), "m", ())
         return
-    units = {mechanism.quantities[q] for q in its}
-    angles = [q for q in its if mechanism.quantities[q] == "rad"]
+    units = {mechanism.quantities[q] for q in outputs}
+    angles = [q for q in outputs if mechanism.quantities[q] == "rad"]
     unit = "m" if "m" in units else min(units - {"rad"}, default="")
     if len(units - {"m", "rad"}) > 1:
         return  # nothing that could be added up
-    position = tuple(q for q in its if mechanism.quantities[q] == unit)
+    position = tuple(q for q in outputs if mechanism.quantities[q] == unit)
     turns = tuple(small or angles)
     yield Seen(family.name, station, family.form, position, unit, turns, bool(small))
 
@@ -82,9 +82,9 @@ def output_groups(mechanism: Mechanism) -> tuple[OutputGroup, ...]:
     """The outputs whose sds belong together; each output is in one group."""
     groups = []
     for family in _families(mechanism):
-        its = [q for q in family.readings if q in mechanism.outputs]
-        for unit in dict.fromkeys(mechanism.quantities[q] for q in its):
-            alike = tuple(q for q in its if mechanism.quantities[q] == unit)
+        outputs = [q for q in family.readings if q in mechanism.outputs]
+        for unit in dict.fromkeys(mechanism.quantities[q] for q in outputs):
+            alike = tuple(q for q in outputs if mechanism.quantities[q] == unit)
             rows = tuple(mechanism.outputs.index(q) for q in alike)
             groups.append(OutputGroup(family.name, _station(family), unit, alike, rows))
     return tuple(groups)
@@ -103,10 +103,10 @@ def point_outputs(mechanism: Mechanism, family: Family) -> tuple[str, ...]:
     """The outputs of a family that say where a point is; none where they do not."""
     if family.form not in ("point", "pose", *POLAR):
         return ()
-    its = [q for q in family.readings if q in mechanism.outputs]
+    outputs = [q for q in family.readings if q in mechanism.outputs]
     if family.form == "pose":
-        its = [q for q in its if mechanism.quantities[q] == "m"]
-    return tuple(its)
+        outputs = [q for q in outputs if mechanism.quantities[q] == "m"]
+    return tuple(outputs)
 
 
 def measured_points(mechanism: Mechanism) -> list[tuple[str, ...]]:
@@ -123,14 +123,16 @@ def points(family: Family, readings: Array) -> Array:
 
 def point_family(mechanism: Mechanism) -> Family | None:
     """The instrument that measures where a point is; one whose place is known, if there is any."""
-    found = [family for family in mechanism.families if point_outputs(mechanism, family)]
-    return min(found, key=lambda family: family.placement is not None, default=None)
+    measuring = [family for family in mechanism.families if point_outputs(mechanism, family)]
+    # False sorts first: an instrument without a station reads in the machine's base.
+    return min(measuring, key=lambda family: family.placement is not None, default=None)
 
 
 def levers(family: Family, readings: Array) -> Array:
     """(r, N) how far a point moves by each of its readings (r, N): 1, or [m/rad] for angles."""
     if family.form not in POLAR:
         return np.ones_like(readings)
+    # An azimuth swings the point on a circle of radius range * cos(elevation).
     flat = np.cos(readings[2]) if len(readings) == 3 else 1.0
     return np.array([np.ones_like(readings[0]), readings[0] * flat, readings[0]][: len(readings)])
 

@@ -6,11 +6,29 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, Literal, cast, get_args
 
 from loopcal.errors import InputError, nearest
 from loopcal.lazy import cached_property
 from loopcal.units import to_si, unit
+
+Role = Literal[
+    "placement", "mounting", "length", "twist", "zero", "angle", "scale", "effect", "model error"
+]
+ROLES: tuple[Role, ...] = get_args(Role)
+"""What a parameter says: "placement", where a machine or an instrument stands, and an instrument's
+own zeros; "mounting", where something sits on the body; of the machine "length"; "scale"; "twist"
+(a turn between two axes); "zero" (added to a joint's reading); "angle" (twist or zero, where only
+its unit is known); "effect" beyond geometry; "model error", of the structured one."""
+GEOMETRY: frozenset[Role] = frozenset({"length", "twist", "zero", "angle", "scale"})
+"""Roles of what a drawing of the machine states."""
+BEYOND: frozenset[Role] = frozenset({"effect", "model error"})
+"""Roles of what no drawing states."""
+_BY_UNIT: dict[str, Role] = {"m": "length", "rad": "angle"}
+
+
+UNSTATED = cast("Role", "")
+"""In place of a role: the one that the unit suggests."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +36,11 @@ class Parameter:
     """A constant of a mechanism.
 
     nominal [SI], unit: the SI unit it is in; prior_sd [SI]: how well the nominal is known
-    (inf: flat, it is not used as information); fixed: not estimated.
+    (inf: flat, it is not used as information); fixed: not estimated. role: what it says (see
+    `ROLES`), by its unit where none is given; owner: the joint, link, instrument, target or effect
+    that it belongs to, "" for the machine as a whole; meaning: one line on it, in words; changes:
+    the parameter or reading that changes by it during the run. Raises InputError for a value that
+    is not finite, a negative sd, and another role.
     """
 
     name: str
@@ -26,6 +48,10 @@ class Parameter:
     unit: str
     prior_sd: float = math.inf
     fixed: bool = False
+    role: Role = UNSTATED
+    owner: str = ""
+    meaning: str = ""
+    changes: str = ""
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.nominal):
@@ -42,6 +68,30 @@ class Parameter:
             )
         if self.prior_sd == 0.0 and not self.fixed:
             object.__setattr__(self, "fixed", True)  # known exactly: nothing to estimate
+        if self.role == UNSTATED:
+            object.__setattr__(self, "role", _BY_UNIT.get(self.unit, "scale"))
+        elif self.role not in ROLES:
+            raise InputError(
+                f"parameter {self.name!r} has the role {self.role!r}",
+                code="unknown-name",
+                remedy=nearest(self.role, ROLES),
+            )
+
+    @property
+    def dimension(self) -> Literal["length", "angle", ""]:
+        """What the machine's own drawing says in m or rad: "length" or "angle"; else ""."""
+        return dimension_of(self.role, self.unit)
+
+    def of(self, role: Role, owner: str = "", meaning: str = "") -> Parameter:
+        """The same parameter with another role, owner and meaning; those not given stay."""
+        return replace(self, role=role, owner=owner or self.owner, meaning=meaning or self.meaning)
+
+
+def dimension_of(role: str, unit_name: str) -> Literal["length", "angle", ""]:
+    """ "length" or "angle" for a role of the drawing in m or rad; else ""."""
+    if role not in GEOMETRY:
+        return ""
+    return "length" if unit_name == "m" else "angle" if unit_name == "rad" else ""
 
 
 @dataclass(frozen=True)
@@ -88,6 +138,10 @@ class Parameters:
         """Names of the parameters that are estimated, in order."""
         return tuple([p.name for p in self.items if not p.fixed])
 
+    def of_role(self, *roles: Role) -> tuple[str, ...]:
+        """Names of the parameters with one of these roles, in order."""
+        return tuple([p.name for p in self.items if p.role in roles])
+
     def matching(self, pattern: str) -> tuple[str, ...]:
         """Names that a name or glob stands for.
 
@@ -113,6 +167,11 @@ class Parameters:
         """The same parameters with those named (or matched by globs) fixed, or set free."""
         return self._changed({n: {"fixed": fixed} for key in patterns for n in self.matching(key)})
 
+    def with_role(self, role: Role, names: Iterable[str], owner: str = "") -> Parameters:
+        """The same parameters, those named with another role, and owner where one is given."""
+        named = frozenset(names)
+        return Parameters(tuple([p.of(role, owner) if p.name in named else p for p in self.items]))
+
     def _changed(self, changes: Mapping[str, Mapping[str, Any]]) -> Parameters:
         for name in changes:
             self[name]  # raises for a name that is not there
@@ -123,10 +182,35 @@ class Parameters:
 
 def _with(parameter: Parameter, changes: Mapping[str, Any]) -> Parameter:
     """The parameter with other values; itself where none differs."""
-    own = vars(parameter)
-    if all(own[name] == value for name, value in changes.items()):
+    fields = vars(parameter)
+    # Most changes touch few of many parameters: what stays is shared, not copied.
+    if all(fields[name] == value for name, value in changes.items()):
         return parameter
-    return Parameter(**{**own, **changes})
+    return Parameter(**{**fields, **changes})
+
+
+def stated(
+    parameters: Mapping[str, Parameter], nominal: Mapping[str, float | Parameter]
+) -> dict[str, Parameter]:
+    """The parameters that are given other values [SI]; role, owner and meaning stay.
+
+    Raises InputError for a name that is none of theirs.
+    """
+    made = {}
+    for name, value in nominal.items():
+        if name not in parameters:
+            raise InputError(
+                f"there is no parameter {name!r}",
+                code="unknown-name",
+                remedy=nearest(name, parameters),
+            )
+        drawn = parameters[name]
+        made[name] = (
+            replace(value, name=name, role=drawn.role, owner=drawn.owner, meaning=drawn.meaning)
+            if isinstance(value, Parameter)
+            else replace(drawn, nominal=float(value))
+        )
+    return made
 
 
 def matching(pattern: str, names: Iterable[str], what: str) -> tuple[str, ...]:
@@ -134,15 +218,17 @@ def matching(pattern: str, names: Iterable[str], what: str) -> tuple[str, ...]:
 
     Raises InputError naming the nearest name if it stands for none.
     """
-    known = tuple(names)
-    if pattern in known:
+    candidates = tuple(names)
+    if pattern in candidates:
         return (pattern,)
-    found = tuple(name for name in known if fnmatchcase(name, pattern))
-    if not found:
+    matched = tuple(name for name in candidates if fnmatchcase(name, pattern))
+    if not matched:
         raise InputError(
-            f"no {what} is called {pattern!r}", code="unknown-name", remedy=nearest(pattern, known)
+            f"no {what} is called {pattern!r}",
+            code="unknown-name",
+            remedy=nearest(pattern, candidates),
         )
-    return found
+    return matched
 
 
 def declared(parameters: Mapping[str, object]) -> Parameters:
@@ -151,17 +237,17 @@ def declared(parameters: Mapping[str, object]) -> Parameters:
     Raises InputError for a value that is not a number or a unit that is not known.
     """
     items = []
-    for name, given in parameters.items():
-        if isinstance(given, Parameter):
-            items.append(replace(given, name=name))
+    for name, declaration in parameters.items():
+        if isinstance(declaration, Parameter):
+            items.append(replace(declaration, name=name))
             continue
-        pair = given if isinstance(given, tuple) else (given, "1")
+        pair = declaration if isinstance(declaration, tuple) else (declaration, "1")
         try:
             value, unit_name = pair
             number = float(value)
         except (TypeError, ValueError):
             raise InputError(
-                f"parameter {name!r} has the value {given!r}",
+                f"parameter {name!r} has the value {declaration!r}",
                 code="invalid-value",
                 remedy="give (value, unit), for example (0.8, 'm')",
             ) from None

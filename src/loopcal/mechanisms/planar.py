@@ -10,24 +10,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, nearest
 from loopcal.expressions.trace import Inputs
-from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.chain import BASE, Step, zero_of
 from loopcal.mechanisms.gauge import Gauge
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.parameters import Parameter, stated
 from loopcal.mechanisms.serial import chain_machine
 
 NAME = "planar two-link arm"
 """What the arm is called that has no other name."""
 PLANAR_TWO_LINK = {
-    "xA": (0.0, "m"),
-    "yA": (0.0, "m"),
-    "l2": (0.8, "m"),
-    "l3": (0.6, "m"),
-    "phi20": (0.0, "rad"),
-    "phi30": (0.0, "rad"),
+    p.name: p
+    for p in (
+        Parameter("xA", 0.0, "m").of("placement", BASE, "position along x"),
+        Parameter("yA", 0.0, "m").of("placement", BASE, "position along y"),
+        Parameter("l2", 0.8, "m").of("length", "phi2", "length of the link after phi2"),
+        Parameter("l3", 0.6, "m").of("length", "phi3", "length of the link after phi3"),
+        Parameter("phi20", 0.0, "rad").of("placement", BASE, zero_of("phi2")),
+        Parameter("phi30", 0.0, "rad").of("zero", "phi3", zero_of("phi3")),
+    )
 }
 """The six parameters with the dimensions assumed where the seed states none (table 5)."""
 
@@ -72,19 +74,10 @@ def planar_two_link(
     Raises InputError for a parameter this arm does not have. Source: seed, (4.1) and (4.2).
     """
     nominal = nominal or {}
-    for key in nominal:
-        if key not in PLANAR_TWO_LINK:
-            remedy = nearest(key, PLANAR_TWO_LINK)
-            raise InputError(f"there is no parameter {key!r}", code="unknown-name", remedy=remedy)
-
-    def parameter(key: str, value: float, unit: str) -> Parameter:
-        given = nominal.get(key, value)
-        return given if isinstance(given, Parameter) else Parameter(key, float(given), unit)
-
     made = Mechanism.from_function(
         _loops,
         quantities={"xP": "m", "yP": "m", "phi2": "rad", "phi3": "rad"},
-        parameters={key: parameter(key, *default) for key, default in PLANAR_TWO_LINK.items()},
+        parameters=PLANAR_TWO_LINK | stated(PLANAR_TWO_LINK, nominal),
         outputs=("xP", "yP"),
         loops=("xP", "yP"),
         name=name,
@@ -114,5 +107,5 @@ def planar_machine(*, name: str = NAME) -> Machine:
         Step("tx", "l3"),
     )
     made = chain_machine(steps, name=name, description={"type": "planar-two-link"})
-    drawn = {n: Parameter(n, *PLANAR_TWO_LINK[n]) for n in made.parameters}
+    drawn = {n: replace(p, nominal=PLANAR_TWO_LINK[n].nominal) for n, p in made.parameters.items()}
     return replace(made, parameters=drawn, dimension=2, gauge=Gauge(base=("phi20",)))

@@ -40,14 +40,15 @@ class Prior:
         estimate: Mapping[str, str] | None = None,
     ) -> None:
         self.sds: dict[str, float] = {}
-        for key, given in sds.items():
+        for key, stated in sds.items():
             value, factor = (
-                (given[0], unit(given[1]).factor) if isinstance(given, tuple) else (given, 1.0)
+                (stated[0], unit(stated[1]).factor) if isinstance(stated, tuple) else (stated, 1.0)
             )
             try:
                 sd = float(value) * factor
             except (TypeError, ValueError):
                 sd = math.nan
+            # Written so that NaN is refused, too.
             if not sd >= 0.0:
                 raise InputError(
                     f"the prior sd of {key!r} is {value!r}",
@@ -60,20 +61,20 @@ class Prior:
             check_estimate(key, how, self.sds.get(key))
 
     @classmethod
-    def of(cls, given: PriorLike | None) -> Prior | None:
+    def of(cls, prior: PriorLike | None) -> Prior | None:
         """The prior itself, or one made of a mapping of sds.
 
         Raises InputError for anything else.
         """
-        if given is None or isinstance(given, Prior):
-            return given
-        if not isinstance(given, Mapping):
+        if prior is None or isinstance(prior, Prior):
+            return prior
+        if not isinstance(prior, Mapping):
             raise InputError(
-                f"the prior is {type(given).__name__} {given!r:.40}",
+                f"the prior is {type(prior).__name__} {prior!r:.40}",
                 code="invalid-value",
                 remedy='give Prior({"l?": 0.001}), or a dict of sds by parameter',
             )
-        return cls(given)
+        return cls(prior)
 
     def __repr__(self) -> str:
         learnt = f", estimate={self.estimate!r}" if self.estimate else ""

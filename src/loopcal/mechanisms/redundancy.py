@@ -1,12 +1,15 @@
-"""Which parameters no reading could tell from others, found from the Jacobian at random poses.
+"""Which parameters no reading can distinguish, from the Jacobian at random poses.
 
 A machine described joint by joint has more parameters than its motion shows: a shift along the
 last axis does what the tool's length does. One of each such set has to be left at its nominal
-value. Parameters are gone through in an order of preference, and one is redundant where the
-change that it makes in all readings is a combination of the changes that those kept before it
-make:
+value. Parameters are gone through in an order of preference. One is redundant where its change of
+all readings is a combination of the changes by those kept before it:
 
     |c - K (K^+ c)| <= ALIKE |c|,   c its column of the Jacobian, K the columns kept so far.
+
+Neither units nor steepness may decide, so the Jacobian is balanced first: each loop by its usual
+size, then steeper poses of a loop (a camera close to its target), then each column. Rank does not
+change by that.
 
 Khalil and Gautier (1991) choose base parameters thus, by a QR decomposition; for serial arms
 4 R + 2 P + 6 remain where a pose is measured (Mooring, Roth and Driels 1991).
@@ -23,15 +26,22 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.expressions.engine import engine_for
+from loopcal.mechanisms.limits import stated_limits
 from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.mechanisms.parameters import BEYOND
 from loopcal.mechanisms.sampling import Sample, samples
 from loopcal.mechanisms.station import Station
 
 Array = NDArray[np.float64]
 ALIKE = 5e-5
-"""Between what must be none and what is some: of robots' URDFs, with parameters of their axes, the
-largest remainder of the one kind is 5e-6 (right angles written as 1.5708), the smallest of the
-other 4e-4 (axes 0.4 mm apart); without them 4e-12 and 6e-3."""
+"""Remainders below count as none. Of robots' URDFs with parameters of their axes, the largest that
+must be none is 5e-6 (right angles written as 1.5708). The smallest that is some is 4e-4 (axes 0.4
+mm apart). Without these parameters the two are 4e-12 and 6e-3."""
+ROUNDING = 1e-14
+"""A column this short beside others in its unit, of a plain number beside any, has no effect."""
+# Rows and columns are scaled in turn; a rough balance is enough, because rank does not change.
+_BALANCINGS = 4
+# At most so many names in a sentence, and the least share of a combination that is worth a name.
 _NAMED, _SHARE = 3, 1e-3
 
 
@@ -71,7 +81,7 @@ def fix_redundant(
 
     What stays free is determined by readings in enough poses; `remarks` say why each of the
     others is fixed. Gone through are first those in `keep` (names or globs), which stay free in any
-    case, then of an arm its instruments' parameters, then the joints' from base to tip; one is
+    case. Of an arm its instruments' parameters follow, then the joints' from base to tip. One is
     fixed where it does to the readings what those before it do together. Parameters with a prior
     sd are left free. It is decided at the nominal values, at random poses within the joints'
     limits. A value of 0 of an arm's instruments is taken as unknown, as that of
@@ -93,23 +103,24 @@ def fix_redundant(
         )
     kept = [name for key in keep for name in mechanism.parameters.matching(key)]
     chain = {step.parameter for step in mechanism.chain}
-    beyond = {n for names in mechanism.effects.values() for n in names}
-    names = mechanism.parameters.names if chain else ()
-    own = [n for n in names if n not in chain and n not in beyond]
+    instrument_parameters = [
+        p.name
+        for p in mechanism.parameters
+        if chain and p.name not in chain and p.role not in BEYOND
+    ]
     if stated is None:
         stated = [p.name for p in mechanism.parameters if p.fixed or p.nominal != 0.0]
     believed = {*stated, *(n for f in mechanism.families for n in _station(f))}
     joints = (mechanism.description or {}).get("joints", [])
-    limits = {j.name: getattr(j, "limits", None) for j in joints}
-    found = redundant(
+    superfluous = redundant(
         mechanism,
-        ranges={name: span for name, span in limits.items() if span is not None},
-        first=[*kept, *own],
-        unsure=[n for n in own if n not in believed],
+        ranges=stated_limits(joints),
+        first=[*kept, *instrument_parameters],
+        unsure=[n for n in instrument_parameters if n not in believed],
         readings=readings,
         unmeasured=[q for key in unmeasured for q in mechanism.quantity_group(key)],
     )
-    return without_redundant(mechanism, found, but=kept)
+    return without_redundant(mechanism, superfluous, but=kept)
 
 
 def _station(family: Family) -> tuple[str, ...]:
@@ -131,9 +142,8 @@ def redundant(
     ranges: quantity -> limits [SI] of the random poses (half a turn or 0.5 m to either side);
     readings: quantity -> (N,) values [SI] in place of random ones, for machines whose quantities
     must fit each other; first: names to be kept before all others, which come in the mechanism's
-    order; unsure: parameters whose nominal values say little, and are moved off them by chance or
-    to where they can be touched, such as coordinates that stand at 0; unmeasured: quantities that
-    nobody reads.
+    order; unsure: parameters whose nominal values say little, such as coordinates at 0; they are
+    moved by chance or to where they can be touched; unmeasured: quantities without a sensor.
     """
     free = [p.name for p in mechanism.parameters if not p.fixed and math.isinf(p.prior_sd)]
     order = [n for n in first if n in free] + [n for n in free if n not in set(first)]
@@ -141,17 +151,18 @@ def redundant(
         mechanism, ranges=ranges or {}, unsure=unsure, readings=readings or {}, seed=seed
     )
     parts = [_columns(mechanism, sample, order, unmeasured) for sample in looked_at]
-    return _chosen(order, np.concatenate(parts))
+    units = [mechanism.parameters[name].unit for name in order]
+    return _chosen(order, units, np.concatenate(parts))
 
 
 def without_redundant(
-    mechanism: Mechanism, found: Sequence[Redundant], *, but: Sequence[str] = ()
+    mechanism: Mechanism, superfluous: Sequence[Redundant], *, but: Sequence[str] = ()
 ) -> Mechanism:
     """The mechanism with these parameters fixed and the reasons among its remarks.
 
     but: parameters that stay free all the same.
     """
-    fixed = [r for r in found if r.parameter not in set(but)]
+    fixed = [r for r in superfluous if r.parameter not in set(but)]
     parameters = mechanism.parameters.with_fixed([r.parameter for r in fixed])
     remarks = (*mechanism.remarks, *(r.words for r in fixed))
     return replace(mechanism, parameters=parameters, remarks=remarks)
@@ -160,32 +171,70 @@ def without_redundant(
 def _columns(
     mechanism: Mechanism, sample: Sample, names: Sequence[str], unmeasured: Sequence[str]
 ) -> Array:
-    """The loops' derivatives by these parameters (loops * poses, n), unmeasured eliminated."""
-    engine = engine_for(mechanism.tape, tuple(names), sample.readings.shape[1], tuple(unmeasured))
-    engine.at(sample.parameters)
-    values = engine.evaluate(sample.readings, sample.known)
-    J = np.moveaxis(values.by_parameter[:, sample.loops], 2, 0).transpose(0, 2, 1)
+    """The loops' balanced derivatives by these parameters (loops * poses, n).
+
+    Unmeasured quantities are eliminated.
+
+    A pose without derivatives, outside the domain of a loop, has no part in it.
+    """
+    tape = mechanism.tape
+    engine = engine_for(tape, tuple(names), sample.readings.shape[1])
+    # Random poses may leave the domain of a loop; these are dropped below.
+    with np.errstate(all="ignore"):
+        values = engine.evaluate(sample.parameters, sample.readings, sample.pose_constants)
+    J = values.by_parameter[:, sample.loops].transpose(2, 1, 0)
+    X = values.by_quantity[:, sample.loops].transpose(2, 1, 0)
+    defined = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(X).all(axis=(1, 2))
+    J, X = _balanced(J[defined], X[defined])
     if unmeasured:
-        U = np.moveaxis(values.by_quantity[:, sample.loops], 2, 0).transpose(0, 2, 1)
-        J = J - U @ (np.linalg.pinv(U) @ J)
-    columns: Array = J.reshape(-1, len(names)).copy()
+        U = X[:, :, [tape.quantities.index(q) for q in unmeasured]]
+        # The unmeasured quantities take up whatever lies in the span of U: I - U U^+ projects it
+        # out.
+        J, _ = _balanced(J - U @ (np.linalg.pinv(U) @ J), X)
+    columns: Array = J.reshape(-1, len(names))
     return columns
 
 
-def _chosen(names: Sequence[str], columns: Array) -> tuple[Redundant, ...]:
+def _balanced(J: Array, X: Array) -> tuple[Array, Array]:
+    """Derivatives by parameters (N, m, n) and quantities (N, m, k), loops and poses balanced.
+
+    Rows of a loop are divided by their usual length, longer ones by their own, in columns of equal
+    length. A loop that rounding alone makes depend on parameters depends on none.
+    """
+    if not J.size:
+        return J, X
+    by_parameter, by_quantity = (
+        np.median(np.abs(D).max(axis=2, initial=0.0), axis=0)[:, None] for D in (J, X)
+    )
+    J = np.where(by_parameter > ROUNDING * by_quantity, J, 0.0)
+    rows, columns = np.ones((*J.shape[:2], 1)), np.ones(J.shape[2])
+    for _ in range(_BALANCINGS):
+        lengths = np.linalg.norm(J / columns, axis=2, keepdims=True)
+        rows = _or_one(np.maximum(lengths, np.median(lengths, axis=0)))
+        columns = _or_one(np.linalg.norm(J / rows, axis=(0, 1)))
+    return J / rows, X / rows
+
+
+def _or_one(lengths: Array) -> Array:
+    return np.where(lengths > 0.0, lengths, 1.0)
+
+
+def _chosen(names: Sequence[str], units: Sequence[str], columns: Array) -> tuple[Redundant, ...]:
     """Gram and Schmidt, in the order of the columns: kept columns are Q R, Q orthonormal."""
     norms = np.linalg.norm(columns, axis=0)
-    least = 1e-9 * norms.max(initial=0.0)
+    alike = [[u == unit or unit == "1" for u in units] for unit in units]
+    # Lengths compare within one unit only; a plain number has none to compare by.
+    least = ROUNDING * np.where(alike, norms, 0.0).max(axis=1, initial=0.0)
     kept: list[int] = []
     Q, R = np.empty((len(columns), 0)), np.empty((0, 0))
-    found = []
+    superfluous = []
     for i, name in enumerate(names):
-        if norms[i] <= least:
-            found.append(Redundant(name, ()))
+        if norms[i] <= least[i]:
+            superfluous.append(Redundant(name, ()))
             continue
-        own = columns[:, i] / norms[i]
-        within = Q.T @ own
-        rest = own - Q @ within
+        unit_column = columns[:, i] / norms[i]
+        within = Q.T @ unit_column
+        rest = unit_column - Q @ within
         again = Q.T @ rest  # twice is enough (Kahan and Parlett)
         within, rest = within + again, rest - Q @ again
         size = float(np.linalg.norm(rest))
@@ -198,5 +247,5 @@ def _chosen(names: Sequence[str], columns: Array) -> tuple[Redundant, ...]:
         greatest = np.argsort(-np.abs(shares), kind="stable").tolist()
         leading = [k for k in greatest if abs(shares[k]) > _SHARE]
         leading[:_NAMED] = sorted(leading[:_NAMED])
-        found.append(Redundant(name, tuple(names[kept[k]] for k in leading)))
-    return tuple(found)
+        superfluous.append(Redundant(name, tuple(names[kept[k]] for k in leading)))
+    return tuple(superfluous)

@@ -138,13 +138,13 @@ def roll_pitch_yaw(R: Array, near: Sequence[float] = (0.0, 0.0, 0.0)) -> tuple[f
         yaw, pitch, roll = yaw_pitch_roll(R)
         triples = [(roll, pitch, yaw), (roll + math.pi, math.pi - pitch, yaw + math.pi)]
     turn = 2.0 * math.pi
-    found = [np.array(t) + turn * np.round((old - np.array(t)) / turn) for t in triples]
-    best = min(found, key=lambda t: float(np.abs(t - old).sum()))
+    nearest = [np.array(t) + turn * np.round((old - np.array(t)) / turn) for t in triples]
+    best = min(nearest, key=lambda t: float(np.abs(t - old).sum()))
     return tuple(map(float, best))
 
 
 _LEVEL = 1e-12
-"""Cosine of a pitch that counts as a right angle: its roll and yaw have no digit of their own."""
+"""Cosine of a pitch that counts as a right angle: its roll and yaw are then indistinguishable."""
 
 
 def quaternion(R: Array) -> tuple[float, float, float, float]:

@@ -8,8 +8,8 @@ joint from 1, for the transitions from 0):
 - "hayati", Hayati and Mirmirani (1985), for a next axis nearly parallel:
   Rz(offset + theta) Tx(a) Rx(alpha) Ry(beta);
 - "transition-x", "-y", "-z", the seed's four parameters (chapter 5): move within the coordinate
-  plane most nearly normal to the joint axis to where it pierces it, turn about the two axes of
-  that plane, then turn by the joint about the named axis: Tx Ty Rx Ry Rz(theta) for z,
+  plane most nearly normal to the joint axis to where the axis pierces it. Turn about the two axes
+  of that plane, then by the joint about the named axis: Tx Ty Rx Ry Rz(theta) for z,
   Tx Tz Rx Rz Ry(theta) for y, Ty Tz Ry Rz Rx(theta) for x.
 
 A prismatic joint moves along the axis about which a revolute one turns.
@@ -22,11 +22,11 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 from loopcal.errors import InputError, nearest
+from loopcal.keys import Key
 from loopcal.mechanisms.axes import JointName
-from loopcal.mechanisms.chain import MOTIONS, Step, refuse_long_chain
+from loopcal.mechanisms.chain import MOTIONS, Step, chain_parameters, refuse_long_chain
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.instruments.point import point as cartesian
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
@@ -130,21 +130,21 @@ def joint_steps(joint: Joint, number: int) -> list[Step]:
     slide = named("tz", "d") if revolute else moving("tz", "d")
     match joint.form:
         case "dh":
-            own = [turn, slide, named("tx", "a"), named("rx", "alpha")]
+            steps = [turn, slide, named("tx", "a"), named("rx", "alpha")]
         case "mdh":
-            own = [named("rx", "alpha"), named("tx", "a"), turn, slide]
+            steps = [named("rx", "alpha"), named("tx", "a"), turn, slide]
         case "hayati":
-            own = [turn, named("tx", "a"), named("rx", "alpha"), named("ry", "beta")]
+            steps = [turn, named("tx", "a"), named("rx", "alpha"), named("ry", "beta")]
             if not revolute:
-                own.insert(1, moving("tz"))
+                steps.insert(1, moving("tz"))
         case _:
             axis = joint.form[-1]
             a, b = tuple(_PLANES[axis])
-            own = [named(f"t{a}", a), named(f"t{b}", b)]
-            own += [named(f"r{a}", f"phi{a}"), named(f"r{b}", f"phi{b}")]
-            own.append(moving(("r" if revolute else "t") + axis))
+            steps = [named(f"t{a}", a), named(f"t{b}", b)]
+            steps += [named(f"r{a}", f"phi{a}"), named(f"r{b}", f"phi{b}")]
+            steps.append(moving(("r" if revolute else "t") + axis))
     fixed = [[Step(m, constant=v) for m, v in part.items()] for part in (joint.before, joint.after)]
-    return [*fixed[0], *own, *fixed[1]]
+    return [*fixed[0], *steps, *fixed[1]]
 
 
 def base_names() -> tuple[str, ...]:
@@ -167,8 +167,8 @@ def places_itself(mechanism: Mechanism) -> bool:
         return True
     joints = (mechanism.description or {}).get("joints", ())
     forms = [joint.form if isinstance(joint, Joint) else "" for joint in joints]
-    own = bool(forms) and all(form.startswith("transition") for form in forms)
-    return own and not any(family.placement for family in mechanism.families)
+    transitions = bool(forms) and all(form.startswith("transition") for form in forms)
+    return transitions and not any(family.placement for family in mechanism.families)
 
 
 def chain_steps(joints: Sequence[Joint]) -> tuple[Step, ...]:
@@ -186,7 +186,7 @@ def chain_machine(
     return Machine(
         name,
         {step.joint: step.unit for step in steps if step.joint},
-        {s.parameter: Parameter(s.parameter, 0.0, s.unit) for s in steps if s.parameter},
+        chain_parameters(steps),
         lambda x, p: ChainFrame(steps, x, p),
         chain=steps,
         description=description or {},
@@ -245,7 +245,10 @@ def serial_arm(
     if transitions and not base:
         placement = ChainPlacement.of(chain_steps(joints), tool)
     described = {"type": "serial", "base": base, "point": list(point), "joints": list(joints)}
-    return replace(made, description=described, placement=placement)
+    made = replace(made, description=described, placement=placement)
+    # Where no station places the arm, parameters of its first transitions do.
+    placing = () if placement is None else placement.parameters
+    return made.with_parameters(made.parameters.with_role("placement", placing))
 
 
 def _check_distinct(names: Sequence[str]) -> None:

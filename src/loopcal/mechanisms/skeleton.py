@@ -7,15 +7,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.expressions.engine import Stage, engine_for
 from loopcal.mechanisms.chain import product
+from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.parallel.drawing import parallel_lines
 from loopcal.mechanisms.parallel.registry import PARALLEL
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.serial import tool_names
 from loopcal.mechanisms.station import Station, Target
 
 Array = NDArray[np.float64]
+_MOST, _SETTLED, _OPEN = 50, 1e-10, 0.05
 
 
 def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
@@ -34,7 +36,7 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     kind = described.get("type")
     if kind in PARALLEL:
         machine = PARALLEL[kind]()
-        lines = parallel_lines(mechanism, machine, joints)
+        lines = _parallel_lines(mechanism, machine, joints)
         T_station_base = product(station, {}, values)
         return None if lines is None else _seen(lines, T_station_base, machine.dimension)
     if not mechanism.chain:
@@ -86,3 +88,45 @@ def _planar(values: Mapping[str, float], joints: Mapping[str, float]) -> Array:
     return np.array(
         [base, elbow, elbow + values["l3"] * np.array([np.cos(second), np.sin(second)])]
     )
+
+
+def _parallel_lines(
+    mechanism: Mechanism, machine: Machine, readings: Mapping[str, float]
+) -> list[Array] | None:
+    """Lines (k, 3) [m] in the machine's base; None where the platform is not found.
+
+    readings: [m, rad] of one pose, as far as there are any.
+    """
+    x = _located(mechanism, readings)
+    if machine.lines is None or x is None:
+        return None
+    values = {p.name: p.nominal for p in mechanism.parameters}
+    return [np.array(line, dtype=float) for line in machine.lines(x, values)]
+
+
+def _located(mechanism: Mechanism, readings: Mapping[str, float]) -> dict[str, float] | None:
+    """Readings, and what was not read of the machine, from home by Gauss and Newton's method."""
+    tape = mechanism.tape
+    # NaN marks what is not read; the loops that need it evaluate to NaN and are left out.
+    x = {**dict.fromkeys(tape.quantities, np.nan), **mechanism.home, **readings}
+    unread = tuple(q for q in mechanism.home if q not in readings)
+    # One pose in a block of 64: the engine computes whole vectors either way.
+    engine = engine_for(tape, (), 64, unread)
+    nominal = np.array([p.nominal for p in mechanism.parameters])
+    pose_constants = np.full((len(tape.pose_constants), 1), np.nan)
+    step, f = np.zeros(0), np.zeros(0)
+    for _ in range(_MOST):
+        at = np.array([[x[q]] for q in tape.quantities])
+        values = engine.evaluate(nominal, at, pose_constants, Stage.BY_QUANTITY)
+        evaluated = np.isfinite(
+            values.f[:, 0]
+        )  # loops with readings that are not there say nothing
+        f = values.f[evaluated, 0].copy()
+        J = values.by_quantity[:, evaluated, 0].T
+        if not np.isfinite(J).all() or len(f) < len(unread):
+            return None
+        step = np.linalg.lstsq(J, -f)[0]
+        x |= {q: x[q] + float(change) for q, change in zip(unread, step, strict=True)}
+        if np.abs(step).max(initial=0.0) <= _SETTLED:
+            break
+    return x if np.abs(f).max(initial=0.0) <= _OPEN else None

@@ -6,22 +6,23 @@ parameters, named after the station. The target is a point fixed to the moving b
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.expressions.vectors import vector
+from loopcal.keys import Key
 from loopcal.mechanisms.chain import Step, apply, product
 from loopcal.mechanisms.frame import Values, Vector
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.placement import rigid, yaw_pitch_roll
 
 Array = NDArray[np.float64]
 MOTIONS = {3: ("tx", "ty", "tz", "rz", "ry", "rx"), 2: ("tx", "ty", "rz")}
+_PLACES = {"t": "position along", "r": "turn about"}
 _NO_JOINTS: Mapping[str, float] = {}
 
 
@@ -46,7 +47,7 @@ class Station:
     @property
     def declared(self) -> dict[str, Parameter]:
         """The parameters, nominal 0."""
-        return {n: Parameter(n, 0.0, s.unit) for s in self.steps if (n := s.parameter)}
+        return placed_by(self.steps, self.name or "")
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -60,6 +61,7 @@ class Station:
     def moved(self, values: Mapping[str, float], rotation: Array, shift: Array) -> dict[str, float]:
         """The parameters of the base seen moved by p -> rotation @ p + shift."""
         d = len(shift)
+        # A motion of the plane is one of space that leaves z alone.
         R, t = np.eye(3), np.zeros(3)
         R[:d, :d], t[:d] = rotation, shift
         placed = rigid(R, t) @ product(self.steps, _NO_JOINTS, values)
@@ -74,14 +76,18 @@ class Station:
 
 @dataclass(frozen=True)
 class Target:
-    """A point fixed to the moving body, by the names of its two or three coordinates there."""
+    """A point fixed to the moving body, by the names of its two or three coordinates there.
+
+    name: what it is called; "" where its coordinates were named one by one.
+    """
 
     parameters: tuple[str, ...]
+    name: str = field(default="", compare=False)
 
     @classmethod
     def named(cls, name: str, dimension: int = 3) -> Target:
         """The point NAME_x, NAME_y, NAME_z, in a plane without z."""
-        return cls(tuple(f"{name}_{axis}" for axis in "xyz"[:dimension]))
+        return cls(tuple(f"{name}_{axis}" for axis in "xyz"[:dimension]), name)
 
     @classmethod
     def of(cls, target: str | Target, dimension: int = 3) -> Target:
@@ -91,12 +97,17 @@ class Target:
     @property
     def declared(self) -> dict[str, Parameter]:
         """The parameters, nominal 0."""
-        return {name: Parameter(name, 0.0, "m") for name in self.parameters}
+        return {
+            name: Parameter(
+                name, 0.0, "m", role="mounting", owner=self.name, meaning=f"position along {axis}"
+            )
+            for name, axis in zip(self.parameters, "xyz", strict=False)
+        }
 
     def point(self, parameters: Values) -> Vector:
         """The point (3,) in the body's frame, z = 0 in a plane."""
-        given = [parameters[name] for name in self.parameters]
-        return vector(*given, *[0.0] * (3 - len(given)))
+        coordinates = [parameters[name] for name in self.parameters]
+        return vector(*coordinates, *[0.0] * (3 - len(coordinates)))
 
 
 LookedAt = Annotated[
@@ -131,6 +142,22 @@ Anchor = Annotated[
 ]
 Reading = Annotated[str | None, Key("Name of the reading. Default: the name of the instrument.")]
 Name = Annotated[str, Key("Name of the instrument; begins the names of what is its own.")]
+
+
+def placed_by(steps: Iterable[Step], owner: str) -> dict[str, Parameter]:
+    """The parameters of steps that place something, nominal 0."""
+    return {
+        n: Parameter(
+            n,
+            0.0,
+            s.unit,
+            role="placement",
+            owner=owner,
+            meaning=f"{_PLACES[s.motion[0]]} {s.motion[1]}",
+        )
+        for s in steps
+        if (n := s.parameter)
+    }
 
 
 def _key(motion: str) -> str:

@@ -1,9 +1,9 @@
 """Terms: parameters that share one prior sd, which is learnt from the calibration.
 
 A prior sd need not be known. Parameters of one kind (all link lengths, all compliances, the
-features of a smooth discrepancy) share a scale s, p_i ~ N(nominal_i, s^2), and the data determine
-s: near zero where they do not need the term, large where they do. The log of s has a prior of its
-own, log s ~ N(log sd, spread^2), which keeps it off zero and infinity where the data are silent.
+features of a smooth discrepancy) share a scale s: p_i ~ N(nominal_i, s^2). The data determine s:
+near zero where they do not need the term, large where they do. The log of s has a prior,
+log s ~ N(log sd, spread^2), which keeps it off zero and infinity where the data are silent.
 
 The prior sd of each such parameter is the present value of s, where a search for it begins.
 """
@@ -65,8 +65,10 @@ class Term:
 
 
 def check_terms(terms: Sequence[Term], parameters: Parameters) -> None:
-    """Raise InputError for terms that share a name or a parameter, name one that is not there, mix
-    units, or have members whose prior sds are not one finite number."""
+    """Raise InputError for terms that share a name or a parameter, or name one that is not there.
+
+    The same for terms that mix units, or whose members' prior sds are not one finite number.
+    """
     owner: dict[str, str] = {}
     place = {p.name: i for i, p in enumerate(parameters)}
     units = {p.name: p.unit for p in parameters}
@@ -106,6 +108,7 @@ def _check_sds(members: Sequence[Parameter], term: Term) -> None:
     """Raise InputError for estimated members whose prior sds are flat or differ."""
     for member in members:
         sd, first = member.prior_sd, members[0].prior_sd
+        # Sds that went through a file agree to the digits that it holds.
         if math.isinf(sd) or not math.isclose(sd, first, rel_tol=1e-9):
             state = "a flat prior" if math.isinf(sd) else f"the prior sd {sd:.6g}"
             raise InputError(

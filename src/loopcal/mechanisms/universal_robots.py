@@ -43,6 +43,7 @@ MODELS = {
     "ur30": (0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543),
 }
 """d_1, a_2, a_3, d_4, d_5 and d_6 [m]."""
+# Calibrated arms lie within millimetres of their drawing; farther away is another machine.
 _NEAR = 0.05
 """[m, 1] by which the entries of an origin may differ from the drawing's."""
 
@@ -119,33 +120,35 @@ def ur_origins(chain: RestChain) -> UrOrigins:
     turning = [j for j in joints if j.kind == "revolute" and abs(j.factor) == 1.0]
     if len(joints) != 6 or len(turning) != 6 or len({j.reads for j in joints}) != 6:
         raise _no_ur("it does not have six turning joints")
-    found = [_placed(chain.along_z, model) for model in MODELS]
-    errors = [_away(one) for one in found]
+    fits = [_placed(chain.along_z, model) for model in MODELS]
+    errors = [_away(one) for one in fits]
     best = int(np.argmin(errors))
     if errors[best] > _NEAR:
         raise _no_ur(
-            f"it is nearest to the {found[best].model}, from which an entry of an origin differs "
+            f"it is nearest to the {fits[best].model}, from which an entry of an origin differs "
             f"by {errors[best]:.3g} (m or rad)"
         )
-    return found[best]
+    return fits[best]
 
 
 def _no_ur(words: str) -> InputError:
     return InputError(
         f"this arm is not one of Universal Robots: {words}",
         code="unsupported",
-        remedy="check the signs and zeros of the joints, or export 'urdf', 'dh' or 'json'",
+        remedy="check the signs and zeros of the joints, or use the format of another maker",
     )
 
 
 def nominal_origins(model: str) -> list[Array]:
     """L_1 ... L_6 (4, 4) of a drawing."""
     table = drawing(model)
-    ahead, found = np.eye(4), []
+    ahead, origins = np.eye(4), []
     for theta, d, a, alpha in zip(table.theta, table.d, table.a, table.alpha, strict=True):
-        found.append(ahead @ product([Step("rz", constant=theta), Step("tz", constant=d)], {}, {}))
+        origins.append(
+            ahead @ product([Step("rz", constant=theta), Step("tz", constant=d)], {}, {})
+        )
         ahead = product([Step("tx", constant=a), Step("rx", constant=alpha)], {}, {})
-    return found
+    return origins
 
 
 def _away(arm: UrOrigins) -> float:
@@ -179,6 +182,7 @@ def _base(first: Array, second: Array, height: float) -> Array:
     x = np.cross(y, z)
     between = second[:3, 3] - first[:3, 3]
     # the point of axis 1 that is nearest to axis 2
+    # Shortest distance of two lines: the foot on axis 1 has its connection normal to both axes.
     square = float(across @ across) or 1.0
     s = float(between @ z) - float(between @ across) * float(along @ z) / square
     foot = first[:3, 3] + s * z
@@ -190,8 +194,8 @@ def _onto(axis: Array, near: Array) -> Array:
     z, o = axis[:3, 2], axis[:3, 3]
     x = near[:3, 0] - z * (z @ near[:3, 0])
     x = x / (float(np.linalg.norm(x)) or 1.0)
-    there = o + z * float(z @ (near[:3, 3] - o))
-    return rigid(np.stack([x, np.cross(z, x), z], axis=1), there)
+    origin = o + z * float(z @ (near[:3, 3] - o))
+    return rigid(np.stack([x, np.cross(z, x), z], axis=1), origin)
 
 
 def _inverse(T: Array) -> Array:

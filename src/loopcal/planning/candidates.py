@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 STEP = {"rad": math.radians(0.01), "m": 1e-5}
 """Steps of random readings [SI]."""
 _QUARTER = 0.5 * math.pi
+# What a message offers as a line to copy.
 _EXAMPLES = {
     "rad": '{ from = -90, to = 90, unit = "deg" }',
     "m": '{ from = 100, to = 900, unit = "mm" }',
@@ -36,7 +37,7 @@ EXACT = Noise({"*": 0.0})
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """driven: what a controller is told [SI]; closed: with every other reading, as it would be
+    """driven: what a controller is commanded [SI]; closed: with every other reading, as it would be
     without noise; considered: how many there were; refused: how many of them each rule took; even:
     positions of those that cover their ranges evenly."""
 
@@ -69,59 +70,61 @@ def ranges_of(
     mechanism: Mechanism, stated: Mapping[str, Span], measured: Dataset | None
 ) -> dict[str, Span]:
     """Quantity or known constant -> range [SI]: as stated, else the joints' limits, else that of
-    the poses already measured, of turning joints of an arm a quarter turn either way at least.
+    the poses already measured.
 
-    What is found by closing the loops has none. Raises InputError where ranges are missing.
+    Turning joints of an arm then have a quarter turn either way at least. What is found by closing
+    the loops has none. Raises InputError where ranges are missing.
     """
     outputs = {*mechanism.outputs, *mechanism.turns, *mechanism.implied, *mechanism.home}
     outputs |= {column for o in mechanism.orientations for column in o.columns}
-    units = {**mechanism.quantities, **mechanism.known}
+    units = {**mechanism.quantities, **mechanism.pose_constants}
     limits = {q: (one.low, one.high) for q, one in joint_limits(mechanism).items()}
-    found = {**limits, **stated}
+    ranges = {**limits, **stated}
     driven = [q for q in units if q not in outputs and q not in mechanism.disturbances]
-    missing = [q for q in driven if q not in found]
+    missing = [q for q in driven if q not in ranges]
     turning = {s.joint for s in mechanism.chain if s.joint and s.motion[0] == "r"}
     for q in missing:
         if q in mechanism.latest:
-            found[q] = (mechanism.latest[q],) * 2
+            ranges[q] = (mechanism.latest[q],) * 2
         elif measured is not None and np.isfinite(measured.readings.get(q, np.nan)).any():
             values = measured.readings[q]
             low, high = float(np.nanmin(values)), float(np.nanmax(values))
             if q in turning:
                 middle = 0.5 * (low + high)
                 low, high = min(low, middle - _QUARTER), max(high, middle + _QUARTER)
-            found[q] = (low, high)
+            ranges[q] = (low, high)
     free = len(mechanism.tape.loops) - len(mechanism.outputs)
-    missing = [q for q in missing if q not in found and q not in mechanism.unused]
-    if len(missing) > free or any(q in mechanism.known for q in missing):
+    missing = [q for q in missing if q not in ranges and q not in mechanism.unused]
+    if len(missing) > free or any(q in mechanism.pose_constants for q in missing):
         raise InputError(
             f"nothing says where {listed(missing)} may be",
             code="missing-key",
             remedy=f"add to the project [plan.ranges] with a line for each, such as "
             f"{missing[0]} = {_EXAMPLES.get(units[missing[0]], _OTHER)}; or give candidates",
         )
-    return found
+    return ranges
 
 
 def drawn(mechanism: Mechanism, ranges: Mapping[str, Span], site: PlanSettings) -> Candidates:
-    """So many allowed random poses within ranges [SI], or as many as ten draws give.
+    """`site.number` allowed random poses within ranges [SI], or as many as ten draws give.
 
     Half of them cover the ranges evenly. The others lie more often near their ends, where poses
-    tell most: each reading follows the arcsine law, which optimal designs for polynomials tend to
-    (Pukelsheim 1993, Optimal Design of Experiments, chapter 9). Raises InputError where none is
+    determine most. Each reading follows the arcsine law, which optimal designs for polynomials tend
+    to (Pukelsheim 1993, Optimal Design of Experiments, chapter 9). Raises InputError where none is
     allowed.
     """
     number, parts = site.number, list[_Sifted]()
     for i in range(_ROUNDS):
         if sum(part.count for part in parts) >= number:
             break
+        # A prime far above any number of rounds keeps the seeds of neighbouring plans apart.
         readings = _drawn(mechanism, ranges, number, site.seed + 1000003 * i)
         names = tuple(str(number * i + j + 1) for j in range(number))
         parts.append(_sifted(mechanism, Dataset.from_arrays(readings, poses=names), site))
     return _joined(parts, number, lambda pose: (int(pose) - 1) % number % 2 == 0)
 
 
-def given(mechanism: Mechanism, poses: Dataset, site: PlanSettings) -> Candidates:
+def stated_candidates(mechanism: Mechanism, poses: Dataset, site: PlanSettings) -> Candidates:
     """These poses, without those whose loops do not close and those that are not allowed.
 
     Raises InputError where none is left.
@@ -144,17 +147,17 @@ class _Sifted:
 
 
 def _sifted(mechanism: Mechanism, poses: Dataset, site: PlanSettings) -> _Sifted:
-    own = {*mechanism.outputs, *mechanism.turns, *mechanism.disturbances}
-    own |= {column for o in mechanism.orientations for column in o.columns}
-    units = {**mechanism.quantities, **mechanism.known}
-    readings = {q: v for q, v in poses.readings.items() if q in units and q not in own}
-    there = np.isfinite(np.array([*readings.values()])).all(axis=0)
-    readings = {q: np.where(there, v, 0.0) for q, v in readings.items()}
+    computed = {*mechanism.outputs, *mechanism.turns, *mechanism.disturbances}
+    computed |= {column for o in mechanism.orientations for column in o.columns}
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    readings = {q: v for q, v in poses.readings.items() if q in units and q not in computed}
+    stated = np.isfinite(np.array([*readings.values()])).all(axis=0)
+    readings = {q: np.where(stated, v, 0.0) for q, v in readings.items()}
     readings |= {q: np.zeros(len(poses)) for q in mechanism.disturbances}
     for q, value in mechanism.latest.items():
         readings.setdefault(q, np.full(len(poses), value))
     driven = Dataset.from_arrays(readings, units={q: units[q] for q in readings}, poses=poses.poses)
-    closes = there & within_reach(mechanism, driven)
+    closes = stated & within_reach(mechanism, driven)
     refused = {} if closes.all() else {"loops do not close": int((~closes).sum())}
     if not closes.any():
         return _Sifted(len(poses), refused)
@@ -164,12 +167,12 @@ def _sifted(mechanism: Mechanism, poses: Dataset, site: PlanSettings) -> _Sifted
     if not rules.poses.any():
         return _Sifted(len(poses), refused)
     closed = closed.take(np.flatnonzero(rules.poses))
-    told = [q for q in closed.readings if q in units and q not in own]
-    told = [q for q in told if q in readings or q not in mechanism.implied]
-    told.sort(key=lambda q: q not in readings)
+    shown_quantities = [q for q in closed.readings if q in units and q not in computed]
+    shown_quantities = [q for q in shown_quantities if q in readings or q not in mechanism.implied]
+    shown_quantities.sort(key=lambda q: q not in readings)
     shown = Dataset.from_arrays(
-        {q: closed.readings[q] for q in told},
-        units={q: units[q] for q in told},
+        {q: closed.readings[q] for q in shown_quantities},
+        units={q: units[q] for q in shown_quantities},
         poses=closed.poses,
     )
     return _Sifted(len(poses), refused, shown, closed)
@@ -212,39 +215,41 @@ def _drawn(
     mechanism: Mechanism, ranges: Mapping[str, Span], number: int, seed: int
 ) -> dict[str, Array]:
     """Random readings (number,), every other one drawn towards the ends of its range."""
-    found = {}
+    readings = {}
     for q, values in random_poses(ranges, number, seed=seed).items():
         low, high = ranges[q]
         span = high - low
         values = values.copy()
         if span > 0.0:
+            # The sine of a uniform angle follows the arcsine law.
             values[1::2] = low + span * np.sin(0.5 * math.pi * (values[1::2] - low) / span) ** 2
-        found[q] = values
-    return _rounded(mechanism, found)
+        readings[q] = values
+    return _rounded(mechanism, readings)
 
 
 def _rounded(mechanism: Mechanism, readings: Mapping[str, Array]) -> dict[str, Array]:
     """As a person would type them, within their ranges but for rounding."""
-    units = {**mechanism.quantities, **mechanism.known}
-    found = {}
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    rounded = {}
     for q, values in readings.items():
         step = STEP.get(units[q], 0.0)
-        found[q] = np.trunc(values / step) * step if step and np.ptp(values) else values
-    return found
+        # Towards zero: rounding away from it could leave the range.
+        rounded[q] = np.trunc(values / step) * step if step and np.ptp(values) else values
+    return rounded
 
 
 def typical_sds(problem: Problem) -> Dataset | None:
     """Measured poses with those sds that came with their readings; None where none did."""
     names = problem.mechanism.tape.quantities
-    own = [i for i, source in enumerate(problem.uncertainty.sources) if source == "reading"]
-    if not own:
+    rows = [i for i, source in enumerate(problem.uncertainty.sources) if source == "reading"]
+    if not rows:
         return None
     sds = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
     return Dataset(
-        {names[i]: problem.readings[i] for i in own},
+        {names[i]: problem.readings[i] for i in rows},
         {},
         problem.poses,
-        {names[i]: sds[i] for i in own},
+        {names[i]: sds[i] for i in rows},
     )
 
 

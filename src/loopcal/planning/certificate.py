@@ -30,8 +30,10 @@ from loopcal.planning.search import (
 Array = NDArray[np.float64]
 _CLOSE = 1e-3
 """Share of the criterion that the bound may still miss."""
+# Floating-point operations spent on the bound: some seconds on one core.
 _EFFORT = 1.5e10
 _FEWEST, _MOST = 12, 400
+# Of G: the step of the multiplicative weights of test poses is just below 1.
 _PEAK = 60.0
 _POWER, _GROWS, _STEEPEST = 0.5, 1.4, 8.0
 
@@ -53,6 +55,8 @@ def certificate(
     n = len(chosen)
     N = len(draws[0].rows)
     value = float(np.mean([criterion_value(d, d.of(list(chosen)), criterion) for d in draws]))
+    # Begun half at the choice, half even: no weight is 0, from which a multiplicative step never
+    # rises.
     w = np.full(N, 0.5 * n / N)
     w[list(chosen)] += 0.5
     w = _capped(w, n)
@@ -61,6 +65,7 @@ def certificate(
     for _ in range(int(np.clip(_EFFORT / max(work, 1.0), _FEWEST, _MOST))):
         f, g, mix = _slopes(draws, w, criterion, mix)
         largest = np.partition(g, N - n)[N - n :].sum()
+        # The inequality above holds at every w, so the best bound on the way counts.
         best = max(best, f - (float(largest) - float(w @ g)))
         if value - best <= _CLOSE * _scale(value, draws, criterion):
             break
@@ -105,6 +110,7 @@ def _slopes(
         if criterion == "D":
             f += criterion_value(d, total, criterion)
             V = d.nuisance
+            # The slope of log det(V^T M V), what the nuisance parameters take up of it.
             inner = V @ inverse(V.T @ total @ V) @ V.T if V.shape[1] else 0.0
             H = C - inner
         elif criterion == "G":

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.plain import known
-from loopcal.estimation.calibrate import started
+from loopcal.document.plain import finite
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.steps import started
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.measurements.plan_settings import PlanSettings
@@ -35,6 +35,7 @@ from loopcal.statistics.identifiability import SCHROER
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
+# Far fewer candidates than the 3000 of a plan: a cure is a hint beside a check.
 MOST, CANDIDATES = 60, 500
 _SHOWN = 10
 
@@ -111,6 +112,7 @@ def cure(mechanism: Mechanism, existing: Dataset, noise: Noise, settings: PlanSe
 
 def _cured(problem: Problem, rows: Array, before: Array, equations: int, driven: Dataset) -> Cure:
     n = rows.shape[2]
+    # A check judges the readings alone, so the cure must not lean on priors.
     flat = replace(problem, prior_sd=np.full(n, np.inf))
     every = np.ones(n, dtype=bool)
     search = Search([information(flat, rows, before, np.empty((0, 1, n)), every)], "A")
@@ -125,7 +127,7 @@ def _cured(problem: Problem, rows: Array, before: Array, equations: int, driven:
         condition = _condition(total)
         share = (equations + each * len(search.chosen)) / n
         enough = condition <= SCHROER and share >= FEW
-    return Cure(driven.take(search.chosen), known(condition), enough)
+    return Cure(driven.take(search.chosen), finite(condition), enough)
 
 
 def _condition(total: Array) -> float:

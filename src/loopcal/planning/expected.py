@@ -23,6 +23,7 @@ SHARE = 0.2
 """Of the chosen poses, to validate."""
 _LOOSE = 1e3
 """Times the ridge: directions with less information are not determined."""
+# Twelve sets, up to five times as many poses, at sixteen sizes: a curve to compare with.
 _SETS, _TIMES, _SIZES = 12, 5.0, 16
 
 
@@ -52,7 +53,7 @@ def expected_of(draw: Information, names: Sequence[str], total: Array, poses: in
 def expected_curve(
     draw: Information, names: Sequence[str], chosen: Sequence[int], how: Criterion
 ) -> tuple[Expected, ...]:
-    """After 1, 2, ... of the chosen poses, the one that tells most always next."""
+    """After 1, 2, ... of the chosen poses, the one that lowers the criterion most always next."""
     some = np.array(chosen)
     sub = _only(draw, some)
     search = Search([sub], how)
@@ -101,8 +102,8 @@ def random_sets(
     for _ in range(_SETS):
         order = rng.permutation(even)
         for size in squares:
-            found = expected_of(draw, names, draw.of(order[:size]), size).end_point
-            squares[size].append(math.inf if found is None else found**2)
+            sd = expected_of(draw, names, draw.of(order[:size]), size).end_point
+            squares[size].append(math.inf if sd is None else sd**2)
     means = [math.sqrt(float(np.mean(squares[int(s)]))) for s in sizes]
     shown = tuple(m if math.isfinite(m) else None for m in means)
     return RandomSets(
@@ -116,6 +117,7 @@ def _equivalent(sizes: Array, means: list[float], target: float) -> int | None:
         if mean <= target:
             if i == 0 or not math.isfinite(means[i - 1]):
                 return int(sizes[i])
+            # Sds fall as a power of the number of poses, nearly n^-1/2: linear in the logarithms.
             share = math.log(means[i - 1] / target) / math.log(means[i - 1] / mean)
             return round(float(sizes[i - 1] * (sizes[i] / sizes[i - 1]) ** share))
     return None

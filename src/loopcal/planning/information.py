@@ -3,8 +3,8 @@
 The rows of a pose are its whitened equations D (r, n), those that calibration itself uses. With
 M = sum over all candidates D^T D + poses already measured + prior = (root root^T)^-1, z is the
 step dp = root z; directions that nothing determines are left out. In z a set of poses has the
-information M_0 + sum Z_i^T Z_i, Z_i = D_i root, and the covariance of the parameters is
-root C root^T, C the inverse of that sum.
+information M_0 + sum Z_i^T Z_i, Z_i = D_i root. With C the inverse of that sum, the covariance of
+the parameters is root C root^T.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Accumulator, spectrum
 from loopcal.estimation.solve.sweep import Sweeper
@@ -23,6 +24,7 @@ from loopcal.lazy import cached_property
 from loopcal.mechanisms.outputs import POLAR, seen_outputs
 
 Array = NDArray[np.float64]
+# Small beside any information that counts, large beside rounding of sums: inverses exist.
 RIDGE = 1e-7
 """Information of one average candidate times this stands in where nothing else does."""
 _ROWS = 20_000
@@ -58,18 +60,19 @@ class Information:
     def mean_test(self) -> Array:
         """(k, k) mean over the test poses of T^T T: tr(C G) is the mean variance."""
         flat = self.tests.reshape(-1, self.tests.shape[2])
-        found: Array = flat.T @ flat / len(self.tests)
-        return found
+        mean: Array = flat.T @ flat / len(self.tests)
+        return mean
 
     @cached_property
     def relative(self) -> Array:
         """(k, k): tr(C G) adds up the variances of parameters, each in units of that after all
         candidates were measured."""
-        own = self.root[self.interest]
-        least = np.sqrt(np.square(own).sum(axis=1))
-        scaled = own[least > 0.0] / least[least > 0.0, None]
-        found: Array = scaled.T @ scaled
-        return found
+        interest_root = self.root[self.interest]
+        # root root^T is the covariance after all candidates, so its row norms are those sds.
+        least = np.sqrt(np.square(interest_root).sum(axis=1))
+        scaled = interest_root[least > 0.0] / least[least > 0.0, None]
+        total: Array = scaled.T @ scaled
+        return total
 
 
 def rows_of(problem: Problem, parameters: Array, corrections: Array) -> Array:
@@ -82,7 +85,7 @@ def rows_of(problem: Problem, parameters: Array, corrections: Array) -> Array:
     return np.nan_to_num(rows, nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def end_point_rows(problem: Problem, parameters: Array, x: Array, known: Array) -> Array:
+def end_point_rows(problem: Problem, parameters: Array, x: Array, pose_constants: Array) -> Array:
     """How the end point moves with the parameters at closed poses x (k, T): (T, o, n) [SI].
 
     Lengths where any instrument sees a point, its range and angles as coordinates; else angles.
@@ -92,18 +95,21 @@ def end_point_rows(problem: Problem, parameters: Array, x: Array, known: Array) 
     still = (*mechanism.disturbances, *mechanism.unused)
     sds = np.broadcast_to(problem.uncertainty.sd, (len(names), problem.count))
     unread = [i for i, sd in enumerate(sds) if np.isinf(sd).all() and names[i] not in still]
-    S = output_sensitivity(mechanism, parameters, problem.names, x, known, unread).by_parameter
+    S = output_sensitivity(
+        mechanism, parameters, problem.names, x, pose_constants, unread
+    ).by_parameter
     seen = [one for one in seen_outputs(mechanism) if one.position or one.turns]
     lengths = [one for one in seen if one.position]
-    found = []
+    parts = []
     for one in lengths or seen:
-        its = [q for q in (one.position or one.turns) if q in mechanism.outputs]
-        part = S[:, [mechanism.outputs.index(q) for q in its]]
+        outputs = [q for q in (one.position or one.turns) if q in mechanism.outputs]
+        part = S[:, [mechanism.outputs.index(q) for q in outputs]]
         if one.form in POLAR:
-            at = x[[mechanism.tape.quantities.index(q) for q in its]]
+            at = x[[mechanism.tape.quantities.index(q) for q in outputs]]
             part = cartesian_slopes(at) @ part
-        found.append(part)
-    rows = np.concatenate(found, axis=1) / np.sqrt(len(found))
+        parts.append(part)
+    # Several seen points count as their mean square, so their number does not change the criterion.
+    rows = np.concatenate(parts, axis=1) / np.sqrt(len(parts))
     finite: Array = rows[np.isfinite(rows).all(axis=(1, 2))]
     return finite
 
@@ -122,8 +128,8 @@ def placed_anew(tests: Array, stands: NDArray[np.bool_]) -> Array:
         U, s, _ = np.linalg.svd(P, full_matrices=False)
         U = U[:, s > _NULL * s.max()]
         flat = flat - U @ (U.T @ flat)
-    found: Array = np.where(stands, 0.0, flat).reshape(tests.shape)
-    return found
+    remaining: Array = np.where(stands, 0.0, flat).reshape(tests.shape)
+    return remaining
 
 
 def cartesian_slopes(polar: Array) -> Array:
@@ -168,11 +174,11 @@ def _parts(rows: Array) -> list[Array]:
     return [rows[i : i + _ROWS] for i in range(0, len(rows), _ROWS)]
 
 
-def _unmoved(own: Array) -> Array:
+def _unmoved(parameter_root: Array) -> Array:
     """(k, s) an orthonormal basis of the z that move none of these parameters (q, k)."""
-    length = np.linalg.norm(own, axis=1)
-    scaled = own[length > 0.0] / length[length > 0.0, None]
-    k = own.shape[1]
+    length = np.linalg.norm(parameter_root, axis=1)
+    scaled = parameter_root[length > 0.0] / length[length > 0.0, None]
+    k = parameter_root.shape[1]
     if not len(scaled):
         return np.eye(k)
     _, s, Vt = np.linalg.svd(scaled, full_matrices=True)
@@ -186,6 +192,6 @@ def closed_corrections(problem: Problem) -> Array:
     from loopcal.estimation.problem.starting import start_corrections
     from loopcal.estimation.solve.sweep import NEAR
 
-    exact = Sweeper(problem, exact=True)
+    exact = Sweeper(problem.weighted(Weighting.ALIKE))
     corrections = start_corrections(exact, problem.start)
     return exact.close(problem.start, corrections, NEAR, 1.0).corrections

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
-from loopcal.estimation.calibrate import started
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.steps import started
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.measurements.plan_settings import PlanSettings
@@ -24,9 +24,9 @@ from loopcal.mechanisms.structure.structured import EFFECT, structured
 from loopcal.planning.candidates import (
     Candidates,
     drawn,
-    given,
     in_shares,
     ranges_of,
+    stated_candidates,
     too_few,
     typical_sds,
     with_sds,
@@ -49,6 +49,8 @@ from loopcal.simulation.simulate import within_reach
 Array = NDArray[np.float64]
 TESTS = 300
 """Poses at which the end point is predicted."""
+# A choice at the nominal machine may suit no other, so draws from the prior are averaged in; 200
+# candidates show whether they matter.
 _DRAWS, _LOOKED_AT = 3, 200
 _DEPENDS = 0.05
 """So much of a candidate's equations must change with a draw of the parameters to count."""
@@ -83,8 +85,8 @@ def plan(
     >>> len(made.poses), made.use.count("validate"), made.efficiency > 0.8
     (10, 2, True)
     """
-    settings, told = settings or PlanSettings(), Noise.of(noise)
-    if told is None:
+    settings, sensor_noise = settings or PlanSettings(), Noise.of(noise)
+    if sensor_noise is None:
         raise InputError(
             "no noise is given", code="missing-sd", remedy="give the sds of the readings"
         )
@@ -97,13 +99,13 @@ def plan(
         count = poses + (0 if existing is None else len(existing))
         mechanism = structured(mechanism, discrepancy=vectors_for(count))
     with one_blas_thread():
-        measured = None if existing is None else _measured(mechanism, existing, told)
+        measured = None if existing is None else _measured(mechanism, existing, sensor_noise)
         if measured is not None:
             mechanism = measured.start
         pool = _pool(mechanism, candidates, existing, settings)
         if len(pool.driven) < poses:
             raise too_few(len(pool.driven), pool.considered, pool.refused, poses)
-        made = pooled(mechanism, pool, measured, told, settings)
+        made = pooled(mechanism, pool, measured, sensor_noise, settings)
         best = choose(made.draws, poses, how, progress=progress)
         return _planned(mechanism, pool, made, best, existing, how)
 
@@ -156,7 +158,7 @@ def _pool(
 ) -> Candidates:
     if candidates is not None:
         stated = candidates if isinstance(candidates, Dataset) else Dataset.from_arrays(candidates)
-        return given(mechanism, stated, settings)
+        return stated_candidates(mechanism, stated, settings)
     ranges = ranges_of(mechanism, settings.ranges, existing)
     return drawn(mechanism, ranges, settings)
 
@@ -172,7 +174,7 @@ def pooled(
     equations depend on it."""
     tests = _tests(mechanism, pool, settings)
     first = _at(mechanism, pool, tests, measured, noise)
-    found = [first.information]
+    draws = [first.information]
     rng = np.random.default_rng(settings.seed)
     some = np.unique(np.linspace(0, len(pool.driven) - 1, _LOOKED_AT).astype(np.intp))
     for number in range(_DRAWS):
@@ -187,8 +189,8 @@ def pooled(
         if number == 0 and not _depends(first, other, pool.take(some), some, noise):
             break
         if within_reach(other, pool.driven).all():
-            found.append(_at(other, pool, tests, measured, noise).information)
-    return Pooled(tuple(found), first.problem)
+            draws.append(_at(other, pool, tests, measured, noise).information)
+    return Pooled(tuple(draws), first.problem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +210,7 @@ def _tests(mechanism: Mechanism, pool: Candidates, settings: PlanSettings) -> Da
 
 
 def _problem(mechanism: Mechanism, driven: Dataset, noise: Noise, like: Dataset | None) -> Problem:
-    closed = given(mechanism, driven, PlanSettings()).closed
+    closed = stated_candidates(mechanism, driven, PlanSettings()).closed
     return as_problem(mechanism, with_sds(closed, like), noise)
 
 
@@ -237,13 +239,10 @@ def _at(
     T = np.empty((0, 1, rows.shape[2]))
     if mechanism.outputs:
         at = _problem(mechanism, tests, noise, like)
-        T = end_point_rows(at, at.start, at.readings, at.known)
-    kinds = mechanism.kinds
-    beyond = set(mechanism.effects.get(EFFECT, ()))
-    counts = np.array(
-        [kinds.get(n, "placement") != "placement" and n not in beyond for n in problem.names]
-    )
-    stands = np.array([kinds.get(n, "placement") == "placement" for n in problem.names])
+        T = end_point_rows(at, at.start, at.readings, at.pose_constants)
+    roles = [mechanism.roles.get(n, "placement") for n in problem.names]
+    counts = np.array([role not in ("placement", "model error") for role in roles])
+    stands = np.array([role == "placement" for role in roles])
     made = information(problem, rows, before, placed_anew(T, stands), counts)
     return _Drawn(made, problem, rows)
 
@@ -256,9 +255,9 @@ def _depends(
         return True
     problem = _problem(other, pool.driven, noise, None)
     rows = rows_of(problem, problem.start, np.zeros(problem.readings.shape))
-    here = first.rows[some] @ first.information.root
-    there = rows @ first.information.root
-    return bool(np.linalg.norm(there - here) > _DEPENDS * np.linalg.norm(here))
+    nominal_rows = first.rows[some] @ first.information.root
+    drawn_rows = rows @ first.information.root
+    return bool(np.linalg.norm(drawn_rows - nominal_rows) > _DEPENDS * np.linalg.norm(nominal_rows))
 
 
 def _planned(
@@ -279,8 +278,8 @@ def _planned(
     way, before = travel(shares, order), travel(shares, list(range(len(chosen))))
     taken = pool.take([chosen[i] for i in order])
     kept = [i for i in chosen if i not in marked]
-    shown = [n for n in names if n not in set(mechanism.effects.get(EFFECT, ()))]
-    shown = [n for n in shown if n in mechanism.parameters.names]
+    roles = mechanism.roles
+    shown = [n for n in names if n in roles and roles[n] != "model error"]
     units = {n: mechanism.parameters[n].unit for n in shown}
     fitted = expected_of(draw, names, draw.of(kept), len(kept))
     return Plan(

@@ -154,12 +154,12 @@ class Plan:
             without = with_unit(self.fitted.end_point, self.unit)
             lines += [f"without the poses to validate: {without} rms"]
         if self.random is not None:
-            here = dict(zip(self.random.poses, self.random.end_point, strict=True))
-            same = here.get(len(self.use))
+            sds_by_number = dict(zip(self.random.poses, self.random.end_point, strict=True))
+            same = sds_by_number.get(len(self.use))
             worth = self.random.equivalent
-            told = "" if same is None else f"{with_unit(same, self.unit)} rms; "
+            prefix = "" if same is None else f"{with_unit(same, self.unit)} rms; "
             count = f"{worth}" if worth is not None else f"more than {self.random.poses[-1]}"
-            lines += [f"as many random poses: {told}{count} random poses are worth this plan"]
+            lines += [f"as many random poses: {prefix}{count} random poses are worth this plan"]
         return lines
 
     def _table(self) -> list[str]:

@@ -1,7 +1,7 @@
 """An order of poses with short joint travel: nearest neighbour, then 2-opt.
 
-All joints move at once, so the way between two poses is as long as the longest of their moves,
-each in shares of its range.
+All joints move at once. So the way between two poses is as long as the longest of their moves, each
+in shares of its range.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+# 2-opt of dozens of poses settles in a few rounds; the bound keeps ties from going on forever.
 _ROUNDS = 50
 
 
@@ -43,7 +44,7 @@ def _nearest(away: Array) -> list[int]:
 
 def _uncrossed(order: list[int], away: Array) -> bool:
     """Turn round parts of the way that are shorter so; whether any was."""
-    n, found = len(order), False
+    n, changed = len(order), False
     for i in range(n - 2):
         at = np.array(order)
         a, b = at[i], at[i + 1]
@@ -56,5 +57,5 @@ def _uncrossed(order: list[int], away: Array) -> bool:
         if old[j] - new[j] > 1e-12:
             end = i + 2 + j
             order[i + 1 : end + 1] = order[i + 1 : end + 1][::-1]
-            found = True
-    return found
+            changed = True
+    return changed

@@ -98,11 +98,10 @@ def _base(mechanism: Mechanism, family: Family) -> Array:
     if not isinstance(station, Station):
         return np.eye(4)
     values = {p.name: p.nominal for p in mechanism.parameters}
-    d = station.dimension
     shift = np.array([[float(v)] for v in station.seen(np.zeros(3), values)])
     axes = [np.array(station.seen(axis, values), dtype=float) for axis in np.eye(3)]
     R = np.array(axes).T - shift
-    return np.asarray(np.linalg.inv(rigid(R, shift[:, 0]))) if d else np.eye(4)
+    return np.asarray(np.linalg.inv(rigid(R, shift[:, 0])))
 
 
 def _moved(T: Array, at: Array) -> Array:
@@ -115,12 +114,12 @@ def _links(mechanism: Mechanism, data: Dataset) -> list[Array]:
     """The joints (3, N) of a serial arm from its base on; none of other machines."""
     values = {p.name: p.nominal for p in mechanism.parameters}
     T = np.broadcast_to(np.eye(4), (len(data), 4, 4))
-    found: list[Array] = []
+    joints: list[Array] = []
     for step in mechanism.chain:
         if step.joint is not None:
-            found.append(T[:, :3, 3].T)
+            joints.append(T[:, :3, 3].T)
         T = T @ _transforms(step, data, values)
-    return [*found, T[:, :3, 3].T] if found else []
+    return [*joints, T[:, :3, 3].T] if joints else []
 
 
 def _transforms(step: Step, data: Dataset, values: Mapping[str, float]) -> Array:
@@ -155,26 +154,29 @@ def _incidence(
         )
     machine = mechanism.predicting()
     x = np.array([data.readings[q] for q in machine.tape.quantities])
-    known = np.array([data.readings[q] for q in machine.tape.known]).reshape(-1, len(data))
+    pose_constants = np.array([data.readings[q] for q in machine.tape.pose_constants]).reshape(
+        -1, len(data)
+    )
     values = np.array([p.nominal for p in machine.parameters])
-    S = output_sensitivity(mechanism, values, target, x, known).by_parameter
+    S = output_sensitivity(mechanism, values, target, x, pose_constants).by_parameter
     R = S[:, [mechanism.outputs.index(q) for q in outputs]]
     if family.form in POLAR:
         R = cartesian_slopes(np.array([data.readings[q] for q in outputs])) @ R
     looks = (R @ np.array(normal)[: R.shape[2]]).T
+    # R has the columns d(point) / d(place on the body): the rotation matrix of the body.
     cosine = (looks * away).sum(axis=0)
     cosine /= np.linalg.norm(looks, axis=0) * np.linalg.norm(away, axis=0)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _forbidden(mechanism: Mechanism, rows: Dataset, data: Dataset) -> Mask:
-    units = {**mechanism.quantities, **mechanism.known}
+    units = {**mechanism.quantities, **mechanism.pose_constants}
     shared = [q for q in rows.readings if q in data.readings and q not in mechanism.outputs]
-    found = np.zeros(len(data), dtype=bool)
+    forbidden = np.zeros(len(data), dtype=bool)
     for i in range(len(rows)):
         near = np.ones(len(data), dtype=bool)
         for q in shared:
             gap = np.abs(data.readings[q] - rows.readings[q][i])
             near &= ~(gap > NEAR.get(units[q], 1e-3))
-        found |= near
-    return found
+        forbidden |= near
+    return forbidden

@@ -1,6 +1,6 @@
 """The choice: greedy, then Fedorov's exchange, every candidate weighed at once.
 
-With C the covariance in z, B (r, k) the rows of a candidate and S = I + B C B^T, adding it leaves
+Let C be the covariance in z, B (r, k) the rows of a candidate and S = I + B C B^T. Adding it leaves
 C' = C - K K^T, K = C B^T S^-1/2 (Woodbury). Kept for every candidate are A = B C B^T and, for a
 criterion tr(C G), Q = B C G C B^T; both follow C by products of the rows with K alone. Gains:
 
@@ -34,13 +34,14 @@ _BETTER = 1e-9
 _PASSES = 20
 """Passes over the chosen poses, at most."""
 _PROMISING = 1000
-"""So many candidates are chosen among at a time, where there are more than twice as many."""
+"""Candidates that are weighed at a time, where there are more than twice as many."""
 _AT_ONCE = 5
 _WORTH = 1e-3
 """Relative gain below which exchange among many ends: the certificate's bound is not closer."""
 _SHORTLIST = 128
 _PEAK = 8.0
 """The worst test poses weigh by this power of their variance in the shortlist of G."""
+# A choice among few candidates takes milliseconds, and local optima are near: begun up to 20 times.
 _EFFORT, _STARTS = 3e6, 20
 
 
@@ -67,8 +68,8 @@ class _System:
 
     def _blocks(self, matrix: Array) -> Array:
         right = (self.flat @ matrix).reshape(self.rows.shape)
-        found: Array = right @ self.rows.transpose(0, 2, 1)
-        return found
+        blocks: Array = right @ self.rows.transpose(0, 2, 1)
+        return blocks
 
     def change(self, some: Sequence[int], sign: float) -> None:
         """Add (sign 1) or remove (sign -1) candidates."""
@@ -77,29 +78,33 @@ class _System:
         half = self.C @ B.T
         S = np.eye(len(B)) + sign * (B @ half)
         values, vectors = np.linalg.eigh(S)
+        # Removing what alone determines a direction makes S singular: Woodbury has no digits left.
         if values.min() < _SINGULAR or values.max() > _SUDDEN:
             self.refresh()
             return
+        # S^-1/2 from the eigenvectors of the test above: C' = C - sign K K^T.
         K = half @ vectors / np.sqrt(values)
         r = K.shape[1]
-        N, own = len(self.rows), self.rows.shape[1]
+        N, rows_each = len(self.rows), self.rows.shape[1]
         if self.Q is None or self.aim is None:
-            BK = (self.flat @ K).reshape(N, own, r)
+            BK = (self.flat @ K).reshape(N, rows_each, r)
         else:
             V = self.C @ (self.aim @ K)
-            both = (self.flat @ np.hstack([K, V])).reshape(N, own, 2 * r)
+            both = (self.flat @ np.hstack([K, V])).reshape(N, rows_each, 2 * r)
             BK, BV = both[..., :r], both[..., r:]
             cross = BV @ BK.transpose(0, 2, 1)
             W = K.T @ (self.aim @ K)
-            known = self.Q - sign * (cross + cross.transpose(0, 2, 1))
-            self.Q = known + BK @ W @ BK.transpose(0, 2, 1)
+            # Q' = B C' G C' B^T with C' = C - sign K K^T, multiplied out: terms of first and second
+            # order in K.
+            updated = self.Q - sign * (cross + cross.transpose(0, 2, 1))
+            self.Q = updated + BK @ W @ BK.transpose(0, 2, 1)
         self.A = self.A - sign * (BK @ BK.transpose(0, 2, 1))
         self.C = self.C - sign * (K @ K.T)
 
     def log_gain(self) -> Array:
         """(N,) log det(I + A)."""
-        found: Array = np.linalg.slogdet(np.eye(self.A.shape[1]) + self.A)[1]
-        return found
+        gain: Array = np.linalg.slogdet(np.eye(self.A.shape[1]) + self.A)[1]
+        return gain
 
     def linear_gain(self) -> Array:
         """(N,) tr[(I + A)^-1 Q]."""
@@ -191,8 +196,8 @@ class Search:
     def promising(self) -> NDArray[np.intp]:
         """Ascending positions of those that promise most, and of those chosen."""
         gains = self.gains()
-        found: NDArray[np.intp] = np.argpartition(-gains, _PROMISING)[:_PROMISING]
-        return np.union1d(found, self.chosen).astype(np.intp)
+        most: NDArray[np.intp] = np.argpartition(-gains, _PROMISING)[:_PROMISING]
+        return np.union1d(most, self.chosen).astype(np.intp)
 
     def scale(self) -> float:
         """Of the criterion, for relative changes."""
@@ -234,8 +239,8 @@ def test_variances(draw: Information, C: Array) -> Array:
     """(T,) variance of the end point at the test poses [SI]."""
     flat = draw.tests.reshape(-1, draw.tests.shape[2])
     each = np.einsum("ij,ij->i", flat @ C, flat)
-    found: Array = each.reshape(len(draw.tests), -1).sum(axis=1)
-    return found
+    variances: Array = each.reshape(len(draw.tests), -1).sum(axis=1)
+    return variances
 
 
 def _worst_gains(system: _System, draw: Information, also: int | None) -> Array:
@@ -245,6 +250,7 @@ def _worst_gains(system: _System, draw: Information, also: int | None) -> Array:
     N = len(system.rows)
     some = np.arange(N)
     if N > 2 * _SHORTLIST:
+        # The max-norm of the variances by a p-norm, whose gradient is one linear criterion.
         weight = np.power(before / worst, _PEAK)
         pull = np.einsum("t,tok,tol->kl", weight, draw.tests, draw.tests, optimize=True)
         Q = system._blocks(system.C @ pull @ system.C)
@@ -280,25 +286,25 @@ def choose(
     many = len(draws[0].rows) > 2 * _PROMISING and criterion != "G"
     best: Chosen | None = None
     for start in range(starts):
-        search, told = Search(draws, criterion), _Told(progress, number)
+        search, counter = Search(draws, criterion), _ProgressCounter(progress, number)
         if start:
             search.become(rng.permutation(len(draws[0].rows))[:number].tolist())
         elif many:
-            _begun_among_many(search, number, told)
+            _begun_among_many(search, number, counter)
         else:
             for _ in range(number):
                 search.add(int(np.argmax(search.gains())))
-                told.chose()
-        search = (_exchanged_among_many if many else _exchanged)(search, told)
-        found = Chosen(tuple(search.chosen), search.value())
-        if best is None or found.value < best.value:
-            best = found
+                counter.chose()
+        search = (_exchanged_among_many if many else _exchanged)(search, counter)
+        chosen = Chosen(tuple(search.chosen), search.value())
+        if best is None or chosen.value < best.value:
+            best = chosen
     assert best is not None
     return best
 
 
 @dataclass
-class _Told:
+class _ProgressCounter:
     """Counts the poses chosen or tried for exchange, and reports them."""
 
     progress: Progress | None
@@ -320,40 +326,40 @@ class _Told:
             self.progress(self.number + self.tried, self.number * passes)
 
 
-def _begun_among_many(search: Search, number: int, told: _Told) -> None:
+def _begun_among_many(search: Search, number: int, counter: _ProgressCounter) -> None:
     """Greedy choice, some poses at a time among the candidates that promise most."""
     while len(search.chosen) < number:
         some = search.promising()
         less = search.narrowed(some)
         for _ in range(min(_AT_ONCE, number - len(search.chosen))):
             less.add(int(np.argmax(less.gains())))
-            told.chose()
+            counter.chose()
         search.become(some[less.chosen].tolist())
 
 
-def _exchanged_among_many(search: Search, told: _Told) -> Search:
+def _exchanged_among_many(search: Search, counter: _ProgressCounter) -> Search:
     """Exchange among the candidates that promise most, chosen anew until that gains little."""
     for _ in range(_PASSES):
         value, some = search.value(), search.promising()
-        less = _exchanged(search.narrowed(some), told, _WORTH * search.scale())
+        less = _exchanged(search.narrowed(some), counter, _WORTH * search.scale())
         search.become(some[less.chosen].tolist())
         if value - search.value() <= _WORTH * search.scale():
             break
     return search
 
 
-def _exchanged(search: Search, told: _Told, least: float = 0.0) -> Search:
+def _exchanged(search: Search, counter: _ProgressCounter, least: float = 0.0) -> Search:
     """Exchange each chosen pose in turn for the best candidate, until a pass exchanges none or
     gains no more than the least."""
     for _ in range(_PASSES):
         before = search
-        search = _passed(search, told)
+        search = _passed(search, counter)
         if search is before or before.value() - search.value() <= least:
             break
     return search
 
 
-def _passed(search: Search, told: _Told) -> Search:
+def _passed(search: Search, counter: _ProgressCounter) -> Search:
     """Each chosen pose exchanged for the best candidate, if that is better."""
     for old in list(search.chosen):
         without = search.copied()
@@ -363,12 +369,12 @@ def _passed(search: Search, told: _Told) -> Search:
         if new != old and gains[new] > kept + _BETTER * abs(kept):
             without.add(new)
             search = without
-        told.exchanged()
+        counter.exchanged()
     return search
 
 
 def inverse(matrix: Array) -> Array:
     """Of a symmetric positive definite matrix, scaled first."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
-    found: Array = np.linalg.inv(matrix * scale * scale[:, None]) * scale * scale[:, None]
-    return 0.5 * (found + found.T)
+    inverted: Array = np.linalg.inv(matrix * scale * scale[:, None]) * scale * scale[:, None]
+    return 0.5 * (inverted + inverted.T)

@@ -6,9 +6,10 @@ means have the covariance
     C = diag(S_g / n_g) + common errors of each point + J F J^T,
 
 S_g the sample covariance of group g, F = diag(shift^2 I, turn^2 I) of the frame and J its effect.
-The base frame is fitted to the means by least squares (Umeyama 1991, without a scale); to first
-order the offsets then have the covariance M C M^T, M = I - J (J^T W J)^-1 J^T W, W the numbers of
-cycles. Errors of the frame vanish by it. In a plane the frame has two shifts and the turn about z.
+The base frame is fitted to the means by least squares (Umeyama 1991, without a scale). The offsets
+then have the covariance M C M^T to first order, M = I - J (J^T W J)^-1 J^T W. W holds the numbers
+of cycles. Errors of the frame vanish by the fit. In a plane the frame has two shifts and the turn
+about z.
 """
 
 from __future__ import annotations
@@ -137,6 +138,7 @@ def fitted_base(means: Means) -> FittedBase | str:
     scatter, shared = (R @ C @ R.T for C in (means.scatter, means.shared))
     J = frame_effect(means.commanded, means.planar)
     whole = _after_fit(J, means, scatter, shared)
+    # The scatter of the cycles alone has few degrees of freedom; what a data sheet states has none.
     alone = _after_fit(J, means, scatter, np.zeros_like(shared))
     turn = np.zeros((3, 3))
     turn[-1:, -1:] = whole.frame[-1:, -1:]
@@ -147,6 +149,7 @@ def fitted_base(means: Means) -> FittedBase | str:
 def _rotation(H: Array, d: int) -> Array:
     """The rotation (3, 3) that makes tr(R^T H) largest, in the first d coordinates."""
     U, _, V = np.linalg.svd(H[:d, :d])
+    # Without it the best orthogonal matrix may be a mirror image (Umeyama 1991).
     U[:, -1] *= np.linalg.det(U @ V)
     R = np.eye(3)
     R[:d, :d] = U @ V
@@ -169,13 +172,14 @@ def _after_fit(J: Array, means: Means, scatter: Array, shared: Array) -> _AfterF
     weighted = means.cycles[:, None, None] * J
     normal = np.einsum("gij,gik->jk", weighted, J)
     S = np.linalg.solve(normal, weighted.transpose(0, 2, 1))  # (G, 6, 3)
+    # Groups of one pose share its tracker errors, so S is added up over the groups of a pose.
     of_pose = np.zeros((int(means.pose.max()) + 1, *S.shape[1:]))
     np.add.at(of_pose, means.pose, S)
     SC = S @ scatter + of_pose[means.pose] @ shared
     frame = np.einsum("gij,gkj->ik", SC, S)
     crossed = J @ SC
-    own = scatter + shared + J @ frame @ J.transpose(0, 2, 1)
-    return _AfterFit(own - crossed - crossed.transpose(0, 2, 1), frame)
+    direct = scatter + shared + J @ frame @ J.transpose(0, 2, 1)
+    return _AfterFit(direct - crossed - crossed.transpose(0, 2, 1), frame)
 
 
 def covariance_of_mean(readings: Array) -> Array:

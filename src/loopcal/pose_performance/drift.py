@@ -91,26 +91,32 @@ def _shift(first: Array, last: Array) -> Estimate:
 def _change_of_accuracy(first: Array, last: Array, common: Array) -> Estimate:
     means = [part.mean(axis=0) for part in (first, last)]
     lengths = [float(np.linalg.norm(mean)) for mean in means]
+    # d|m| = u . dm, so the variance of a length is u^T C u to first order.
     u = [mean / (length or 1.0) for mean, length in zip(means, lengths, strict=True)]
     scatters = [covariance_of_mean(part) for part in (first, last)]
-    own = sum(float(a @ S @ a) for a, S in zip(u, scatters, strict=True))
+    by_scatter = sum(float(a @ S @ a) for a, S in zip(u, scatters, strict=True))
+    # An error common to both blocks moves the lengths by u_1 . e and u_0 . e.
     shared = float((u[1] - u[0]) @ common @ (u[1] - u[0]))
-    return _difference(lengths[1] - lengths[0], own, own + shared, min(len(first), len(last)) - 1)
+    return _difference(
+        lengths[1] - lengths[0], by_scatter, by_scatter + shared, min(len(first), len(last)) - 1
+    )
 
 
 def _change_of_repeatability(first: Array, last: Array) -> Estimate:
     """RP is nearly normal with the variance RP^2 / (2 degrees)."""
-    found = [repeatability(part) for part in (first, last)]
+    figures = [repeatability(part) for part in (first, last)]
     variance = 0.0
-    for part, its in zip((first, last), found, strict=True):
+    for part, figure in zip((first, last), figures, strict=True):
         scatter = NormalScatter.of(np.atleast_2d(np.cov(part.T)))
-        variance += its.value**2 / (2.0 * scatter.degrees(len(part))) if scatter.sd > 0.0 else 0.0
+        variance += (
+            figure.value**2 / (2.0 * scatter.degrees(len(part))) if scatter.sd > 0.0 else 0.0
+        )
     return _difference(
-        found[1].value - found[0].value, variance, variance, min(len(first), len(last)) - 1
+        figures[1].value - figures[0].value, variance, variance, min(len(first), len(last)) - 1
     )
 
 
-def _difference(value: float, own: float, whole: float, degrees: int) -> Estimate:
+def _difference(value: float, by_scatter: float, whole: float, degrees: int) -> Estimate:
     return length_interval(
-        np.array([value]), np.array([[whole]]), np.array([[own]]), float(degrees)
+        np.array([value]), np.array([[whole]]), np.array([[by_scatter]]), float(degrees)
     )

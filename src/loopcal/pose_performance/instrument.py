@@ -32,17 +32,17 @@ class Figures:
 
         Raises InputError for anything else.
         """
-        found: dict[str, float] = {}
+        figures: dict[str, float] = {}
         for part in () if text is None else text.split(","):
             dimension = unit(accuracy_unit(part)).dimension
-            if dimension not in ("length", "angle") or dimension in found:
+            if dimension not in ("length", "angle") or dimension in figures:
                 raise InputError(
                     f"{text!r} is not a length, an angle or both",
                     code="wrong-unit",
                     remedy='give sds as "5 um" or "5 um, 20 urad"',
                 )
-            found[dimension] = accuracy_figure(part)
-        return cls(found.get("length"), found.get("angle"))
+            figures[dimension] = accuracy_figure(part)
+        return cls(figures.get("length"), figures.get("angle"))
 
 
 @dataclass(frozen=True)
@@ -77,13 +77,8 @@ class MeasuringErrors:
 
     def _measured(self, covariance: Array) -> Array:
         """The covariance of what is measured of a point."""
-        there = np.array([1.0, 1.0, 0.0 if self.planar else 1.0])
-        return covariance * np.outer(there, there)
-
-    @property
-    def only_at_most(self) -> bool:
-        """Whether the instrument's share of repeatability is an upper bound."""
-        return self.reading.length is None and self.tracker is not None
+        measured_axes = np.array([1.0, 1.0, 0.0 if self.planar else 1.0])
+        return covariance * np.outer(measured_axes, measured_axes)
 
     def words(self) -> list[str]:
         """What is not stated, and what follows."""

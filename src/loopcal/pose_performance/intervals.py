@@ -2,7 +2,7 @@
 
 The length of a mean is never negative, and noise makes it longer: |d + e|, e ~ N(0, C), has the
 mean square |d|^2 + tr C. With u = d/|d| and s = |d|, its square is close to c times a non-central
-chi-squared with k degrees of freedom and non-centrality s^2/c, where
+chi-squared. That has k degrees of freedom and the non-centrality s^2/c, where
 
     c = (tr C^2 + 2 s^2 u^T C u) / (tr C + 2 s^2),    k = tr C / c,
 
@@ -26,8 +26,9 @@ from loopcal.small_samples import t_quantile
 
 Array = NDArray[np.float64]
 LEVEL = 0.95
+# At 25 sds the length differs from its component along the vector by 1 / 50 of an sd per freedom.
 FAR = 25.0
-"""So many sds from zero the length of a vector is normal."""
+"""Sds from zero beyond which the length of a vector is normal."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ def _length_bounds(value: float, covariance: Array, along: float, t: float) -> E
         c = (square + 2.0 * s * s * along) / (trace + 2.0 * s * s)
         return float(chndtr(value * value / c, trace / c, s * s / c))
 
+    # Six sds beyond the interval: the upper bound lies inside.
     reach = value + (t + 6.0) * math.sqrt(trace)
     low = 0.0 if 1.0 - at_most(0.0) >= tail else _crossing(at_most, 1.0 - tail, 0.0, reach)
     high = 0.0 if at_most(0.0) <= tail else _crossing(at_most, tail, 0.0, reach)
@@ -125,6 +127,8 @@ class NormalScatter:
         if not scale > 0.0:
             return cls(0.0, 0.0, 0.0, 3.0)
         a = a / scale
+        # At t = exp(-70) and exp(70) the integrands, of order sqrt t and 1 / sqrt t, are below
+        # rounding.
         w = np.arange(-70.0, 70.0, 0.05)  # t = exp w: the sum over even steps converges at once
         t = np.exp(w)
         stretched = 1.0 + 2.0 * np.outer(t, a)
@@ -134,6 +138,7 @@ class NormalScatter:
         first = float(weight @ -np.expm1(-0.5 * np.log1p(2.0 * np.outer(t, a)).sum(axis=1)))
         lost = (a * (1.0 - phi[:, None] / stretched)).sum(axis=1)
         small = t < 1e-6
+        # The first term of the series in t, where the difference above has no digits left.
         lost[small] = t[small] * (1.0 + 2.0 * float(a @ a))
         third = float(weight @ lost)
         fourth = 1.0 + 2.0 * float(a @ a)
@@ -175,8 +180,8 @@ def repeatability(deviations: Array) -> Estimate:
     scatter = NormalScatter.of(np.atleast_2d(np.cov(deviations.T)))
     if not scatter.sd > 0.0:
         return Estimate(value, value, value)
-    found = spread_interval(value, scatter.degrees(n))
-    if found.low is None or found.high is None:
-        return found
+    interval = spread_interval(value, scatter.degrees(n))
+    if interval.low is None or interval.high is None:
+        return interval
     bias = math.sqrt(n / (n - 1.0))
-    return Estimate(value, bias * found.low, bias * found.high)
+    return Estimate(value, bias * interval.low, bias * interval.high)

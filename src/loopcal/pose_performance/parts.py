@@ -131,8 +131,8 @@ class ConditionPerformance:
         """Poses with the largest AP, AP after fitting the base, and RP."""
 
         def most(figure: Callable[[PosePerformance], Estimate | None]) -> PosePerformance | None:
-            known = [(e.value, pose) for pose in self.poses if (e := figure(pose)) is not None]
-            return max(known, key=lambda pair: pair[0])[1] if known else None
+            valued = [(e.value, pose) for pose in self.poses if (e := figure(pose)) is not None]
+            return max(valued, key=lambda pair: pair[0])[1] if valued else None
 
         worst = most(lambda pose: pose.accuracy)
         assert worst is not None  # a condition has poses

@@ -49,11 +49,12 @@ from loopcal.statistics.repeats import CLEAR, FEWEST, slow_p_value
 
 Array = NDArray[np.float64]
 AXES = ("x", "y", "z")
+# ISO 9283 measures five poses, P1 to P5.
 EVERY_PAIR = 5
-"""Up to so many poses the distance of every pair is given, beyond it those of successive poses."""
+"""Poses up to which the distance of every pair is given; beyond, those of successive poses."""
 USUAL_CYCLES = 30
 OTHER_FRAME = 30.0
-"""AP so many times larger before the fit than after: another frame was measured in."""
+"""Ratio of AP before and after the fit above which another frame was measured in."""
 
 
 def pose_performance(
@@ -68,14 +69,14 @@ def pose_performance(
     ones. Raises InputError for a pose that is not there, and for units that cannot be right.
     """
     errors = replace(errors or MeasuringErrors(), planar=attained.planar)
-    known = list(dict.fromkeys(attained.pose))
+    names = list(dict.fromkeys(attained.pose))
     for name in (name for pair in distances for name in pair):
-        if name not in known:
+        if name not in names:
             raise InputError(
                 f"there is no pose {name!r}",
                 code="unknown-name",
                 place=attained.file,
-                remedy=nearest(name, known),
+                remedy=nearest(name, names),
             )
     for one, other in distances:
         if one == other:
@@ -98,7 +99,9 @@ def _conditions(attained: AttainedPoses) -> Iterable[tuple[dict[str, str], NDArr
     rows: dict[tuple[str, ...], list[int]] = {}
     for i in range(len(attained)):
         rows.setdefault(tuple(values[i] for values in columns.values()), []).append(i)
-    return [(dict(zip(columns, key, strict=True)), np.array(its)) for key, its in rows.items()]
+    return [
+        (dict(zip(columns, key, strict=True)), np.array(indices)) for key, indices in rows.items()
+    ]
 
 
 class _Part:
@@ -112,11 +115,11 @@ class _Part:
         errors: MeasuringErrors,
     ) -> None:
         self.all, self.condition, self.errors = attained, condition, errors
-        found: dict[tuple[str, str | None], list[int]] = {}
+        rows_of_group: dict[tuple[str, str | None], list[int]] = {}
         for i in rows:
             direction = attained.direction[i] if attained.direction else None
-            found.setdefault((attained.pose[i], direction), []).append(i)
-        self.groups = [Group(*key, np.array(its)) for key, its in found.items()]
+            rows_of_group.setdefault((attained.pose[i], direction), []).append(i)
+        self.groups = [Group(*key, np.array(indices)) for key, indices in rows_of_group.items()]
         self.missing: list[str] = []
 
     def figures(self, distances: Sequence[tuple[str, str]]) -> ConditionPerformance:
@@ -162,10 +165,11 @@ class _Part:
             [np.square(part - part.mean(axis=0)).sum(axis=0) for part in series], axis=0
         )
         steps = np.sum([np.square(np.diff(part, axis=0)).sum(axis=0) for part in series], axis=0)
-        found = [
+        p_values = [
             slow_p_value(float(a), float(b), counts) for a, b in zip(square, steps, strict=True)
         ]
-        least = min((p for p in found if p is not None), default=1.0)
+        least = min((p for p in p_values if p is not None), default=1.0)
+        # Three coordinates are tested at once (Bonferroni).
         if least < CLEAR / 3.0:
             yield (
                 f"Successive cycles resemble each other (p = {least:.2g}): robot or instrument "
@@ -175,12 +179,12 @@ class _Part:
     def _pose(self, i: int, means: Means, base: FittedBase | None) -> PosePerformance:
         group = self.groups[i]
         readings = self.all.measured[group.rows]
-        found = repeatability(readings) if len(readings) > 1 else None
+        rp_estimate = repeatability(readings) if len(readings) > 1 else None
         alone = self.errors.of_reading(means.positions[i])
         instrument = None if alone is None else NormalScatter.of(alone).repeatability
         share = None
-        if instrument is not None and found is not None and found.value > 0.0:
-            share = (instrument / found.value) ** 2
+        if instrument is not None and rp_estimate is not None and rp_estimate.value > 0.0:
+            share = (instrument / rp_estimate.value) ** 2
         return PosePerformance(
             group.pose,
             group.direction,
@@ -188,7 +192,7 @@ class _Part:
             means.accuracy(i),
             None if base is None else base.accuracy(i, means),
             tuple((means.positions[i] - means.commanded[i]).tolist()),
-            found,
+            rp_estimate,
             instrument,
             share,
             tuple(self._axes(group, base)),
@@ -231,15 +235,15 @@ class _Part:
             if len(groups) < 2:
                 continue
             pairs = [*combinations(groups, 2)]
-            found = [self._between(a, b, 1.0 - (1.0 - LEVEL) / len(pairs)) for a, b in pairs]
-            lows = [e.low for e in found if e.low is not None]
-            highs = [e.high for e in found if e.high is not None]
-            whole = len(highs) == len(found)
+            distances = [self._between(a, b, 1.0 - (1.0 - LEVEL) / len(pairs)) for a, b in pairs]
+            lows = [e.low for e in distances if e.low is not None]
+            highs = [e.high for e in distances if e.high is not None]
+            whole = len(highs) == len(distances)
             yield DirectionVariation(
                 pose,
                 tuple(str(g.direction) for g in groups),
                 Estimate(
-                    max(e.value for e in found),
+                    max(e.value for e in distances),
                     max(lows) if whole else None,
                     max(highs) if whole else None,
                 ),
@@ -257,10 +261,10 @@ class _Part:
         """AD and RD from cycles in which both poses were measured."""
         rows: dict[str, dict[tuple[str, ...], int]] = {}
         for group in self.groups:
-            own = rows.setdefault(group.pose, {})
+            row_of_cycle = rows.setdefault(group.pose, {})
             for i in group.rows:
                 block = self.all.block[i] if self.all.block else ""
-                own[(self.all.cycle[i], group.direction or "", block)] = int(i)
+                row_of_cycle[(self.all.cycle[i], group.direction or "", block)] = int(i)
         pairs = [*asked]
         if not asked:
             pairs = [*(combinations(rows, 2) if len(rows) <= EVERY_PAIR else pairwise(rows))]
@@ -272,7 +276,7 @@ class _Part:
             if not both:
                 self.missing.append(f"AD and RD of {one} to {other}: no cycle has both.")
                 continue
-            i, k = (np.array([its[key] for key in both]) for its in at)
+            i, k = (np.array([row_of[key] for key in both]) for row_of in at)
             yield self._distance((one, other), i, k)
 
     def _distance(
@@ -283,13 +287,14 @@ class _Part:
         n = len(apart)
         sd = float(apart.std(ddof=1)) if n > 1 else 0.0
         ends = [self.all.measured[at].mean(axis=0) for at in (i, k)]
+        # Only errors along the line between the poses change their distance.
         along = (ends[0] - ends[1]) / max(float(np.linalg.norm(ends[0] - ends[1])), 1e-300)
         common = sum(float(along @ self.errors.of_point(end) @ along) for end in ends)
-        own = sd**2 / n
+        by_scatter = sd**2 / n
         accuracy = length_interval(
             np.array([apart.mean() - commanded]),
-            np.array([[own + common]]),
-            np.array([[own]]),
+            np.array([[by_scatter + common]]),
+            np.array([[by_scatter]]),
             n - 1.0,
         )
         return DistancePerformance(poses, n, commanded, accuracy, spread_interval(sd, n - 1.0, 3.0))
@@ -304,16 +309,16 @@ class _Part:
             measured, frame = measured @ base.rotation.T + base.shift, np.zeros_like(frame)
         offsets = measured - self.all.commanded
         seen = self.all.block, self.all.time
-        found = False
+        drifting = False
         for i, group in enumerate(self.groups):
             blocks = [b for b in blocks_of(group.rows, *seen) if len(b) > 1]
             if len(blocks) < 2:
                 continue
-            found = True
+            drifting = True
             common = means.shared[i] + frame[i]
             name = group.pose if group.direction is None else f"{group.pose}, {group.direction}"
             yield drift(name, blocks, offsets, common, seen)
-        if not found:
+        if not drifting:
             self.missing.append("Drift: it takes two blocks of cycles (20 cycles) of a pose.")
 
 
@@ -322,11 +327,12 @@ def _mean(values: Array, common: float) -> Estimate:
     n, value = len(values), float(values.mean())
     if n < 2:
         return Estimate(value, None, None)
-    own = float(values.var(ddof=1)) / n
-    if own + common == 0.0:
+    by_scatter = float(values.var(ddof=1)) / n
+    if by_scatter + common == 0.0:
         return Estimate(value, value, value)
-    degrees = np.inf if own == 0.0 else (n - 1.0) * ((own + common) / own) ** 2
-    reach = t_quantile(LEVEL, float(degrees)) * float(np.sqrt(own + common))
+    # Welch-Satterthwaite: the common part is stated, so its degrees of freedom are infinite.
+    degrees = np.inf if by_scatter == 0.0 else (n - 1.0) * ((by_scatter + common) / by_scatter) ** 2
+    reach = t_quantile(LEVEL, float(degrees)) * float(np.sqrt(by_scatter + common))
     return Estimate(value, value - reach, value + reach)
 
 
@@ -354,6 +360,7 @@ def _remarks(poses: Sequence[PosePerformance], other_frame: bool) -> Iterable[st
             "The measured positions seem to be in another frame than the commanded ones: use AP "
             "after fitting."
         )
+    # At a quarter of the variance the instrument's sd is half of the one that was measured.
     doubtful = [pose.name for pose in poses if (pose.instrument_share or 0.0) > 0.25]
     if doubtful:
         yield (

@@ -28,8 +28,8 @@ class Performance:
 
     def document(self) -> dict[str, Any]:
         """Plain data for JSON [m, rad, s]."""
-        found: dict[str, Any] = plain(self)
-        return {"method": METHOD, "coverage": 0.95, **found}
+        figures: dict[str, Any] = plain(self)
+        return {"method": METHOD, "coverage": 0.95, **figures}
 
     def __str__(self) -> str:
         poses = len({pose.pose for part in self.conditions for pose in part.poses})

@@ -15,13 +15,13 @@ Rows = Sequence[tuple[str, ...]]
 
 def headline(part: ConditionPerformance) -> str:
     """The largest AP and RP of a condition in one sentence."""
-    found = part.largest
-    accuracy, fitted, rough = found.figures
-    words = f"Largest AP {bounded(accuracy, 'm')} mm at {found.accuracy.name}"
-    if found.fitted is not None:
-        words += f", after fitting the base {bounded(fitted, 'm')} mm at {found.fitted.name}"
-    if found.repeatability is not None:
-        words += f". Largest RP {bounded(rough, 'm')} mm at {found.repeatability.name}"
+    largest = part.largest
+    accuracy, fitted, rough = largest.figures
+    words = f"Largest AP {bounded(accuracy, 'm')} mm at {largest.accuracy.name}"
+    if largest.fitted is not None:
+        words += f", after fitting the base {bounded(fitted, 'm')} mm at {largest.fitted.name}"
+    if largest.repeatability is not None:
+        words += f". Largest RP {bounded(rough, 'm')} mm at {largest.repeatability.name}"
     return f"{words}. Brackets hold the 95 % interval."
 
 
@@ -68,11 +68,11 @@ MOST_ROWS = 60
 
 def tables_of(part: ConditionPerformance) -> dict[str, Rows]:
     """Title -> rows with their header, of each kind of figure that there is."""
-    found: dict[str, Rows] = {"Poses": _pose_rows(part)}
+    tables: dict[str, Rows] = {"Poses": _pose_rows(part)}
     if any(pose.orientation for pose in part.poses):
         unit = unit_shown("rad")
         head = (f"orientation [{unit}]", "axis", "AP", "AP fitted", "RP +-")
-        found["Orientation"] = [head] + [
+        tables["Orientation"] = [head] + [
             (
                 pose.name,
                 axis.axis,
@@ -84,11 +84,11 @@ def tables_of(part: ConditionPerformance) -> dict[str, Rows]:
             for axis in pose.orientation
         ]
     if part.variations:
-        found["Directions"] = [("variation [mm]", "directions", "vAP")] + [
+        tables["Directions"] = [("variation [mm]", "directions", "vAP")] + [
             (v.pose, ", ".join(v.directions), bounded(v.variation, "m")) for v in part.variations
         ]
     if part.distances:
-        found["Distances"] = [("distance [mm]", "cycles", "commanded", "AD", "RD +-")] + [
+        tables["Distances"] = [("distance [mm]", "cycles", "commanded", "AD", "RD +-")] + [
             (
                 " to ".join(d.poses),
                 str(d.cycles),
@@ -99,7 +99,7 @@ def tables_of(part: ConditionPerformance) -> dict[str, Rows]:
             for d in part.distances
         ]
     if part.drifts:
-        found["Drift"] = [("drift [mm]", "blocks", "shift", "dAP", "dRP")] + [
+        tables["Drift"] = [("drift [mm]", "blocks", "shift", "dAP", "dRP")] + [
             (
                 d.pose,
                 str(len(d.blocks)),
@@ -109,7 +109,7 @@ def tables_of(part: ConditionPerformance) -> dict[str, Rows]:
             )
             for d in part.drifts
         ]
-    return found
+    return tables
 
 
 def _pose_rows(part: ConditionPerformance) -> Rows:
@@ -143,6 +143,7 @@ def bounded(estimate: Estimate | None, unit: str) -> str:
     assert value is not None
     if low is None or high is None:
         return f"{value:.4f}"
+    # A 95 % interval is four sds wide.
     quarter = (high - low) / 4.0
     if not quarter > NOTHING:
         return f"{value:.4f}"

@@ -25,35 +25,35 @@ _MOST = 200
 
 def deployed_figures(notes: Sequence[Deployed]) -> dict[str, Figure]:
     """Key -> figure."""
-    found = [_models(notes), *_corrections(notes), *_plans(notes)]
-    return {figure.key: figure for figure in found if figure is not None}
+    figures = [_models(notes), *_corrections(notes), *_plans(notes)]
+    return {figure.key: figure for figure in figures if figure is not None}
 
 
 def deployed_words(notes: Sequence[Deployed]) -> list[str]:
     """What was exported, corrected and planned, one sentence each."""
     words = []
     for note in notes:
-        its = note.document
+        document = note.document
         if note.kind == EXPORT:
-            lost = ", ".join(its["omitted"])
+            lost = ", ".join(document["omitted"])
             words.append(
-                f"Exported as {its['format']}: {', '.join(its['files'])}."
+                f"Exported as {document['format']}: {', '.join(document['files'])}."
                 + (f" Left out, because the format cannot hold it: {lost}." if lost else "")
             )
-            words += [str(warning) for warning in its["warnings"]]
+            words += [str(warning) for warning in document["warnings"]]
         elif note.kind == CORRECTION:
-            refused, left = its["refused"], len(its["not_understood"])
+            refused, left = document["refused"], len(document["not_understood"])
             words.append(
-                f"{its['file']} ({its['format']}): {its['corrected']} targets corrected, {refused} "
-                f"refused, {left} lines not understood."
+                f"{document['file']} ({document['format']}): {document['corrected']} targets "
+                f"corrected, {refused} refused, {left} lines not understood."
             )
-            words += [str(remark) for remark in its["remarks"]]
+            words += [str(remark) for remark in document["remarks"]]
         elif note.kind == PLAN:
-            last = its["expected"][-1]
-            expected = with_unit(last["end_point"], its["unit"])
+            last = document["expected"][-1]
+            expected = with_unit(last["end_point"], document["unit"])
             words.append(
-                f"Planned to add: {last['poses']} poses to {its['existing']} already measured. "
-                f"Expected sd of the end point then: {expected} rms."
+                f"Planned to add: {last['poses']} poses to {document['existing']} already "
+                f"measured. Expected sd of the end point then: {expected} rms."
             )
     return words
 
@@ -71,8 +71,8 @@ def deployed_tables(notes: Sequence[Deployed]) -> list[Table]:
 def _accuracy(models: Sequence[Mapping[str, Any]]) -> Table:
     rows = []
     for one in models:
-        here, away = one["measured"] or {}, one["from_full"] or {}
-        cells = [size(here.get(key), "m") for key in ("rms", "p95", "max")]
+        measured, away = one["measured"] or {}, one["from_full"] or {}
+        cells = [size(measured.get(key), "m") for key in ("rms", "p95", "max")]
         apart = away.get("rms")
         same = apart is not None and apart < _NOTHING
         rows.append((one["model"], *cells, "0" if same else size(apart, "m")))
@@ -81,9 +81,9 @@ def _accuracy(models: Sequence[Mapping[str, Any]]) -> Table:
     return Table(caption, head, tuple(rows))
 
 
-def _of_correction(its: Mapping[str, Any]) -> list[Table]:
+def _of_correction(correction: Mapping[str, Any]) -> list[Table]:
     rows = []
-    for one in its["targets"][:_MOST]:
+    for one in correction["targets"][:_MOST]:
         refused = one["refused"]
         rows.append(
             (
@@ -95,21 +95,22 @@ def _of_correction(its: Mapping[str, Any]) -> list[Table]:
                 refused["reason"] if refused else "outside" if one["extrapolated"] else "",
             )
         )
-    more = len(its["targets"]) - len(rows)
-    caption = f"Targets of {its['file']}" + (f"; {more} more are not listed" if more else "")
+    more = len(correction["targets"]) - len(rows)
+    caption = f"Targets of {correction['file']}" + (f"; {more} more are not listed" if more else "")
     turn = unit_shown("rad")
     head = ("target", "line", "error before [mm]", "U95 [mm]", f"U95 of the turn [{turn}]", "note")
     tables = [Table(caption, head, tuple(rows))]
     lines = [
         (str(one["line"]), f"refused: {one['refused']['words']}")
-        for one in its["targets"]
+        for one in correction["targets"]
         if one["refused"]
     ]
     lines += [
-        (str(one["line"]), f"not understood: {one['words']}") for one in its["not_understood"]
+        (str(one["line"]), f"not understood: {one['words']}")
+        for one in correction["not_understood"]
     ]
     if lines:
-        caption = f"Lines of {its['file']} that stay as they were"
+        caption = f"Lines of {correction['file']} that stay as they were"
         tables.append(Table(caption, ("line", "why"), tuple(lines[:_MOST])))
     return tables
 
@@ -117,29 +118,29 @@ def _of_correction(its: Mapping[str, Any]) -> list[Table]:
 def _models(notes: Sequence[Deployed]) -> Figure | None:
     exports = [note.document for note in notes if note.kind == EXPORT]
     models = exports[-1]["accuracy"] if exports else []
-    here = [one["measured"] or {} for one in models]
-    rms, most = (_MM * _numbers([one.get(key) for one in here]) for key in ("rms", "max"))
+    measured = [one["measured"] or {} for one in models]
+    rms, most = (_MM * _numbers([one.get(key) for one in measured]) for key in ("rms", "max"))
     return model_bars([one["model"] for one in models], rms, most) if models else None
 
 
 def _corrections(notes: Sequence[Deployed]) -> list[Figure | None]:
-    found = []
+    figures = []
     for number, note in enumerate((n for n in notes if n.kind == CORRECTION), 1):
-        its = note.document
-        before = _MM * _numbers([_length(one["error_before"]) for one in its["targets"]])
-        u95 = _MM * _numbers([one["u95_point"] for one in its["targets"]])
-        ids = [f"{one['target']}, line {one['line']}" for one in its["targets"]]
-        found.append(target_errors(f"targets_{number}", its["file"], ids, before, u95))
-    return found
+        correction = note.document
+        before = _MM * _numbers([_length(one["error_before"]) for one in correction["targets"]])
+        u95 = _MM * _numbers([one["u95_point"] for one in correction["targets"]])
+        ids = [f"{one['target']}, line {one['line']}" for one in correction["targets"]]
+        figures.append(target_errors(f"targets_{number}", correction["file"], ids, before, u95))
+    return figures
 
 
 def _plans(notes: Sequence[Deployed]) -> list[Figure | None]:
-    found = []
+    figures = []
     for note in notes:
         if note.kind != PLAN:
             continue
-        its, scale = note.document, factor(note.document["unit"])
-        curve, random = its["expected"], its["random"]
+        plan, scale = note.document, factor(note.document["unit"])
+        curve, random = plan["expected"], plan["random"]
         count = [one["poses"] for one in curve]
         lines = [
             Line(f"planned, {name}", count, _numbers([one[key] for one in curve]) / scale)
@@ -148,12 +149,13 @@ def _plans(notes: Sequence[Deployed]) -> list[Figure | None]:
         if random is not None:
             sds = _numbers(random["end_point"]) / scale
             lines.append(Line("random, rms", random["poses"], sds))
-        found.append(by_number(lines, unit_shown(its["unit"]), count[-1]))
-    return found
+        figures.append(by_number(lines, unit_shown(plan["unit"]), count[-1]))
+    return figures
 
 
 def _length(error: Sequence[float | None]) -> float | None:
     """Of the shift in an error of six components."""
+    # Null where the joints that the controller takes are unknown.
     if any(v is None for v in error[:3]):
         return None
     return float(np.linalg.norm(_numbers(error[:3])))

@@ -12,9 +12,8 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.estimation.accuracy import Apart, by_pose, deviations, main_distances
 from loopcal.figures.accuracy import distance_histogram, over_poses
-from loopcal.figures.correlations import correlations
 from loopcal.figures.figure import Figure, colours
-from loopcal.figures.parameters import Change, changes
+from loopcal.figures.parameters import Change, changes, correlations
 from loopcal.figures.sensors import drift, normalised
 from loopcal.figures.space import Machine, arrows
 from loopcal.mechanisms.outputs import point_outputs, points
@@ -34,7 +33,7 @@ def figures(source: Source) -> dict[str, Figure]:
         if (values := source.table.normalised.get(quantity)) is not None
     }
     shades = colours([*source.document.data.quantities, *source.table.differences_after])
-    found = [
+    possible_figures = [
         *_of_outputs(source),
         _residuals(source, shades),
         normalised(sensors, shades),
@@ -43,7 +42,7 @@ def figures(source: Source) -> dict[str, Figure]:
         _correlations(source.document),
     ]
     marks = _changed(source)
-    drawn = [figure for figure in found if figure is not None]
+    drawn = [figure for figure in possible_figures if figure is not None]
     return {f.key: f.marked(marks) if f.key in _OVER_POSES else f for f in drawn}
 
 
@@ -63,13 +62,13 @@ def _of_outputs(source: Source) -> list[Figure | None]:
     unit = accuracy.unit
     scale = factor(unit)
     lengths = [distances(source, differences) / scale for differences in (before, after)]
-    found = [distance_histogram(lengths[0], lengths[1], unit_shown(unit))]
+    drawn = [distance_histogram(lengths[0], lengths[1], unit_shown(unit))]
     seen = {"before": seen_points(source, before), "after": seen_points(source, after)}
     stages = {name: both.along for name, both in seen.items() if both is not None}
     if unit == "m" and (last := seen["after"]) is not None:
         machine, poses = _machine(source, last.at), source.table.poses
-        found.append(arrows(last.at, stages, machine, poses, unit_shown(unit), scale))
-    return found
+        drawn.append(arrows(last.at, stages, machine, poses, unit_shown(unit), scale))
+    return drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,49 +115,51 @@ def _residuals(source: Source, shades: Mapping[str, str]) -> Figure | None:
 
 def _unit(source: Source, quantity: str) -> str | None:
     """SI unit of a quantity, None where the mechanism is not known."""
-    known = source.document.mechanism or source.mechanism
-    return None if known is None else known.quantities.get(quantity)
+    mechanism = source.document.mechanism or source.mechanism
+    return None if mechanism is None else mechanism.quantities.get(quantity)
 
 
 def distances(source: Source, differences: Mapping[str, Array]) -> Array:
     """Distances of computed from measured outputs, of every instrument and pose."""
     apart = _apart(source, differences)
-    told = None if apart is None else main_distances(apart)
-    return _length(source, differences) if told is None else told.ravel()
+    lengths = None if apart is None else main_distances(apart)
+    return _length(source, differences) if lengths is None else lengths.ravel()
 
 
 def pose_distances(source: Source, differences: Mapping[str, Array]) -> Array:
     """(N,) the same of each pose: root mean square over the instruments that read it."""
     apart = _apart(source, differences)
-    told = None if apart is None else by_pose(apart)
-    return _length(source, differences) if told is None else told
+    lengths = None if apart is None else by_pose(apart)
+    return _length(source, differences) if lengths is None else lengths
 
 
 def _apart(source: Source, differences: Mapping[str, Array]) -> Sequence[Apart] | None:
     if source.mechanism is None or tuple(differences) != source.mechanism.compared:
         return None
-    given = np.array([*differences.values()])
-    lost = np.full(given.shape[1], np.nan)
+    rows = np.array([*differences.values()])
+    lost = np.full(rows.shape[1], np.nan)
     measured = np.array([source.table.readings.get(name, lost) for name in differences])
-    return deviations(source.mechanism, measured, given)
+    return deviations(source.mechanism, measured, rows)
 
 
 def _length(source: Source, differences: Mapping[str, Array]) -> Array:
     unit = source.document.accuracy and source.document.accuracy.unit
     alike = [d for name, d in differences.items() if _unit(source, name) in (None, unit)]
-    found: Array = np.linalg.norm(np.array(alike), axis=0)
-    return found
+    lengths: Array = np.linalg.norm(np.array(alike), axis=0)
+    return lengths
 
 
 def _machine(source: Source, points: Array) -> Machine | None:
     """The machine in the pose whose measured point lies nearest to the middle of all."""
     if source.mechanism is None:
         return None
+    # The median, which a lost point far away does not move.
     middle = np.nanmedian(points, axis=1, keepdims=True)
     away = np.square(points - middle).sum(axis=0)
     names = source.document.data.quantities
     columns = {q: source.table.readings[q] for q in names if q in source.table.readings}
     readings = {q: v for q, v in columns.items() if np.isfinite(v).any()}
+    # 0 * NaN is NaN: poses that lack a reading drop out.
     away = away + sum(0.0 * values for values in readings.values())
     if not np.isfinite(away).any():
         return None
@@ -174,10 +175,10 @@ def _parameters(document: ResultDocument) -> Figure | None:
     entries = [p for p in shown_parameters(document.parameters, document.terms) if not p.fixed]
     groups = []
     for unit in dict.fromkeys(p.unit for p in entries):
-        its = [p for p in entries if p.unit == unit]
-        off = np.array([p.value - p.nominal for p in its]) / factor(unit)
-        sds = np.array([np.nan if p.sd is None else p.sd for p in its]) / factor(unit)
-        groups.append(Change(unit_shown(unit), [p.name for p in its], off, sds))
+        group = [p for p in entries if p.unit == unit]
+        off = np.array([p.value - p.nominal for p in group]) / factor(unit)
+        sds = np.array([np.nan if p.sd is None else p.sd for p in group]) / factor(unit)
+        groups.append(Change(unit_shown(unit), [p.name for p in group], off, sds))
     return changes(groups)
 
 

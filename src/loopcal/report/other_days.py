@@ -45,59 +45,62 @@ def other_days(document: ResultDocument, notes: Sequence[Deployed]) -> OtherDays
     """What a result, if it is an update, and its notes say of other days."""
     words, figures = _update(document)
     tables: list[Table] = []
-    told = {VERIFICATION: _verification, HISTORY: _history, FLEET: _fleet}
-    for number, note in enumerate((n for n in notes if n.kind in told), 1):
+    section_of = {VERIFICATION: _verification, HISTORY: _history, FLEET: _fleet}
+    for number, note in enumerate((n for n in notes if n.kind in section_of), 1):
         try:
-            one = told[note.kind](note.document)
-        except (KeyError, TypeError, ValueError):
+            one = section_of[note.kind](note.document)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
+            # What a damaged note raises depends on the damage, since its content is not checked.
             words.append(f"A note of this {note.kind} is damaged. Run the command again.")
             continue
         words += one.words
-        figures += [replace(its, key=f"{key}_{number}") for key, its in one.figures.items()]
+        figures += [replace(figure, key=f"{key}_{number}") for key, figure in one.figures.items()]
         tables += one.tables
     return OtherDays(words, {figure.key: figure for figure in figures}, tables)
 
 
 def _update(document: ResultDocument) -> tuple[list[str], list[Figure]]:
     """By how much an update narrowed what the earlier calibration knew."""
-    known = [
+    estimates = [
         (p.name, p.unit, p.prior_sd, p.sd)
         for p in shown_parameters(document.parameters, document.terms)
         if not p.fixed and p.prior_sd and p.sd
     ]
-    if document.method_label != UPDATED or not known:
+    if document.method_label != UPDATED or not estimates:
         return [], []
-    shares = [sd / before for _, _, before, sd in known]
+    shares = [sd / before for _, _, before, sd in estimates]
     words = (
-        f"This result updates an earlier calibration: the sds of {len(known)} parameters are "
+        f"This result updates an earlier calibration: the sds of {len(estimates)} parameters are "
         f"{significant(min(shares), 2)} to {significant(max(shares), 2)} times those before."
     )
     drawn = []
-    for unit in dict.fromkeys(unit for _, unit, _, _ in known):
-        its = [one for one in known if one[1] == unit]
-        sds = np.array([[in_unit(v, unit) for v in one[2:]] for one in its])
+    for unit in dict.fromkeys(unit for _, unit, _, _ in estimates):
+        group = [one for one in estimates if one[1] == unit]
+        sds = np.array([[in_unit(v, unit) for v in one[2:]] for one in group])
         key = f"sds_{UNITS.get(unit, 'others')}"
-        drawn.append(narrowed(key, unit_shown(unit), [one[0] for one in its], *sds.T))
+        drawn.append(narrowed(key, unit_shown(unit), [one[0] for one in group], *sds.T))
     return [words], [figure for figure in drawn if figure is not None]
 
 
-def _verification(its: Mapping[str, Any]) -> OtherDays:
-    file, answers = its["readings"], its["verdict"]
-    words = [f"{file}, {its['poses']} poses: {answers['headline']}"]
+def _verification(document: Mapping[str, Any]) -> OtherDays:
+    file, answers = document["readings"], document["verdict"]
+    words = [f"{file}, {document['poses']} poses: {answers['headline']}"]
     words += [
         f"{file}: {answer['next']}"
         for name, answer in answers.items()
         if name != "headline" and answer["next"] and answer["passed"] is False
     ]
-    tables = [_accuracy(file, its["accuracy"])]
-    if its["changes"] is None:
+    tables = [_accuracy(file, document["accuracy"])]
+    if document["changes"] is None:
         return OtherDays(words, {}, tables)
-    found = WhatChanged.from_document(its["changes"], its["chi_squared"])
-    drawn = [replace(one, title=f"{one.title}: {file}") for one in change_figures(found)]
-    return OtherDays(words, {one.key: one for one in drawn}, [_changes(file, found), *tables])
+    what_changed = WhatChanged.from_document(document["changes"], document["chi_squared"])
+    drawn = [replace(one, title=f"{one.title}: {file}") for one in change_figures(what_changed)]
+    return OtherDays(
+        words, {one.key: one for one in drawn}, [_changes(file, what_changed), *tables]
+    )
 
 
-def _changes(file: str, found: WhatChanged) -> Table:
+def _changes(file: str, what_changed: WhatChanged) -> Table:
     rows = [
         (
             one.where,
@@ -107,32 +110,34 @@ def _changes(file: str, found: WhatChanged) -> Table:
             chance(one.p_value),
             ", ".join(other.words for other in one.alike),
         )
-        for one in found.found
+        for one in what_changed.found
     ]
     if not rows:
-        rows = [("no change is seen", "", "", "", chance(found.test.p_value), "")]
+        rows = [("no change is seen", "", "", "", chance(what_changed.test.p_value), "")]
     head = ("what changed", "change", "U95", "unit", "p", "not distinguishable at these poses")
     return Table(f"What changed: {file}", head, tuple(rows))
 
 
-def _accuracy(file: str, its: Mapping[str, Any]) -> Table:
-    unit = its["unit"]
+def _accuracy(file: str, accuracy: Mapping[str, Any]) -> Table:
+    unit = accuracy["unit"]
     rows = tuple(
-        (name, *distances_shown(Distances(**its[name]), unit))
+        (name, *distances_shown(Distances(**accuracy[name]), unit))
         for name in ("nominal", "calibrated", "expected")
-        if its[name] is not None
+        if accuracy[name] is not None
     )
     head = ("machine", f"mean [{unit_shown(unit)}]", "rms", "95 %", "max")
     return Table(f"Accuracy: {file}", head, rows)
 
 
-def _history(its: Mapping[str, Any]) -> OtherDays:
-    found = History.from_document(its)
-    figures = {one.key: one for one in history_figures(found)}
-    return OtherDays([], figures, [replace(history_table(found), caption="History of the machine")])
+def _history(document: Mapping[str, Any]) -> OtherDays:
+    history = History.from_document(document)
+    figures = {one.key: one for one in history_figures(history)}
+    return OtherDays(
+        [], figures, [replace(history_table(history), caption="History of the machine")]
+    )
 
 
-def _fleet(its: Mapping[str, Any]) -> OtherDays:
-    found = Fleet.from_document(its)
-    figure = fleet_figure(found)
-    return OtherDays([fleet_words(found)], {figure.key: figure}, fleet_tables(found))
+def _fleet(document: Mapping[str, Any]) -> OtherDays:
+    fleet = Fleet.from_document(document)
+    figure = fleet_figure(fleet)
+    return OtherDays([fleet_words(fleet)], {figure.key: figure}, fleet_tables(fleet))

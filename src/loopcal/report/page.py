@@ -13,19 +13,18 @@ import numpy as np
 from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
+from loopcal.document.verdict import UNJUDGED
 from loopcal.errors import UsageError
 from loopcal.estimation.inherited import UPDATED
 from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import Result
-from loopcal.figures.figure import plotly_javascript
 from loopcal.files.result.deployed import OTHER_DAYS
 from loopcal.report import tables, top
 from loopcal.report.deployed import deployed_figures, deployed_tables, deployed_words
 from loopcal.report.drawn import distances, figures
 from loopcal.report.parameters import parameter_groups
 from loopcal.report.source import Source, source_of
-from loopcal.report.templates import environment, part, sha256
-from loopcal.statistics.verdict import verdict_of
+from loopcal.report.templates import page
 
 if TYPE_CHECKING:
     from loopcal.report.other_days import OtherDays
@@ -52,25 +51,19 @@ def report_html(sources: Sequence[Source]) -> str:
         raise UsageError(
             f"{len(sources)} results for one report", remedy=f"give from 1 to {MOST} of them"
         )
-    program, drawing = plotly_javascript(), part("draw.js")
     several = len(sources) > 1
     if len({source.name for source in sources}) < len(sources):
+        # Folders of one name: a number distinguishes them.
         sources = [
             replace(source, name=f"{n}: {source.name}") for n, source in enumerate(sources, 1)
         ]
-    return (
-        environment()
-        .get_template("report.html")
-        .render(
-            title=", ".join(dict.fromkeys(source.title for source in sources)),
-            results=[_result(source, number) for number, source in enumerate(sources, 1)],
-            comparison=tables.comparison_table(sources) if several else None,
-            questions=QUESTIONS,
-            style=part("style.css"),
-            program=program,
-            drawing=drawing,
-            hashes=" ".join(f"'sha256-{sha256(text)}'" for text in (program, drawing)),
-        )
+    return page(
+        "report.html",
+        title=", ".join(dict.fromkeys(source.title for source in sources)),
+        results=[_result(source, number) for number, source in enumerate(sources, 1)],
+        comparison=tables.comparison_table(sources) if several else None,
+        questions=QUESTIONS,
+        about={},
     )
 
 
@@ -82,7 +75,8 @@ def page_of(result: Result, folder: str | Path) -> Callable[[ResultDocument], st
 def _result(source: Source, number: int) -> dict[str, Any]:
     """What the template says of one result."""
     document = source.document
-    verdict, later = document.verdict or verdict_of(document), _later(source)
+    later = _later(source)
+    verdict = UNJUDGED if document.verdict is None else document.verdict
     before, after = (
         distances(source, d) if d else np.empty(0)
         for d in (source.table.differences_before, source.table.differences_after)
@@ -94,8 +88,11 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "document": document,
         "verdict": verdict,
         "headline": verdict.headline,
-        "against": top.against(document),
-        "record": top.record(document),
+        "findings": {
+            question: [one for one in document.findings if one.question == question]
+            for question in QUESTIONS
+        },
+        "record": top.record(source),
         "bars": top.accuracy_bars(document),
         "region": top.region_bars(source),
         "figures": figures(source)
@@ -113,7 +110,7 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "sensors": tables.sensor_table(source),
         "reliability": tables.reliability_table(document),
         "terms": tables.term_table(document),
-        "learnt": [words for term in document.terms for words in term.told],
+        "learnt": [words for term in document.terms for words in term.sentences],
         "parameters": parameter_groups(source),
         "outliers": tables.outlier_table(document),
         "facts": tables.facts_table(document),
@@ -135,15 +132,17 @@ def _later(source: Source) -> OtherDays | None:
 def identifiability_words(document: ResultDocument) -> list[str]:
     """Which directions the poses determine, which hardly, which not at all.
 
-    Of those that a parameter of the learnt model error takes part in none is listed: its learnt sd
-    holds them, and nobody can do anything about them.
+    Those that a parameter of the learnt model error takes part in are left out. Its learnt sd holds
+    them, so there is nothing to do about them.
     """
-    found = document.identifiability
+    identifiability = document.identifiability
     shown = {p.name for p in shown_parameters(document.parameters, document.terms)}
-    words = [f"{found.rank} of {found.parameters} parameters are determined."]
-    words += [f"Not determined: {entry.words}" for entry in found.not_identifiable]
-    weak = found.weak_directions or ()
+    words = [f"{identifiability.rank} of {identifiability.parameters} parameters are determined."]
+    words += [f"Not determined: {entry.words}" for entry in identifiability.not_identifiable]
+    weak = identifiability.weak_directions or ()
     words += [entry.words for entry in weak if shown.issuperset(entry.combination)]
-    learned = [entry for entry in found.data_versus_prior or () if entry.parameter in shown]
+    learned = [
+        entry for entry in identifiability.data_versus_prior or () if entry.parameter in shown
+    ]
     words += [entry.words for entry in learned if entry.ratio > LITTLE]
     return words

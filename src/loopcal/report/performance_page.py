@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from loopcal.figures.bars import Bars
-from loopcal.figures.figure import Figure, plotly_javascript
+from loopcal.figures.figure import Figure
 from loopcal.figures.pose_performance import (
     SHADES,
     Cloud,
@@ -16,14 +16,13 @@ from loopcal.figures.pose_performance import (
     pose_bars,
     scatter,
 )
-from loopcal.files.versions import version
 from loopcal.measurements.attained import AttainedPoses
 from loopcal.pose_performance.intervals import Estimate
 from loopcal.pose_performance.parts import ConditionPerformance
 from loopcal.pose_performance.result import METHOD, Performance
 from loopcal.pose_performance.summary import headline, overview, tables_of
 from loopcal.report.tables import Table
-from loopcal.report.templates import environment, part, sha256
+from loopcal.report.templates import page
 
 MM = 1e3
 MOST_PANELS = 30
@@ -32,60 +31,53 @@ MOST_PANELS = 30
 
 def performance_html(done: Performance, attained: AttainedPoses) -> str:
     """One self-contained page; nothing in it is asked of any network."""
-    program, drawing = plotly_javascript(), part("draw.js")
-    return (
-        environment()
-        .get_template("performance.html")
-        .render(
-            title=f"Pose performance of {done.file}",
-            version=version(),
-            method=METHOD,
-            measurements=done.measurements,
-            all=_overview(done.conditions),
-            conditions=[_condition(c, attained, n) for n, c in enumerate(done.conditions, 1)],
-            notes=done.notes,
-            style=part("style.css"),
-            program=program,
-            drawing=drawing,
-            hashes=" ".join(f"'sha256-{sha256(text)}'" for text in (program, drawing)),
-        )
+    return page(
+        "performance.html",
+        title=f"Pose performance of {done.file}",
+        about={"file": done.file, "measurements": done.measurements},
+        method=METHOD,
+        all=_overview(done.conditions),
+        conditions=[_condition(c, attained, n) for n, c in enumerate(done.conditions, 1)],
+        notes=done.notes,
     )
 
 
-def _condition(found: ConditionPerformance, attained: AttainedPoses, number: int) -> dict[str, Any]:
-    figures = [_bars(found), *_scatter(found, attained), _drift(found)]
+def _condition(
+    performance: ConditionPerformance, attained: AttainedPoses, number: int
+) -> dict[str, Any]:
+    figures = [_bars(performance), *_scatter(performance, attained), _drift(performance)]
     return {
         "id": f"c{number}",
-        "name": found.name,
-        "headline": headline(found),
+        "name": performance.name,
+        "headline": headline(performance),
         "figures": {figure.key: figure for figure in figures if figure is not None},
         "tables": [
             Table(title, tuple(rows[0]), tuple(tuple(row) for row in rows[1:]))
-            for title, rows in tables_of(found).items()
+            for title, rows in tables_of(performance).items()
         ],
-        "notes": found.notes,
-        "missing": found.missing,
+        "notes": performance.notes,
+        "missing": performance.missing,
     }
 
 
-def _overview(found: Sequence[ConditionPerformance]) -> dict[str, Any] | None:
+def _overview(conditions: Sequence[ConditionPerformance]) -> dict[str, Any] | None:
     """All payloads and speeds side by side; None for one condition."""
-    rows = overview(found)
+    rows = overview(conditions)
     if not rows:
         return None
-    figures = zip(*(part.largest.figures for part in found), strict=True)
-    drawn = condition_bars([part.name for part in found], _series(figures))
+    figures = zip(*(part.largest.figures for part in conditions), strict=True)
+    drawn = condition_bars([part.name for part in conditions], _series(figures))
     table = Table("Largest figures by condition", tuple(rows[0]), tuple(map(tuple, rows[1:])))
     return {"id": "all", "figures": {drawn.key: drawn}, "table": table}
 
 
-def _bars(found: ConditionPerformance) -> Figure:
+def _bars(performance: ConditionPerformance) -> Figure:
     figures = (
-        [pose.accuracy for pose in found.poses],
-        [pose.accuracy_fitted for pose in found.poses],
-        [pose.repeatability for pose in found.poses],
+        [pose.accuracy for pose in performance.poses],
+        [pose.accuracy_fitted for pose in performance.poses],
+        [pose.repeatability for pose in performance.poses],
     )
-    return pose_bars([pose.name for pose in found.poses], _series(figures))
+    return pose_bars([pose.name for pose in performance.poses], _series(figures))
 
 
 def _series(figures: Iterable[Sequence[Estimate | None]]) -> list[Bars]:
@@ -103,25 +95,28 @@ def _series(figures: Iterable[Sequence[Estimate | None]]) -> list[Bars]:
     ]
 
 
-def _scatter(found: ConditionPerformance, attained: AttainedPoses) -> list[Figure]:
+def _scatter(performance: ConditionPerformance, attained: AttainedPoses) -> list[Figure]:
     offsets = MM * (attained.measured - attained.commanded)
     clouds = []
-    for pose in found.poses[:MOST_PANELS]:
+    for pose in performance.poses[:MOST_PANELS]:
         rows = [
             i
             for i in range(len(attained))
             if attained.pose[i] == pose.pose
             and (attained.direction is None or attained.direction[i] == pose.direction)
-            and all(v[i] == found.condition[k] for k, v in (attained.conditions or {}).items())
+            and all(
+                v[i] == performance.condition[k] for k, v in (attained.conditions or {}).items()
+            )
         ]
         radius = None if pose.repeatability is None else MM * pose.repeatability.value
         clouds.append(Cloud(pose.name, offsets[rows], radius))
     return [scatter(clouds, plane) for plane in ((0, 1), (0, 2))[: 1 if attained.planar else 2]]
 
 
-def _drift(found: ConditionPerformance) -> Figure | None:
-    timed = all(block.time is not None for drift in found.drifts for block in drift.blocks)
-    longest = max((b.time or 0.0 for d in found.drifts for b in d.blocks), default=0.0)
+def _drift(performance: ConditionPerformance) -> Figure | None:
+    # All by time or all by number: one axis cannot hold both.
+    timed = all(block.time is not None for drift in performance.drifts for block in drift.blocks)
+    longest = max((b.time or 0.0 for d in performance.drifts for b in d.blocks), default=0.0)
     divisor, unit = (3600.0, "time [h]") if longest > 7200.0 else (60.0, "time [min]")
     courses = [
         Course(
@@ -133,6 +128,6 @@ def _drift(found: ConditionPerformance) -> Figure | None:
             [MM * block.accuracy.value for block in drift.blocks],
             [MM * block.repeatability.value for block in drift.blocks],
         )
-        for drift in found.drifts[:MOST_PANELS]
+        for drift in performance.drifts[:MOST_PANELS]
     ]
     return drift_courses(courses, unit if timed else "block of cycles")

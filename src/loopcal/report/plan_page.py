@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.figures.figure import Figure, plotly_javascript
+from loopcal.figures.figure import Figure
 from loopcal.figures.planning import Line, by_number, chosen_points, parameters_by_number
 from loopcal.figures.space import Machine
-from loopcal.files.versions import version
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, points
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
@@ -16,30 +15,22 @@ from loopcal.planning.planned import Plan
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import SHOWN, factor, in_unit, size, unit_shown
 from loopcal.report.tables import Table
-from loopcal.report.templates import environment, part, sha256
+from loopcal.report.templates import page
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
 
 
-def plan_html(plan: Plan, title: str, mechanism: Mechanism) -> str:
-    """The page: nothing in it is asked of any network."""
-    program, drawing = plotly_javascript(), part("draw.js")
+def plan_html(plan: Plan, title: str, mechanism: Mechanism, file: str) -> str:
+    """The page; file: the project."""
     figures = [_curve(plan), _chosen(plan, mechanism), _parameters(plan)]
-    return (
-        environment()
-        .get_template("plan.html")
-        .render(
-            title=title,
-            version=version(),
-            words=plan.summary(),
-            plan={"id": "plan", "figures": {f.key: f for f in figures if f is not None}},
-            tables=[_poses(plan), _sds(plan)],
-            style=part("style.css"),
-            program=program,
-            drawing=drawing,
-            hashes=" ".join(f"'sha256-{sha256(text)}'" for text in (program, drawing)),
-        )
+    return page(
+        "plan.html",
+        title=f"Plan: {title}",
+        about={"file": file, "poses": len(plan.use)},
+        words=plan.summary(),
+        plan={"id": "plan", "figures": {f.key: f for f in figures if f is not None}},
+        tables=[_poses(plan), _sds(plan)],
     )
 
 
@@ -76,6 +67,7 @@ def _chosen(plan: Plan, mechanism: Mechanism) -> Figure | None:
     try:
         lines = skeleton(mechanism, readings)
     except KeyError:
+        # A joint that the plan does not state.
         lines = None
     machine = None if lines is None else Machine(lines, skeleton_labels(mechanism))
     return chosen_points(at, plan.use, plan.poses.poses, machine)

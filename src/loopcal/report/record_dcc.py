@@ -46,6 +46,7 @@ _CONDITIONS = ("temperature", "payload", "warm_up", "speed")
 _STATEMENTS = ("traceability", "deviations", "accreditation", "note")
 _DAYS = re.compile(r"(\d{4}-\d{2}-\d{2})(?:\s*(?:/|to|–|until)\s*(\d{4}-\d{2}-\d{2}))?")
 _COUNTRY = re.compile("[A-Z]{2}")
+# All but the characters that XML 1.0 allows (section 2.2, Char).
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _BEFORE = "Before adjustment: nominal parameters"
 _AFTER = "After adjustment: calibrated parameters"
@@ -92,9 +93,11 @@ def record_dcc(content: RecordContent, page: str) -> str:
             _of("dcc:dataBase64", text=b64encode(page.encode("utf-8")).decode("ascii")),
         ),
     )
+    # Prefixes are set by hand: ElementTree would call them ns0 and ns1.
     root.set("xmlns:dcc", "https://ptb.de/dcc")
     root.set("xmlns:si", "https://ptb.de/si")
     root.set("schemaVersion", VERSION)
+    # Ahead of the seal, which is that of the text as it is written.
     ElementTree.indent(root)
     body = ElementTree.tostring(root, encoding="unicode")
     return sealed(f'<?xml version="1.0" encoding="UTF-8"?>\n{body}\n')
@@ -126,11 +129,11 @@ def _check(content: RecordContent) -> None:
 
 def _days(text: str, key: str) -> tuple[str, str]:
     """First and last day of "2026-11-02" or "2026-11-02 to 2026-11-04"."""
-    found = _DAYS.fullmatch(text)
+    match = _DAYS.fullmatch(text)
     try:
-        if found is None or (key != "date" and found[2] is not None):
+        if match is None or (key != "date" and match[2] is not None):
             raise ValueError
-        first, last = (date.fromisoformat(day) for day in (found[1], found[2] or found[1]))
+        first, last = (date.fromisoformat(day) for day in (match[1], match[2] or match[1]))
         if last < first:
             raise ValueError
     except ValueError:
@@ -262,7 +265,7 @@ def _statements(content: RecordContent) -> Iterator[Element]:
     for warning in content.document.warnings:
         yield statement("Warning", warning)
     answer = verdict.tolerance
-    if answer.code != "no-tolerance":
+    if answer.asked:
         word = {True: "pass", False: "fail", None: None}[answer.passed]
         conformity = None if word is None else _of("dcc:conformity", text=word)
         open_ = "No decision. " if word is None else ""
@@ -306,13 +309,13 @@ def _equipment(content: RecordContent) -> Iterator[Element]:
 
 
 def _conditions(content: RecordContent) -> Iterator[Element]:
-    found = [
+    conditions = [
         _condition(key.replace("_", "-").capitalize(), content.texts[key])
         for key in (*_CONDITIONS, "place")
         if key in content.texts
     ]
-    if found:
-        yield _of("dcc:influenceConditions", *found)
+    if conditions:
+        yield _of("dcc:influenceConditions", *conditions)
 
 
 def _condition(name: str, words: str, status: str | None = None) -> Element:
@@ -363,16 +366,18 @@ def _result(name: str, data: Sequence[Element]) -> Element:
 def _distances(stage: RecordStage, content: RecordContent) -> Element:
     accuracy = content.document.accuracy
     assert accuracy is not None  # it has stages
-    found, unit, band = stage.distances, accuracy.unit, stage.band
+    distances, unit, band = stage.distances, accuracy.unit, stage.band
     ends = () if band is None else (band.low, band.high)
     return _of(
         "dcc:list",
         _text("dcc:name", stage.name, "en"),
         _quantity("Poses", _real(float(stage.poses), "1")),
-        _quantity("Mean", _real(found.mean, unit)),
-        _quantity("Root mean square", _real(found.rms, unit)),
-        _quantity("Not exceeded by 95 % of poses", _real(found.p95, unit, _interval(unit, *ends))),
-        _quantity("Largest", _real(found.max, unit)),
+        _quantity("Mean", _real(distances.mean, unit)),
+        _quantity("Root mean square", _real(distances.rms, unit)),
+        _quantity(
+            "Not exceeded by 95 % of poses", _real(distances.p95, unit, _interval(unit, *ends))
+        ),
+        _quantity("Largest", _real(distances.max, unit)),
     )
 
 
@@ -384,10 +389,10 @@ def _parameter(entry: ParameterEntry, *, before: bool) -> Element:
         return _quantity(entry.name, _real(entry.nominal, entry.unit), held)
     if wide is None:
         return _quantity(entry.name, _text("dcc:noQuantity", "not determined", "en"))
-    its = in_dsi(entry.value, entry.unit, wide.u).sizes[0]
+    expanded_u = in_dsi(entry.value, entry.unit, wide.u).sizes[0]
     uncertainty = _of(
         "si:expandedMU",
-        _of("si:valueExpandedMU", text=_number(its)),
+        _of("si:valueExpandedMU", text=_number(expanded_u)),
         _of("si:coverageFactor", text=f"{wide.k:.4f}"),
         _of("si:coverageProbability", text=f"{SIGMAS_2:.4f}"),
         _of(
@@ -418,12 +423,12 @@ def _quantity(name: str, value: Element, words: str | None = None) -> Element:
 
 
 def _real(value: float, unit: str, uncertainty: Element | None = None) -> Element:
-    its = in_dsi(value, unit)
+    dsi = in_dsi(value, unit)
     wide = None if uncertainty is None else _of("si:measurementUncertaintyUnivariate", uncertainty)
     return _of(
         "si:real",
-        _of("si:value", text=_number(its.value)),
-        _of("si:unit", text=its.unit),
+        _of("si:value", text=_number(dsi.value)),
+        _of("si:unit", text=dsi.unit),
         wide,
     )
 

@@ -17,7 +17,7 @@ from loopcal.report.record_content import (
 )
 from loopcal.report.tables import Table
 from loopcal.report.templates import environment, part
-from loopcal.report.top import accuracy_bars
+from loopcal.report.top import accuracy_bars, readings
 
 
 def record_page(content: RecordContent) -> str:
@@ -42,8 +42,9 @@ def record_page(content: RecordContent) -> str:
             adjustment=texts.get("adjustment", UNSTATED),
             note=texts.get("note"),
             document=content.document,
+            readings=readings(content.document),
             verdict=verdict,
-            decided=verdict.tolerance.code != "no-tolerance",
+            decided=verdict.tolerance.asked,
             rule=RULE,
             drawn=accuracy_bars(content.document),
             accuracy=_accuracy(content),
@@ -66,10 +67,10 @@ def _accuracy(content: RecordContent) -> Table | None:
     unit = accuracy.unit
     rows = []
     for stage in content.stages:
-        found, band = stage.distances, stage.band
+        distances, band = stage.distances, stage.band
         within = NONE if band is None else f"{size(band.low, unit)} to {size(band.high, unit)}"
-        shown = [size(value, unit) for value in (found.mean, found.rms, found.p95)]
-        rows.append((stage.name, str(stage.poses), *shown, within, size(found.max, unit)))
+        shown = [size(value, unit) for value in (distances.mean, distances.rms, distances.p95)]
+        rows.append((stage.name, str(stage.poses), *shown, within, size(distances.max, unit)))
     if accuracy.noise_floor is not None:
         floor = size(accuracy.noise_floor, unit)
         rows.append(("noise of the readings", NONE, NONE, floor, *[NONE] * 3))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 
 from loopcal.document.result_document import MechanismEntry, ResultDocument
@@ -12,6 +13,7 @@ from loopcal.files.result.deployed import Deployed, read_deployed
 from loopcal.files.result.pose_table import PoseTable, pose_table, read_pose_table
 from loopcal.files.result.result_file import read_result
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.report.templates import today
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +22,7 @@ class Source:
 
     name: what distinguishes it from others; document: of result.json; table: of residuals.csv;
     mechanism: the calibrated one, None where only its author's code has it; deployed: what was made
-    of it since.
+    of it since; written: the day on which the result was.
     """
 
     name: str
@@ -28,6 +30,7 @@ class Source:
     table: PoseTable
     mechanism: Mechanism | None
     deployed: tuple[Deployed, ...] = ()
+    written: str = field(default_factory=today)
 
     @property
     def title(self) -> str:
@@ -54,4 +57,6 @@ def read_source(path: str | Path) -> Source:
     if names is None and mechanism is not None:
         names = MechanismEntry.of(mechanism)
     table = read_pose_table(path.with_name("residuals.csv"), names)
-    return Source(path.absolute().parent.name, document, table, mechanism, read_deployed(path))
+    written = date.fromtimestamp(path.stat().st_mtime).isoformat()
+    name, deployed = path.absolute().parent.name, read_deployed(path)
+    return Source(name, document, table, mechanism, deployed, written)

@@ -10,14 +10,13 @@ import numpy as np
 from loopcal.estimation.result import Result
 from loopcal.figures.accuracy import over_poses
 from loopcal.figures.distributions import ErrorBar, error_bars
-from loopcal.figures.figure import Figure, plotly_javascript
+from loopcal.figures.figure import Figure
 from loopcal.figures.space import arrows
 from loopcal.files.atomic import write_files
-from loopcal.files.versions import version
 from loopcal.presentation.shown import in_unit, percent, size, unit_shown
 from loopcal.report.tables import Table
-from loopcal.report.templates import environment, part, sha256
-from loopcal.studies.example import first_draw
+from loopcal.report.templates import page
+from loopcal.studies.draws import first_draw
 from loopcal.studies.paired import Paired
 from loopcal.studies.run import StudyDone
 from loopcal.studies.tables import MethodTable, ScenarioTable, Spread
@@ -38,26 +37,21 @@ def write_study_page(done: StudyDone) -> None:
 
 def study_html(done: StudyDone) -> str:
     """The page: nothing in it is asked of any network."""
-    program, drawing = plotly_javascript(), part("draw.js")
     made = done.tables
     of_name = {scenario.name: scenario for scenario in done.study.scenarios}
-    return (
-        environment()
-        .get_template("study.html")
-        .render(
-            title=made.title,
-            version=version(),
-            draws=made.draws,
-            seed=made.seed,
-            scenarios=[
-                _scenario(table, number, first_draw(of_name[table.scenario], made.seed))
-                for number, table in enumerate(made.scenarios, 1)
-            ],
-            style=part("style.css"),
-            program=program,
-            drawing=drawing,
-            hashes=" ".join(f"'sha256-{sha256(text)}'" for text in (program, drawing)),
-        )
+    return page(
+        "study.html",
+        title=made.title,
+        about={
+            "folder": done.folder.name,
+            "poses": ", ".join(dict.fromkeys(str(t.poses) for t in made.scenarios)),
+        },
+        draws=made.draws,
+        seed=made.seed,
+        scenarios=[
+            _scenario(table, number, first_draw(of_name[table.scenario], made.seed))
+            for number, table in enumerate(made.scenarios, 1)
+        ],
     )
 
 
@@ -84,36 +78,41 @@ def words(table: ScenarioTable) -> list[str]:
     """What the draws show in plain words, where a method does not help as well."""
     if all(s.rms < ROUNDING for method in table.methods for s in method.spreads):
         return [f"Every error is rounding, below {ROUNDING:g} m or rad: all methods are right."]
-    told = []
+    sentences = []
     for pair in table.paired:
         first, second = pair.methods
         said = [a for a in pair.advantages if a.ratio is not None and a.ratio_high is not None]
+        # The limits are the 5 % of the sentence below.
         better = [a.name for a in said if (a.ratio_high or 0.0) < 0.95]
         worse = [a.name for a in said if (a.ratio_low or 0.0) > 1.05]
         alike = [a.name for a in said if a.name not in (*better, *worse)]
         least = min((a.ratio or 0.0 for a in said if a.name in better), default=None)
         if better:
-            told.append(
+            sentences.append(
                 f"{first} has smaller rms errors than {second} in {', '.join(better)} "
                 f"(down to {least:.2g} of them)."
             )
         if alike:
-            told.append(f"It does not help, within 5 %, in {', '.join(alike)}.")
+            sentences.append(f"It does not help, within 5 %, in {', '.join(alike)}.")
         if worse:
-            told.append(f"It is worse in {', '.join(worse)}.")
+            sentences.append(f"It is worse in {', '.join(worse)}.")
     for method in table.methods:
         failed = sum(method.failures.values())
         if failed:
-            told.append(f"{method.method} did not converge in {failed} of {method.draws} draws.")
+            sentences.append(
+                f"{method.method} did not converge in {failed} of {method.draws} draws."
+            )
         if method.other_optimum:
-            told.append(f"{method.method} ended at another optimum in {method.other_optimum}.")
+            sentences.append(f"{method.method} ended at another optimum in {method.other_optimum}.")
         low = [s.name for s in method.spreads if s.held < 0.9 and s.bias != 0.0]
         if low:
-            told.append(f"Intervals of {method.method} too narrow: {', '.join(low)}.")
+            sentences.append(f"Intervals of {method.method} too narrow: {', '.join(low)}.")
         out = [s.name for s in method.spreads if s.published and s.published.outside]
         if out:
-            told.append(f"The published draw of {method.method} is an outlier in {', '.join(out)}.")
-    return told
+            sentences.append(
+                f"The published draw of {method.method} is an outlier in {', '.join(out)}."
+            )
+    return sentences
 
 
 def _bars(methods: Sequence[MethodTable], unit: str) -> Figure | None:
@@ -125,6 +124,7 @@ def _bars(methods: Sequence[MethodTable], unit: str) -> Figure | None:
 
 def _bar(spread: Spread, unit: str) -> ErrorBar:
     def at(value: float) -> float:
+        # Six digits keep the page small; no figure shows more.
         return float(f"{in_unit(value, unit, fine=True):.6g}")
 
     printed = None if spread.published is None else at(spread.published.error)
@@ -157,8 +157,8 @@ def _paired(pair: Paired) -> Table:
 def _example(result: Result) -> dict[str, Figure]:
     """Residuals of every loop before and after, and arrows in space, of one draw."""
     poses = result.dataset.poses
-    found: Iterable[Figure | None] = (_residuals(result, poses), _arrows(result))
-    return {figure.key: figure for figure in found if figure is not None}
+    drawn: Iterable[Figure | None] = (_residuals(result, poses), _arrows(result))
+    return {figure.key: figure for figure in drawn if figure is not None}
 
 
 def _residuals(result: Result, poses: Sequence[str]) -> Figure | None:

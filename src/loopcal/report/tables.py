@@ -16,6 +16,7 @@ from loopcal.document.tables import (
     Stage,
     accuracy_stages,
     distances_shown,
+    shown_parameters,
     term_rows,
 )
 from loopcal.presentation.shown import NONE, by_sd, chance, percent, size, unit_shown, with_unit
@@ -100,6 +101,7 @@ def sensor_table(source: Source) -> Table | None:
     for entry in source.document.noise:
         unit = entry.unit
         parts = [source.table.normalised.get(q) for q in entry.quantities]
+        # NaN also where readings are exact (`PoseTable`).
         used = [part[np.isfinite(part)] for part in parts if part is not None]
         values = np.concatenate(used) if used else np.empty(0)
         rms = f"{np.sqrt(np.square(values).mean()):.2f}" if values.size else NONE
@@ -160,6 +162,7 @@ def _parameter(entry: ParameterEntry, with_error: bool) -> tuple[str, ...]:
         cells += [NONE, "fixed", unit_shown(unit), NONE, NONE]
     else:
         prior = entry.prior_sd
+        # 1/sd^2 = 1/prior^2 + 1/data^2 of a normal prior: its share of the weight is (sd/prior)^2.
         share = None if sd is None else 0.0 if not prior else min((sd / prior) ** 2, 1.0)
         cells += [
             by_sd(change, sd, unit, sign=True),
@@ -196,8 +199,8 @@ def outlier_table(document: ResultDocument) -> Table | None:
 
 def reliability_table(document: ResultDocument) -> Table | None:
     """What single readings can hide, by sensor."""
-    found = document.reliability
-    if found is None or not found.sensors:
+    reliability = document.reliability
+    if reliability is None or not reliability.sensors:
         return None
     rows = [
         (
@@ -205,16 +208,17 @@ def reliability_table(document: ResultDocument) -> Table | None:
             percent(one.redundancy),
             NONE if one.detectable is None else with_unit(one.detectable, one.unit, 2),
             NONE if one.largest is None else with_unit(one.largest, one.unit, 2),
-            NONE if one.effect is None else with_unit(one.effect, found.unit or "1", 2),
+            NONE if one.effect is None else with_unit(one.effect, reliability.unit or "1", 2),
             one.pose or NONE,
             str(one.uncontrolled),
         )
-        for one in found.sensors
+        for one in reliability.sensors
     ]
     caption = (
-        f"What single readings can hide: smallest error that a test at {100 * found.alpha:g} % "
-        f"finds with a probability of {percent(found.power)} (median and largest), and how far "
-        "such an error moves the predictions (rms over the measured poses)"
+        "What single readings can hide: smallest error that a test at "
+        f"{100 * reliability.alpha:g} % finds with a probability of {percent(reliability.power)} "
+        "(median and largest), and how far such an error moves the predictions "
+        "(rms over the measured poses)"
     )
     head = ("sensor", "redundancy", "detectable", "largest", "effect", "at pose", "unchecked")
     return Table(caption, head, tuple(rows))
@@ -233,16 +237,18 @@ def worst_table(source: Source, before: Array, after: Array) -> Table | None:
     if accuracy is None or not np.isfinite(after).any():
         return None
     count = len(source.table.poses)
+    # fmax passes over the instruments that did not read a pose.
     before, after = (np.fmax.reduce(d.reshape(-1, count)) for d in (before, after))
+    # inf puts poses that were not read last.
     order = np.argsort(np.where(np.isfinite(after), -after, np.inf))[:WORST]
     named = {entry.pose: entry for entry in source.document.outliers or ()}
     rows = []
     for i in order[np.isfinite(after[order])].tolist():
         pose = source.table.poses[i]
-        found = named.get(pose)
-        cause = "does not fit the others" if found else NONE
+        outlier = named.get(pose)
+        cause = "does not fit the others" if outlier else NONE
         cells = [size(float(d[i]), accuracy.unit, 3) for d in (before, after)]
-        rows.append((pose, *cells, (found and found.cause) or cause))
+        rows.append((pose, *cells, (outlier and outlier.cause) or cause))
     unit = unit_shown(accuracy.unit)
     head = ("pose", f"nominal [{unit}]", f"calibrated [{unit}]", "probable cause")
     return Table("The poses with the largest error after calibration", head, tuple(rows))
@@ -283,18 +289,19 @@ def comparison_table(sources: Sequence[Source]) -> Table:
     rows.append(("rms after", *map(_rms, documents, after)))
     unseen = [None if d.validation is None else d.validation.accuracy for d in documents]
     rows.append(("rms on poses not used", *map(_rms, documents, unseen)))
-    names = dict.fromkeys(entry.name for d in documents for entry in d.parameters)
-    entries = [{entry.name: entry for entry in d.parameters} for d in documents]
+    shown = [shown_parameters(d.parameters, d.terms) for d in documents]
+    names = dict.fromkeys(entry.name for parameters in shown for entry in parameters)
+    entries = [{entry.name: entry for entry in parameters} for parameters in shown]
     for name in names:
-        rows.append((name, *(_value(its.get(name)) for its in entries)))
+        rows.append((name, *(_value(by_name.get(name)) for by_name in entries)))
     head = ("result", *(source.name for source in sources))
     return Table("Results side by side: value ± sd", head, tuple(rows))
 
 
-def _rms(document: ResultDocument, found: Distances | None) -> str:
-    if found is None or document.accuracy is None:
+def _rms(document: ResultDocument, distances: Distances | None) -> str:
+    if distances is None or document.accuracy is None:
         return NONE
-    return with_unit(found.rms, document.accuracy.unit, 4)
+    return with_unit(distances.rms, document.accuracy.unit, 4)
 
 
 def _value(entry: ParameterEntry | None) -> str:

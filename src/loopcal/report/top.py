@@ -1,4 +1,4 @@
-"""What stands first in a report: the findings, how good it is in bars, where it is valid."""
+"""What stands first in a report: how good it is in bars, where it is valid."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import accuracy_stages
 from loopcal.presentation.shown import with_unit
 from loopcal.report.source import Source
-from loopcal.statistics.verdict import findings_against
 from loopcal.units import to_si
 
 RECORD = ("date", "operator", "instrument", "serial", "note")
@@ -29,30 +28,26 @@ class Bar:
     kind: str = ""
 
 
-@dataclass(frozen=True)
-class Against:
-    """A finding as the page shows it."""
-
-    code: str
-    mark: str
-    words: str
-    next: str
-
-
-def against(document: ResultDocument) -> list[Against]:
-    """The findings that speak against the result, the gravest first."""
-    return [
-        Against(f.rule.code, "open" if f.rule.passed is None else "no", f.said.words, f.rule.next)
-        for f in findings_against(document)
-    ]
-
-
-def record(document: ResultDocument) -> dict[str, str]:
-    """What the project's [record] states, and the method."""
+def record(source: Source) -> dict[str, str]:
+    """When, which files and how many poses; what the project's [record] states; the method."""
+    document = source.document
     stated: Mapping[str, Any] = document.inputs.get("record") or {}
-    found = {name: str(stated[name]) for name in RECORD if stated.get(name)}
+    entries = {name: str(stated[name]) for name in RECORD if stated.get(name)}
     machine = {} if document.mechanism is None else {"machine": document.mechanism.name}
-    return {**machine, "method": document.method_label or document.method, **found}
+    return {
+        **({} if "date" in entries else {"written": source.written}),
+        **entries,
+        "readings": readings(document),
+        **machine,
+        "method": document.method_label or document.method,
+    }
+
+
+def readings(document: ResultDocument) -> str:
+    """The files that were read, and how many poses of them were used."""
+    data = document.data
+    files = [file or "from memory" for file in (data.file, *(one.file for one in data.joined))]
+    return f"{', '.join(files)}: {data.used:,} of {data.poses:,} poses used"
 
 
 def accuracy_bars(document: ResultDocument) -> list[Bar]:
@@ -66,6 +61,7 @@ def accuracy_bars(document: ResultDocument) -> list[Bar]:
         for stage in stages.position
         if not stage.instrument
     ]
+    # Unplaced, the nominal machine shows mostly where the instrument was put.
     placed = [name for name, _, _ in sizes if name == "nominal, best placed"]
     sizes = [size for size in sizes if not (placed and size[0] == "nominal")]
     if stages.noise_floor is not None:
@@ -73,6 +69,7 @@ def accuracy_bars(document: ResultDocument) -> list[Bar]:
     limit = _tolerance(document)
     if limit is not None:
         sizes.append(("tolerance", limit, ""))
+    # Exact readings may leave zeros alone.
     widest = max(size for _, size, _ in sizes) or 1.0
     return [
         Bar(

@@ -1,4 +1,4 @@
-"""Closing loops with given parameters: true values of the quantities that nobody drives.
+"""Closing loops with given parameters: true values of the quantities that are not driven.
 
 Newton's method on f(x, p) = 0 with LAPACK, pose by pose in stacks, and on purpose not the
 estimator's own elimination: what is simulated here checks what is estimated there.
@@ -31,7 +31,7 @@ def close_loops(
     mechanism: Mechanism,
     parameters: Array,
     values: Array,
-    known: Array,
+    pose_constants: Array,
     unknown: Sequence[str],
     poses: Sequence[str],
 ) -> Array:
@@ -45,24 +45,28 @@ def close_loops(
     """
     tape = mechanism.tape
     closed = np.array(values, dtype=float)
-    for part, x, at in _settled(mechanism, parameters, closed, known, unknown):
+    for part, x, at in _settled(mechanism, parameters, closed, pose_constants, unknown):
         if not at.finite.all():
             raise explain_domain(
-                tape, x, known[:, part], parameters, poses[part], mechanism.remedies
+                tape, x, pose_constants[:, part], parameters, poses[part], mechanism.remedies
             )
         _refuse_open(mechanism, at.f, x, poses[part])
     return closed
 
 
 def reachable(
-    mechanism: Mechanism, parameters: Array, values: Array, known: Array, unknown: Sequence[str]
+    mechanism: Mechanism,
+    parameters: Array,
+    values: Array,
+    pose_constants: Array,
+    unknown: Sequence[str],
 ) -> NDArray[np.bool_]:
     """(N,) the poses whose loops close; arguments as of `close_loops`.
 
     Raises InputError where loops are too few.
     """
     closed = np.array(values, dtype=float)
-    settled = _settled(mechanism, parameters, closed, known, unknown)
+    settled = _settled(mechanism, parameters, closed, pose_constants, unknown)
     parts = [at.finite & _closed(at.f, x) for _, x, at in settled]
     return np.concatenate(parts) if parts else np.zeros(0, dtype=bool)
 
@@ -76,7 +80,11 @@ class _Settled:
 
 
 def _settled(
-    mechanism: Mechanism, parameters: Array, closed: Array, known: Array, unknown: Sequence[str]
+    mechanism: Mechanism,
+    parameters: Array,
+    closed: Array,
+    pose_constants: Array,
+    unknown: Sequence[str],
 ) -> Iterator[tuple[slice, Array, _Settled]]:
     """Blocks of poses with what is unknown found in place; poses without values stand still."""
     tape = mechanism.tape
@@ -87,12 +95,11 @@ def _settled(
     angles -= {turn for orientation in mechanism.orientations for turn in orientation.turns}
     turns = [i for i, name in enumerate(unknown) if name in angles]
     engine = engine_for(tape, (), min(_BLOCK, max(closed.shape[1], 1)))
-    engine.at(parameters)
     for begin in range(0, closed.shape[1], _BLOCK):
         part = slice(begin, begin + _BLOCK)
-        x, c = closed[:, part], known[:, part]
+        x, c = closed[:, part], pose_constants[:, part]
         for _ in range(_MOST):
-            loops = engine.evaluate(x, c)
+            loops = engine.evaluate(parameters, x, c)
             numbers = np.isfinite(np.concatenate([loops.f[None], loops.by_quantity]))
             finite = np.asarray(numbers.all(axis=(0, 1)))
             step = np.zeros((len(rows), x.shape[1]))
@@ -100,11 +107,12 @@ def _settled(
                 loops.by_quantity[rows][:, :, finite], loops.f[:, finite]
             )
             largest = np.abs(step[turns]).max(axis=0, initial=0.0)
+            # The whole step is scaled, not its angles alone: Newton's direction stays.
             step *= _TURN / np.maximum(largest, _TURN)
             x[rows] -= step
             if np.abs(step).max(initial=0.0) <= _STEP * max(1.0, np.abs(x).max(initial=0.0)):
                 break
-        yield part, x, _Settled(engine.evaluate(x, c).f, finite)
+        yield part, x, _Settled(engine.evaluate(parameters, x, c).f, finite)
 
 
 def _too_few_driven(mechanism: Mechanism, unknown: Sequence[str]) -> InputError:
@@ -122,6 +130,7 @@ def _too_few_driven(mechanism: Mechanism, unknown: Sequence[str]) -> InputError:
 
 def _newton_step(by_unknown: Array, f: Array) -> Array:
     """The step (u, b) of least squares, least in norm where a pose is singular."""
+    # solve where the loops determine the unknowns, least squares where there are more loops.
     J = np.ascontiguousarray(by_unknown.transpose(2, 1, 0))
     right = np.ascontiguousarray(f.T)[..., None]
     if J.shape[1] == J.shape[2]:
@@ -135,8 +144,8 @@ def _newton_step(by_unknown: Array, f: Array) -> Array:
 def _closed(f: Array, x: Array) -> NDArray[np.bool_]:
     """(b,) whether loop values (m, b) are zero but for rounding."""
     limit = _OPEN * np.maximum(1.0, np.abs(x).max(axis=0))
-    found: NDArray[np.bool_] = np.abs(f).max(axis=0) <= limit
-    return found
+    closed: NDArray[np.bool_] = np.abs(f).max(axis=0) <= limit
+    return closed
 
 
 def _refuse_open(mechanism: Mechanism, f: Array, x: Array, poses: Sequence[str]) -> None:

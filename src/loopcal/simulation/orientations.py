@@ -17,7 +17,7 @@ _PARALLEL = np.array([[1.0], [0.0], [0.0], [0.0]])
 """The quaternion of no turn at all, for every pose."""
 
 
-def not_given(mechanism: Mechanism, driven: Dataset) -> list[Orientation]:
+def unstated_orientations(mechanism: Mechanism, driven: Dataset) -> list[Orientation]:
     """The orientations of which nothing is given: they are to be simulated."""
     return [
         o for o in mechanism.orientations if not set(o.columns) & {*driven.readings, *driven.sds}
@@ -48,6 +48,7 @@ def measured(orientation: Orientation, turns: Array, noise: Array) -> Measured:
     frame, NaN where it is not read.
     """
     lost = np.isnan(noise).any(axis=0)
+    # Noise in the target's frame is a turn ahead of the true one: R_read = R_true R_noise.
     read = _product(_quaternions(turns), _quaternions(np.where(lost, 0.0, noise)))
     columns = {n: np.where(lost, np.nan, v) for n, v in orientation.written(read).items()}
     return Measured(columns, np.where(lost, 0.0, -noise))
@@ -55,8 +56,8 @@ def measured(orientation: Orientation, turns: Array, noise: Array) -> Measured:
 
 def _quaternions(turns: Array) -> Array:
     q = np.vstack([np.ones(turns.shape[1]), 0.5 * turns])
-    found: Array = q / np.linalg.norm(q, axis=0)
-    return found
+    unit: Array = q / np.linalg.norm(q, axis=0)
+    return unit
 
 
 def _product(a: Array, b: Array) -> Array:

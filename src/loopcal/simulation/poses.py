@@ -64,5 +64,6 @@ def stream(seed: int, use: str) -> np.random.Generator:
         raise InputError(
             f"the seed is {seed!r}", code="invalid-value", remedy="give a whole number, 0 or more"
         )
+    # Spawned streams are independent: another number of poses leaves the noise as it is.
     children = np.random.SeedSequence(int(seed)).spawn(len(STREAMS))
     return np.random.Generator(np.random.PCG64(children[STREAMS.index(use)]))

@@ -17,7 +17,7 @@ from loopcal.measurements.source import Source
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.closing import close_loops, reachable
-from loopcal.simulation.orientations import measured, not_given, parallel
+from loopcal.simulation.orientations import measured, parallel, unstated_orientations
 from loopcal.simulation.poses import stream
 
 Array = NDArray[np.float64]
@@ -60,10 +60,10 @@ def simulate(
     it is given. An orientation of
     which no number is given is simulated: its noise is in the numbers that were read.
 
-    reading = true value + sd * z, z standard normal and independent, drawn by PCG64 from the
-    seed in the order of the mechanism's quantities, whatever the sds: another sd scales the same
-    draw. A full covariance takes its square root for the sd. With sd 0 the reading is the truth,
-    with sd inf there is none (NaN).
+    reading = true value + sd * z, z standard normal and independent. PCG64 draws z from the seed in
+    the order of the mechanism's quantities, whatever the sds: another sd scales the same draw. A
+    full covariance takes its square root for the sd. With sd 0 the reading is the truth, with sd
+    inf there is none (NaN).
 
     >>> from loopcal.mechanisms.planar import planar_two_link
     >>> exact = Noise({"*": 0.0})
@@ -74,29 +74,33 @@ def simulate(
     Raises InputError for names that are not the mechanism's, values that are missing, and poses
     whose loops cannot close.
     """
-    told = Noise.of(noise)
-    if told is None:
+    sensor_noise = Noise.of(noise)
+    if sensor_noise is None:
         raise InputError(
             "no noise is given",
             code="missing-sd",
             remedy='give Noise({"*": 0.0}) for exact readings',
         )
     driven = readings if isinstance(readings, Dataset) else Dataset.from_arrays(readings)
-    unturned = not_given(mechanism, driven)
+    unturned = unstated_orientations(mechanism, driven)
     driven = driven.with_readings(parallel(unturned, len(driven)))
     parameters = _true_parameters(mechanism, truth or {})
     x, unknown = _values(mechanism, driven, start or {})
-    known = _known(mechanism, driven)
+    pose_constants = _pose_constants(mechanism, driven)
     values = np.array(list(parameters.values()))
-    true = close_loops(mechanism, values, x, known, unknown, driven.poses)
-    constants = dict(zip(mechanism.tape.known, known, strict=True))
+    true = close_loops(mechanism, values, x, pose_constants, unknown, driven.poses)
+    constants = dict(zip(mechanism.tape.pose_constants, pose_constants, strict=True))
     gaps = [q for q in mechanism.implied if q not in driven.readings and q not in unknown]
     if gaps:
         exact = _exact(mechanism, driven, true, constants)
         rows = [mechanism.tape.quantities.index(q) for q in gaps]
-        true[rows] -= np.nan_to_num(_draw(_sds(mechanism, exact, told), true.shape, seed)[rows])
-        true = close_loops(mechanism, values, true, known, unknown, driven.poses)
-    dataset = _read(mechanism, driven, true, constants, unturned, told, seed)
+        # Such a reading is fixed: the truth is off by the noise, so the draw is taken from the
+        # truth.
+        true[rows] -= np.nan_to_num(
+            _draw(_sds(mechanism, exact, sensor_noise), true.shape, seed)[rows]
+        )
+        true = close_loops(mechanism, values, true, pose_constants, unknown, driven.poses)
+    dataset = _read(mechanism, driven, true, constants, unturned, sensor_noise, seed)
     quantities = dict(zip(mechanism.tape.quantities, true, strict=True))
     for row in quantities.values():
         row.setflags(write=False)
@@ -110,10 +114,10 @@ def within_reach(
 ) -> NDArray[np.bool_]:
     """(N,) the poses whose loops close at the nominal parameters; readings as of `simulate`."""
     driven = readings if isinstance(readings, Dataset) else Dataset.from_arrays(readings)
-    driven = driven.with_readings(parallel(not_given(mechanism, driven), len(driven)))
+    driven = driven.with_readings(parallel(unstated_orientations(mechanism, driven), len(driven)))
     x, unknown = _values(mechanism, driven, {})
     values = np.array([p.nominal for p in mechanism.parameters])
-    return reachable(mechanism, values, x, _known(mechanism, driven), unknown)
+    return reachable(mechanism, values, x, _pose_constants(mechanism, driven), unknown)
 
 
 def _read(
@@ -132,9 +136,9 @@ def _read(
     columns: dict[str, Array] = {}
     for orientation in simulated:
         rows = [names.index(turn) for turn in orientation.turns]
-        found = measured(orientation, true[rows], drawn[rows])
-        true[rows] = found.off
-        columns |= found.columns
+        reading = measured(orientation, true[rows], drawn[rows])
+        true[rows] = reading.off
+        columns |= reading.columns
     return exact.with_readings(
         {**dict(zip(names, true + drawn, strict=True)), **columns}, units=mechanism.quantities
     )
@@ -147,7 +151,7 @@ def _exact(
     quantities = dict(zip(mechanism.tape.quantities, true, strict=True))
     return Dataset(
         {**quantities, **constants},
-        {**mechanism.quantities, **mechanism.known},
+        {**mechanism.quantities, **mechanism.pose_constants},
         driven.poses,
         # no sd beside a lost reading: it is lost in the simulation too
         {q: np.where(np.isnan(sd), np.inf, sd) for q, sd in driven.sds.items() if q in quantities},
@@ -170,24 +174,24 @@ def _values(
     """All quantities (k, N), start values where they are to be found, and which these are."""
     names = mechanism.tape.quantities
     for key in [*driven.quantities, *start]:
-        if key not in (*names, *mechanism.tape.known):
+        if key not in (*names, *mechanism.tape.pose_constants):
             raise InputError(
                 f"{key!r} is not a quantity of {mechanism.name!r}",
                 code="unknown-name",
-                remedy=nearest(key, [*names, *mechanism.tape.known]),
+                remedy=nearest(key, [*names, *mechanism.tape.pose_constants]),
             )
     turns = {turn for orientation in mechanism.orientations for turn in orientation.turns}
     x = np.zeros((len(names), len(driven)))
     unknown = []
     for row, name in zip(x, names, strict=True):
-        given: ArrayLike | None = driven.readings.get(name, mechanism.implied.get(name))
-        found = name in mechanism.outputs or name in turns or given is None
-        if found:
+        stated: ArrayLike | None = driven.readings.get(name, mechanism.implied.get(name))
+        sought = name in mechanism.outputs or name in turns or stated is None
+        if sought:
             unknown.append(name)
         begin = start.get(name, mechanism.home.get(name, 0.0))
-        values = np.asarray(begin if given is None else given, dtype=float)
+        values = np.asarray(begin if stated is None else stated, dtype=float)
         missing = np.isnan(np.broadcast_to(values, row.shape))
-        if missing.any() and not found:
+        if missing.any() and not sought:
             raise InputError(
                 f"the driven quantity {name!r} has no value at pose "
                 f"{driven.poses[int(np.argmax(missing))]!r}",
@@ -199,9 +203,9 @@ def _values(
     return x, unknown
 
 
-def _known(mechanism: Mechanism, driven: Dataset) -> Array:
-    rows = [driven[name] for name in mechanism.tape.known]
-    for name, row in zip(mechanism.tape.known, rows, strict=True):
+def _pose_constants(mechanism: Mechanism, driven: Dataset) -> Array:
+    rows = [driven[name] for name in mechanism.tape.pose_constants]
+    for name, row in zip(mechanism.tape.pose_constants, rows, strict=True):
         if np.isnan(row).any():
             raise InputError(
                 f"the known constant {name!r} has no value at pose "

@@ -27,12 +27,12 @@ def blocks(mechanism: Mechanism, data: Dataset, groups: Index, number: int) -> t
     The tightest clustering of several starts, those with a tiny block last. The same readings give
     the same blocks. Raises InputError for fewer than two blocks, and for too few different poses.
     """
-    found, where = np.unique(groups, return_inverse=True)
-    if number < 2 or number > len(found):
+    distinct, where = np.unique(groups, return_inverse=True)
+    if number < 2 or number > len(distinct):
         raise InputError(
-            f"blocks is {number}, but there are {len(found)} different poses",
+            f"blocks is {number}, but there are {len(distinct)} different poses",
             code="too-few-poses",
-            remedy=f"use 2 to {len(found)} blocks",
+            remedy=f"use 2 to {len(distinct)} blocks",
         )
     features = _features(mechanism, data)
     counts = np.bincount(where)
@@ -51,14 +51,16 @@ def blocks_of(scheme: Scheme, mechanism: Mechanism, data: Dataset, groups: Index
 def _features(mechanism: Mechanism, data: Dataset) -> Array:
     """(f, N): cosine and sine of driven angles, driven lengths over the largest range."""
     names = [q for q in driven(mechanism, data) if not np.isnan(data.readings[q]).any()]
-    units = {**mechanism.quantities, **mechanism.known}
+    units = {**mechanism.quantities, **mechanism.pose_constants}
     rows: list[Array] = []
     for unit in dict.fromkeys(units[q] for q in names):
-        its = np.array([data.readings[q] for q in names if units[q] == unit])
+        columns = np.array([data.readings[q] for q in names if units[q] == unit])
         if unit == "rad":
-            rows += [*np.cos(its), *np.sin(its)]
+            # On the circle, so that -179 and 179 degrees are near.
+            rows += [*np.cos(columns), *np.sin(columns)]
         else:
-            rows += [*(its / (float(np.ptp(its, axis=1).max()) or 1.0))]
+            # One range for all: else a drive that hardly moves would count as much as the others.
+            rows += [*(columns / (float(np.ptp(columns, axis=1).max()) or 1.0))]
     return np.array(rows).reshape(-1, len(data))
 
 

@@ -14,7 +14,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case
-from loopcal.statistics.judging import verdict
+from loopcal.statistics.verdict import judged_result
 
 if TYPE_CHECKING:
     from loopcal.statistics.folds import Scheme
@@ -44,13 +44,13 @@ def calibrate(
     it leaves out, by default 10 folds and 5 regions; executor: who does its fits, by default the
     cores of this process. Without noise it weighs the readings as least squares does.
 
-    "implicit-loop" finds the parameters of maximum likelihood while every loop
-    closes: minimise sum_i c_i^T Sigma^-1 c_i + (p - nominal)^T Sigma_p^-1 (p - nominal) over
-    parameters p and corrections c_i subject to f(reading_i + c_i, p) = 0 (Wampler, Hollerbach and
+    "implicit-loop" finds the parameters of maximum likelihood while every loop closes. It
+    minimises sum_i c_i^T Sigma^-1 c_i + (p - nominal)^T Sigma_p^-1 (p - nominal) over parameters
+    p and corrections c_i. The constraint is f(reading_i + c_i, p) = 0 (Wampler, Hollerbach and
     Arai 1995; thesis 3.7 to 3.30). "least-squares" takes the readings as exact and minimises the
     sum of squared loop values (thesis 3.1 to 3.6), without noise or prior. "reweighted" weights
     the loop values at the readings by their propagated noise J_x Sigma J_x^T, and lets that noise
-    say nothing about the parameters: the robust choice where poses are alike and sds guessed.
+    say nothing about the parameters. It is the robust choice where poses are alike and sds guessed.
     "implicit-loop-undamped" is the iteration of the thesis, for study.
 
     loss "huber" or "student-t" lets poses that do not fit count less
@@ -61,35 +61,38 @@ def calibrate(
     "auto" (default) aligns a machine whose placement parameters are free with flat priors; or
     parameter values [SI] by name.
 
-    A file that is at fault as a whole (columns in another unit, reversed or exchanged, rows shifted
-    or shuffled, readings of another machine) is recognised before the fit where it begins at the
-    nominal machine. The fit is then cut short, no sd is estimated, and `Result.faults` names them.
+    A file that is at fault as a whole is recognised before the fit, where that begins at the
+    nominal machine. Such faults are columns in another unit, reversed or exchanged, rows shifted
+    or shuffled, and readings of another machine. The fit is then cut short, no sd is estimated, and
+    `Result.faults` names them.
 
     Rows that copy others in every column count once; `Result.dataset` is what was used.
 
     Raises InputError for input that cannot be used. A fit that does not converge is returned, with
     the reason in its status.
     """
-    asked, told = Fit.of(fit, options), Noise.of(noise)
+    asked, stated_noise = Fit.of(fit, options), Noise.of(noise)
     if not asked.method.choice:
         _refuse_sharing(asked, scheme, executor)
-        found = calibrate_by_method(mechanism, data, noise=told, fit=asked, progress=progress)
-        return found.adding(judge=verdict)
+        result = calibrate_by_method(
+            mechanism, data, noise=stated_noise, fit=asked, progress=progress
+        )
+        return result.adding(judge=judged_result)
     from loopcal.statistics.choice import choose
 
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
-    case = Case(mechanism, data, told, asked)
-    found = choose(case, scheme, executor, iterated=progress).calibrated
-    return found.adding(judge=verdict)
+    case = Case(mechanism, data, stated_noise, asked)
+    result = choose(case, scheme, executor, iterated=progress).calibrated
+    return result.adding(judge=judged_result)
 
 
 def _refuse_sharing(fit: Fit, scheme: Scheme | None, executor: Executor | None) -> None:
-    given = [n for n, value in (("scheme", scheme), ("executor", executor)) if value is not None]
-    if given:
+    sharing = [n for n, value in (("scheme", scheme), ("executor", executor)) if value is not None]
+    if sharing:
         raise InputError(
-            f"{' and '.join(given)} would have no effect: the method {fit.method.name!r} makes one "
-            "fit of all poses",
+            f"{' and '.join(sharing)} would have no effect: the method {fit.method.name!r} makes "
+            "one fit of all poses",
             code="unsupported",
             remedy="leave it out, validate by lc.validate, or use method = 'auto'",
         )

@@ -84,7 +84,7 @@ class Calibrated:
             result.terms,
             result.noise,
             _residual(result.solution.chi_squared, result.freedom) if exact else None,
-            LearntCovariance.known(result.spectrum.covariance()).within(size, free).matrix,
+            LearntCovariance.certain(result.spectrum.covariance()).within(size, free).matrix,
             seen and seen.through(np.eye(size)[:, free]),
             _hidden(result),
         )
@@ -110,7 +110,7 @@ class Calibrated:
         prior = [entries[n].prior_sd for n in names]
         exact = document.sensors_exact
         seen, stated = Scatter.of(document.covariance), document.covariance.unwidened
-        own = None if stated is None else symmetric(stated)
+        unwidened = None if stated is None else symmetric(stated)
         return cls(
             name,
             mechanism.with_nominal({n: entries[n].value for n in names}),
@@ -124,7 +124,9 @@ class Calibrated:
             document.terms,
             document.noise,
             _residual(_squares(document), _freedom(document)) if exact else None,
-            None if own is None else LearntCovariance.known(own).within(len(names), free).matrix,
+            None
+            if unwidened is None
+            else LearntCovariance.certain(unwidened).within(len(names), free).matrix,
             scatter=seen and seen.through(np.eye(len(names))[:, free]),
             hidden={} if stored is None else {q: stored.typical[q] for q in stored.unmeasured},
         )
@@ -145,30 +147,56 @@ class Calibrated:
         used, were no residuals dependent."""
         return self.covariance.plain if self.gain is None else self.gain
 
+    @property
+    def estimated(self) -> NDArray[np.bool_]:
+        """(n_all,) the parameters that the calibration did not hold."""
+        loose = np.abs(self.undetermined).max(axis=1, initial=0.0) > 0.0
+        return np.asarray(loose | (np.diag(self.covariance.matrix) > 0.0))
+
+    @property
+    def stationed(self) -> Calibrated:
+        """The same as a machine that can be placed anew (see `mechanisms.stationed`)."""
+        from loopcal.mechanisms.stationed import stationed
+
+        made, size = stationed(self.mechanism), len(self.nominal)
+        E = np.eye(len(made.parameters))[:, :size]
+        return replace(
+            self,
+            mechanism=made,
+            covariance=self.covariance.through(E),
+            undetermined=E @ self.undetermined,
+            nominal=E @ self.nominal,
+            # A new station is placed by nothing but the readings of the day: flat.
+            prior_sd=np.append(self.prior_sd, np.full(len(E) - size, math.inf)),
+            gain=None if self.gain is None else E @ self.gain @ E.T,
+            scatter=self.scatter and self.scatter.through(E),
+        )
+
     def drifted(self, sds: Array) -> Calibrated:
         """After parameters may have changed by so much (n_all,) [SI]."""
         Q = np.diag(np.square(sds))
-        own = self.covariance
-        added = LearntCovariance(Q, Q, 0.0 * own.slopes)
-        return replace(self, covariance=own.plus(added), gain=self.unwidened + Q)
+        covariance = self.covariance
+        added = LearntCovariance(Q, Q, 0.0 * covariance.slopes)
+        return replace(self, covariance=covariance.plus(added), gain=self.unwidened + Q)
 
     @property
-    def as_its_scatter(self) -> Calibrated:
+    def by_scatter(self) -> Calibrated:
         """With the covariance that its poses themselves show, where it is known."""
         if self.scatter is None:
             return self
-        seen = LearntCovariance.known(self.scatter.matrix)
+        seen = LearntCovariance.certain(self.scatter.matrix)
         return replace(self, covariance=seen, gain=self.unwidened)
 
     @property
-    def as_its_residuals(self) -> Calibrated:
+    def by_residuals(self) -> Calibrated:
         """With a covariance as large as the residuals, where chi-squared rejects the sds."""
-        chi, own = self.rejected, self.covariance
+        chi, covariance = self.rejected, self.covariance
         if chi is None:
             return self
-        if len(own.slopes):
-            return replace(self, covariance=own.scaled_by(self.factor))
-        scaled = LearntCovariance.scaled(self.factor * own.matrix, chi.degrees_of_freedom)
+        if len(covariance.slopes):
+            return replace(self, covariance=covariance.scaled_by(self.factor))
+        # Without slopes no sd was learnt: the factor itself is what the residuals leave unsure.
+        scaled = LearntCovariance.scaled(self.factor * covariance.matrix, chi.degrees_of_freedom)
         return replace(self, covariance=scaled)
 
 
@@ -191,10 +219,10 @@ def _residual(squares: float, freedom: int) -> ResidualVariance | None:
 
 def _values(document: ResultDocument) -> int:
     """How many loop values there are: equations, and what the loops find beside the parameters."""
-    index, known = document.identifiability.calibration_index, document.mechanism
-    if index is None or known is None:
+    index, machine = document.identifiability.calibration_index, document.mechanism
+    if index is None or machine is None:
         return 0
-    unmeasured = len(known.quantities) - len(document.data.quantities)
+    unmeasured = len(machine.quantities) - len(document.data.quantities)
     return index.value + (unmeasured * document.data.used if index.value else 0)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from loopcal.estimation.methods import implicit_loop
 from loopcal.estimation.model_error import instrument_noise, modelled
 from loopcal.estimation.nominal import nominal_machine
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case
 
@@ -43,20 +44,25 @@ def entrants(
     """
     fit, lossless = case.fit, case.fit.robust_loss is None
     methods = fit.among(case.data, case.noise)
-    own, with_error = fit.with_prior(case.mechanism), fit.changed(model_error="structured")
+    machine, with_error = fit.with_prior(case.mechanism), fit.changed(model_error="structured")
     if made is None:
-        made = modelled(with_error, own, len(case.data)) if lossless else own
-    for method in methods if len(made.terms) > len(own.terms) else ():
-        if method.at_readings:
+        made = modelled(with_error, machine, len(case.data)) if lossless else machine
+    for method in methods if len(made.terms) > len(machine.terms) else ():
+        if method.weighting is Weighting.READ:
             continue  # the noise of the model error says nothing about the parameters anyway
-        its = with_error.changed(method=method, prior=None)  # the mechanism has the prior already
+        # the mechanism has the prior already
+        error_fit = with_error.changed(method=method, prior=None)
         name = f"{method.name} with model error"
-        yield Entrant(name, replace(case, mechanism=made, fit=its), True)
+        yield Entrant(name, replace(case, mechanism=made, fit=error_fit), True)
     for method in methods:
         plain = fit.changed(method=method, model_error="none")
         yield Entrant(method.name, replace(case, fit=plain))
     if case.mechanism.outputs:
-        yield Entrant(NOMINAL, nominal_case(case, moved), drawn=True)
+        drawn = nominal_case(case, moved)
+        if (
+            drawn.mechanism.parameters.free
+        ):  # else the accuracy before the fit is that of the drawing
+            yield Entrant(NOMINAL, drawn, drawn=True)
 
 
 def nominal_case(case: Case, moved: Collection[str] = ()) -> Case:

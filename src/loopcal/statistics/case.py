@@ -41,8 +41,10 @@ class Case:
     @cached_property
     def copied(self) -> Index:
         """Positions of the rows that copy others."""
-        own = self.mechanism
-        return copies(self.data, [*own.quantities, *own.known], own.outputs)
+        mechanism = self.mechanism
+        return copies(
+            self.data, [*mechanism.quantities, *mechanism.pose_constants], mechanism.outputs
+        ).copied
 
     @property
     def may_be_faulty(self) -> bool:
@@ -59,6 +61,7 @@ class Case:
             fit = replace(fit, start=self.begin)
         if index is not None:
             index = index[~np.isin(index, self.copied)]
+            # Copies were sought in all poses; a part might judge the same rows otherwise.
             data = replace(data, source=replace(data.source, judged=True)).take(index)
         noise = taken(self.noise, index)
         near = of_poses(self.near, index)

@@ -26,6 +26,7 @@ FITS = 0.001
 """A row put right fits if a good one would be worse with at least this probability."""
 BY_CHANCE = 0.1
 """A mistyped digit is named if one would fit by chance with at most about this probability."""
+# A joint that runs through a grid repeats its reading from row to row: that is no fault.
 _OFTEN = 0.2
 _RATIOS = {
     "rad": (
@@ -82,30 +83,29 @@ def find_causes(
     dataset: Dataset,
     fit: Fitted,
     suspects: list[Suspect],
-    *,
-    exact: bool = False,
 ) -> list[Cause | None]:
     """The first guess of each suspect that makes its row fit; None where none does."""
     guesses = [list(_guesses(problem, dataset, suspect)) for suspect in suspects]
-    rows = [(s.pose, g) for s, own in zip(suspects, guesses, strict=True) for g in own]
+    rows = [(s.pose, g) for s, tries in zip(suspects, guesses, strict=True) for g in tries]
     if not rows:
         return [_repeated(problem, suspect) for suspect in suspects]
     readings = np.array([guess.readings for _, guess in rows]).T
     hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))
     poses = [pose for pose, _ in rows]
-    tried = try_rows(problem, fit, poses, readings, hidden[:, poses], exact=exact)
+    tried = try_rows(problem, fit, poses, readings, hidden[:, poses])
     p = tried.tests.p_pose
     causes: list[Cause | None] = []
     column = 0
-    for suspect, own in zip(suspects, guesses, strict=True):
-        found = _repeated(problem, suspect)
-        for guess in own:
+    for suspect, tries in zip(suspects, guesses, strict=True):
+        cause = _repeated(problem, suspect)
+        for guess in tries:
             sd = 0.0 if guess.quantity is None else float(tried.tests.sd[guess.quantity, column])
+            # A window of 3 sds either way is 6 sd wide, and holds so many rivals by chance.
             hardly = 6.0 * sd * guess.rivals <= BY_CHANCE
-            if found is None and p[column] >= FITS and hardly:
-                found = Cause(guess.words, guess.quantity, True)
+            if cause is None and p[column] >= FITS and hardly:
+                cause = Cause(guess.words, guess.quantity, True)
             column += 1
-        causes.append(found)
+        causes.append(cause)
     return causes
 
 
@@ -135,6 +135,7 @@ def _guesses(problem: Problem, dataset: Dataset, suspect: Suspect) -> Iterator[_
             # what is far from where the other readings have it need not be tried
             if abs(value - (x[j] - size)) <= 0.1 * abs(size):
                 yield _Guess(words, j, _with(x, [j], [value]))
+    # With one equation every reading explains the pose alone, so that nothing is ruled out.
     if not suspect.explained or suspect.freedom < 2:
         yield from _of_several(problem, dataset, x, units)
     for j, (size, _) in suspect.explained.items():
@@ -185,6 +186,7 @@ def _of_several(problem: Problem, dataset: Dataset, x: Array, units: list[str]) 
 
 def _digits(x: Array, j: int, size: float, unit: str) -> Iterator[_Guess]:
     """Decimal point moved, two digits exchanged, one digit changed, in the unit of the file."""
+    # Twelve digits: more would show the rounding of the conversion from SI to the unit of the file.
     read = f"{abs(float(from_si(x[j], unit))):.12g}"
     if "e" in read:
         return
@@ -204,6 +206,7 @@ def _digits(x: Array, j: int, size: float, unit: str) -> Iterator[_Guess]:
         text: x[j] - sign * float(to_si(float(text), unit)) for text in edits if text != read
     }
     near = [c for c in changes.values() if 0.5 <= c / size <= 2.0]
+    # From 0.5 to 2 times the error is an interval of 1.5 times its size: rivals is a density.
     rivals = len(near) / (1.5 * abs(size))
     for text, words in edits.items():
         change = changes.get(text)

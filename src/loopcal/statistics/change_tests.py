@@ -10,7 +10,9 @@ and tested by the likelihood ratio, z_j^2 = t_j^2 / (G^-1)_jj: chi-squared with 
 freedom, F where sds were learnt. The machine's own uncertainty, its learnt model error included, is
 in S. The p-values are Holm's (1979) for as many candidates as the poses distinguish. The most
 significant change is accepted, the equations are linearised there again, and the search goes on
-with it free (forward selection) until nothing is significant.
+with it free (forward selection) until nothing is significant. Where the misfit is gross and stays
+so, the search ends with the change that lowers it by less than a tenth, and changes are named only
+where together they leave less than a tenth of it.
 
 Where the machine has an error that its model does not hold (learnt terms, or sds that chi-squared
 rejected), misclosures may be larger elsewhere than the calibration says. Their variance is then
@@ -32,25 +34,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import NoTrustworthyResult
+from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.structure.structured import driven_joints
 from loopcal.statistics.changed import LEVEL, POWER, Candidate, Change, WhatChanged
 from loopcal.statistics.innovation import Innovation, Linearised
-from loopcal.statistics.replacing import Replaced, zero_columns
+from loopcal.statistics.replacing import ASTRAY, Replaced, zero_columns
 
 Array = NDArray[np.float64]
+# Record 0053.
 _MOST = 3
 """Changes that are sought; with more the machine is calibrated anew."""
 _ROUNDS, _SETTLED = 8, 1e-3
 """Linearisations of accepted changes, and the step [sds] that ends them."""
 _TRIED = 3
+_HALVED = 0.5
+"""What a linearisation leaves of the misfit, for the next one of a candidate that is compared."""
+_HELPED, _EXPLAINED = 0.9, 0.1
+"""What one change, and all together, leave at most of a misfit that stays gross."""
 _ENOUGH = 5
 """Degrees of freedom from which the poses show their own variance."""
 _VISIBLE = 1e-6
 """Share of a column that the placement leaves, below which these poses do not show the change."""
 _SAME = 1e-6
 """1 - |correlation| of two columns that are one."""
-_TWO_SIDED = 1.959963984540054
-_KINDS = ("length", "angle", "gain", "mounting")
+_TESTED = {*GEOMETRY, "mounting"}
 
 At = Callable[[Mapping[str, float], Mapping[str, float]], Replaced]
 """The poses placed anew after changes of parameters, and of zeros of joints, by name [SI]."""
@@ -64,7 +71,7 @@ class _Named:
 
 
 def what_changed(
-    here: Replaced,
+    placement: Replaced,
     linear: Linearised,
     at: At,
     linearised: Callable[[Replaced], Linearised],
@@ -72,34 +79,39 @@ def what_changed(
 ) -> WhatChanged | None:
     """Search for changes; None where these poses have no redundancy.
 
-    here, linear: the machine as calibrated; at: places it anew with changes; linearised: its
+    placement, linear: the machine as calibrated; at: places it anew with changes; linearised: its
     equations there; beyond: whether the machine has an error that its model does not hold.
     """
     if linear.innovation().p_value is None:
         return None
-    search = _Search(_candidates(here), at, linearised, beyond)
-    begun = search.system(here, linear)
+    search = _Search(_candidates(placement), at, linearised, beyond)
+    begun = search.system(placement, linear)
     innovation = begun.innovation(())
     tests = search.tests(begun, ())
     chosen: tuple[int, ...] = ()
     system = begun
     p_values: dict[int, float] = {}
     for _ in range(_MOST):
-        found = search.tests(system, chosen)
-        if not found.order or found.adjusted[found.order[0]] >= LEVEL:
+        step_tests = search.tests(system, chosen)
+        if not step_tests.order or step_tests.adjusted[step_tests.order[0]] >= LEVEL:
             break
-        tried = search.tried(system, found, chosen)
-        fits = [((*chosen, j), search.settled(system, (*chosen, j))) for j in tried]
-        chosen, system = min(fits, key=lambda fit: fit[1].present)
-        p_values[chosen[-1]] = float(found.adjusted[chosen[-1]])
+        several = [(*chosen, j) for j in search.tried(system, step_tests, chosen)]
+        fits = [(one, search.settled(system, one, _HALVED)) for one in several]
+        best, trial = min(fits, key=lambda fit: fit[1].present)
+        if trial.astray and trial.present > _HELPED * system.present:
+            break
+        chosen, system = best, search.settled(trial, best)
+        p_values[chosen[-1]] = float(step_tests.adjusted[chosen[-1]])
         if kept := search.kept(system, chosen):
             chosen, system = kept, search.settled(system, kept)
+    if system.astray and system.present > _EXPLAINED * begun.present:
+        chosen, system = (), begun
     changes = search.changes(system, chosen, [p_values[j] for j in chosen])
     left = system.innovation(chosen).p_value
     return WhatChanged(
         _verdict(innovation.p_value, changes, left),
         changes,
-        search.told(begun, tests),
+        search.tested(begun, tests),
         innovation,
         begun.scale,
         left,
@@ -115,14 +127,14 @@ def _verdict(p_value: float | None, changes: Sequence[Change], left: float | Non
     return "calibrate-anew"
 
 
-def _candidates(here: Replaced) -> tuple[_Named, ...]:
+def _candidates(placement: Replaced) -> tuple[_Named, ...]:
     """Of candidates that do the same the first speaks: zeros of joints, then mountings."""
-    mechanism = here.problem.mechanism
+    mechanism = placement.problem.mechanism
     zeros = [_Named(q, "zero", mechanism.quantities[q]) for q in driven_joints(mechanism)]
-    kinds, anew = mechanism.kinds, dict(zip(mechanism.parameters.names, here.anew, strict=True))
-    held = [p for p in mechanism.parameters if kinds[p.name] in _KINDS and not anew[p.name]]
-    held.sort(key=lambda p: kinds[p.name] != "mounting")
-    return (*zeros, *(_Named(p.name, kinds[p.name], p.unit) for p in held))
+    anew = dict(zip(mechanism.parameters.names, placement.anew, strict=True))
+    held = [p for p in mechanism.parameters if p.role in _TESTED and not anew[p.name]]
+    held.sort(key=lambda p: p.role != "mounting")
+    return (*zeros, *(_Named(p.name, p.dimension or p.role, p.unit) for p in held))
 
 
 @dataclass(frozen=True)
@@ -159,7 +171,7 @@ class _System:
     def solved(self, chosen: Sequence[int]) -> Array:
         """The changes of these candidates, estimated together."""
         rows = list(chosen)
-        return np.asarray(np.linalg.solve(self.G[np.ix_(rows, rows)], self.g[rows]))
+        return np.asarray(_inverse(self.G[np.ix_(rows, rows)]) @ self.g[rows])
 
     def explained(self, chosen: Sequence[int]) -> float:
         """By how much these changes lower the innovation."""
@@ -170,8 +182,13 @@ class _System:
         if self.spread is not None:
             value = (self.every - self.explained(chosen)) / self.spread.scale
             return Innovation.of(max(value, 0.0), self.rank - len(chosen), self.spread.freedom)
-        own = self.linear.innovation().value
-        return self.linear.innovation(own - self.value + self.explained(chosen), len(chosen))
+        total = self.linear.innovation().value
+        return self.linear.innovation(total - self.value + self.explained(chosen), len(chosen))
+
+    @property
+    def astray(self) -> bool:
+        """Whether the misfit is gross."""
+        return self.present > ASTRAY * len(self.linear.e)
 
     @property
     def scale(self) -> float:
@@ -213,18 +230,26 @@ class _Search:
     linearised: Callable[[Replaced], Linearised]
     beyond: bool
 
-    def system(self, here: Replaced, linear: Linearised, t: Array | None = None) -> _System:
+    def system(self, placement: Replaced, linear: Linearised, t: Array | None = None) -> _System:
         """The tests where the machine has changed by t."""
-        names = here.problem.mechanism.parameters.names
+        names = placement.problem.mechanism.parameters.names
         joints = [one.name for one in self.named if one.kind == "zero"]
-        own = [names.index(one.name) for one in self.named if one.kind != "zero"]
-        steps = here.brought(np.eye(len(names)))[:, own]
-        raw = np.hstack([zero_columns(here, joints), here.J @ steps]) / np.sqrt(linear.factor)
+        indices = [names.index(one.name) for one in self.named if one.kind != "zero"]
+        columns = [zero_columns(placement, joints), placement.J[:, indices]]
+        raw = np.hstack(columns) / np.sqrt(linear.factor)
         U = raw - linear.F @ (linear.solve @ raw)
         visible = np.linalg.norm(U, axis=0) > _VISIBLE * np.linalg.norm(raw, axis=0)
         G, g = linear.weighed(U, U), linear.weighed(U, linear.left)
+        if not (np.isfinite(G).all() and np.isfinite(g).all()):
+            raise NoTrustworthyResult(
+                "the readings are so far from the machine that no change can be estimated",
+                code="not-verified",
+                remedy="check that they belong to this machine, and their columns and units",
+            )
+        visible &= np.diag(G) > 0.0
         t = np.zeros(len(self.named)) if t is None else t
         present = float(linear.weighed(linear.left, linear.left))
+        # With e = e_0 - U t: |e_0|^2 = |e|^2 + 2 t^T g + t^T G t in the metric S^-1, g_0 = g + G t.
         value = present + float(t @ (2.0 * g + G @ t))
         scale = np.sqrt(np.where(visible, np.diag(G), 1.0))
         same = np.abs(G / scale / scale[:, None]) > 1.0 - _SAME
@@ -241,6 +266,7 @@ class _Search:
             wider = max((value - every) / left, 1.0)
             axes = (U / scale)[:, heads] @ (vectors[:, kept] / np.sqrt(sizes[kept]))
             learnt = linear.denominator(axes) or np.inf
+            # Relative variances 2 / nu of independent errors of a scale add up.
             spread = _Spread(wider, 1.0 / (1.0 / left + 1.0 / learnt))
             freedom = 1.0 / (1.0 / freedom + 1.0 / left)
         return _System(
@@ -251,7 +277,7 @@ class _Search:
         """Each further candidate beside those that were accepted, one for each group."""
         G, g, rows = system.G, system.g, list(chosen)
         heads = [i for i in np.unique(system.group[system.visible]).tolist() if i not in rows]
-        X = np.linalg.solve(G[np.ix_(rows, rows)], G[rows]) if rows else np.zeros((0, len(g)))
+        X = _inverse(G[np.ix_(rows, rows)]) @ G[rows]
         left = np.diag(G) - (G[:, rows] * X.T).sum(axis=1)
         seen = [i for i in heads if left[i] > _VISIBLE * G[i, i]]
         score = g - (g[rows] @ X if rows else 0.0)
@@ -259,38 +285,53 @@ class _Search:
             [system.tail(abs(score[i]) / np.sqrt(system.scale * left[i]), i) for i in seen]
         )
         order = np.argsort(p, kind="stable")
+        # The smallest of m counts m times, the next m - 1; none falls below the one before.
         holm = np.maximum.accumulate(p[order] * (len(p) - np.arange(len(p))))
         adjusted = np.full(len(g), np.nan)
         for place, i in enumerate(order.tolist()):
             adjusted[seen[i]] = min(float(holm[place]), 1.0)
         return _Tests(tuple(seen[i] for i in order.tolist()), adjusted)
 
-    def tried(self, system: _System, found: _Tests, chosen: Sequence[int]) -> tuple[int, ...]:
+    def tried(self, system: _System, tests: _Tests, chosen: Sequence[int]) -> tuple[int, ...]:
         """The candidates whose fits are compared: the best one where the equations are linear.
 
         Where it leaves differences, changes may be too large for that: all zeros, and the best.
         """
-        best = found.order[0]
+        best = tests.order[0]
         p_value = system.innovation((*chosen, best)).p_value
         if p_value is None or p_value >= LEVEL:
             return (best,)
-        zeros = [i for i in found.order if self.named[i].kind == "zero"]
-        return tuple(dict.fromkeys([*found.order[:_TRIED], *zeros]))
+        zeros = [i for i in tests.order if self.named[i].kind == "zero"]
+        return tuple(dict.fromkeys([*tests.order[:_TRIED], *zeros]))
 
-    def settled(self, system: _System, chosen: Sequence[int]) -> _System:
-        """Linearised where the accepted changes are the estimated ones."""
-        begun = system
+    def settled(
+        self, system: _System, chosen: Sequence[int], falling: float | None = None
+    ) -> _System:
+        """Linearised where the accepted changes are the estimated ones.
+
+        It ends where a change leaves more misfit than before, by more than noise does; falling: or
+        more than this share of it.
+        """
+        rows = list(chosen)
+        # Where changes are dropped, the system at hand fits better than the new one can.
+        least = np.inf if np.delete(system.t, rows).any() else system.present
         for _ in range(_ROUNDS):
             t = np.zeros(len(self.named))
-            t[list(chosen)] = system.solved(chosen)
+            t[rows] = system.solved(chosen)
             moved = np.abs(t - system.t) * np.sqrt(np.diag(system.G))
             if moved.max() < _SETTLED:
                 break
             try:
-                here = self.at(self._by_name(t, zero=False), self._by_name(t, zero=True))
+                placement = self.at(self._by_name(t, zero=False), self._by_name(t, zero=True))
+                trial = self.system(placement, self.linearised(placement), t)
             except NoTrustworthyResult:
-                return begun
-            system = self.system(here, self.linearised(here), t)
+                break
+            # 1: about what noise adds to a chi-squared by one degree of freedom.
+            if trial.present > least + 1.0 or not trial.visible[rows].all():
+                break
+            before, least, system = least, trial.present, trial
+            if falling is not None and least > falling * before:
+                break
         return system
 
     def _by_name(self, t: Array, *, zero: bool) -> dict[str, float]:
@@ -303,7 +344,7 @@ class _Search:
     def kept(self, system: _System, chosen: Sequence[int]) -> tuple[int, ...]:
         """Those that are still significant beside the others; the last one is."""
         rows = list(chosen)
-        sds = np.sqrt(system.scale * np.diag(np.linalg.inv(system.G[np.ix_(rows, rows)])))
+        sds = np.sqrt(system.scale * np.diag(_inverse(system.G[np.ix_(rows, rows)])))
         z = np.abs(system.solved(chosen)) / sds
         return tuple(j for j, size in zip(chosen, z, strict=True) if size >= system.critical(j))
 
@@ -314,9 +355,9 @@ class _Search:
         if not chosen:
             return ()
         rows = list(chosen)
-        found = system.solved(chosen)
+        estimates = system.solved(chosen)
         wide = [system.quantile(0.025, j) for j in rows]
-        sds = np.sqrt(system.scale * np.diag(np.linalg.inv(system.G[np.ix_(rows, rows)])))
+        sds = np.sqrt(system.scale * np.diag(_inverse(system.G[np.ix_(rows, rows)])))
         return tuple(
             Change(
                 self.named[j].name,
@@ -329,14 +370,14 @@ class _Search:
                 p,
                 self._alike(system, chosen, j),
             )
-            for j, t, sd, w, p in zip(rows, found, sds, wide, p_values, strict=True)
+            for j, t, sd, w, p in zip(rows, estimates, sds, wide, p_values, strict=True)
         )
 
     def _alike(self, system: _System, chosen: Sequence[int], j: int) -> tuple[Candidate, ...]:
         """The candidates in whose presence j adds nothing significant."""
         others = [i for i in chosen if i != j]
         limit = system.scale * system.critical(j) ** 2
-        found = []
+        alike = []
         for k, one in enumerate(self.named):
             if k in chosen or not system.visible[k]:
                 continue
@@ -344,14 +385,15 @@ class _Search:
             if not same:
                 with_k = [*others, k]
                 both = system.G[np.ix_([*with_k, j], [*with_k, j])]
+                # Of two columns that are nearly one, what either adds would be rounding.
                 if np.linalg.cond(both / np.sqrt(np.outer(np.diag(both), np.diag(both)))) < 1e12:
                     gained = system.explained([*with_k, j]) - system.explained(with_k)
                     same = gained <= limit
             if same:
-                found.append(Candidate(one.name, one.kind, one.unit, None, None))
-        return tuple(found)
+                alike.append(Candidate(one.name, one.kind, one.unit, None, None))
+        return tuple(alike)
 
-    def told(self, system: _System, tests: _Tests) -> tuple[Candidate, ...]:
+    def tested(self, system: _System, tests: _Tests) -> tuple[Candidate, ...]:
         """All candidates, with the smallest change that is seen with the stated power."""
         reach = [
             system.critical(i) + system.quantile(1.0 - POWER, i) for i in range(len(self.named))
@@ -368,3 +410,12 @@ class _Search:
             )
             for i, one in enumerate(self.named)
         )
+
+
+def _inverse(G: Array) -> Array:
+    """Of a covariance's inverse (m, m), scaled first; along what it does not tell 0."""
+    scale = np.sqrt(np.diag(G))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    scaled = np.linalg.pinv(G / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    inverse: Array = scaled / np.outer(scale, scale)
+    return inverse

@@ -10,11 +10,11 @@ from typing import Any
 from loopcal.presentation.shown import by_sd, chance, percent, size, unit_shown, with_unit
 from loopcal.statistics.innovation import Innovation
 
+# Record 0053.
 LEVEL = 0.025
 """p-value of either test, of the whole and of single changes: together 5 %."""
 POWER = 0.9
 """With which a change of the stated smallest size is seen."""
-VERDICTS = ("unchanged", "re-master", "calibrate-anew")
 _WORDS = {
     "zero": "joint zeros",
     "angle": "angles",
@@ -71,8 +71,8 @@ class Change:
     @property
     def zeros(self) -> tuple[str, ...]:
         """The joints whose zero explains the change."""
-        own = (self.name,) if self.kind == "zero" else ()
-        return (*own, *(other.name for other in self.alike if other.kind == "zero"))
+        names = (self.name,) if self.kind == "zero" else ()
+        return (*names, *(other.name for other in self.alike if other.kind == "zero"))
 
     @property
     def mounted(self) -> bool:
@@ -98,10 +98,10 @@ class Change:
 class WhatChanged:
     """The changes of a machine since its calibration, and what would not have been seen.
 
-    verdict: one of `VERDICTS`; found: the changes, in the order of the search; candidates: all that
-    was tested; test: of the whole; spread: by how much these poses vary more than stated, where
-    that is not taken as a change; left: p-value of the whole after these changes, None without
-    redundancy.
+    verdict: unchanged, re-master or calibrate-anew; found: the changes, in the order of the search;
+    candidates: all that was tested; test: of the whole; spread: by how much these poses vary more
+    than stated, where that is not taken as a change; left: p-value of the whole after these
+    changes, None without redundancy.
     """
 
     verdict: str
@@ -112,19 +112,19 @@ class WhatChanged:
     left: float | None
 
     @classmethod
-    def from_document(cls, its: Mapping[str, Any], test: Mapping[str, Any]) -> WhatChanged:
+    def from_document(cls, entry: Mapping[str, Any], test: Mapping[str, Any]) -> WhatChanged:
         """From `document`, and the document of the test of the whole."""
-        candidates = {one["name"]: Candidate(**one) for one in its["candidates"]}
+        candidates = {one["name"]: Candidate(**one) for one in entry["candidates"]}
         return cls(
-            its["verdict"],
+            entry["verdict"],
             tuple(
                 Change(**{**one, "alike": tuple(candidates[name] for name in one["alike"])})
-                for one in its["found"]
+                for one in entry["found"]
             ),
             tuple(candidates.values()),
             Innovation(**test),
-            its["spread"],
-            its["left_p_value"],
+            entry["spread"],
+            entry["left_p_value"],
         )
 
     @property
@@ -135,29 +135,17 @@ class WhatChanged:
         return tuple(dict.fromkeys(change.zeros[0] for change in self.found))
 
     @property
-    def next(self) -> str | None:
-        """What to do."""
+    def code(self) -> str:
+        """Of the fact that these changes are."""
         if self.verdict == "unchanged":
-            return None
+            return "unchanged"
         if self.verdict == "re-master":
-            named = ", ".join(self.joints)
-            if all(change.kind == "zero" for change in self.found):
-                return f"Re-master {named}, then verify again."
-            return (
-                f"The zero of {named} explains these poses about as well: re-master it, then "
-                "verify again. If the machine is still not as calibrated, calibrate anew."
-            )
+            alone = all(change.kind == "zero" for change in self.found)
+            return "re-master" if alone else "re-master-first"
         if self.found and all(change.mounted for change in self.found):
-            return (
-                "If it was mounted anew, state it (--remounted). Otherwise inspect the mounting, "
-                "or calibrate anew."
-            )
-        if not any(one.kind == "mounting" for one in self.candidates):  # it was stated
-            return "Inspect the worst poses. Calibrate anew."
-        return (
-            "Inspect the worst poses. If the reflector was mounted anew, state it (--remounted). "
-            "Otherwise calibrate anew."
-        )
+            return "mounting-changed"
+        stated = not any(one.kind == "mounting" for one in self.candidates)
+        return "machine-changed" if stated else "changed"
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI."""
@@ -175,9 +163,9 @@ class WhatChanged:
 
     def lines(self) -> list[str]:
         """For the summary."""
-        return [*self._found(), *self._unseen()]
+        return [*self._seen(), *self._unseen()]
 
-    def _found(self) -> list[str]:
+    def _seen(self) -> list[str]:
         lines = ["what changed"]
         for change in self.found:
             lines.append(f"  {change.words} (95 %), {_p(change.p_value)}")
@@ -208,15 +196,15 @@ class WhatChanged:
         hidden = [one.words for one in self.candidates if one.smallest is None]
         for every in seen.values():
             least = min(one.smallest or 0.0 for one in every)
-            its = [one for one in every if (one.smallest or 0.0) <= _HARDLY * least]
-            hidden += [one.words for one in every if one not in its]
-            its = sorted(its, key=lambda one: one.smallest or 0.0)
-            kind, unit = _WORDS.get(its[0].kind, its[0].kind), its[0].unit
-            first, most = its[0], its[-1]
-            told = f"  {kind}: from {with_unit(first.smallest, unit, 2)} ({first.name})"
+            near_least = [one for one in every if (one.smallest or 0.0) <= _HARDLY * least]
+            hidden += [one.words for one in every if one not in near_least]
+            near_least = sorted(near_least, key=lambda one: one.smallest or 0.0)
+            kind, unit = _WORDS.get(near_least[0].kind, near_least[0].kind), near_least[0].unit
+            first, most = near_least[0], near_least[-1]
+            line = f"  {kind}: from {with_unit(first.smallest, unit, 2)} ({first.name})"
             if most is not first:
-                told += f" to {with_unit(most.smallest, unit, 2)} ({most.name})"
-            lines.append(told)
+                line += f" to {with_unit(most.smallest, unit, 2)} ({most.name})"
+            lines.append(line)
         if hidden:
             lines.append(f"  not visible at these poses: {_some(hidden)}")
         return lines

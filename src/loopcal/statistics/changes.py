@@ -27,6 +27,7 @@ from loopcal.statistics.change_points import Shifts, apart, find_shifts
 from loopcal.statistics.outliers import find_poses
 from loopcal.statistics.shifted import shift_lines, with_shifts
 
+# CERTAIN and MOST_OUTLIERS: record 0051.
 CERTAIN = 1e-6
 """Changes of so small a p-value, corrected for the search, are modelled; such poses discarded."""
 ROUNDS = 2
@@ -42,7 +43,7 @@ class Changes:
     """A case with what happened during its run.
 
     case: with effects for the changes, without the outliers; kept: positions of its poses in the
-    case as asked for; plain: that case without the effects; found: what was modelled; outliers:
+    case as asked for; plain: that case without the effects; points: what was modelled; outliers:
     what was discarded; searched: the last search; toml: the lines that state the changes; whole:
     the fit of the case, made: its machine with the model error, None where nothing happened.
     """
@@ -50,7 +51,7 @@ class Changes:
     case: Case
     plain: Case
     kept: NDArray[np.intp]
-    found: tuple[ChangePoint, ...] = ()
+    points: tuple[ChangePoint, ...] = ()
     outliers: Mapping[str, Outlier] = field(default_factory=dict)
     searched: Shifts | None = None
     toml: str = ""
@@ -66,8 +67,8 @@ class Changes:
     def words(self) -> str:
         """For the sentence on the choice."""
         words = ""
-        if self.found:
-            words += f"; changes modelled {when(self.found)}"
+        if self.points:
+            words += f"; changes modelled {when(self.points)}"
         if self.outliers:
             words += f"; without the outlier{'s' if len(self.outliers) > 1 else ''} "
             words += ", ".join(self.outliers)
@@ -75,16 +76,12 @@ class Changes:
 
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of a result of the case, with this."""
-        if self.searched is None or not self.found:
+        if self.searched is None or not self.points:
             return document
         level, poses = self.searched.level, self.searched.tested
-        told = ChangePoints(self.found, level, poses, self.toml)
-        return replace(
-            document,
-            change_points=told,
-            outliers=tuple(self.outliers.values()) or None,
-            warnings=(*told.warnings(), *document.warnings),
-        )
+        entry = ChangePoints(self.points, level, poses, self.toml)
+        discarded = tuple(self.outliers.values()) or None
+        return replace(document, change_points=entry, outliers=discarded)
 
 
 def unchanged(case: Case) -> Changes:
@@ -98,52 +95,57 @@ def changes(case: Case, way: Fit, whole: Result) -> Changes:
     way: how a structured candidate is fitted; whole: that fit of all poses. Where
     the machine cannot have such effects, or is not fitted better by them, nothing.
     """
-    told, way = unchanged(case), way.changed(prior=case.fit.prior)
+    run_changes, way = unchanged(case), way.changed(prior=case.fit.prior)
     for _ in range(ROUNDS):
         searched = find_shifts(whole)
-        new = [p for p in searched.told_apart if _certain(p, told.found)]
+        new = [p for p in searched.told_apart if _certain(p, run_changes.points)]
         if not new:
             break
         try:
-            told, whole = _modelled(case, way, replace(told, searched=searched), new)
-            told = replace(told, whole=whole)
+            run_changes, whole = _modelled(case, way, replace(run_changes, searched=searched), new)
+            run_changes = replace(run_changes, whole=whole)
         except (InputError, NoTrustworthyResult):
             break
-    return told
+    return run_changes
 
 
-def _certain(point: ChangePoint, known: Sequence[ChangePoint]) -> bool:
-    """Whether a change is beyond doubt, and none of those known with its date a little off."""
-    return point.p_value < CERTAIN and apart(point, known)
+def _certain(point: ChangePoint, points: Sequence[ChangePoint]) -> bool:
+    """Whether a change is beyond doubt, and none of these points with its date a little off."""
+    return point.p_value < CERTAIN and apart(point, points)
 
 
 def _modelled(
-    case: Case, way: Fit, told: Changes, new: Sequence[ChangePoint]
+    case: Case, way: Fit, run_changes: Changes, new: Sequence[ChangePoint]
 ) -> tuple[Changes, Result]:
     """The case with further changes, without what then does not fit; and the fit of the rest."""
     number = {pose: i + 1 for i, pose in enumerate(case.data.poses)}
     points = (replace(p, modelled=True, number=number[p.pose]) for p in new)
-    found = tuple(sorted((*told.found, *points), key=lambda point: point.number))
-    made = with_shifts(case.mechanism, case.data, found, column=NUMBER)
+    modelled_points = tuple(sorted((*run_changes.points, *points), key=lambda point: point.number))
+    made = with_shifts(case.mechanism, case.data, modelled_points, column=NUMBER)
     full = replace(case, mechanism=made.mechanism, data=made.data)
-    told = replace(told, found=found, toml=shift_lines(case.data, found))
-    told = _kept(told, case, full, told.kept)
-    machine = modelled(way, way.with_prior(told.case.mechanism), len(told.case.data))
-    told, way = replace(told, made=machine), way.changed(prior=None)
-    fitted = replace(told.case, mechanism=machine, fit=way).calibrated()
+    run_changes = replace(
+        run_changes, points=modelled_points, toml=shift_lines(case.data, modelled_points)
+    )
+    run_changes = _kept(run_changes, case, full, run_changes.kept)
+    machine = modelled(way, way.with_prior(run_changes.case.mechanism), len(run_changes.case.data))
+    # The machine has the prior already.
+    run_changes, way = replace(run_changes, made=machine), way.changed(prior=None)
+    fitted = replace(run_changes.case, mechanism=machine, fit=way).calibrated()
     if not fitted.status.converged:
         raise NoTrustworthyResult("the fit with the changes did not converge", code="not-converged")
     tests = find_poses(fitted)  # columns were tried before
     bad = {one.pose: one for one in tests.found if one.p_value * tests.tested < CERTAIN}
-    if not bad or len(bad) + len(told.outliers) > MOST_OUTLIERS * len(case.data):
-        return told, fitted
-    kept = np.array([i for i in told.kept if case.data.poses[i] not in bad], dtype=np.intp)
-    told = _kept(replace(told, outliers={**told.outliers, **bad}), case, full, kept)
-    fitted = replace(told.case, mechanism=machine, fit=way).calibrated()
-    return told, fitted
+    if not bad or len(bad) + len(run_changes.outliers) > MOST_OUTLIERS * len(case.data):
+        return run_changes, fitted
+    kept = np.array([i for i in run_changes.kept if case.data.poses[i] not in bad], dtype=np.intp)
+    run_changes = _kept(
+        replace(run_changes, outliers={**run_changes.outliers, **bad}), case, full, kept
+    )
+    fitted = replace(run_changes.case, mechanism=machine, fit=way).calibrated()
+    return run_changes, fitted
 
 
-def _kept(told: Changes, case: Case, full: Case, kept: NDArray[np.intp]) -> Changes:
+def _kept(run_changes: Changes, case: Case, full: Case, kept: NDArray[np.intp]) -> Changes:
     gone = np.setdiff1d(np.arange(len(case.data)), kept)
 
     def without(one: Case) -> Case:
@@ -151,4 +153,4 @@ def _kept(told: Changes, case: Case, full: Case, kept: NDArray[np.intp]) -> Chan
             return one
         return replace(one, data=one.data.without_outliers(gone), noise=taken(one.noise, kept))
 
-    return replace(told, case=without(full), plain=without(case), kept=kept)
+    return replace(run_changes, case=without(full), plain=without(case), kept=kept)

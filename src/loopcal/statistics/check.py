@@ -8,23 +8,28 @@ the sensors as stated. They say nothing of a mistake in the model or in the read
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.catalogue import findings
 from loopcal.document.findings import Observability, UsualSd
+from loopcal.document.judgement import Fact, Finding, Where, fact
 from loopcal.document.plain import plain
-from loopcal.estimation.calibrate import started
+from loopcal.estimation.contradiction import refuse_contradiction
+from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.fit import Fit, Start
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.solve.reduction import Spectrum, spectrum, undetermined
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
+from loopcal.estimation.steps import started
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
@@ -41,14 +46,19 @@ from loopcal.statistics.identifiability import (
 )
 from loopcal.statistics.observability import observability
 from loopcal.statistics.predictor import (
+    Predictor,
     ReadingNoise,
     largest_by_unit,
     predictor_at,
     usual_words,
 )
+from loopcal.statistics.run_order import order_by_joints
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
+# As in the search for change points (record 0051).
+FOLLOWED = 0.5
+"""Share of the order of the poses from which a drift looks like an error of the machine."""
 FEW = 3.0
 """Loop equations per parameter below which there is little to check the model against."""
 
@@ -69,11 +79,10 @@ class Range:
 class Check:
     """What a calibration can be expected to give.
 
-    verdict: "good", "weak" (poses alike, or few) or "undetermined" (a direction that neither
-    readings nor prior limit); words: the verdict and its remedy. expected_sd: of every parameter
-    [SI], None where fixed or where no sds of sensors are stated, inf where undetermined;
-    expected_at_poses: sd that the parameters cause in what each instrument sees, at 95 % of the
-    poses.
+    expected_sd: of every parameter [SI], None where fixed or where no sds of sensors are stated,
+    inf where undetermined; predictor: with the covariance to expect, None where no sds are stated
+    or nothing is predicted; facts: what these poses determine first; files: name of the project,
+    for command lines.
     """
 
     mechanism: Mechanism
@@ -82,15 +91,43 @@ class Check:
     identifiability: WhatDataSay
     observability: Observability
     expected_sd: Mapping[str, float | None]
-    expected_at_poses: tuple[UsualSd, ...]
-    verdict: str
-    words: str
+    predictor: Predictor | None
+    facts: tuple[Fact, ...]
+    files: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found out, the gravest first."""
+        return findings(self.facts, self.files)
+
+    @property
+    def finding(self) -> Finding:
+        """What these poses determine."""
+        return next(one for one in self.findings if one.question == "valid")
+
+    @property
+    def expected_at_poses(self) -> tuple[UsualSd, ...]:
+        """The sd that the parameters cause in what each instrument sees, at 95 % of the poses."""
+        return () if self.predictor is None else self.predictor.usual
+
+    @property
+    def verdict(self) -> str:
+        """good, weak (poses alike, or few) or undetermined (a direction that neither readings nor
+        prior limit)."""
+        return self.finding.code.removeprefix("poses-")
+
+    @property
+    def words(self) -> str:
+        """The verdict and its remedy."""
+        one = self.finding
+        return one.words if one.next is None else f"{one.words} {one.next.words}"
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
         return {
             "verdict": self.verdict,
             "words": self.words,
+            "findings": [asdict(one) for one in self.findings],
             "poses": self.poses,
             "quantities": [
                 {
@@ -108,7 +145,8 @@ class Check:
                     "name": p.name,
                     "unit": p.unit,
                     "nominal": p.nominal,
-                    "kind": self.mechanism.kinds[p.name],
+                    "role": p.role,
+                    "owner": p.owner,
                     "prior_sd": p.prior_sd if math.isfinite(p.prior_sd) else None,
                     "fixed": p.fixed,
                     "expected_sd": _finite(self.expected_sd[p.name]),
@@ -140,6 +178,7 @@ class Check:
             f"expected prediction: {words} at 95 % of these poses"
             for words in usual_words(self.expected_at_poses)
         ]
+        lines += [one.words for one in self.findings if one.question != "valid"]
         return lines + self.identifiability.words()
 
     def __str__(self) -> str:
@@ -164,38 +203,44 @@ def check(
     (Wampler, Hollerbach and Arai 1995). Raises InputError for input that cannot be used.
     """
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
-    fit, told = Fit(prior=prior, start=start), Noise.of(noise)
+    fit, stated_noise = Fit(prior=prior, start=start), Noise.of(noise)
     mechanism = fit.with_prior(mechanism)
-    if told is not None:
-        mechanism, data = with_model(mechanism, data, told)
+    if stated_noise is not None:
+        mechanism, data = with_model(mechanism, data, stated_noise)
     with one_blas_thread():
-        problem = started(mechanism, data, told, fit.start)
-        sweeper = Sweeper(problem, exact=told is None)
-        exact = Sweeper(problem, exact=True)
+        problem = started(mechanism, data, stated_noise, fit.start)
+        if stated_noise is not None:
+            refuse_contradiction(problem, data)
+        sweeper = Sweeper(problem)
+        # Weighted alike, loops correct only what no sensor reads: the readings stay as they stand.
+        exact = Sweeper(problem.weighted(Weighting.ALIKE))
         corrections = start_corrections(exact, problem.start)
         corrections = exact.close(problem.start, corrections, NEAR, 1.0).corrections
         information = sweeper.sweep(problem.start, corrections, triangular=True).data
         system = spectrum(information, np.zeros(len(problem.free)), problem.prior_sd)
         loose = {n for d in undetermined(system, problem.names) for n in d}
-        sds = _expected(problem, system, loose, stated=told is not None)
-        usual: tuple[UsualSd, ...] = ()
-        if mechanism.outputs and told is not None:
+        sds = _expected(problem, system, loose, stated=stated_noise is not None)
+        predictor: Predictor | None = None
+        if mechanism.outputs and stated_noise is not None:
             x = problem.readings + corrections
-            known = LearntCovariance.known(system.covariance())
-            usual = predictor_at(problem, problem.mechanism, known, system, x, ReadingNoise()).usual
+            covariance = LearntCovariance.certain(system.covariance())
+            predictor = predictor_at(
+                problem, problem.mechanism, covariance, system, x, ReadingNoise()
+            )
     index = calibration_index(problem, problem.count, problem.equations)
-    said = what_data_say(problem, information, sds, index, unit_sd=None if told is None else 1.0)
-    verdict = _verdict(problem, said, loose)
+    # Whitened by stated sds, an equation has the sd 1.
+    said = what_data_say(
+        problem, information, sds, index, unit_sd=None if stated_noise is None else 1.0
+    )
     return Check(
         problem.mechanism,
         len(data),
-        _ranges(problem, data, stated=told is not None),
+        _ranges(problem, data, stated=stated_noise is not None),
         said,
         observability(information, len(data)),
         sds,
-        usual,
-        verdict.name,
-        verdict.words,
+        predictor,
+        (_determined(problem, said, loose), *_order(problem)),
     )
 
 
@@ -211,7 +256,7 @@ def _expected(
 
 
 def _ranges(problem: Problem, data: Dataset, *, stated: bool) -> tuple[Range, ...]:
-    found = []
+    ranges = []
     shape = problem.readings.shape
     sds = np.broadcast_to(problem.uncertainty.sd, shape)
     for row, (quantity, unit) in enumerate(problem.mechanism.quantities.items()):
@@ -219,44 +264,34 @@ def _ranges(problem: Problem, data: Dataset, *, stated: bool) -> tuple[Range, ..
         values = values[~np.isnan(values)]
         low, high = (float(values.min()), float(values.max())) if values.size else (None, None)
         sd = float(np.median(sds[row])) if stated else None
-        found.append(Range(quantity, unit, int(values.size), low, high, sd))
-    return tuple(found)
+        ranges.append(Range(quantity, unit, int(values.size), low, high, sd))
+    return tuple(ranges)
 
 
-@dataclass(frozen=True)
-class _Verdict:
-    name: str
-    words: str
-
-
-def _verdict(problem: Problem, said: WhatDataSay, loose: set[str]) -> _Verdict:
+def _determined(problem: Problem, said: WhatDataSay, loose: set[str]) -> Fact:
+    condition, share = said.condition_number, problem.equations / len(problem.free)
+    numbers = {} if condition is None else {"condition_number": condition}
     if loose:
-        names = ", ".join(repr(n) for n in problem.names if n in loose)
-        return _Verdict(
-            "undetermined",
-            f"Neither these readings nor the prior determine {names}. Fix a parameter of each "
-            "combination listed, state how well it is known ([prior]), or measure poses "
-            "that distinguish it from the others.",
-        )
-    condition = said.condition_number
+        place = Where(parameters=tuple(n for n in problem.names if n in loose))
+        names = ", ".join(map(repr, place.parameters))
+        return fact("poses-undetermined", place, numbers, names=names)
     if condition is None or condition > SCHROER:
         size = "is infinite" if condition is None else f"is {significant(condition, 3)}"
-        return _Verdict(
-            "weak",
-            f"The condition number of these poses {size}, and poses are good up to "
-            f"{SCHROER:.0f}: they are too alike, or too few quantities are read. The fit will "
-            f"be valid near these poses only. Spread the joints over their whole ranges, above "
-            f"all the joints of the parameters listed; or state priors from the drawing "
-            f"([prior]).",
-        )
-    share = problem.equations / len(problem.free)
+        return fact("poses-alike", numbers=numbers, size=size, limit=f"{SCHROER:.0f}")
     if share < FEW:
-        return _Verdict(
-            "weak",
-            f"There are {significant(share, 2)} loop equations per parameter, too few to check "
-            "the fit against. Measure more poses.",
-        )
-    return _Verdict("good", "These poses determine every parameter.")
+        return fact("poses-few", numbers=numbers, share=significant(share, 2))
+    return fact("poses-good", numbers=numbers)
+
+
+def _order(problem: Problem) -> Iterator[Fact]:
+    """Whether, before any reading, a drift could be told from an error of the machine."""
+    joints = problem.readings[joint_rows(problem)].T
+    # Constant, joints, and their products of second order: 1 + n + n (n + 1) / 2 columns.
+    terms = (joints.shape[1] + 1) * (joints.shape[1] + 2) // 2
+    if joints.size and np.isfinite(joints).all() and len(joints) >= 2 * terms:
+        share = order_by_joints(joints)
+        if share > FOLLOWED:
+            yield fact("order-by-joints", numbers={"r_squared": share})
 
 
 def _range_table(check: Check) -> list[str]:
@@ -275,8 +310,7 @@ def _range_table(check: Check) -> list[str]:
 
 
 def _parameter_table(check: Check) -> list[str]:
-    rows = [["parameter", "nominal", "prior sd", "expected sd", "unit", "kind"]]
-    kinds = check.mechanism.kinds
+    rows = [["parameter", "nominal", "prior sd", "expected sd", "unit", "role"]]
     for p in check.mechanism.parameters:
         unit = SHOWN.get(p.unit, p.unit)
         prior = significant(float(from_si(p.prior_sd, unit)), 3)
@@ -285,15 +319,11 @@ def _parameter_table(check: Check) -> list[str]:
         if sd is not None and math.isfinite(sd):
             expected = significant(float(from_si(sd, unit)), 3)
         nominal = f"{round(float(from_si(p.nominal, unit)), 9):.8g}"
-        known = "flat" if math.isinf(p.prior_sd) else prior
-        sds = ("", "fixed") if p.fixed else (known, expected)
-        rows.append([p.name, nominal, *sds, unit, kinds[p.name]])
+        prior_shown = "flat" if math.isinf(p.prior_sd) else prior
+        sds = ("", "fixed") if p.fixed else (prior_shown, expected)
+        rows.append([p.name, nominal, *sds, unit, p.role])
     return columns(rows)
 
 
 def _finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
-
-
-def _in(value: float, unit: str) -> str:
-    return f"{significant(float(from_si(value, unit)), 3)} {unit}"

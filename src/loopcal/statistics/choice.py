@@ -12,7 +12,8 @@ significantly better: lower in both, by more than the 97.5 % point of Student's 
 error of the mean difference. Errors in one region are not independent, so regions are the units of
 the second; the units of the first are poses. Against a structured candidate both must be
 significant, because poses of a narrow set cannot show what its prior is good for elsewhere; between
-plain methods one is enough.
+plain methods one is enough. What another candidate beats by the rule of the verdict
+(`loopcal.document.choice.beats`) is never taken.
 """
 
 from __future__ import annotations
@@ -26,16 +27,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.choice import Candidate, Chosen
+from loopcal.document.choice import Candidate, Chosen, beats
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
+from loopcal.estimation.contradiction import CODE as CONTRADICTED
 from loopcal.estimation.dependence.dependence import likenesses
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
-from loopcal.execution.forked import helping, own_cores
+from loopcal.execution.forked import helping, process_cores
 from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.presentation.wrapped import shortened
 from loopcal.statistics.candidates import Entrant, entrants
@@ -58,6 +60,7 @@ from loopcal.statistics.validation import (
 )
 
 Array = NDArray[np.float64]
+# Record 0047.
 FOLDS, BLOCKS, FEWEST = 10, 5, 25
 """Parts at random, regions, and the different poses from which on regions are left out."""
 HOPELESS = 3.0
@@ -149,45 +152,47 @@ def choose(
             none = Chosen(entrant.name, (), words, ())
             return Choice(case.fit.method.name, whole, none, None, None)
     case = replace(case, trusted=True)
-    judged, told, by = _searched(case, judged, [_begun(e, None) for e in waiting], iterated)
+    judged, run_changes, by = _searched(case, judged, [_begun(e, None) for e in waiting], iterated)
     near = next((one.whole for one in judged if one.whole and not one.failed), None)
-    known: dict[str, Result | None] = {}
-    if told.found:
-        case, near, known = told.case, told.whole, {by: told.whole}
-        judged, waiting = [], list(entrants(case, told.moved, told.made))
+    whole_fits: dict[str, Result | None] = {}
+    if run_changes.points:
+        case, near, whole_fits = run_changes.case, run_changes.whole, {by: run_changes.whole}
+        judged, waiting = [], list(entrants(case, run_changes.moved, run_changes.made))
     else:
         waiting = [one for one in waiting if not one.structured]
     other = scheme if scheme and scheme.other is not None else None
-    its = None if other else _of(scheme, told)
+    kept_scheme = None if other else _of(scheme, run_changes)
 
     def planned() -> Plan | None:
-        return _plan(told.plain, its)
+        return _plan(run_changes.plain, kept_scheme)
 
     # those without a model error are fitted once, where what happened during the run is known
-    more, plan = _all_fitted([_begun(one, near) for one in waiting], iterated, known, planned)
+    more, plan = _all_fitted([_begun(one, near) for one in waiting], iterated, whole_fits, planned)
     judged = [*judged, *more]
     _refuse(judged)
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
-    found = replace(_choice(case, judged, plan), changes=told)
-    words = found.chosen.words + told.words()
-    found = replace(found, chosen=replace(found.chosen, words=words))
+    choice = replace(_choice(case, judged, plan), changes=run_changes)
+    words = choice.chosen.words + run_changes.words()
+    exact = (one.failed for one in judged if one.error and one.error.code == CONTRADICTED)
+    chosen = replace(choice.chosen, words=words, contradicted=next(exact, None))
+    choice = replace(choice, chosen=chosen)
     if other is None:
-        return found
-    taken = next(one.entrant.case for one in judged if one.name == found.chosen.method)
-    return replace(found, validation=validated(taken, found.result, other))
+        return choice
+    taken = next(one.entrant.case for one in judged if one.name == choice.chosen.method)
+    return replace(choice, validation=validated(taken, choice.result, other))
 
 
 def _refuse(judged: Sequence[Judged]) -> None:
     """Raise the first error where nothing can be calibrated, or at no size that means anything.
 
     A machine of unknown size stays refused although the spread of its lengths about the drawing
-    can be learnt: every fit makes it smaller, because the joints' noise moves a small machine less.
+    can be learnt. Every fit makes it smaller, because the joints' noise moves a small machine less.
     """
-    own = [one for one in judged if not one.entrant.drawn]
-    plain = [one for one in own if not one.entrant.structured]
+    estimated = [one for one in judged if not one.entrant.drawn]
+    plain = [one for one in estimated if not one.entrant.structured]
     sizeless = all(one.error is not None and one.error.code == "unknown-size" for one in plain)
-    able = plain if sizeless else own
+    able = plain if sizeless else estimated
     if not any(one.whole for one in able):
         raise next(one.error for one in able if one.error)
 
@@ -210,8 +215,8 @@ def _begun(one: Entrant, whole: Result | None) -> Entrant:
     """
     case = replace(one.case, trusted=True)
     if whole is not None and not (one.structured or one.drawn):
-        own = case.mechanism.parameters.names
-        start = {name: value for name, value in whole.value.items() if name in own}
+        names = case.mechanism.parameters.names
+        start = {name: value for name, value in whole.value.items() if name in names}
         near = unread(whole) if len(case.data) == whole.problem.count else {}
         case = replace(case, begin=start, near=near)
     return replace(one, case=case)
@@ -233,20 +238,20 @@ def _searched(
         judged = _fitted(one, None if helping() else iterated)
         return judged, _changes(case, judged) if one is first else None
 
-    done, told = dict[str, Judged](), None
-    with closing(own_cores().run(fitted, None, order)) as found:
-        for outcome in found:
-            one, its = outcome.value
+    done, run_changes = dict[str, Judged](), None
+    with closing(process_cores().run(fitted, None, order)) as outcomes:
+        for outcome in outcomes:
+            one, fit_changes = outcome.value
             done[one.name] = one
-            if its is not None:
-                told, by = its, one.name
-                if told.found:
+            if fit_changes is not None:
+                run_changes, by = fit_changes, one.name
+                if run_changes.points:
                     break
     judged = [*judged, *(done[one.name] for one in structured if one.name in done)]
-    if told is None:
+    if run_changes is None:
         best = _closest(judged)
-        told, by = (_changes(case, best), best.name) if best else (None, "")
-    return judged, told or unchanged(case), by
+        run_changes, by = (_changes(case, best), best.name) if best else (None, "")
+    return judged, run_changes or unchanged(case), by
 
 
 def _changes(case: Case, by: Judged) -> Changes | None:
@@ -256,31 +261,31 @@ def _changes(case: Case, by: Judged) -> Changes | None:
     return changes(case, by.entrant.case.fit, by.whole)
 
 
-def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
+def _of(scheme: Scheme | None, run_changes: Changes) -> Scheme | None:
     """The scheme for the poses that are left."""
     if scheme is None or scheme.groups is None:
         return scheme
-    return replace(scheme, groups=[scheme.groups[i] for i in told.kept])
+    return replace(scheme, groups=[scheme.groups[i] for i in run_changes.kept])
 
 
 def _all_fitted(
     entrants: Sequence[Entrant],
     iterated: Iterated | None,
-    known: Mapping[str, Result | None],
+    whole_fits: Mapping[str, Result | None],
     plan: Callable[[], Plan | None],
 ) -> tuple[list[Judged], Plan | None]:
     """Candidates with their fits of all poses, and a plan, side by side.
 
-    known: fits at hand, by name. Iterations in other processes are not told.
+    whole_fits: fits at hand, by name. Iterations in other processes are not reported.
     """
 
     def fitted(_: None, one: Entrant | None) -> Judged | Plan | None:
         if one is None:
             return plan()
-        return _fitted(one, None if helping() else iterated, known.get(one.name))
+        return _fitted(one, None if helping() else iterated, whole_fits.get(one.name))
 
-    found: list[Any] = gathered(own_cores(), fitted, None, [*entrants, None])
-    return found[:-1], found[-1]
+    outcomes: list[Any] = gathered(process_cores(), fitted, None, [*entrants, None])
+    return outcomes[:-1], outcomes[-1]
 
 
 def _fitted(one: Entrant, iterated: Iterated | None, whole: Result | None = None) -> Judged:
@@ -314,19 +319,22 @@ def _validated(
     judged: Sequence[Judged], plan: Plan, executor: Executor | None, progress: Progress | None
 ) -> list[Judged]:
     """All candidates on the parts of a plan; costly ones that are hopeless at half time go."""
+    # Every second part: both halves then hold random parts and regions.
     halves = plan.indices[::2], plan.indices[1::2]
     total, before = len(plan.indices) * sum(not one.failed for one in judged), 0
 
-    def told(done: int, _: int) -> None:
+    def advance(done: int, _: int) -> None:
         if progress:
             progress(before + done, total)
 
     for half in halves:
         fitted = {one.name: (one.entrant.case, one.whole) for one in judged if one.whole}
         alive = [one.name for one in judged if not one.failed and one.name in fitted]
-        found = left_out([fitted[name] for name in alive], half, executor, told, anew=plan.anew)
+        outcomes = left_out(
+            [fitted[name] for name in alive], half, executor, advance, anew=plan.anew
+        )
         before += len(half) * len(alive)
-        made = dict(zip(alive, found, strict=True))
+        made = dict(zip(alive, outcomes, strict=True))
         judged = [replace(one, made=(*one.made, *made.get(one.name, ()))) for one in judged]
         if half is halves[0]:
             judged = _without_hopeless(judged, (len(plan.random.indices) + 1) // 2)
@@ -354,8 +362,8 @@ def _without_hopeless(judged: Sequence[Judged], random: int) -> list[Judged]:
     best = [min(sizes, default=0.0) for sizes in zip(*ways.values(), strict=True)]
     kept = []
     for one in judged:
-        own = ways.get(one.name, ())
-        times = [a / b for a, b in zip(own, best, strict=False) if 0.0 < b < math.inf]
+        rms_values = ways.get(one.name, ())
+        times = [a / b for a, b in zip(rms_values, best, strict=False) if 0.0 < b < math.inf]
         if min(times, default=0.0) > HOPELESS and not one.entrant.cheap:
             one = replace(one, made=(), failed=f"{min(times):.1f} times the best rms halfway")
         kept.append(one)
@@ -385,13 +393,13 @@ def _risks(whole: Result, part: Predicted) -> Array:
 
 def _risk(one: Judged, plan: Plan, poses: int) -> Array:
     """(2, N): risk where the pose was left out at random, and with its region; NaN if unknown."""
-    found = np.full((2, poses), np.nan)
+    risks = np.full((2, poses), np.nan)
     if one.whole is not None:
         for number, part in enumerate(one.made):
             if isinstance(part, Predicted):
                 row = int(number >= len(plan.random.indices))
-                found[row, part.index] = _risks(one.whole, part)
-    return found
+                risks[row, part.index] = _risks(one.whole, part)
+    return risks
 
 
 def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
@@ -411,21 +419,21 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
     risks = {one.name: _risk(one, plan, len(case.data)) for one in judged if one.made}
     taken = _taken([one for one in judged if one.made], risks, plan)
     assert taken.whole is not None
-    found = {
+    validations = {
         one.name: pooled(one.whole, one.made, plan, one.entrant.case.data, stating=one is taken)
         for one in judged
         if one.made and one.whole is not None
     }
     ordered = [taken, *(one for one in judged if one is not taken)]
-    best = found[taken.name].accuracy
+    best = validations[taken.name].accuracy
     over = []
     for one in ordered:
-        own = found.get(one.name)
+        validation = validations.get(one.name)
         gain = None
-        if own is not None and own.accuracy is not None and best is not None:
+        if validation is not None and validation.accuracy is not None and best is not None:
             gain = Gain.in_rms(risks[taken.name][0], risks[one.name][0], plan.groups)
         learnt = one.whole if one.made and not taken.entrant.structured else None
-        entry = _candidate(one, own, gain)
+        entry = _candidate(one, validation, gain)
         over.append(replace(entry, terms=() if learnt is None else learnt.terms))
     if taken.entrant.structured:
         _tell_order(judged, ordered, over)
@@ -436,7 +444,7 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
     ]
     words = _words(over, "" if best is None else best.unit, better)
     chosen = Chosen(taken.name, _terms(taken), words, tuple(over))
-    return Choice(case.fit.method.name, taken.whole, chosen, found[taken.name], nominal)
+    return Choice(case.fit.method.name, taken.whole, chosen, validations[taken.name], nominal)
 
 
 def _tell_order(judged: Sequence[Judged], ordered: Sequence[Judged], over: list[Candidate]) -> None:
@@ -445,8 +453,8 @@ def _tell_order(judged: Sequence[Judged], ordered: Sequence[Judged], over: list[
     first = next((one for one in plain if one.whole and not one.failed), None)
     if first is None or first.whole is None:
         return
-    whole, exact = first.whole, first.whole.fit.solver.exact
-    tests = likenesses(whole.problem, whole.solution, whole.pose_equations(), exact=exact)
+    whole = first.whole
+    tests = likenesses(whole.problem, whole.solution, whole.pose_equations())
     if tests.serial:
         i = ordered.index(first)
         over[i] = replace(over[i], serial=tests.serial[0].serial)
@@ -464,30 +472,54 @@ def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> 
     better = [
         one for one in judged if _better(risks[one.name], risks[preferred.name], plan, enough)
     ]
-    return min(better, key=score) if better else preferred
+    taken = min(better, key=score) if better else preferred
+    # Each round lowers the rms on common poses. The bound ends a cycle of candidates that failed
+    # on different ones.
+    for _ in judged if taken.entrant.case.mechanism.outputs else ():
+        # the verdict would condemn what another one beats
+        beaten = [one for one in judged if _beats(risks[one.name], risks[taken.name], plan)]
+        taken = min(beaten, key=lambda one: _rms_of(risks[one.name][0]) or 0.0, default=taken)
+    return taken
+
+
+def _beats(rival: Array, taken: Array, plan: Plan) -> bool:
+    """By the rule of the verdict."""
+    gain = Gain.in_rms(taken[0], rival[0], plan.groups)
+    if gain is None:
+        return False
+    return beats(gain.difference, gain.sd, _rms_of(rival[1]), _rms_of(taken[1]))
+
+
+def _rms_of(risk: Array) -> float | None:
+    """Of the poses where it is known; None where at none."""
+    values = risk[np.isfinite(risk)]
+    return math.sqrt(max(float(values.mean()), 0.0)) if values.size else None
 
 
 def _score(risk: Array) -> float:
     """Mean risk over both ways to leave a pose out."""
     rows = [row[np.isfinite(row)] for row in risk]
     return (
+        # A mean of means: one of the ways may know more poses than the other.
         float(np.mean([row.mean() for row in rows if row.size]))
         if any(map(len, rows))
         else math.inf
     )
 
 
-def _better(own: Array, other: Array, plan: Plan, enough: Callable[[Iterable[bool]], bool]) -> bool:
+def _better(
+    risk: Array, other: Array, plan: Plan, enough: Callable[[Iterable[bool]], bool]
+) -> bool:
     """Whether a candidate is significantly better than another, in all or any of both ways."""
-    gains = [Gain.of(own[0], other[0], plan.groups)]
+    gains = [Gain.of(risk[0], other[0], plan.groups)]
     if plan.blocked is not None:
         region = np.zeros(len(plan.groups), dtype=np.intp)
         for number, index in enumerate(plan.blocked.indices):
             region[index] = number
-        gains.append(Gain.of(own[1], other[1], region))
-    known = [gain for gain in gains if gain.clusters]
-    return all(gain.difference > 0.0 for gain in known) and enough(
-        gain.better is True for gain in known
+        gains.append(Gain.of(risk[1], other[1], region))
+    clustered = [gain for gain in gains if gain.clusters]
+    return all(gain.difference > 0.0 for gain in clustered) and enough(
+        gain.better is True for gain in clustered
     )
 
 
@@ -512,15 +544,15 @@ def _bare(one: Judged) -> Candidate:
     return Candidate(one.name, None, None, None, None, out, chi_squared=chi, excess=more)
 
 
-def _candidate(one: Judged, own: Validation | None, gain: Gain | None) -> Candidate:
+def _candidate(one: Judged, validation: Validation | None, gain: Gain | None) -> Candidate:
     """As a document holds it; gain: of the chosen one over it, at random parts."""
     bare = _bare(one)
-    if own is None or own.accuracy is None:
+    if validation is None or validation.accuracy is None:
         return bare
-    blocked = own.blocked and own.blocked.accuracy
+    blocked = validation.blocked and validation.blocked.accuracy
     return replace(
         bare,
-        out_of_sample=own.accuracy.distances,
+        out_of_sample=validation.accuracy.distances,
         blocked=blocked.distances if blocked else None,
         difference=None if gain is None else gain.difference,
         sd=None if gain is None else gain.sd,

@@ -31,12 +31,14 @@ noise then decides nothing.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.chi_squared import tail
+from loopcal.document.judgement import Fact, Where, fact
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.alignment import align
@@ -54,7 +56,7 @@ from loopcal.statistics.compared import (
     ParameterDifference,
     PointDifference,
 )
-from loopcal.statistics.gauge import carried, difference, gauge, moved, values_of
+from loopcal.statistics.gauge import carried, changes, difference, gauge, moved, values_of
 
 Array = NDArray[np.float64]
 MOST_POSES = 500
@@ -82,9 +84,10 @@ def compare(
     """
     a = Calibrated.of(a, "A") if isinstance(a, Result) else a
     b = Calibrated.of(b, "B") if isinstance(b, Result) else b
+    stood, (a, b) = (a, b), (_unstationed(a), _unstationed(b))
     _check_same(a.mechanism, b.mechanism)
     aligned = align and a.mechanism.placement is not None and len(a.mechanism.outputs) in (2, 3)
-    points = _points(a, b, poses) if a.mechanism.outputs else None
+    points = _points(*stood, a, poses) if a.mechanism.outputs else None
     if aligned and points is not None:
         b, motion = _brought(b, points)
         points = replace(points, b=motion @ _extended(points.b))
@@ -98,7 +101,7 @@ def compare(
         stacked = points.S.reshape(-1, len(d))
         P = P - G @ np.linalg.lstsq(stacked @ G, stacked, rcond=None)[0]
     left_out = np.hstack([G, loose])
-    C = _covariance(a.as_its_residuals, b.as_its_residuals)
+    C = _covariance(a.by_residuals, b.by_residuals)
     tested = _statistic(d, C, left_out)
     scattered = None
     if (tested.p_value or 0.0) < SIGNIFICANT:
@@ -116,13 +119,14 @@ def compare(
         None if points is None else _differences(points, spread, points.S @ (P @ loose)),
         tested,
         _reaches(a, b),
-        _notes(a, b, aligned, scattered),
+        tuple(_remarks(a, b, aligned, scattered)),
     )
 
 
 @dataclass(frozen=True)
 class _Points:
-    """Predicted points (o, N) of both machines at common poses, and S (N, o, n_all) of A."""
+    """Predicted points (o, N) of both machines at common poses, and S (N, o, n_all) of A, as it
+    is compared."""
 
     a: Array
     b: Array
@@ -132,9 +136,9 @@ class _Points:
 
 def _check_same(a: Mechanism, b: Mechanism) -> None:
     if a.parameters.names != b.parameters.names or a.outputs != b.outputs:
-        own = [n for n in a.parameters.names if n not in b.parameters.names]
-        its = [n for n in b.parameters.names if n not in a.parameters.names]
-        words = f": only A has {', '.join(own) or 'none'}, only B {', '.join(its) or 'none'}"
+        only_a = [n for n in a.parameters.names if n not in b.parameters.names]
+        only_b = [n for n in b.parameters.names if n not in a.parameters.names]
+        words = f": only A has {', '.join(only_a) or 'none'}, only B {', '.join(only_b) or 'none'}"
         raise InputError(
             f"the two calibrations do not describe the same machine{words}",
             code="conflicting-keys",
@@ -142,7 +146,37 @@ def _check_same(a: Mechanism, b: Mechanism) -> None:
         )
 
 
-def _points(a: Calibrated, b: Calibrated, poses: Dataset | None) -> _Points | None:
+def _unstationed(one: Calibrated) -> Calibrated:
+    """An updated arm of transitions, its geometry where it stands: as others describe it."""
+    from loopcal.mechanisms.stationed import unstationed
+
+    before, made = one.mechanism, unstationed(one.mechanism)
+    if made is before:
+        return one
+    names = before.parameters.names
+
+    def values(p: Array) -> Array:
+        return values_of(
+            unstationed(before.with_nominal(dict(zip(names, p.tolist(), strict=True))))
+        )
+
+    M = changes(made, values, values_of(before))
+    kept = [names.index(name) for name in made.parameters.names]
+    return replace(
+        one,
+        mechanism=made,
+        covariance=one.covariance.through(M),
+        undetermined=M @ one.undetermined,
+        nominal=one.nominal[kept],
+        prior_sd=one.prior_sd[kept],
+        gain=None if one.gain is None else M @ one.gain @ M.T,
+        scatter=one.scatter and one.scatter.through(M),
+    )
+
+
+def _points(
+    a: Calibrated, b: Calibrated, compared: Calibrated, poses: Dataset | None
+) -> _Points | None:
     sets = [poses] if poses is not None else [c.poses for c in (a, b) if c.poses is not None]
     if not sets:
         raise InputError(
@@ -154,12 +188,12 @@ def _points(a: Calibrated, b: Calibrated, poses: Dataset | None) -> _Points | No
         sets = sets[:1]  # two calibrations from the same readings
     chosen = sets if poses is not None else [_thinned(s) for s in sets]
     y_a, y_b = (np.hstack([_predicted(c, s) for s in chosen]) for c in (a, b))
-    found = np.isfinite(y_a).all(axis=0) & np.isfinite(y_b).all(axis=0)
-    if not found.any():
+    predicted = np.isfinite(y_a).all(axis=0) & np.isfinite(y_b).all(axis=0)
+    if not predicted.any():
         return None
-    S = np.concatenate([_sensitivity(a, s) for s in chosen])
+    S = np.concatenate([_sensitivity(compared, s) for s in chosen])
     ids = tuple(i for s in chosen for i in s.poses)
-    kept = np.flatnonzero(found)
+    kept = np.flatnonzero(predicted)
     return _Points(y_a[:, kept], y_b[:, kept], S[kept], tuple(ids[i] for i in kept))
 
 
@@ -177,16 +211,18 @@ def _thinned(data: Dataset) -> Dataset:
 
 
 def _readings(one: Calibrated, machine: Mechanism, data: Dataset) -> tuple[Array, Array]:
-    """x (k, N) and known (c, N); what is to be found starts where it usually is."""
+    """x (k, N) and constants (c, N); what is solved for starts where it usually is."""
     data = with_latest(machine, data)
     rows = []
     for q in machine.tape.quantities:
-        given = data.readings.get(q, np.full(len(data), np.nan))
-        found = q in machine.outputs or q not in data.readings
-        rows.append(np.where(np.isnan(given), one.hidden.get(q, 0.0), given) if found else given)
+        column = data.readings.get(q, np.full(len(data), np.nan))
+        solved = q in machine.outputs or q not in data.readings
+        rows.append(
+            np.where(np.isnan(column), one.hidden.get(q, 0.0), column) if solved else column
+        )
     lacking = [
         q
-        for q in (*machine.tape.quantities, *machine.tape.known)
+        for q in (*machine.tape.quantities, *machine.tape.pose_constants)
         if q not in data.readings and q not in {*machine.outputs, *machine.disturbances}
         if q not in machine.unused
     ]
@@ -197,22 +233,22 @@ def _readings(one: Calibrated, machine: Mechanism, data: Dataset) -> tuple[Array
             remedy="give poses with a column for each quantity that is not an output",
         )
     nothing = np.zeros(len(data))
-    known = np.array([data.readings.get(q, nothing) for q in machine.tape.known])
-    return np.array(rows), known.reshape(-1, len(data))
+    constants = np.array([data.readings.get(q, nothing) for q in machine.tape.pose_constants])
+    return np.array(rows), constants.reshape(-1, len(data))
 
 
 def _predicted(one: Calibrated, data: Dataset) -> Array:
     machine = solving(one.mechanism, one.hidden)
-    x, known = _readings(one, machine, data)
-    return predict_outputs(machine, values_of(machine), x, known)[: len(one.mechanism.outputs)]
+    x, constants = _readings(one, machine, data)
+    return predict_outputs(machine, values_of(machine), x, constants)[: len(one.mechanism.outputs)]
 
 
 def _sensitivity(one: Calibrated, data: Dataset) -> Array:
     machine = solving(one.mechanism, one.hidden)
-    x, known = _readings(one, machine, data)
+    x, constants = _readings(one, machine, data)
     values, rows = values_of(machine), [machine.tape.quantities.index(q) for q in machine.outputs]
-    x[rows] = predict_outputs(machine, values, x, known)
-    S = output_sensitivity(machine, values, machine.parameters.names, x, known).by_parameter
+    x[rows] = predict_outputs(machine, values, x, constants)
+    S = output_sensitivity(machine, values, machine.parameters.names, x, constants).by_parameter
     return S[:, : len(one.mechanism.outputs)]
 
 
@@ -241,6 +277,7 @@ def _brought(b: Calibrated, points: _Points) -> tuple[Calibrated, Array]:
 def _covariance(a: Calibrated, b: Calibrated) -> LearntCovariance:
     """Of p_B - p_A; a prior that both share counts once."""
     same = np.isfinite(a.prior_sd) & (a.prior_sd == b.prior_sd) & (a.prior_sd > 0.0)
+    # A prior is shared only if both began at the same drawing.
     close = np.abs(a.nominal - b.nominal) <= 1e-6 * np.where(same, a.prior_sd, 1.0)
     precision = np.where(same & close, 1.0 / np.square(np.where(same, a.prior_sd, 1.0)), 0.0)
 
@@ -269,9 +306,9 @@ def _reaches(a: Calibrated, b: Calibrated) -> float | None:
     if (a.carried and b.carried) or a.poses is None or b.poses is None or not a.mechanism.outputs:
         return None
     ratios = []
-    for one, own, other in ((a, a.poses, b.poses), (b, b.poses, a.poses)):
-        there, here = (_size(one, _thinned(poses)) for poses in (other, own))
-        ratios.append(there / here if here > 0.0 else 1.0)
+    for one, same, other in ((a, a.poses, b.poses), (b, b.poses, a.poses)):
+        size_at_other, size_at_same = (_size(one, _thinned(poses)) for poses in (other, same))
+        ratios.append(size_at_other / size_at_same if size_at_same > 0.0 else 1.0)
     return max(ratios)
 
 
@@ -297,13 +334,15 @@ def _by_scatter(
 ) -> _ByScatter | None:
     """The test by the scatter of the poses; None where that does not show to be larger than C."""
     freedom = sum(one.scatter.freedom for one in (a, b) if one.scatter is not None)
-    seen = _covariance(a.as_its_scatter, b.as_its_scatter)
+    seen = _covariance(a.by_scatter, b.by_scatter)
     K = _contrasts(C, left_out)
     size = len(K)
     ratio = float(np.trace(seen.through(K).matrix)) / size if size else 0.0
     denominator = freedom - size + 1.0
+    # In units of C each of q contrasts scatters as a chi-squared with nu degrees of freedom.
     if denominator < 1.0 or tail(freedom * size * ratio, freedom * size) >= _CHOOSES:
         return None
+    # T^2 (nu - q + 1) / (nu q) follows F(q, nu - q + 1) (Hotelling 1931).
     square = _statistic(d, seen, left_out).value * denominator / freedom
     return _ByScatter(seen, ContrastTest(square, size, denominator), ratio)
 
@@ -314,6 +353,7 @@ def _contrasts(C: LearntCovariance, left_out: Array) -> Array:
     fixed = sd == 0.0  # in both: not what the calibrations say
     scale = np.where(fixed, 1.0, sd)
     directions = left_out / scale[:, None]
+    # Directions of length 1, so that the cut below counts them and not their units.
     directions = directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
     U, s, _ = np.linalg.svd(np.hstack([directions, np.zeros((len(sd), 1))]))
     K = U[:, int((s > 1e-9).sum()) :].T / scale
@@ -336,60 +376,46 @@ def _parameters(
     size = np.abs(loose).max(axis=1, initial=0.0)
     unknown = size > 1e-6 * size.max(initial=0.0)
     stands = () if a.mechanism.placement is None else a.mechanism.placement.parameters
-    found = []
+    differences = []
     for i, parameter in enumerate(a.mechanism.parameters):
         value, change = parameter.nominal, float(d[i])
         sd = None if unknown[i] else float(sds[i])
         z = change / sd if sd else None
         name, unit = parameter.name, parameter.unit
         degrees = freedom[i] if sd and math.isfinite(freedom[i]) else None
-        found.append(
+        differences.append(
             ParameterDifference(
                 name, unit, value, value + change, change, sd, z, name in stands, degrees
             )
         )
-    return tuple(found)
+    return tuple(differences)
 
 
 def _differences(points: _Points, spread: LearntCovariance, loose: Array) -> PointDifference:
     delta = (points.b - points.a).T
-    known = spread.through(points.S)
-    inverse = np.linalg.pinv(known.matrix, rcond=1e-9, hermitian=True)
+    covariance = spread.through(points.S)
+    inverse = np.linalg.pinv(covariance.matrix, rcond=1e-9, hermitian=True)
     square = np.einsum("no,nop,np->n", delta, inverse, delta)
-    within = square <= f_limit(1.0 - SIGNIFICANT, delta.shape[1], known.denominator)
+    within = square <= f_limit(1.0 - SIGNIFICANT, delta.shape[1], covariance.denominator)
     size = np.abs(points.S).max() * np.abs(loose).max(initial=0.0)
     if size:  # without any bound
         within = within | (np.abs(loose).max(axis=(1, 2), initial=0.0) > 1e-9 * size)
-    return PointDifference.of(points.ids, delta, known.matrix, within)
+    return PointDifference.of(points.ids, delta, covariance.matrix, within)
 
 
-def _notes(
+def _remarks(
     a: Calibrated, b: Calibrated, aligned: bool, scattered: _ByScatter | None
-) -> tuple[str, ...]:
-    notes: list[str] = []
+) -> Iterator[Fact]:
     if scattered is not None:
-        notes.append(
-            f"The poses scatter {math.sqrt(scattered.ratio):.2g} times as much as their sds allow "
-            "along what is compared: the machine model lacks something. The sds of the "
-            "differences are those of this scatter."
-        )
+        yield fact("poses-scatter", numbers={"times": math.sqrt(scattered.ratio)})
     if not aligned:
-        notes.append(
-            "The parameters are compared without alignment: differences include any move of the "
-            "instrument in between."
-        )
+        yield fact("not-aligned")
     if _share_readings(a, b):
-        notes.append(
-            "Both come from the same readings and share their errors: the sds of the "
-            "differences, computed as if independent, are too large and p is too close to 1."
-        )
-    notes += [
-        f"Chi-squared rejects the sds of {c.name} itself: they count {math.sqrt(c.factor):.2g} "
-        "times as large here, as its residuals are."
-        for c in (a, b)
-        if c.factor > 1.0
-    ]
-    return tuple(notes)
+        yield fact("same-readings")
+    for one in (a, b):
+        if one.factor > 1.0:
+            numbers = {"times": math.sqrt(one.factor)}
+            yield fact("sds-rejected", Where(files=(one.name,)), numbers)
 
 
 def _share_readings(a: Calibrated, b: Calibrated) -> bool:

@@ -46,7 +46,7 @@ class Ending:
     @classmethod
     def of(cls, document: ResultDocument, poses: Sequence[str]) -> Ending:
         """From the content of result.json, and the poses of the fit."""
-        used, found = set(poses), document.change_points
+        used, changes = set(poses), document.change_points
         return cls(
             "" if document.chosen is None else document.chosen.method,
             document.method_label or "",
@@ -54,7 +54,7 @@ class Ending:
             {p.name: p.value for p in document.parameters},
             {p.name: p.nominal for p in document.parameters},
             {p.name: p.prior_sd for p in document.parameters if p.prior_sd},
-            () if found is None else tuple(p for p in found.found if p.modelled),
+            () if changes is None else tuple(p for p in changes.found if p.modelled),
             tuple(o.pose for o in document.outliers or () if o.pose not in used),
         )
 
@@ -67,7 +67,7 @@ def continued(case: Case, ending: Ending) -> Result:
     cannot be calibrated.
     """
     if case.fit.method.choice:
-        case = _chosen(_as_found(case, ending), ending.method).case
+        case = _chosen(_as_modelled(case, ending), ending.method).case
     machine = case.fit.with_prior(case.mechanism)
     beyond = {name for names in machine.effects.values() for name in names}
     new = [n for n in machine.parameters.names if n not in ending.values and n not in beyond]
@@ -79,10 +79,11 @@ def continued(case: Case, ending: Ending) -> Result:
         )
     machine = _as_it_ended(machine, ending, learnt=case.fit.label == ending.label)
     start = {n: v for n, v in ending.values.items() if n in machine.parameters.names}
+    # `near` says that the fit begins near its end: results do not store unread quantities.
     measured = all(q in case.data.readings for q in machine.quantities)
     fit = replace(case.fit, start=start, prior=None, tolerance=case.fit.tolerance or NEARLY)
-    own = replace(case, mechanism=machine, fit=fit, trusted=True, near={} if measured else None)
-    return own.calibrated()
+    begun = replace(case, mechanism=machine, fit=fit, trusted=True, near={} if measured else None)
+    return begun.calibrated()
 
 
 def _chosen(case: Case, name: str) -> Entrant:
@@ -102,16 +103,15 @@ def _as_it_ended(machine: Mechanism, ending: Ending, *, learnt: bool) -> Mechani
     return machine.with_parameters(machine.parameters.with_prior(sds))
 
 
-def _as_found(case: Case, ending: Ending) -> Case:
+def _as_modelled(case: Case, ending: Ending) -> Case:
     """The case with the changes that the earlier calibration modelled, but those that the project
     states by now, and without its outliers."""
-    effects = [name for names in case.mechanism.effects.values() for name in names]
-    stated = {name.rpartition("_from")[0] or name.removesuffix("_drift") for name in effects}
+    stated = {p.changes for p in case.mechanism.parameters if p.changes}
     poses = case.data.poses
     moved = [_moved(p, ending.poses, set(poses)) for p in ending.changes]
-    found = [p for p in moved if p is not None and stated.isdisjoint(p.names)]
-    if found:
-        made = with_shifts(case.mechanism, case.data, found, column=NUMBER)
+    changes = [p for p in moved if p is not None and stated.isdisjoint(p.names)]
+    if changes:
+        made = with_shifts(case.mechanism, case.data, changes, column=NUMBER)
         case = replace(case, mechanism=made.mechanism, data=made.data)
     gone = np.flatnonzero(np.isin(poses, ending.outliers))
     if not gone.size:
@@ -120,10 +120,10 @@ def _as_found(case: Case, ending: Ending) -> Case:
     return replace(case, data=case.data.without_outliers(gone), noise=taken(case.noise, kept))
 
 
-def _moved(point: ChangePoint, order: Sequence[str], here: set[str]) -> ChangePoint | None:
+def _moved(point: ChangePoint, order: Sequence[str], poses: set[str]) -> ChangePoint | None:
     """A step at its pose, or at the next one where that is left out; a ramp as it is."""
     if point.shape == "ramp":
         return point
     after = order[order.index(point.pose) :] if point.pose in order else ()
-    pose = next((pose for pose in after if pose in here), None)
+    pose = next((pose for pose in after if pose in poses), None)
     return None if pose is None else replace(point, pose=pose)

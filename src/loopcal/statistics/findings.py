@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,11 +11,11 @@ from loopcal.document.accuracy import Distances
 from loopcal.document.change_points import ChangePoints
 from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
 from loopcal.document.result_document import ResultDocument
-from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
+from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import gathered
-from loopcal.execution.forked import own_cores
+from loopcal.execution.forked import process_cores
 from loopcal.statistics.candidates import nominal_case
 from loopcal.statistics.case import Case
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
@@ -25,7 +24,7 @@ from loopcal.statistics.moved_by import sized
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
-from loopcal.statistics.outliers import COLUMNS, Outliers, find_columns, find_outliers, find_poses
+from loopcal.statistics.outliers import Outliers, find_columns, find_outliers, find_poses
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
 from loopcal.statistics.region import Span, region_of
 from loopcal.statistics.reliability import ReadingReliability, reliability
@@ -62,7 +61,6 @@ class Findings:
         """The document of the result with these figures."""
         shifts, accuracy = self.shifts, document.accuracy
         moved = ChangePoints(shifts.found, shifts.level, shifts.tested, self.toml, shifts.unsure)
-        new = replace(moved, found=tuple(p for p in shifts.found if not p.modelled))
         if accuracy is not None:
             nominal = accuracy.nominal or self.nominal
             accuracy = replace(accuracy, nominal=nominal, noise_floor=self.noise_floor)
@@ -73,7 +71,6 @@ class Findings:
             if self.scatter is None
             else self.scatter.added_to(document.covariance),
             change_points=moved,
-            warnings=(*document.warnings, *new.warnings()),
             identifiability=self.identifiability.added_to(document.identifiability),
             observability=self.observability,
             prediction=None
@@ -107,7 +104,7 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
     """
     solution = result.solution
     with one_blas_thread():
-        known = predictor(result)
+        prediction = predictor(result)
         # side by side: the result keeps what they find
         asked: tuple[Callable[[Result], object], ...] = (
             find_columns,
@@ -115,16 +112,16 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
             _documented,
             _shifts,
         )
-        for heard in gathered(own_cores(), _asked, result, asked):
+        for heard in gathered(process_cores(), _asked, result, asked):
             result.memory.update(heard.pop("memory"))
             vars(result).update(heard)
         outliers, shifts = find_outliers(result), _shifts(result)
         if outliers.columns:
             shifts = NOT_SEARCHED
-        told = result.document.change_points or ChangePoints((), shifts.level, 0)
-        modelled, discarded = told.found, result.document.outliers or ()
+        earlier = result.document.change_points or ChangePoints((), shifts.level, 0)
+        modelled, discarded = earlier.found, result.document.outliers or ()
         new = tuple(sized(result, p) for p in shifts.found if apart(p, modelled))
-        toml = told.toml + shift_lines(result.dataset, new)
+        toml = earlier.toml + shift_lines(result.dataset, new)
         shifts = replace(shifts, found=tuple(sorted((*modelled, *new), key=lambda p: p.number)))
         remaining = tuple(o for o in outliers.found if o.pose not in shifts.explained)
         return Findings(
@@ -136,12 +133,12 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
                 unit_sd=_unit_sd(result),
             ),
             observability(result.information, solution.poses),
-            known,
+            prediction,
             replace(outliers, found=(*discarded, *remaining)),
             shifts,
             toml,
             () if result.all_poses is not None else other_optima(result),
-            None if known is None else region_of(result, known, region),
+            None if prediction is None else region_of(result, prediction, region),
             None if result.all_poses is not None or result.chosen else nominal_distances(result),
             None if result.all_poses is not None else noise_floor(result),
             reliability(result),
@@ -153,12 +150,6 @@ def _asked(result: Result, what: Callable[[Result], object]) -> dict[str, Any]:
     """What the result holds afterwards: a copy of it may have been asked, in another process."""
     what(result)
     return dict(vars(result))
-
-
-def _poses(result: Result) -> None:
-    if not result.faults and not result.memory.get(COLUMNS):
-        with suppress(LoopcalError):  # wrong columns matter more than poses
-            find_poses(result)
 
 
 def _shifts(result: Result) -> Shifts:
@@ -185,7 +176,7 @@ def nominal_distances(result: Result) -> Distances | None:
     try:
         fit, sought = replace(result.fit, prior=None), not result.faults
         case = Case(result.mechanism, result.dataset, None, fit)
-        found = replace(nominal_case(case), trusted=sought).calibrated().accuracy_after
+        nominal_accuracy = replace(nominal_case(case), trusted=sought).calibrated().accuracy_after
     except (InputError, NoTrustworthyResult):
         return None  # nothing can be placed, or not by these readings
-    return None if found is None else found.distances
+    return None if nominal_accuracy is None else nominal_accuracy.distances

@@ -94,16 +94,16 @@ def parts_of(scheme: Scheme, data: Dataset, chosen: Index) -> Parts:
 
 
 def _whole_groups(scheme: Scheme, data: Dataset, chosen: Index) -> Parts:
-    found = np.unique(chosen)
-    if scheme.groups is None or len(found) < 2:
+    whole_groups = np.unique(chosen)
+    if scheme.groups is None or len(whole_groups) < 2:
         raise InputError(
             "place_anew leaves out whole groups, but there are no two of them",
             code="too-few-poses",
             remedy="give the station or session of every pose as groups",
         )
-    indices = tuple(np.flatnonzero(chosen == group) for group in found)
-    words = f"{len(found)} groups of {len(data)} poses left out one by one"
-    return Parts(indices, {"groups": len(found), "place_anew": True}, words)
+    indices = tuple(np.flatnonzero(chosen == group) for group in whole_groups)
+    words = f"{len(whole_groups)} groups of {len(data)} poses left out one by one"
+    return Parts(indices, {"groups": len(whole_groups), "place_anew": True}, words)
 
 
 def driven(mechanism: Mechanism, data: Dataset) -> tuple[str, ...]:
@@ -115,9 +115,9 @@ def driven(mechanism: Mechanism, data: Dataset) -> tuple[str, ...]:
     read = {q for family in mechanism.families for q in family.readings}
     apart = {*read, *mechanism.outputs, *mechanism.disturbances, *mechanism.home}
     names = [q for q in mechanism.quantities if q in data.readings]
-    own = [q for q in names if q not in apart]
-    others = [*names, *(q for q in mechanism.known if q in data.readings)]
-    return tuple(own or [q for q in others if q not in mechanism.outputs])
+    driving = [q for q in names if q not in apart]
+    others = [*names, *(q for q in mechanism.pose_constants if q in data.readings)]
+    return tuple(driving or [q for q in others if q not in mechanism.outputs])
 
 
 def stated_sds(noise: Noise | None, mechanism: Mechanism, data: Dataset) -> Mapping[str, float]:
@@ -126,10 +126,10 @@ def stated_sds(noise: Noise | None, mechanism: Mechanism, data: Dataset) -> Mapp
         return {}
     names = tuple(mechanism.quantities)
     try:
-        found = resolve_noise(noise, data, names, mechanism.quantity_group).sd
+        sds = resolve_noise(noise, data, names, mechanism.quantity_group).sd
     except InputError:
         return {}  # a method that takes the readings as exact need not understand its noise
-    return {q: float(np.median(sd)) for q, sd in zip(names, found, strict=True)}
+    return {q: float(np.median(sd)) for q, sd in zip(names, sds, strict=True)}
 
 
 def repeated(mechanism: Mechanism, data: Dataset, sds: Mapping[str, float] | None = None) -> Index:
@@ -152,6 +152,7 @@ def repeated(mechanism: Mechanism, data: Dataset, sds: Mapping[str, float] | Non
         return np.arange(len(data)) if not complete else np.zeros(len(data), dtype=np.intp)
     # the first pose of a group is its centre: dense paths are cut, not chained into one
     group = np.full(len(data), -1, dtype=np.intp)
+    # In units of `near` the same pose is a cube of half width 1, the ball of the maximum norm.
     near_by = KDTree(np.column_stack(moving)).query_ball_point(
         np.column_stack(moving), 1.0, p=np.inf
     )
@@ -188,22 +189,24 @@ def folds(groups: Index, number: int, seed: int) -> tuple[Index, ...]:
 
     Raises InputError for fewer than two folds or fewer groups than folds.
     """
-    found, sizes = np.unique(groups, return_counts=True)
+    distinct, sizes = np.unique(groups, return_counts=True)
     _check_seed(seed)
-    if number < 2 or number > len(found):
+    if number < 2 or number > len(distinct):
         raise InputError(
-            f"folds is {number}, but there are {len(found)} different poses",
+            f"folds is {number}, but there are {len(distinct)} different poses",
             code="too-few-poses",
-            remedy=f"use 2 to {len(found)} folds",
+            remedy=f"use 2 to {len(distinct)} folds",
         )
-    order = np.random.Generator(np.random.PCG64(seed)).permutation(len(found))
+    # PCG64 by name: the default generator of NumPy may change, and the folds with it.
+    order = np.random.Generator(np.random.PCG64(seed)).permutation(len(distinct))
+    # Larger groups first, each to the emptiest fold, keeps the folds even (Graham 1969).
     order = order[np.argsort(-sizes[order], kind="stable")]
     filled = np.zeros(number, dtype=np.intp)
-    fold_of = np.empty(len(found), dtype=np.intp)
+    fold_of = np.empty(len(distinct), dtype=np.intp)
     for group in order:
         fold_of[group] = np.argmin(filled)
         filled[fold_of[group]] += sizes[group]
-    fold = fold_of[np.searchsorted(found, groups)]
+    fold = fold_of[np.searchsorted(distinct, groups)]
     return tuple(np.flatnonzero(fold == i) for i in range(number))
 
 
@@ -219,13 +222,14 @@ def held_out(groups: Index, share: float, seed: int) -> Index:
             code="invalid-value",
             remedy="give a number between 0 and 1, say 0.3",
         )
-    found, sizes = np.unique(groups, return_counts=True)
-    order = np.random.Generator(np.random.PCG64(seed)).permutation(len(found))
+    distinct, sizes = np.unique(groups, return_counts=True)
+    order = np.random.Generator(np.random.PCG64(seed)).permutation(len(distinct))
+    # Less half a pose: the nearest whole number of poses, not the next larger one.
     reached = np.searchsorted(np.cumsum(sizes[order]), share * len(groups) - 0.5) + 1
-    chosen = found[order[:reached]]
-    if len(chosen) == len(found):
+    chosen = distinct[order[:reached]]
+    if len(chosen) == len(distinct):
         raise InputError(
-            f"holding out {share:g} of {len(found)} different poses leaves none for the fit",
+            f"holding out {share:g} of {len(distinct)} different poses leaves none for the fit",
             code="too-few-poses",
             remedy="hold out less, or measure more poses",
         )

@@ -31,36 +31,36 @@ class Gain:
     clusters: int
 
     @classmethod
-    def of(cls, own: Array, others: Array, cluster: NDArray[np.intp] | None = None) -> Gain:
+    def of(cls, risks: Array, others: Array, cluster: NDArray[np.intp] | None = None) -> Gain:
         """From risks (N,) of both, NaN where there is none; cluster: (N,) labels."""
-        both = others - own
-        there = np.isfinite(both)
-        number = int(there.sum())
+        both = others - risks
+        finite = np.isfinite(both)
+        number = int(finite.sum())
         if not number:
             return cls(math.nan, math.inf, 0)
         labels = np.arange(len(both)) if cluster is None else cluster
-        label = np.unique(labels[there], return_inverse=True)[1]
+        label = np.unique(labels[finite], return_inverse=True)[1]
         count = int(label.max()) + 1
-        mean = float(both[there].mean())
+        mean = float(both[finite].mean())
         if count == 1:
             return cls(mean, math.inf, 1)
-        sums = np.bincount(label, both[there] - mean)
+        sums = np.bincount(label, both[finite] - mean)
         sd = math.sqrt(count / (count - 1) * float(np.square(sums).sum())) / number
         return cls(mean, sd, count)
 
     @classmethod
     def in_rms(
-        cls, own: Array, others: Array, cluster: NDArray[np.intp] | None = None
+        cls, squares: Array, others: Array, cluster: NDArray[np.intp] | None = None
     ) -> Gain | None:
         """Of root mean squares, from squared distances (N,); None below two clusters."""
-        found = cls.of(own, others, cluster)
-        if found.clusters < 2:
+        gain = cls.of(squares, others, cluster)
+        if gain.clusters < 2:
             return None
-        there = np.isfinite(own) & np.isfinite(others)
-        total = math.sqrt(own[there].mean()) + math.sqrt(others[there].mean())
+        finite = np.isfinite(squares) & np.isfinite(others)
+        total = math.sqrt(squares[finite].mean()) + math.sqrt(others[finite].mean())
         if total == 0.0:
-            return cls(0.0, 0.0, found.clusters)
-        return cls(found.difference / total, found.sd / total, found.clusters)
+            return cls(0.0, 0.0, gain.clusters)
+        return cls(gain.difference / total, gain.sd / total, gain.clusters)
 
     @property
     def better(self) -> bool | None:

@@ -9,7 +9,7 @@ that turn by a full turn are the same.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +38,8 @@ def moved(mechanism: Mechanism, values: Array, rotation: Array, shift: Array) ->
     assert mechanism.placement is not None
     names = mechanism.parameters.names
     by_name: Mapping[str, float] = dict(zip(names, values.tolist(), strict=True))
-    found = mechanism.placement.moved(by_name, rotation, shift)
-    return np.array([found[name] for name in names])
+    moved_values = mechanism.placement.moved(by_name, rotation, shift)
+    return np.array([moved_values[name] for name in names])
 
 
 def gauge(mechanism: Mechanism, values: Array, centre: Array) -> Array:
@@ -61,11 +61,14 @@ def gauge(mechanism: Mechanism, values: Array, centre: Array) -> Array:
 
 def carried(mechanism: Mechanism, values: Array, rotation: Array, shift: Array) -> Array:
     """How the parameters of the moved machine change with its own: (n_all, n_all)."""
+    return changes(mechanism, lambda p: moved(mechanism, p, rotation, shift), values)
+
+
+def changes(mechanism: Mechanism, of: Callable[[Array], Array], values: Array) -> Array:
+    """How parameters of a mechanism, made of values (n,), change with these: (n_all, n)."""
     columns = []
-    for i in range(len(values)):
-        step = np.zeros(len(values))
-        step[i] = _STEP
-        ends = [moved(mechanism, values + side * step, rotation, shift) for side in (1.0, -1.0)]
+    for step in _STEP * np.eye(len(values)):
+        ends = [of(values + side * step) for side in (1.0, -1.0)]
         columns.append(difference(mechanism, ends[1], ends[0]) / (2.0 * _STEP))
     return np.array(columns).T
 

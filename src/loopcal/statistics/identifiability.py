@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import CalibrationIndex, Identifiability, Learned, WeakDirection
-from loopcal.document.plain import known
+from loopcal.document.plain import finite
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum, undetermined
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import BEYOND
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import SHOWN
 from loopcal.statistics.observability import data_spectrum
@@ -48,10 +49,10 @@ class WhatDataSay:
     index: CalibrationIndex
     model_error: frozenset[str] = frozenset()
 
-    def added_to(self, found: Identifiability) -> Identifiability:
+    def added_to(self, identifiability: Identifiability) -> Identifiability:
         """What a fit says of its poses, with this."""
         return replace(
-            found,
+            identifiability,
             data_condition_number=self.condition_number,
             data_versus_prior=self.learned,
             weak_directions=self.weak,
@@ -67,8 +68,8 @@ class WhatDataSay:
         lines = [direction.words for direction in weak[:most]]
         if len(weak) > most:
             lines.append(f"and {len(weak) - most} more such directions (result.json)")
-        known = [e for e in self.learned if e.parameter not in self.model_error]
-        silent = sorted((e for e in known if e.ratio > SAYS_LITTLE), key=lambda e: -e.ratio)
+        learned = [e for e in self.learned if e.parameter not in self.model_error]
+        silent = sorted((e for e in learned if e.ratio > SAYS_LITTLE), key=lambda e: -e.ratio)
         lines += [entry.words for entry in silent[:most]]
         if len(silent) > most:
             lines.append(f"and {len(silent) - most} more such parameters (result.json)")
@@ -107,7 +108,7 @@ def what_data_say(
 def _model_error(mechanism: Mechanism) -> frozenset[str]:
     """The parameters beyond geometry whose sds are learnt."""
     learnt = {name for term in mechanism.terms for name in term.parameters}
-    return frozenset(name for name in learnt if mechanism.kinds.get(name) == "effect")
+    return frozenset(name for name in learnt if mechanism.roles.get(name) in BEYOND)
 
 
 def calibration_index(problem: Problem, poses: int, equations: int) -> CalibrationIndex:
@@ -148,7 +149,7 @@ def _learned(
 def _undetermined(problem: Problem, system: Spectrum) -> list[WeakDirection]:
     """Directions that the data leave open altogether."""
     prior = dict(zip(problem.names, np.isfinite(problem.prior_sd).tolist(), strict=True))
-    found = []
+    directions = []
     for combination in undetermined(system, problem.names):
         names = list(combination)
         words = f"{_list(names)} cannot be distinguished by these poses"
@@ -156,8 +157,8 @@ def _undetermined(problem: Problem, system: Spectrum) -> list[WeakDirection]:
             words = f"these poses do not determine {_list(names)}"
         if any(prior[name] for name in names):
             words += "; only prior knowledge determines " + ("them" if names[1:] else "it")
-        found.append(WeakDirection(dict(combination), {}, None, words))
-    return found
+        directions.append(WeakDirection(dict(combination), {}, None, words))
+    return directions
 
 
 def _lengths(problem: Problem, units: Sequence[str]) -> Array:
@@ -191,6 +192,7 @@ def _weak_direction(
     lengths: Array,
 ) -> WeakDirection:
     direction = system.directions[:, which]
+    # The sign of a singular vector is arbitrary: its largest share counts as +1.
     direction = direction / direction[int(np.argmax(np.abs(direction)))]
     order = np.argsort(-np.abs(direction), kind="stable")[:_MOST_NAMED]
     leading = [int(i) for i in order if abs(direction[i]) >= _LEADING]
@@ -213,16 +215,17 @@ def _weak_direction(
         moves = system.scale * along * size
         steps = {names[i]: float(moves[i]) for i in leading}
         shown = [SHOWN.get(units[i], units[i]) for i in leading]
-        told = [
+        shifts = [
             f"{names[i]} {_in(float(moves[i]), u, sign=True)} {u}"
             for i, u in zip(leading, shown, strict=True)
         ]
-        words += f"; one sd along it: {', '.join(told)}"
-    return WeakDirection(shares, steps, known(condition), words + ")", whole)
+        words += f"; one sd along it: {', '.join(shifts)}"
+    return WeakDirection(shares, steps, finite(condition), words + ")", whole)
 
 
 def _size(system: Spectrum, which: int, unit_sd: float | None, lengths: Array) -> float | None:
     """By which share all lengths change within one sd along a direction; None for another one."""
+    # Directions are those of parameters over their scale, and so must the step be.
     scaled = lengths / system.scale
     length = float(np.linalg.norm(scaled))
     along = abs(float(system.directions[:, which] @ scaled))

@@ -100,24 +100,25 @@ class Linearised:
     noise: float
 
     @classmethod
-    def of(cls, here: Replaced, known: Calibrated) -> Linearised:
+    def of(cls, placement: Replaced, calibrated: Calibrated) -> Linearised:
         """Undetermined steps of the calibration are as free as the placement."""
-        J, f = here.J / np.sqrt(known.factor), known.factor
-        held = ~here.anew[:, None]
-        root = here.brought(root_of(f * known.covariance.matrix) * held)
-        loose = here.brought(known.undetermined * held)
+        J, f = placement.J / np.sqrt(calibrated.factor), calibrated.factor
+        held = ~placement.anew[:, None]
+        root = root_of(f * calibrated.covariance.matrix) * held
+        loose = calibrated.undetermined * held
         seen = np.linalg.norm(J @ loose, axis=0)
         single = np.linalg.norm(J, axis=0) @ np.abs(loose)
         loose = loose[:, seen > _UNSEEN * np.maximum(single, 1e-300)]
-        F = np.hstack([J @ here.directions, J @ loose])
+        F = np.hstack([J @ placement.directions, J @ loose])
+        # Columns of length 1: the cut on s is then free of their units.
         scale = np.linalg.norm(F, axis=0)
         scale = np.where(scale > 0.0, scale, 1.0)
         U, s, Vt = np.linalg.svd(F / scale, full_matrices=False)
         kept = s > DETERMINED * s.max(initial=0.0)
         solve = (Vt[kept].T / s[kept]) @ U[:, kept].T / scale[:, None]
-        A, rank, noise = J @ root, int(kept.sum()), _noise_freedom(known, here)
-        slopes = _slopes(known, root_of(f * known.covariance.matrix), ~here.anew)
-        return cls(here.e / np.sqrt(f), F, A, root, solve, rank, f, slopes, noise)
+        A, rank, noise = J @ root, int(kept.sum()), _noise_freedom(calibrated, placement)
+        slopes = _slopes(calibrated, root_of(f * calibrated.covariance.matrix), ~placement.anew)
+        return cls(placement.e / np.sqrt(f), F, A, root, solve, rank, f, slopes, noise)
 
     @cached_property
     def left(self) -> Array:
@@ -129,28 +130,46 @@ class Linearised:
         """(R, r) what the placement leaves of A."""
         return np.asarray(self.A - self.F @ (self.solve @ self.A))
 
+    @cached_property
+    def _axes(self) -> tuple[Array, Array, Array]:
+        """U (R, k), s (k,), V^T (k, r) of A = U s V^T: the axes of S = 1 + A A^T."""
+        U, s, Vt = np.linalg.svd(self._spread, full_matrices=False)
+        return U, s, Vt
+
+    def _halved(self, a: Array) -> Array:
+        """S^-1/2 a, so that squares of large columns that A explains stay positive."""
+        # S^-1/2 = 1 - U (1 - (1 + s^2)^-1/2) U^T.
+        U, s, _ = self._axes
+        return np.asarray(a - (U * (1.0 - 1.0 / np.hypot(1.0, s))) @ (U.T @ a))
+
+    def _along(self, a: Array) -> Array:
+        """A^T S^-1 a."""
+        # A^T S^-1 = V s / (1 + s^2) U^T.
+        U, s, Vt = self._axes
+        return np.asarray((Vt.T * (s / (1.0 + np.square(s)))) @ (U.T @ a))
+
     def weighed(self, a: Array, b: Array) -> Array:
         """a^T S^-1 b, S = 1 + A A^T, of what the placement leaves: (R, p), (R, q) -> (p, q)."""
-        A = self._spread
-        inner = np.eye(A.shape[1]) + A.T @ A
-        return np.asarray(a.T @ b - (a.T @ A) @ np.linalg.solve(inner, A.T @ b))
+        return np.asarray(self._halved(a).T @ self._halved(b))
 
-    def by_pose(self, here: Replaced) -> PoseSquares:
+    def by_pose(self, placement: Replaced) -> PoseSquares:
         """The squares of what the placement leaves of single poses, in their own covariance."""
-        count = len(here.problem.poses)
+        count = len(placement.problem.poses)
         squares, loops, begin = np.full(count, np.nan), np.zeros(count, dtype=np.intp), 0
-        for rows in here.rows:
+        for rows in placement.rows:
             b, r = rows.e.shape
-            its = slice(begin, begin + b * r)
-            e, A = self.left[its].reshape(b, r, 1), self._spread[its].reshape(b, r, -1)
-            F = self.F[its].reshape(b, r, -1)
-            solve = self.solve[:, its].reshape(-1, b, r).transpose(1, 0, 2)
+            span = slice(begin, begin + b * r)
+            e = self.left[span].reshape(b, r, 1)
+            A = self._spread[span].reshape(b, r, self.A.shape[1])
+            F = self.F[span].reshape(b, r, self.F.shape[1])
+            solve = self.solve[:, span].reshape(len(self.solve), b, r).transpose(1, 0, 2)
+            # What F takes up of white noise leaves a projector, which is its own covariance.
             S = np.eye(r) - F @ solve + A @ A.transpose(0, 2, 1)
             values, vectors = np.linalg.eigh(0.5 * (S + S.transpose(0, 2, 1)))
             kept = values > _TAKEN_UP
             z = (vectors.transpose(0, 2, 1) @ e)[:, :, 0]
-            its_squares = np.where(kept, np.square(z) / np.where(kept, values, 1.0), 0.0)
-            squares[rows.poses] = its_squares.sum(axis=1)
+            terms = np.where(kept, np.square(z) / np.where(kept, values, 1.0), 0.0)
+            squares[rows.poses] = terms.sum(axis=1)
             loops[rows.poses] = kept.sum(axis=1)
             begin += b * r
         return PoseSquares(squares, loops)
@@ -163,10 +182,8 @@ class Linearised:
 
     def freedom(self, U: Array) -> Array:
         """(m,) degrees of freedom of the variance of a change along each column U (R, m)."""
-        A, U = self._spread, U - self.F @ (self.solve @ U)
-        inner = np.eye(A.shape[1]) + A.T @ A
-        along = np.linalg.solve(inner, A.T @ U)  # A^T S^-1 U
-        size = np.einsum("rm,rm->m", U, U) - np.einsum("rm,rm->m", A.T @ U, along)
+        U = U - self.F @ (self.solve @ U)
+        along, size = self._along(U), np.square(self._halved(U)).sum(axis=0)
         changes = np.einsum("rm,ars,sm->am", along, self.slopes, along)
         changes = changes / np.where(size > 0.0, size, 1.0)
         return _freedoms(np.square(changes).sum(axis=0), self.noise)
@@ -174,15 +191,14 @@ class Linearised:
     def denominator(self, U: Array) -> float | None:
         """Of F of changes along columns U (R, m) together, where U^T S^-1 U = 1; None for
         chi-squared."""
-        A = self._spread
-        along = np.linalg.solve(np.eye(A.shape[1]) + A.T @ A, A.T @ U)  # A^T S^-1 U
+        along = self._along(U)
         Z = along.T @ self.slopes @ along
         _, axes = np.linalg.eigh((Z @ Z).sum(axis=0))
         return self._by_axes(along @ axes, U.shape[1])
 
     def _denominator(self, count: int) -> float | None:
         """Of F with so many degrees of freedom; None for chi-squared."""
-        _, s, Vt = np.linalg.svd(self._spread, full_matrices=False)
+        _, s, Vt = self._axes
         return self._by_axes(Vt.T * (s / np.sqrt(1.0 + np.square(s))), count)
 
     def _by_axes(self, V: Array, count: int) -> float | None:
@@ -191,6 +207,7 @@ class Linearised:
             return None
         changes = np.einsum("ri,ars,si->ai", V, self.slopes, V)
         nu = _freedoms(np.square(changes).sum(axis=0), self.noise)[:count]
+        # nu / (nu - 2), written so that it is 1 for infinite nu.
         means = 1.0 / (1.0 - 2.0 / np.maximum(nu, _FEWEST))
         rest = 1.0 / (1.0 - 2.0 / max(self.noise, _FEWEST))
         mean = float(means.sum()) + (count - len(nu)) * rest
@@ -199,17 +216,18 @@ class Linearised:
 
 
 def _freedoms(changes: Array, noise: float) -> Array:
+    # Independent relative variances add: half the square of slopes, and 1 / nu of the noise.
     inverse = 0.5 * changes + 1.0 / noise
     return np.where(inverse > 0.0, 1.0 / np.where(inverse > 0.0, inverse, 1.0), np.inf)
 
 
-def _slopes(known: Calibrated, root: Array, held: NDArray[np.bool_]) -> Array:
+def _slopes(calibrated: Calibrated, root: Array, held: NDArray[np.bool_]) -> Array:
     """(a, r, r) in the basis of a root; none for a method that learns one variance for all."""
-    own, r = known.covariance.slopes, root.shape[1]
-    if known.residual is not None or not len(own):
+    slopes, r = calibrated.covariance.slopes, root.shape[1]
+    if calibrated.residual is not None or not len(slopes):
         return np.zeros((0, r, r))
     inverse = np.linalg.pinv(root)
-    return np.asarray(inverse @ (known.factor * own * np.outer(held, held)) @ inverse.T)
+    return np.asarray(inverse @ (calibrated.factor * slopes * np.outer(held, held)) @ inverse.T)
 
 
 def root_of(covariance: Array) -> Array:
@@ -222,41 +240,41 @@ def root_of(covariance: Array) -> Array:
     return root
 
 
-def components_of(known: Calibrated, quantities: Sequence[str]) -> list[list[int]]:
+def components_of(calibrated: Calibrated, quantities: Sequence[str]) -> list[list[int]]:
     """Positions of the quantities of each learnt sd above zero."""
     return [
         [quantities.index(q) for q in entry.quantities if q in quantities]
-        for entry in _learnt(known)
+        for entry in _learnt(calibrated)
     ]
 
 
-def _learnt(known: Calibrated) -> list[NoiseEntry]:
-    return [entry for entry in known.noise if entry.source == "estimated" and entry.sd > 0.0]
+def _learnt(calibrated: Calibrated) -> list[NoiseEntry]:
+    return [entry for entry in calibrated.noise if entry.source == "estimated" and entry.sd > 0.0]
 
 
-def _noise_freedom(known: Calibrated, here: Replaced) -> float:
+def _noise_freedom(calibrated: Calibrated, placement: Replaced) -> float:
     """Degrees of freedom of the sds that weigh these poses; inf where all are stated.
 
     Components that no reading tells apart, such as an instrument and a white error of the model,
-    are unsure alone and sure together: the errors of all are added along their common axes.
+    are unsure alone and sure together. The errors of all are added along their common axes.
     """
-    if known.rejected is not None and known.factor > 1.0:
-        return float(known.rejected.degrees_of_freedom)
-    if known.residual is not None:
-        return float(known.residual.freedom)
-    own = _learnt(known)
-    if not own:
+    if calibrated.rejected is not None and calibrated.factor > 1.0:
+        return float(calibrated.rejected.degrees_of_freedom)
+    if calibrated.residual is not None:
+        return float(calibrated.residual.freedom)
+    entries = _learnt(calibrated)
+    if not entries:
         return np.inf
-    shares = np.zeros(len(own))
-    for rows in here.rows:
+    shares = np.zeros(len(entries))
+    for rows in placement.rows:
         squares = np.square(rows.noise).sum(axis=(0, 1))
         np.add.at(shares, rows.owner, squares)
-    shares /= max(len(here.e), 1)
-    if all(entry.slopes for entry in own):
-        changes = shares @ np.array([entry.slopes for entry in own])
+    shares /= max(len(placement.e), 1)
+    if all(entry.slopes for entry in entries):
+        changes = shares @ np.array([entry.slopes for entry in entries])
         total = 0.5 * float(changes @ changes)
     else:
-        inverse = [_inverse_freedom(entry.sd, entry.sd_of_sd) for entry in own]
+        inverse = [_inverse_freedom(entry.sd, entry.sd_of_sd) for entry in entries]
         total = float(np.square(shares) @ np.array(inverse))
     return 1.0 / total if total > 0.0 else np.inf
 

@@ -113,8 +113,8 @@ def intervals(
     follows the profiles, this process one by one if it is None; it changes no value. progress:
     called with how many profiles are done.
 
-    Raises InputError for a name that stands for none, a level that is none, a method without
-    likelihood (reweighted), and where a calibration did not converge.
+    Raises InputError for a name that stands for none and for a level that is none. It does so too
+    for a method without likelihood (reweighted), and where a calibration did not converge.
     """
     if not 0.0 < level < 1.0:
         raise InputError(
@@ -130,8 +130,10 @@ def intervals(
         name: covariance_interval(result, name, level) for name in everything if name in wanted
     }
     profiled = {name: interval for name, interval in plain.items() if interval is not None}
-    found = gathered(executor, _profiled, _Optimum.of(result, level), [*profiled.items()], progress)
-    return MappingProxyType({**plain, **dict(zip(profiled, found, strict=True))})
+    by_profile = gathered(
+        executor, _profiled, _Optimum.of(result, level), [*profiled.items()], progress
+    )
+    return MappingProxyType({**plain, **dict(zip(profiled, by_profile, strict=True))})
 
 
 def _check(result: Result) -> None:
@@ -159,12 +161,11 @@ def _check(result: Result) -> None:
 class _Optimum:
     """Where the profiles begin: the parameters [SI], and chi-squared there.
 
-    exact: whether by least squares; plain: (n, n) their covariance at the sds used; variance: what
+    plain: (n, n) their covariance at the sds used; variance: what
     the rise of chi-squared counts in; limits: (n,) the root of the rise at which intervals end.
     """
 
     problem: Problem
-    exact: bool
     parameters: Array
     plain: Array
     least: float
@@ -182,7 +183,7 @@ class _Optimum:
         learnt = result.learnt_covariance
         wider = np.sqrt(np.diag(learnt.matrix) / np.maximum(np.diag(learnt.plain), 1e-300))
         limits = wider * [t_quantile(level, f) for f in learnt.freedom.tolist()]
-        return cls(whole, method.exact, best, learnt.plain, least, variance, limits)
+        return cls(whole, best, learnt.plain, least, variance, limits)
 
 
 def _profiled(at: _Optimum, parameter: tuple[str, Interval]) -> Interval:
@@ -213,6 +214,7 @@ class _Profile:
         held, best = _held(at.problem, j), at.parameters
         position = int(at.problem.free[j])
         sd = math.sqrt(at.plain[j, j])
+        # Of estimates that are jointly normal the others follow parameter j by C_ij / C_jj.
         slope = np.delete(at.plain[:, j], j) / at.plain[j, j]
         nominal, prior_sd = float(at.problem.nominal[j]), float(at.problem.prior_sd[j])
         last = [(0.0, best[held.free])]
@@ -220,19 +222,21 @@ class _Profile:
         def root(z: float) -> float | None:
             """The signed root at value + z sd; None where the others find no place."""
             # along the straight line from the nearest point known, as the covariance has it
-            known = sorted(last, key=lambda point: abs(point[0] - z))
-            for near, others in (*known[:1], last[0], *known[1:2]):
+            by_distance = sorted(last, key=lambda point: abs(point[0] - z))
+            for near, others in (*by_distance[:1], last[0], *by_distance[1:2]):
                 for share in (1.0, 0.0):
                     start = best.copy()
                     start[position] += z * sd
                     start[held.free] = others + share * slope * (z - near) * sd
-                    found = _found(replace(held, start=start), at.exact)
-                    if found is None:
+                    place = _reached(replace(held, start=start))
+                    if place is None:
                         continue
-                    last.append((z, found.others))
-                    merit = found.merit
-                    if not at.exact:
+                    last.append((z, place.others))
+                    merit = place.merit
+                    # A held parameter has left the prior of the problem: its term is added by hand.
+                    if not held.loops_alike:
                         merit += ((start[position] - nominal) / prior_sd) ** 2
+                    # Rounding, or an optimum that was not quite reached, may put it below 0.
                     rise = max(merit - at.least, 0.0)
                     return math.copysign(math.sqrt(rise / at.variance), z)
             return None
@@ -248,22 +252,22 @@ class _Place:
     merit: float
 
 
-def _found(problem: Problem, exact: bool) -> _Place | None:
+def _reached(problem: Problem) -> _Place | None:
     """The optimum from this start; None where the search does not reach one."""
     try:
         if not problem.free.size:
-            sweeper = Sweeper(problem, exact=exact)
+            sweeper = Sweeper(problem)
             corrections = start_corrections(sweeper, problem.start)
             sweep = sweeper.sweep(problem.start, corrections, closing=NEGLIGIBLE)
             merit = sweep.data.chi_squared
             closed = math.isfinite(merit) and not sweep.late
             return _Place(problem.nominal, merit) if closed else None
-        found = solve(problem, exact=exact)
+        solution = solve(problem)
     except InputError:
         return None  # beyond reach
-    if not found.status.converged:
+    if not solution.status.converged:
         return None
-    return _Place(found.parameters[problem.free], found.chi_squared)
+    return _Place(solution.parameters[problem.free], solution.chi_squared)
 
 
 def _held(problem: Problem, j: int) -> Problem:
@@ -281,7 +285,7 @@ def _merit(result: Result, problem: Problem, best: Array) -> float:
     if not result.fit.solver.exact:
         assert result.chi_squared is not None
         return result.chi_squared.value
-    return solve(replace(problem, start=best), exact=True).chi_squared
+    return solve(replace(problem, start=best)).chi_squared
 
 
 def _root(profile: _Profile, target: float) -> float | None:
@@ -295,8 +299,8 @@ def _root(profile: _Profile, target: float) -> float | None:
     inner_rise, outer_rise = 0.0, math.inf
     z = abs(target)
     for _ in range(_MOST):
-        found = profile.root(side * z)
-        rise = math.inf if found is None else abs(found)
+        root = profile.root(side * z)
+        rise = math.inf if root is None else abs(root)
         if abs(rise - abs(target)) <= _CLOSE:
             return profile.value + side * z * profile.sd
         if rise < abs(target):
@@ -313,9 +317,11 @@ def _next(inner: float, inner_rise: float, outer: float, outer_rise: float, targ
     if math.isinf(outer):
         if inner_rise <= 0.0:
             return 2.0 * inner
+        # A flat beginning would send the secant out of reach at once.
         return min(inner * target / inner_rise, 4.0 * inner)
     if math.isinf(outer_rise):
         return 0.5 * (inner + outer)
     z = inner + (outer - inner) * (target - inner_rise) / (outer_rise - inner_rise)
+    # Off both ends: in a curved profile one of them would never move, and the secant creep.
     margin = 0.01 * (outer - inner)
     return min(max(z, inner + margin), outer - margin)

@@ -9,13 +9,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from loopcal.document.fit import ParameterEntry
+from loopcal.document.judgement import Fact, Figure, Where, fact
 from loopcal.document.result_document import ResultDocument
 from loopcal.mechanisms.structure.structured import MOUNTED
-from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import f_limit
-from loopcal.statistics.rule import RARE, Said
+from loopcal.statistics.judged_readings import RARE
 
+# FAR and BEYOND: record 0058, end points.
 FAR = 10.0
 """A length that ends this many times the machine's size away from its nominal value is none."""
 BEYOND = 100.0
@@ -30,26 +31,22 @@ _FEWEST, _CLEAR = 3, 5.0
 distances, it must be off."""
 
 
-def prior_tension(document: ResultDocument) -> Said | None:
+def prior_tension(document: ResultDocument) -> Fact | None:
     """The parameter farthest from its nominal value in prior sds.
 
     |value - nominal| over the prior sd, which the sd of that difference never exceeds."""
     estimated = [p for p in document.parameters if p.prior_sd and not p.fixed]
     if document.sensors_exact or not estimated:
         return None
-    found = [(abs(p.value - p.nominal) / (p.prior_sd or math.inf), p) for p in estimated]
-    z, p = max(found, key=lambda one: one[0])
-    if len(found) * math.erfc(z / math.sqrt(2.0)) >= RARE:
+    z, p = max(((_off(p) / (p.prior_sd or math.inf), p) for p in estimated), key=lambda one: one[0])
+    # Two-sided normal tail of the worst of several (Bonferroni).
+    if len(estimated) * math.erfc(z / math.sqrt(2.0)) >= RARE:
         return None
-    off, known = with_unit(p.value - p.nominal, p.unit), with_unit(p.prior_sd, p.unit)
-    return Said(
-        f"{p.name} is {off} off its nominal value, which was known to {known} "
-        f"({significant(z, 2)} sds).",
-        z,
-    )
+    off, prior_sd = with_unit(p.value - p.nominal, p.unit), with_unit(p.prior_sd, p.unit)
+    return fact("prior-tension", _of(p), {"sds": z}, off=off, prior_sd=prior_sd)
 
 
-def far_from_nominal(document: ResultDocument) -> Said | None:
+def far_from_nominal(document: ResultDocument) -> Fact | None:
     """Where a fit ends that lost its way: beyond the machine, beyond its prior, or shrunk."""
     estimated = [p for p in document.parameters if not p.fixed]
     lengths = [p for p in estimated if p.unit == "m"]
@@ -59,22 +56,11 @@ def far_from_nominal(document: ResultDocument) -> Said | None:
     worst, p = max(far, key=lambda one: one[0], default=(0.0, None))
     if p is not None and worst > 1.0:
         off, nominal = with_unit(p.value - p.nominal, p.unit), with_unit(p.nominal, p.unit)
-        return Said(
-            f"{p.name} ended {off} away from its nominal value, {nominal}: no machine is so far "
-            "from its drawing.",
-            worst,
-        )
-    drawn, found = (sum(map(abs, v)) for v in ([p.nominal for p in lengths], _values(lengths)))
-    if drawn > 0.0 and found < SHRUNK * drawn:
-        return Said(
-            f"The estimated lengths shrank to {significant(found / drawn, 2)} of the nominal ones.",
-            found / drawn,
-        )
+        return fact("far-from-nominal", _of(p), {"share": worst}, off=off, nominal=nominal)
+    drawn, fitted = (sum(abs(getattr(p, v)) for p in lengths) for v in ("nominal", "value"))
+    if drawn > 0.0 and fitted < SHRUNK * drawn:
+        return fact("lengths-shrank", numbers={"share": fitted / drawn})
     return None
-
-
-def _values(parameters: Sequence[ParameterEntry]) -> list[float]:
-    return [p.value for p in parameters]
 
 
 def _farthest(document: ResultDocument) -> float:
@@ -86,7 +72,7 @@ def _farthest(document: ResultDocument) -> float:
     return max(read, default=0.0)
 
 
-def off_the_drawing(document: ResultDocument) -> Said | None:
+def off_the_drawing(document: ResultDocument) -> Fact | None:
     """One dimension, all of them, or what is mounted far off: the drawing is wrong there."""
     alike = [*_dimensions(document)]
     return _one_off(alike) or _all_off(document, alike) or _mounted_off(document)
@@ -94,17 +80,17 @@ def off_the_drawing(document: ResultDocument) -> Said | None:
 
 def _dimensions(document: ResultDocument) -> Iterator[list[ParameterEntry]]:
     """Lengths, and angles, that nothing but a learnt sd holds near the drawing, or nothing."""
-    kinds = {} if document.mechanism is None else document.mechanism.kinds
     learnt = {term.name: term.columns for term in document.terms}
-    for kind in ("length", "angle"):
-        own = [p for p in document.parameters if kinds.get(p.name) == kind and not p.fixed]
-        shared, count = Counter(p.prior_sd for p in own), learnt.get(f"{kind}s")
-        alike = [p for p in own if not p.prior_sd or shared[p.prior_sd] == count]
+    for dimension in ("length", "angle"):
+        entries = [p for p in document.parameters if p.dimension == dimension and not p.fixed]
+        # A document does not mark learnt sds: as many parameters share one as its term has columns.
+        shared, count = Counter(p.prior_sd for p in entries), learnt.get(f"{dimension}s")
+        alike = [p for p in entries if not p.prior_sd or shared[p.prior_sd] == count]
         if alike:
             yield alike
 
 
-def _one_off(dimensions: Sequence[list[ParameterEntry]]) -> Said | None:
+def _one_off(dimensions: Sequence[list[ParameterEntry]]) -> Fact | None:
     """One that is far off, compared with the root mean square of the others of its kind."""
     for alike in dimensions:
         worst, unit = max(alike, key=_off), alike[0].unit
@@ -116,58 +102,49 @@ def _one_off(dimensions: Sequence[list[ParameterEntry]]) -> Said | None:
         usual = math.sqrt(sum(squares) / others)
         if _off(worst) < _CLEAR * max(usual, worst.sd):
             continue
+        # One square over the mean of the others is F(1, others); all share the level (Bonferroni).
         freedom = np.array(float(others))
         if _off(worst) > math.sqrt(f_limit(1.0 - RARE / len(alike), 1, freedom)) * usual:
-            off = with_unit(worst.value - worst.nominal, unit)
+            numbers = {"difference": Figure(worst.value - worst.nominal, unit)}
             kind = {"m": "lengths", "rad": "angles"}.get(unit, "parameters")
-            return Said(
-                f"{worst.name} is off the drawing by {off}; the other {kind} are within "
-                f"{with_unit(usual, unit, 2)} (rms).",
-                worst.value - worst.nominal,
-            )
+            within = with_unit(usual, unit, 2)
+            return fact("off-the-drawing", _of(worst), numbers, kind=kind, usual=within)
     return None
 
 
-def _all_off(document: ResultDocument, dimensions: Sequence[list[ParameterEntry]]) -> Said | None:
+def _all_off(document: ResultDocument, dimensions: Sequence[list[ParameterEntry]]) -> Fact | None:
     """All lengths, or all angles, far off: another machine is drawn."""
-    kinds = {} if document.mechanism is None else document.mechanism.kinds
     for alike in dimensions:
-        kind = kinds[alike[0].name]
-        drawn = [p.nominal for p in document.parameters if kinds.get(p.name) == kind]
-        size = _rms(drawn) if kind == "length" else 1.0
+        dimension = alike[0].dimension
+        drawn = [p.nominal for p in document.parameters if p.dimension == dimension]
+        size = _rms(drawn) if dimension == "length" else 1.0
         off, sure = _rms([_off(p) for p in alike]), _rms([p.sd or 0.0 for p in alike])
         if len(alike) > _FEWEST and off > max(ANOTHER * size, _CLEAR * sure):
-            return Said(
-                f"The {kind}s are off the drawing by {with_unit(off, alike[0].unit, 2)} (rms): "
-                "this may be the drawing of another machine.",
-                off,
-            )
+            numbers = {"difference": Figure(off, alike[0].unit)}
+            return fact("another-drawing", _of(*alike), numbers, kind=f"{dimension}s")
     return None
 
 
-def _mounted_off(document: ResultDocument) -> Said | None:
+def _mounted_off(document: ResultDocument) -> Fact | None:
     """What is mounted farther from its place in the drawing than things are mounted."""
     if document.mechanism is None:
         return None
     unstated = {name for names in document.mechanism.unstated for name in names}
-    own = [
+    mountings = [
         p
         for p in document.parameters
-        if document.mechanism.kinds.get(p.name) == "mounting"
+        if p.role == "mounting"
         and not (p.fixed or p.prior_sd or p.name in unstated)
         and p.unit in MOUNTED
     ]
-    p = max(own, key=lambda p: _off(p) / MOUNTED[p.unit], default=None)
+    p = max(mountings, key=lambda p: _off(p) / MOUNTED[p.unit], default=None)
     if p is None or not p.sd or _off(p) < _CLEAR * p.sd:
         return None
     z = _off(p) / MOUNTED[p.unit]
-    if len(own) * math.erfc(z / math.sqrt(2.0)) >= RARE:
+    if len(mountings) * math.erfc(z / math.sqrt(2.0)) >= RARE:
         return None
-    off, usual = with_unit(p.value - p.nominal, p.unit), with_unit(MOUNTED[p.unit], p.unit)
-    return Said(
-        f"{p.name} is off the drawing by {off}; what is mounted is usually within {usual} (sd).",
-        p.value - p.nominal,
-    )
+    numbers = {"difference": Figure(p.value - p.nominal, p.unit)}
+    return fact("mounting-off", _of(p), numbers, usual=with_unit(MOUNTED[p.unit], p.unit))
 
 
 def _rms(values: Sequence[float]) -> float:
@@ -176,3 +153,7 @@ def _rms(values: Sequence[float]) -> float:
 
 def _off(p: ParameterEntry) -> float:
     return abs(p.value - p.nominal)
+
+
+def _of(*parameters: ParameterEntry) -> Where:
+    return Where(parameters=tuple(p.name for p in parameters))

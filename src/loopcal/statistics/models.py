@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.accuracy import ModelEntry
-from loopcal.document.plain import known as finite
+from loopcal.document.plain import finite
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import model_table, recommendation
 from loopcal.errors import InputError, NoTrustworthyResult
@@ -37,8 +37,8 @@ from loopcal.mechanisms.effects.model import Model, with_only
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case
 from loopcal.statistics.folds import Scheme, grouped, stated_sds
-from loopcal.statistics.judging import verdict
 from loopcal.statistics.validation import Asked, Validation, ValidationOptions, validated
+from loopcal.statistics.verdict import judged_result
 
 Array = NDArray[np.float64]
 GEOMETRIC = "geometric"
@@ -68,15 +68,15 @@ class ComparedModel:
 
     def entry(self, *, recommended: bool) -> ModelEntry:
         """As a document holds it; recommended: whether it is the one to take."""
-        found = self.validation
-        accuracy = None if found is None else found.accuracy
+        validation = self.validation
+        accuracy = None if validation is None else validation.accuracy
         return ModelEntry(
             self.name,
             self.effects,
             self.fixed,
             self.parameters,
             None if accuracy is None else accuracy.distances,
-            None if found is None else found.log_likelihood,
+            None if validation is None else validation.log_likelihood,
             self.behind,
             finite(self.sd),
             recommended,
@@ -116,9 +116,9 @@ class ModelComparison:
         return self.validation.added_to(document) if self.validation else document
 
     def __str__(self) -> str:
-        found = self.validation
-        unit = found.accuracy.unit if found and found.accuracy else ""
-        return "\n".join(model_table(self.entries, unit, found.words if found else ""))
+        validation = self.validation
+        unit = validation.accuracy.unit if validation and validation.accuracy else ""
+        return "\n".join(model_table(self.entries, unit, validation.words if validation else ""))
 
 
 def compare_models(
@@ -153,13 +153,13 @@ def compare_models(
         )
     if GEOMETRIC not in models:
         models = {GEOMETRIC: Model(), **models}
-    asked, told = Asked.of(fit, options), Noise.of(noise)
+    asked, stated_noise = Asked.of(fit, options), Noise.of(noise)
     mechanism = asked.fit.with_prior(mechanism)
-    by_one = asked.fit.changed(method=asked.fit.among(data, told)[0], prior=None)
-    shared = Case(mechanism, data, told, by_one)
+    by_one = asked.fit.changed(method=asked.fit.among(data, stated_noise)[0], prior=None)
+    shared = Case(mechanism, data, stated_noise, by_one)
     fits: dict[str, Result] = {}
     errors: list[InputError] = []
-    found: list[ComparedModel] = []
+    compared: list[ComparedModel] = []
     for name, model in models.items():
         case = replace(shared, mechanism=with_only(mechanism, model))
         free = len(case.mechanism.parameters.free)
@@ -168,16 +168,16 @@ def compare_models(
             fits[name] = case.calibrated()
         except InputError as error:
             errors.append(error)
-            found.append(replace(one, failed=error.message))
+            compared.append(replace(one, failed=error.message))
             continue
         run = partial(validated, case, fits[name], asked.scheme, executor, progress)
-        found.append(_validated(one, fits[name], run))
+        compared.append(_validated(one, fits[name], run))
     if not fits:
         raise errors[0]
-    judged = _judged(found, _groups(shared, asked.scheme))
+    judged = _judged(compared, _groups(shared, asked.scheme))
     chosen = recommended(judged)
     validation = next(m.validation for m in judged if m.name == chosen)
-    result = replace(fits[chosen], judge=partial(verdict, validation=validation))
+    result = replace(fits[chosen], judge=partial(judged_result, validation=validation))
     return ModelComparison(tuple(judged), chosen, result)
 
 
@@ -185,12 +185,12 @@ def _validated(one: ComparedModel, fit: Result, run: Callable[[], Validation]) -
     if not fit.status.converged:
         return replace(one, failed=f"the fit did not converge ({fit.status.reason})")
     try:
-        found = run()
+        validation = run()
     except NoTrustworthyResult as error:
         return replace(one, failed=error.message)
-    if found.by_pose is None:
+    if validation.by_pose is None:
         return replace(one, failed="its predictions have no probability: state sds, or priors")
-    return replace(one, validation=found)
+    return replace(one, validation=validation)
 
 
 def _groups(case: Case, scheme: Scheme) -> Mapping[str, int]:
@@ -204,37 +204,37 @@ def _groups(case: Case, scheme: Scheme) -> Mapping[str, int]:
 
 def _judged(models: Sequence[ComparedModel], groups: Mapping[str, int]) -> list[ComparedModel]:
     """The models with how far they are behind the best, on the poses that all of them predict."""
-    known = [m.validation for m in models if m.validation is not None]
-    if not known:
+    validations = [m.validation for m in models if m.validation is not None]
+    if not validations:
         raise NoTrustworthyResult(
             "no model could be validated: " + "; ".join(f"{m.name}: {m.failed}" for m in models),
             code="not-converged",
             remedy="calibrate one of them alone and read its summary",
         )
-    common = set(known[0].poses).intersection(*(v.poses for v in known))
+    common = set(validations[0].poses).intersection(*(v.poses for v in validations))
     if not common:
         raise NoTrustworthyResult(
             "no pose is predicted by every model, because folds of several models failed: "
-            + "; ".join(w for v in known for w in v.warnings),
+            + "; ".join(w for v in validations for w in v.warnings),
             code="not-converged",
             remedy="compare fewer models, or use other folds",
         )
     terms = {m.name: _terms(m.validation, common) for m in models if m.validation is not None}
-    best = max(terms.values(), key=lambda own: float(own.sum()))
-    poses = [pose for pose in known[0].poses if pose in common]
+    best = max(terms.values(), key=lambda pose_terms: float(pose_terms.sum()))
+    poses = [pose for pose in validations[0].poses if pose in common]
     codes = [groups[pose] for pose in poses] if groups else range(len(poses))
     index = np.unique([*codes], return_inverse=True)[1]
     return [_behind(m, best, terms.get(m.name), index) for m in models]
 
 
 def _behind(
-    model: ComparedModel, best: Array, own: Array | None, index: NDArray[np.intp]
+    model: ComparedModel, best: Array, terms: Array | None, index: NDArray[np.intp]
 ) -> ComparedModel:
-    if own is None:
+    if terms is None:
         return model
-    d = np.asarray(np.bincount(index, weights=best - own), dtype=np.float64)
+    d = np.asarray(np.bincount(index, weights=best - terms), dtype=np.float64)
     sd = math.sqrt(len(d) * float(np.var(d, ddof=1))) if len(d) > 1 else math.inf
-    return replace(model, behind=float(best.sum() - own.sum()), sd=sd)
+    return replace(model, behind=float(best.sum() - terms.sum()), sd=sd)
 
 
 def recommended(models: Sequence[ComparedModel]) -> str:

@@ -26,17 +26,17 @@ def sized(result: Result, point: ChangePoint) -> ChangePoint:
         return point
     problem, at = result.problem, result.solution
     values, readings = at.parameters.copy(), problem.readings.copy()
-    own, read = result.mechanism.parameters.names, result.mechanism.tape.quantities
+    parameters, read = result.mechanism.parameters.names, result.mechanism.tape.quantities
     for name, change in point.changes.items():
-        if name in own:
-            values[own.index(name)] += change.size
+        if name in parameters:
+            values[parameters.index(name)] += change.size
         elif name in read:
             readings[read.index(name)] += change.size
     moved = output_differences(replace(problem, readings=readings), values, at.corrections)
     before = result.differences_after
     off = {q: row - before[q] for q, row in zip(names, moved, strict=True)}
-    found = accuracy(result.deviations(off))
-    if found is None:
+    displacement = accuracy(result.deviations(off))
+    if displacement is None:
         return point
     real = max(1.0 - len(point.changes) / point.gain, 0.0) if point.gain else 0.0
-    return replace(point, moves=found.rms * math.sqrt(real), unit=found.unit)
+    return replace(point, moves=displacement.rms * math.sqrt(real), unit=displacement.unit)

@@ -21,6 +21,7 @@ from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.mechanisms.outputs import POLAR, Seen, cartesian, seen_outputs
 
 Array = NDArray[np.float64]
+# A complex step subtracts nothing, so it can be so small (Squire and Trapp 1998).
 _STEP = 1e-20
 
 
@@ -44,11 +45,11 @@ def excess(result: Result) -> float | None:
     learnt = {i for one in result.estimate.stated for i in one.quantities}
     sds = {i: typical_sd(problem, i) for i in learnt}
     names = problem.mechanism.tape.quantities
-    own = [sd for i, sd in sds.items() if names[i] in aside and sd is not None]
-    if not own or any(names[i] not in aside for i, sd in sds.items() if sd is not None):
+    model_sds = [sd for i, sd in sds.items() if names[i] in aside and sd is not None]
+    if not model_sds or any(names[i] not in aside for i, sd in sds.items() if sd is not None):
         return None
     floor = noise_floor(result)
-    return math.sqrt(1.0 + sum(sd**2 for sd in own) / floor**2) if floor else None
+    return math.sqrt(1.0 + sum(sd**2 for sd in model_sds) / floor**2) if floor else None
 
 
 def _floor(result: Result) -> float | None:
@@ -56,30 +57,31 @@ def _floor(result: Result) -> float | None:
     quantities = mechanism.tape.quantities
     unit = main_unit(result.deviations(result.differences_after))
     sds = np.array(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))
+    # The floor is that of the sensors: the model's own error is no noise of a reading.
     sds[[quantities.index(q) for q in mechanism.disturbances]] = 0.0
     values = np.array([p.nominal for p in mechanism.parameters])
-    found = []
+    parts = []
     for pattern in problem.patterns:
         x = problem.readings[:, pattern.poses] + result.solution.corrections[:, pattern.poses]
-        known, sd = problem.known[:, pattern.poses], sds[:, pattern.poses]
+        constants, sd = problem.pose_constants[:, pattern.poses], sds[:, pattern.poses]
         S = output_sensitivity(
-            mechanism, values, problem.names, x, known, pattern.unmeasured
+            mechanism, values, problem.names, x, constants, pattern.unmeasured
         ).by_reading
         spread = S * np.where(np.isfinite(sd), sd, 0.0).T[:, None, :]
         for seen in seen_outputs(mechanism):
-            its = seen.position or seen.turns
-            if (seen.unit if seen.position else "rad") == unit and set(its) <= set(
+            read = seen.position or seen.turns
+            if (seen.unit if seen.position else "rad") == unit and set(read) <= set(
                 mechanism.outputs
             ):
-                found.append(_squares(seen, its, mechanism.outputs, quantities, spread, x, sd))
-    squares = np.concatenate(found) if found else np.empty(0)
+                parts.append(_squares(seen, read, mechanism.outputs, quantities, spread, x, sd))
+    squares = np.concatenate(parts) if parts else np.empty(0)
     squares = squares[np.isfinite(squares)]
     return math.sqrt(float(squares.mean())) if squares.size else None
 
 
 def _squares(
     seen: Seen,
-    its: tuple[str, ...],
+    read: tuple[str, ...],
     outputs: tuple[str, ...],
     quantities: tuple[str, ...],
     spread: Array,
@@ -87,10 +89,10 @@ def _squares(
     sd: Array,
 ) -> Array:
     """(N,) expected squared distance of what one instrument sees; inf where it reads nothing."""
-    rows = [quantities.index(q) for q in its]
-    moved = spread[:, [outputs.index(q) for q in its]]
-    own = np.where(np.eye(len(its), dtype=bool), sd[rows].T[:, :, None], 0.0)
-    both = np.concatenate([moved, own], axis=2)
+    rows = [quantities.index(q) for q in read]
+    moved = spread[:, [outputs.index(q) for q in read]]
+    reading_sds = np.where(np.eye(len(read), dtype=bool), sd[rows].T[:, :, None], 0.0)
+    both = np.concatenate([moved, reading_sds], axis=2)
     if seen.form in POLAR:
         both = _turned(x[rows]) @ both
     return np.asarray(np.square(both).sum(axis=(1, 2)), dtype=np.float64)

@@ -31,6 +31,7 @@ def observability(information: Accumulator, poses: int) -> Observability:
         return Observability(0.0, 0.0, 0.0, 0.0, 0.0)
     low, high = float(s.min()), float(s.max())
     return Observability(
+        # By logarithms: the product of many small values would underflow.
         O1=float(np.exp(np.log(s).mean())) / float(np.sqrt(poses)),
         O2=low / high,
         O3=low,

@@ -48,7 +48,7 @@ def other_optima(result: Result) -> tuple[OtherOptimum, ...]:
     if not (usable and result.status.converged and result.chi_squared and _vague(result)):
         return ()
     best = result.chi_squared.value
-    found: dict[float, OtherOptimum] = {}
+    optima: dict[float, OtherOptimum] = {}
     with one_blas_thread():
         for start in _exchanged(result):
             try:
@@ -56,10 +56,10 @@ def other_optima(result: Result) -> tuple[OtherOptimum, ...]:
             except InputError:
                 continue  # no loop closes with these two exchanged
             chi = other.chi_squared
-            new = all(abs(chi - known) > _SAME * max(best, 1.0) for known in (best, *found))
+            new = all(abs(chi - value) > _SAME * max(best, 1.0) for value in (best, *optima))
             if other.status.converged and new and chi <= ALIKE * best:
-                found[chi] = _told(result, other.parameters, chi)
-    return tuple(found[chi] for chi in sorted(found))
+                optima[chi] = _optimum(result, other.parameters, chi)
+    return tuple(optima[chi] for chi in sorted(optima))
 
 
 def _vague(result: Result) -> bool:
@@ -88,7 +88,7 @@ def _exchanged(result: Result) -> Iterator[Array]:
         yield start
 
 
-def _told(result: Result, parameters: Array, chi_squared: float) -> OtherOptimum:
+def _optimum(result: Result, parameters: Array, chi_squared: float) -> OtherOptimum:
     values = dict(zip(result.mechanism.parameters.names, parameters.tolist(), strict=True))
     moved = {
         name: values[name]
@@ -97,17 +97,18 @@ def _told(result: Result, parameters: Array, chi_squared: float) -> OtherOptimum
     }
     assert result.chi_squared is not None
     best = result.chi_squared.value
-    told = ", ".join(
+    values_shown = ", ".join(
         f"{name} {with_unit(value, result.mechanism.parameters[name].unit, 4)}"
         for name, value in moved.items()
     )
     verdict = "it fits better: start there (fit.start), or state prior sds"
     if chi_squared >= best:
+        # Sds larger by this root bring chi-squared down to that of the result.
         times = significant(math.sqrt(chi_squared / max(best, 1e-300)), 3)
         verdict = (
             f"it would fit as well with sds {times} times as large: check against the drawing, "
             f"or state a prior"
         )
     numbers = f"chi-squared {significant(chi_squared, 4)} beside {significant(best, 4)}"
-    words = f"another optimum: {told}, {numbers}; {verdict}"
+    words = f"another optimum: {values_shown}, {numbers}; {verdict}"
     return OtherOptimum(moved, chi_squared, words, best)

@@ -62,19 +62,20 @@ class OrderedSystem:
     def columns(self, names: Sequence[str]) -> Array:
         """(N, R, d) of a change of these parameters or zeros of readings by one [SI]."""
         quantities = self.problem.mechanism.tape.quantities
-        found = [
+        changes = [
             -self.X[:, :, quantities.index(n)]
             if n in quantities
             else self.D[:, :, self.problem.names.index(n)]
             for n in names
         ]
-        return np.stack(found, axis=2)
+        return np.stack(changes, axis=2)
 
     def waves(self, count: int) -> list[Array]:
         """(N, R, q) each: slow cosines over the run along the readings of the instruments."""
         N, names = len(self.E), self.problem.mechanism.tape.quantities
         readings = [q for family in instruments(self.problem) for q in family.readings]
         along = self.columns(readings) * units_of(self.problem, [names.index(q) for q in readings])
+        # The cosines of DCT-II: orthogonal to each other and to a constant over the poses.
         phase = np.pi * (np.arange(N) + 0.5) / N
         return [np.cos(j * phase)[:, None, None] * along for j in range(1, count + 1)]
 
@@ -102,22 +103,23 @@ class OrderedSystem:
         freedom = spare / count
         alone = float(np.square(weights[:, None] * left).sum() / count) / freedom
         for pattern in np.unique(self.patterns):
-            here = self.patterns == pattern
-            there = np.flatnonzero(self.rows[here][0])
-            if not there.size:  # poses in which no loop holds
+            alike = self.patterns == pattern
+            loops = np.flatnonzero(self.rows[alike][0])
+            if not loops.size:  # poses in which no loop holds
                 continue
-            S = alone * np.eye(len(there))
-            poses, few = int(here.sum()), _ENOUGH * len(there)
-            if poses > 2 * len(there):
-                own = weights[here, None] * left[np.ix_(here, there)]
+            S = alone * np.eye(len(loops))
+            poses, few = int(alike.sum()), _ENOUGH * len(loops)
+            # The scatter of few poses has directions that are nearly zero by chance.
+            if poses > 2 * len(loops):
+                weighted = weights[alike, None] * left[np.ix_(alike, loops)]
                 # of few poses partly as if the rows were alike: their scatter is unsure itself
                 share = min(1.0, poses / few)
-                S = share * own.T @ own / poses / freedom + (1.0 - share) * S
+                S = share * weighted.T @ weighted / poses / freedom + (1.0 - share) * S
             values, vectors = np.linalg.eigh(S)
             least = max(1e-12 * float(values.max(initial=0.0)), self.rounding)
             values = np.maximum(values, least or 1.0)  # where nothing is left, any scale will do
             root = (vectors / np.sqrt(values)) @ vectors.T
-            T[np.ix_(here, there, there)] = root
+            T[np.ix_(alike, loops, loops)] = root
         return T
 
 
@@ -168,6 +170,7 @@ class Fitted:
     @property
     def criterion(self) -> float:
         """The restricted likelihood of the smooth columns' variance, times -2."""
+        # -2 log of it but for E^T E, which no ratio changes: log|H| - log|P| - z^T H z.
         smooth = self.precision[len(self.pull) - self.system.smooth :]
         return (
             self._factor.log_determinant - float(self.z @ self._drawn) - float(np.log(smooth).sum())
@@ -177,6 +180,7 @@ class Fitted:
     def spare(self) -> float:
         """Degrees of freedom that are left."""
         count = float(self.system.rows.sum())
+        # tr(H^-1 (H - P)) = rank - tr(H^-1 P); a tenth at least, for few spare rows show no scale.
         used = len(self._factor.values) - float(self._factor.variances @ self.precision)
         return max(count - used, 0.1 * count)
 
@@ -188,6 +192,7 @@ class Fitted:
 
     def again(self) -> Fitted:
         """The same columns, the rows scaled by what this fit leaves."""
+        # Huber's weight is one of squares: its root weighs the rows.
         weights = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(self._away, 1e-300)))
         left = self.system.E - self.Z @ self.z
         T = self.system.whitening(left, weights, self.spare)
@@ -195,6 +200,7 @@ class Fitted:
 
     def beside(self, columns: Array) -> Fitted:
         """The fit with further columns (N, R, d) before the others, rows scaled as they are."""
+        # Only the border of the products is summed over the poses (record 0061).
         d = columns.shape[2]
         C = self.T @ columns
         U = np.tensordot(C, self.scaled, axes=((0, 1), (0, 1)))
@@ -268,6 +274,7 @@ class Fitted:
     def _alike(self, columns: Array) -> tuple[Array, Array]:
         """Scaled columns of unit length, and what made them so (d,)."""
         C = self.T @ columns
+        # Metres and radians side by side: the share _ABSORBED has a meaning for columns alike.
         length = np.sqrt(np.square(C).sum(axis=(0, 1)))
         scale = 1.0 / np.where(length > 0.0, length, 1.0)
         return C * scale, scale
@@ -285,6 +292,7 @@ class Step:
     def before(self, spare: float) -> float:
         """The gain in units of the scatter without the step, where it was found in units of that
         with it, of so many degrees of freedom."""
+        # The squares left are spare + gain without the step, and spare with it.
         return self.gain / (1.0 + self.gain / spare)
 
 
@@ -326,10 +334,12 @@ class _Factor:
         """Of H = products + precision."""
         H = products.copy()
         H.reshape(-1)[:: len(H) + 1] += precision
+        # A diagonal of ones frees factor and limits from the units of the parameters.
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         H *= scale * scale[:, None]
         try:
             L = np.asarray(np.linalg.cholesky(H), dtype=np.float64)
+            # Cholesky accepts pivots that are rounding alone, whose inverse would be noise.
             if float(np.diag(L).min()) > _ABSORBED * float(np.diag(L).max()):
                 return cls(H, scale, L, np.diag(L), np.zeros((0, 0)))
         except np.linalg.LinAlgError:
@@ -365,15 +375,15 @@ class _Factor:
 def ordered_system(result: Result) -> OrderedSystem:
     """The system of a calibration in memory."""
     problem, solution = result.problem, result.solution
-    exact, equations = result.fit.solver.exact, result.pose_equations()
+    equations, precision = result.pose_equations(), problem.precision
     N, n, k = len(problem.poses), len(problem.free), len(problem.readings)
     R = max((block.E.shape[1] for block in equations), default=0)
     E, D, X = np.zeros((N, R)), np.zeros((N, R, n)), np.zeros((N, R, k))
     rows, patterns = np.zeros((N, R), dtype=bool), np.zeros(N, dtype=np.intp)
     for block in equations:
-        r, here = block.E.shape[1], block.poses
-        E[here, :r], D[here, :r], X[here, :r], rows[here, :r] = block.E, block.D, block.X, True
-        patterns[here] = r
+        r, poses = block.E.shape[1], block.poses
+        E[poses, :r], D[poses, :r], X[poses, :r], rows[poses, :r] = block.E, block.D, block.X, True
+        patterns[poses] = r
     X[
         np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))
         .T[:, None, :]
@@ -381,7 +391,6 @@ def ordered_system(result: Result) -> OrderedSystem:
     ] = 0.0
     B = _smooth_columns(problem, X)
     m = n + B.shape[2]
-    precision = np.zeros(n) if exact else 1.0 / np.square(problem.prior_sd)
     pull = np.where(
         precision > 0.0, precision * (problem.nominal - solution.parameters[problem.free]), 0.0
     )
@@ -407,6 +416,7 @@ def _smooth_columns(problem: Problem, X: Array) -> Array:
     """(N, R, m) smooth functions of the joints along the readings of each instrument."""
     mechanism, names = problem.mechanism, problem.mechanism.tape.quantities
     joints = joint_rows(problem)
+    # The discrepancy of a structured fit is among the parameters already (record 0046).
     if not joints or DISCREPANCY in {term.name for term in mechanism.learnt_terms}:
         return np.zeros((*X.shape[:2], 0))
     smooth = Smooth.of([(names[i], mechanism.quantities[names[i]]) for i in joints], {})

@@ -26,11 +26,14 @@ from loopcal.statistics.blocks import blocks
 from loopcal.statistics.pose_tests import Fitted, PoseTests, independent, pose_tests, settle
 
 Array = NDArray[np.float64]
+# Concentration keeps the other seven tenths (docs/explanation/outliers.md).
 MOST = 0.3
 """At most this share of the poses is taken for bad where the first search leaves doubts."""
 ENOUGH = 1e-3
 """Where terms are learnt, whose sds nobody knows better, fits converge to so many sds."""
+# A trimmed square must be a tenth smaller (record 0058).
 _REGIONS, _MANY, _FINALISTS, _LESS = (4, 8), 6, 2, 0.9
+# ln 2 = 0.69 for two degrees of freedom, 0.79 for three.
 _MEDIAN = 0.75
 """Of chi-squared over its degrees of freedom, of two or three of them, at most 0.79."""
 _ROUNDS, _HOPELESS, _BENT, _REJECTED = 10, 100.0, 10.0, 1e-3
@@ -67,43 +70,41 @@ class Search:
         corrections = np.array([result.corrections[q] for q in problem.mechanism.tape.quantities])
         covariance = result.spectrum.covariance()
         fit = self._scaled(Fitted(parameters, corrections, covariance, 1.0), none)
-        tests = pose_tests(problem, fit, ~none, exact=self.exact)
+        tests = pose_tests(problem, fit, ~none)
         unremarkable = result.status.converged and not self._remarkable(tests).any()
         if unremarkable and fit.factor == 1.0:
             return fit, none, tests
-        found = self._searched(fit)
+        searched = self._searched(fit)
         # a scale from the residuals of a bent fit is too large to show what bent it; but without
         # their worst poses good data scatter less as well
-        if unremarkable and found[0].factor * self._plausible(none) > fit.factor:
+        if unremarkable and searched[0].factor * self._plausible(none) > fit.factor:
             return fit, none, tests
-        return found
+        return searched
 
     def _searched(self, fit: Fitted) -> tuple[Fitted, NDArray[np.bool_], PoseTests]:
         """From a robust fit, and from a more robust one where that leaves doubts."""
         result, none = self.result, np.zeros(len(self.problem.poses), dtype=bool)
         fit = self._robust(fit)
-        found = self._settled(fit, none)
-        if not self._doubtful(found) or result.all_poses is not None:
-            return found
-        centre = self._centre(fit, found)
+        settled = self._settled(fit, none)
+        if not self._doubtful(settled) or result.all_poses is not None:
+            return settled
+        centre = self._centre(fit, settled)
         if centre is None:
-            return found
+            return settled
         other = self._settled(*centre)
-        return found if self._doubtful(other) else other
+        return settled if self._doubtful(other) else other
 
     def _settled(
         self, fit: Fitted, gone: NDArray[np.bool_]
     ) -> tuple[Fitted, NDArray[np.bool_], PoseTests]:
         """From a fit without some poses to a set of them that no longer changes."""
         problem = self.problem
-        none = np.zeros_like(gone)
-        gone = self._remarkable(pose_tests(problem, fit, ~gone, exact=self.exact))
+        gone = self._remarkable(pose_tests(problem, fit, ~gone))
         seen: list[NDArray[np.bool_]] = []
         for _ in range(_ROUNDS):
-            if self._too_few(gone):
-                gone = none
+            gone = self._aside(gone)
             fit = self._fitted(fit, gone)
-            tests = pose_tests(problem, fit, ~gone, exact=self.exact)
+            tests = pose_tests(problem, fit, ~gone)
             now = self._remarkable(tests)
             if np.array_equal(now, gone):
                 break
@@ -113,17 +114,21 @@ class Search:
             gone = now
         return fit, self._remarkable(tests), tests
 
-    def _doubtful(self, found: tuple[Fitted, NDArray[np.bool_], PoseTests]) -> bool:
-        """Whether the poses that are left do not look like good ones: they scatter more than the
-        sds allow, or, where the scale comes from themselves, with a heavy tail."""
-        fit, gone, _ = found
+    def _doubtful(self, settled: tuple[Fitted, NDArray[np.bool_], PoseTests]) -> bool:
+        """Whether the poses that are left do not look like good ones.
+
+        They scatter more than the sds allow, or with a heavy tail where the scale is their own.
+        """
+        fit, gone, _ = settled
         ratios = self._ratios(fit)[~gone]
         ratios = ratios[np.isfinite(ratios)]
+        if gone.mean() > MOST or not ratios.size:
+            return True
         usual = float(np.median(ratios)) / _MEDIAN if self.scale == "residual" else self._spare(fit)
-        return bool(gone.mean() > MOST or ratios.mean() > usual * self._plausible(gone))
+        return bool(ratios.mean() > usual * self._plausible(gone))
 
     def _centre(
-        self, fit: Fitted, found: tuple[Fitted, NDArray[np.bool_], PoseTests]
+        self, fit: Fitted, settled: tuple[Fitted, NDArray[np.bool_], PoseTests]
     ) -> tuple[Fitted, NDArray[np.bool_]] | None:
         """The fit with the least trimmed squares, and the poses (N,) that it leaves out; None where
         none is better than the one that was found.
@@ -132,7 +137,7 @@ class Search:
         to the nominal machine, placed by the better half; all poses but those of one region of the
         joint space, where bad poses may support each other; and the poses of the fit at hand.
         """
-        begun = self._concentrated(found[0], found[1], _MANY)
+        begun = self._concentrated(settled[0], self._aside(settled[1]), _MANY)
         tried = []
         for start in self._starts():
             with suppress(InputError, NoTrustworthyResult):
@@ -181,7 +186,7 @@ class Search:
         """|E|^2 / r of every pose (N,), in units in which the median of a good one is that of a
         normal one; infinite where it is no number."""
         ratios = np.zeros(len(self.problem.poses))
-        for block in fit.equations(self.problem, exact=self.exact):
+        for block in fit.equations(self.problem):
             r = block.E.shape[1]
             if r:
                 ratios[block.poses] = np.square(block.E).sum(axis=1) / r
@@ -196,10 +201,12 @@ class Search:
         every = self.result.all_poses
         return 1.0 if every is None else every.poses / self.problem.count
 
-    def _too_few(self, gone: NDArray[np.bool_]) -> bool:
-        return bool(gone.mean() > 0.5)
+    def _aside(self, gone: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """The poses to leave out of a fit: none where too few would be left."""
+        return np.zeros_like(gone) if gone.mean() > 0.5 else gone
 
     def _remarkable(self, tests: PoseTests) -> NDArray[np.bool_]:
+        # Half of the level for poses, half for readings, shared by all of each (Bonferroni).
         w = tests.w[self.readings]
         poses = 0.5 * self.level / max(self.tested(tests), 1)
         readings = 0.5 * self.level / max(float(np.isfinite(w).sum()) * self._share, 1)
@@ -219,6 +226,7 @@ class Search:
     def _robust(self, fit: Fitted) -> Fitted:
         """Huber's fit, its tuning constant in units of the scale that it finds itself."""
         everything = np.zeros(len(self.problem.poses), dtype=bool)
+        # Scale and fit depend on each other: each round takes the other as it stands.
         for _ in range(3):
             solution = self._fit(self.problem, fit.parameters, _Scaled(Huber(), fit.factor))
             covariance = solution.spectrum.covariance()
@@ -240,7 +248,7 @@ class Search:
         return self._scaled(fit, gone, cleaned=True)
 
     def _closed(self, fit: Fitted, parameters: Array, corrections: Array) -> Fitted:
-        closed = settle(self.problem, parameters, corrections, exact=self.exact)
+        closed = settle(self.problem, parameters, corrections)
         return replace(fit, parameters=parameters, corrections=closed.corrections)
 
     def _scaled(self, fit: Fitted, gone: NDArray[np.bool_], *, cleaned: bool = False) -> Fitted:
@@ -252,7 +260,7 @@ class Search:
         if self.scale == "stated":
             return replace(fit, factor=1.0)
         if self.scale == "residual":
-            blocks = replace(fit, alike={}).equations(self.problem, exact=self.exact)
+            blocks = replace(fit, alike={}).equations(self.problem)
             fit = replace(fit, alike=independent(blocks, ~gone))
         factor = self._factor(fit, gone, cleaned)
         if self.scale == "auto" and factor < self._plausible(gone):
@@ -260,9 +268,9 @@ class Search:
         return replace(fit, factor=factor)
 
     def _factor(self, fit: Fitted, gone: NDArray[np.bool_], cleaned: bool) -> float:
-        found = fit.equations(self.problem, exact=self.exact)
+        pose_blocks = fit.equations(self.problem)
         ratios, total, equations = [], 0.0, 0
-        for block in found:
+        for block in pose_blocks:
             r = block.E.shape[1]
             if r:
                 s = np.square(block.E).sum(axis=1)[~gone[block.poses]]
@@ -270,22 +278,23 @@ class Search:
                 total, equations = total + float(s.sum()), equations + r * len(s)
         middle = float(np.median(np.concatenate(ratios)))
         spare, mean = self._spare(fit), total / equations if cleaned else 0.0
-        return max(middle / spare, mean / spare, rounding_left(self.problem, found), 1e-300)
+        return max(middle / spare, mean / spare, rounding_left(self.problem, pose_blocks), 1e-300)
 
     def _spare(self, fit: Fitted) -> float:
         """The share of the equations that the parameters leave to the residuals.
 
-        A parameter of prior sd s takes up 1 - C / s^2 of an equation, C its variance: the trace of
+        A parameter of prior sd s takes up 1 - C / s^2 of an equation, C its variance. The trace of
         the hat matrix is n - tr(C P^-1).
         """
-        known, taken = self.result.solution.equations, float(len(self.problem.free))
+        equations, taken = self.result.solution.equations, float(len(self.problem.free))
         if not self.exact:
             held = np.diag(fit.covariance) / np.square(self.problem.prior_sd)
             taken -= float(np.clip(held, 0.0, 1.0).sum())
-        return max(known - taken, 1.0) / known
+        return max(equations - taken, 1.0) / equations
 
     def _plausible(self, gone: NDArray[np.bool_]) -> float:
         """Up to here a median ratio is chance: its sd is about 1.5 / sqrt(poses)."""
+        # 5 / 1.5 = 3.3 sds, which chance exceeds with a probability of 0.0004.
         return 1.0 + 5.0 / float(np.sqrt(max(int((~gone).sum()), 1)))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
-from loopcal.document.plain import known
+from loopcal.document.plain import finite
 from loopcal.errors import InputError
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem
@@ -115,12 +115,12 @@ def find_outliers(result: Result, *, level: float = _LEVEL, scale: str = _SCALE)
 def find_columns(result: Result) -> tuple[ColumnFault, ...]:
     """Columns that are wrong as a whole, sought where the fit may be a bad one."""
 
-    def found() -> tuple[ColumnFault, ...]:
+    def columns_at_fault() -> tuple[ColumnFault, ...]:
         with one_blas_thread():
             hopeless = Search(result, _LEVEL, _SCALE).hopeless()
             return column_faults(result.problem) if hopeless else ()
 
-    return result.faults or result.remembered(COLUMNS, found)
+    return result.faults or result.remembered(COLUMNS, columns_at_fault)
 
 
 def find_poses(result: Result, level: float = _LEVEL, scale: str = _SCALE) -> Outliers:
@@ -132,11 +132,11 @@ def _poses(result: Result, level: float, scale: str) -> Outliers:
     with one_blas_thread():
         search = Search(result, level, scale)
         fit, gone, tests = search.run()
-        found = _named(search, fit, gone, tests)
+        named = _named(search, fit, gone, tests)
     root = float(np.sqrt(fit.factor))
     chi = result.chi_squared
     rejected = chi.p_value if chi is not None and chi.too_large else None
-    return Outliers(found, level, search.tested(tests), root, fit.factor != 1.0, rejected=rejected)
+    return Outliers(named, level, search.tested(tests), root, fit.factor != 1.0, rejected=rejected)
 
 
 def _named(
@@ -150,7 +150,7 @@ def _named(
     from loopcal.statistics.suspects import find_suspects
 
     suspects = find_suspects(search, fit, where, tests)
-    causes = find_causes(search.problem, search.result.dataset, fit, suspects, exact=search.exact)
+    causes = find_causes(search.problem, search.result.dataset, fit, suspects)
     worst = np.argsort([-(s.t / max(s.freedom, 1)) for s in suspects], kind="stable")
     return tuple(_outlier(search.problem, suspects[i], causes[i]) for i in worst)
 
@@ -163,20 +163,21 @@ def _outlier(problem: Problem, suspect: Suspect, cause: Cause | None) -> Outlier
         order.remove(cause.quantity)
         order.insert(0, cause.quantity)
     words, verified = (None, False) if cause is None else (cause.words, cause.verified)
-    whole = known(suspect.t)
+    whole = finite(suspect.t)
     if not order or (cause is not None and cause.quantity is None):
         p = float(tail(np.array([suspect.t]), np.array([suspect.freedom]))[0])
         together = tuple(suspect.together) if cause is None else ()
         size = suspect.together[together[0]] if len(together) == 1 else None
         unit = None if size is None else "m"
-        found = Outlier(pose, None, whole, p, whole, size, unit, (), words, verified)
-        return replace(found, together=together)
+        outlier = Outlier(pose, None, whole, p, whole, size, unit, (), words, verified)
+        return replace(outlier, together=together)
     j = order[0]
     size, left = suspect.explained[j]
+    # Leaving a reading out lowers chi-squared by the square of its w.
     w = float(np.copysign(np.sqrt(max(suspect.t - left, 0.0)), size))
     p = float(tail(np.array([w * w]), np.array([1]))[0])
     others = tuple(names[i] for i in order[1:])
     unit = problem.mechanism.quantities[names[j]]
     read = [f.name for f in problem.mechanism.families if names[j] in f.readings]
-    found = Outlier(pose, names[j], known(w), p, whole, size, unit, others, words, verified)
-    return replace(found, instrument=read[0] if read else None)
+    outlier = Outlier(pose, names[j], finite(w), p, whole, size, unit, others, words, verified)
+    return replace(outlier, instrument=read[0] if read else None)

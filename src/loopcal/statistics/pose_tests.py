@@ -69,10 +69,10 @@ class Fitted:
     factor: float
     alike: Mapping[int, Array] = field(default_factory=dict)
 
-    def equations(self, problem: Problem, *, exact: bool) -> tuple[PoseEquations, ...]:
+    def equations(self, problem: Problem) -> tuple[PoseEquations, ...]:
         """Of every pose where the fit stands."""
-        found = pose_equations(problem, self.parameters, self.corrections, exact=exact)
-        return tuple(self._turned(block) for block in found)
+        blocks = pose_equations(problem.where_closed, self.parameters, self.corrections)
+        return tuple(self._turned(block) for block in blocks)
 
     def _turned(self, block: PoseEquations) -> PoseEquations:
         T = self.alike.get(block.E.shape[1])
@@ -87,7 +87,7 @@ def independent(blocks: Sequence[PoseEquations], kept: NDArray[np.bool_]) -> dic
     From the scatter of the poses that are kept (N,), those that fit badly counting less (Huber).
     Only where a pose has more equations than one point gives.
     """
-    found = {}
+    whitenings = {}
     for block in blocks:
         E, r = block.E[kept[block.poses]], block.E.shape[1]
         if r <= _POINT or len(E) <= 2 * r:
@@ -95,14 +95,15 @@ def independent(blocks: Sequence[PoseEquations], kept: NDArray[np.bool_]) -> dic
         # of few poses partly as if the equations were alike: their scatter is unsure itself
         share, weights = min(1.0, len(E) / (_ENOUGH * r)), np.ones(len(E))
         for _ in range(_ROUNDS):
-            own = weights[:, None] * E
-            values, vectors = np.linalg.eigh(own.T @ own / len(E))
+            weighted = weights[:, None] * E
+            values, vectors = np.linalg.eigh(weighted.T @ weighted / len(E))
             values = share * values + (1.0 - share) * values.mean()
             values = np.maximum(values, 1e-9 * max(float(values[-1]), 1e-300))
             away = np.sqrt(np.square(E @ (vectors / np.sqrt(values))).mean(axis=1))
             weights = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(away, 1e-300)))
-        found[r] = math.sqrt(values.mean()) * (vectors / np.sqrt(values)) @ vectors.T
-    return found
+        # The mean square stays, for the variance factor measures that.
+        whitenings[r] = math.sqrt(values.mean()) * (vectors / np.sqrt(values)) @ vectors.T
+    return whitenings
 
 
 def tail(t: Array, freedom: NDArray[np.intp]) -> Array:
@@ -112,19 +113,17 @@ def tail(t: Array, freedom: NDArray[np.intp]) -> Array:
     return np.where(np.isfinite(t), p, 0.0)
 
 
-def pose_tests(
-    problem: Problem, fit: Fitted, fitted: NDArray[np.bool_], *, exact: bool = False
-) -> PoseTests:
+def pose_tests(problem: Problem, fit: Fitted, fitted: NDArray[np.bool_]) -> PoseTests:
     """The tests of all poses; fitted: (N,) those that took part in the fit."""
-    equations = fit.equations(problem, exact=exact)
+    equations = fit.equations(problem)
     k, N = problem.readings.shape
     t, freedom = np.zeros(N), np.zeros(N, dtype=np.intp)
     w, sd = np.full((k, N), np.nan), np.full((k, N), np.nan)
     for block in equations:
         if block.E.shape[1]:
-            own = _block(block, fit, fitted[block.poses])
-            t[block.poses], freedom[block.poses] = own.t, own.freedom
-            w[:, block.poses], sd[:, block.poses] = own.w, own.sd
+            tests = _block(block, fit, fitted[block.poses])
+            t[block.poses], freedom[block.poses] = tests.t, tests.freedom
+            w[:, block.poses], sd[:, block.poses] = tests.w, tests.sd
     hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, w.shape))
     w[hidden] = np.nan
     return PoseTests(t, freedom, w, sd)
@@ -134,13 +133,14 @@ def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> Pose
     spread = rows_times(block.D, fit.covariance) @ block.D.transpose(0, 2, 1)
     values, vectors = np.linalg.eigh(spread)
     # The eigenvalues of W: what the other poses leave to test in each direction.
-    own = np.where(fitted[:, None], 1.0 - values, 1.0 / (1.0 + values))
-    open_ = own > UNCONTROLLED
+    # With the pose in C, 1 - D C D^T is the inverse of 1 + D C D^T without it (Woodbury).
+    redundancy = np.where(fitted[:, None], 1.0 - values, 1.0 / (1.0 + values))
+    open_ = redundancy > UNCONTROLLED
     turned = np.einsum("brs,br->bs", vectors, block.E)
-    y = np.where(open_, turned * np.where(fitted[:, None], 1.0, own), 0.0)
-    t = (np.square(y) / np.where(open_, own, 1.0)).sum(axis=1) / fit.factor
+    y = np.where(open_, turned * np.where(fitted[:, None], 1.0, redundancy), 0.0)
+    t = (np.square(y) / np.where(open_, redundancy, 1.0)).sum(axis=1) / fit.factor
     X = np.einsum("brs,brk->bsk", vectors, block.X)
-    power = np.einsum("bs,bsk->kb", np.where(open_, own, 0.0), np.square(X))
+    power = np.einsum("bs,bsk->kb", np.where(open_, redundancy, 0.0), np.square(X))
     whole = np.square(X).sum(axis=1).T
     possible = (power > UNCONTROLLED * whole) & (power > 0.0)
     root = np.sqrt(np.where(possible, power, 1.0))
@@ -163,42 +163,44 @@ def try_rows(
     poses: Sequence[int],
     readings: Array,
     without: NDArray[np.bool_],
-    *,
-    exact: bool = False,
 ) -> Trials:
     """The tests of V changed rows against a fit that they took no part in.
 
     poses: (V,) which pose each is a version of; readings: (k, V) [SI]; without: (k, V) readings
     taken as unmeasured, so that the loops find them. The statistic of a row whose loops do not
-    close is infinite.
+    close, or are too few to find what is unmeasured, is infinite.
     """
     index = np.asarray(poses, dtype=np.intp)
-    rows = left_unmeasured(replace(taken(problem, index), readings=readings), without)
+    rows = replace(taken(problem, index), readings=readings)
+    few = np.zeros(len(index), dtype=bool)
+    for pattern in left_unmeasured(rows, without).patterns:
+        few[pattern.poses] = len(pattern.unmeasured) > len(pattern.loops)
+    rows = left_unmeasured(rows, without & ~few)
     hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))
     start = np.where(hidden, fit.corrections, 0.0)[:, index]
-    closed = settle(rows, fit.parameters, start, exact=exact)
+    closed = settle(rows, fit.parameters, start)
     none = np.zeros(len(index), dtype=bool)
-    tests = pose_tests(rows, replace(fit, corrections=closed.corrections), none, exact=exact)
-    t = np.where(closed.open | ~np.isfinite(tests.t), np.inf, tests.t)
+    tests = pose_tests(rows, replace(fit, corrections=closed.corrections), none)
+    t = np.where(few | closed.open | ~np.isfinite(tests.t), np.inf, tests.t)
     return Trials(replace(tests, t=t), closed.corrections)
 
 
-def misfit_there(
+def misfit_of_rows(
     problem: Problem, fit: Fitted, poses: Sequence[int], readings: Array, without: NDArray[np.bool_]
 ) -> Array:
     """The statistics (V,) of rows as `try_rows`, linearised where they stand."""
     index = np.asarray(poses, dtype=np.intp)
     rows = left_unmeasured(replace(taken(problem, index), readings=readings), without)
     none = np.zeros(len(index), dtype=bool)
-    there = replace(fit, corrections=np.zeros_like(readings))
-    t: Array = pose_tests(rows, there, none).t
+    held = replace(fit, corrections=np.zeros_like(readings))
+    t: Array = pose_tests(rows, held, none).t
     return t
 
 
-def settle(problem: Problem, parameters: Array, start: Array, *, exact: bool) -> Closed:
+def settle(problem: Problem, parameters: Array, start: Array) -> Closed:
     """Corrections (k, N) that close the loops at these parameters.
 
     Poses whose loops do not close are open, and keep the corrections they started with.
     """
-    closed = Sweeper(problem, exact=exact).close(parameters, start, NEGLIGIBLE, 1.0)
+    closed = Sweeper(problem).close(parameters, start, NEGLIGIBLE, 1.0)
     return replace(closed, corrections=np.where(closed.open, start, closed.corrections))

@@ -72,7 +72,7 @@ class Prediction:
     @property
     def sd(self) -> dict[str, Array]:
         """Output -> (N,) sd [SI]."""
-        sds = np.sqrt(np.einsum("noo->on", self.covariance))
+        sds = np.sqrt(np.maximum(np.einsum("noo->on", self.covariance), 0.0))  # rounding
         return dict(zip(self.outputs, sds, strict=True))
 
     def half_width(self, level: float = 0.95) -> dict[str, Array]:
@@ -160,8 +160,8 @@ class Prediction:
 
     def words(self) -> str:
         """What was predicted, how sure it is, and the alarm."""
-        found = np.isfinite(np.array(list(self.outputs.values()))).all(axis=0)
-        lines = [f"{int(found.sum())} of {len(self.poses)} poses predicted"]
+        predicted = np.isfinite(np.array(list(self.outputs.values()))).all(axis=0)
+        lines = [f"{int(predicted.sum())} of {len(self.poses)} poses predicted"]
         parts = [("parameters", self.from_parameters), ("readings", self.from_readings)]
         for name, covariance in parts:
             if covariance is None:
@@ -217,55 +217,55 @@ def predict(
     102:2011). Raises InputError for a mechanism without outputs, and where readings are missing
     that the loops cannot make up for.
     """
-    known = calibration if isinstance(calibration, Predictor) else predictor(calibration)
-    if known is None:
+    calibrated = calibration if isinstance(calibration, Predictor) else predictor(calibration)
+    if calibrated is None:
         raise InputError(
             "the mechanism has no outputs to predict",
             code="no-outputs",
             remedy="name the quantities that its loops predict: outputs = (...)",
         )
-    told = Noise.of(noise)
+    stated_noise = Noise.of(noise)
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
-    machine = known.mechanism.predicting()
+    machine = calibrated.mechanism.predicting()
     data = with_latest(machine, data)
     names, unused = machine.tape.quantities, machine.unused
-    guessed = _guessed(known, data, told)
+    guessed = _guessed(calibrated, data, stated_noise)
     also = [q for q in names if q not in data.readings or q in guessed]
     also = [q for q in also if q not in (*machine.disturbances, *machine.outputs, *unused)]
     _check_enough(machine, also)
-    found = replace(machine, outputs=(*machine.outputs, *also))
-    x = np.array([_readings(q, data, known) for q in names])
+    solved = replace(machine, outputs=(*machine.outputs, *also))
+    x = np.array([_readings(q, data, calibrated) for q in names])
     nothing = np.zeros(len(data))
-    listed = [nothing if q in unused else data[q] for q in found.tape.known]
+    listed = [nothing if q in unused else data[q] for q in solved.tape.pose_constants]
     constants = np.array(listed).reshape(-1, len(data))
-    values = np.array([p.nominal for p in found.parameters])
-    y = predict_outputs(found, values, x, constants)
-    x[[names.index(q) for q in found.outputs]] = y
-    S = output_sensitivity(found, values, known.names, x, constants)
-    o = len(known.units)
-    from_parameters = by_parameters(known, S.by_parameter[:, :o])
-    total = known.covariance.through(S.by_parameter[:, :o])
-    readings = _by_readings(known, found, data, told, S.by_reading[:, :o])
+    values = np.array([p.nominal for p in solved.parameters])
+    y = predict_outputs(solved, values, x, constants)
+    x[[names.index(q) for q in solved.outputs]] = y
+    S = output_sensitivity(solved, values, calibrated.names, x, constants)
+    o = len(calibrated.units)
+    from_parameters = by_parameters(calibrated, S.by_parameter[:, :o])
+    total = calibrated.covariance.through(S.by_parameter[:, :o])
+    readings = _by_readings(calibrated, solved, data, stated_noise, S.by_reading[:, :o])
     if readings is not None:
         total = total.plus(readings)
     return Prediction(
         data.poses,
-        dict(zip(known.units, y[:o], strict=True)),
-        known.units,
+        dict(zip(calibrated.units, y[:o], strict=True)),
+        calibrated.units,
         from_parameters,
         None if readings is None else readings.matrix,
-        _ratio(from_parameters, known),
-        output_groups(known.mechanism),
+        _ratio(from_parameters, calibrated),
+        output_groups(calibrated.mechanism),
         total.freedom,
         total.denominator,
     )
 
 
-def _guessed(known: Predictor, data: Dataset, noise: Noise | None) -> set[str]:
+def _guessed(calibrated: Predictor, data: Dataset, noise: Noise | None) -> set[str]:
     """Quantities whose columns are no readings: no sensor read them, here or in the calibration."""
-    guessed = set(known.readings.unmeasured)
+    guessed = set(calibrated.readings.unmeasured)
     for key, value in ({} if noise is None else noise.entries).items():
-        names = key if isinstance(key, tuple) else known.mechanism.quantity_group(key)
+        names = key if isinstance(key, tuple) else calibrated.mechanism.quantity_group(key)
         unmeasured = isinstance(value, np.ndarray) and bool(np.isinf(value).all())
         guessed = guessed.union(names) if unmeasured else guessed.difference(names)
     return guessed - {q for q, sds in data.sds.items() if np.isfinite(sds).any()}
@@ -283,51 +283,60 @@ def _check_enough(mechanism: Mechanism, missing: Sequence[str]) -> None:
         )
 
 
-def _readings(quantity: str, data: Dataset, known: Predictor) -> Array:
+def _readings(quantity: str, data: Dataset, calibrated: Predictor) -> Array:
     """Readings (N,), or a start for what is found; a disturbance of the model is zero."""
-    if quantity in known.units or quantity not in data.readings:
+    if quantity in calibrated.units or quantity not in data.readings:
         start = (
-            0.0 if quantity in known.mechanism.disturbances else known.typical.get(quantity, 0.0)
+            0.0
+            if quantity in calibrated.mechanism.disturbances
+            else calibrated.typical.get(quantity, 0.0)
         )
-        given = data.readings.get(quantity, np.full(len(data), np.nan))
-        return np.where(np.isnan(given), start, given)
+        column = data.readings.get(quantity, np.full(len(data), np.nan))
+        return np.where(np.isnan(column), start, column)
     return np.array(data.readings[quantity])
 
 
 def _by_readings(
-    known: Predictor, found: Mechanism, data: Dataset, noise: Noise | None, S: Array
+    calibrated: Predictor, solved: Mechanism, data: Dataset, noise: Noise | None, S: Array
 ) -> LearntCovariance | None:
     """C_x = S_x Sigma S_x^T, (N, o, o); None where the sd of a reading is not known.
 
     Sds of the calibration that were learnt there have errors in common with its parameters. Where
-    it took these readings as exact, what they and the machine do beside the model shows in the
-    learnt sds of the outputs, which then count in their place.
+    it took these readings as exact, the learnt sds of the outputs count in their place. These
+    sds hold what the readings and the machine do beside the model.
     """
-    names = found.tape.quantities
-    entries: dict[str | tuple[str, ...], Any] = dict.fromkeys(found.outputs, 0.0)
-    read = [q for q in names if q not in found.outputs]
-    own, slopes = known.readings, np.zeros((len(known.covariance.slopes), len(names)))
+    names = solved.tape.quantities
+    entries: dict[str | tuple[str, ...], Any] = dict.fromkeys(solved.outputs, 0.0)
+    read = [q for q in names if q not in solved.outputs]
+    reading_noise = calibrated.readings
+    slopes = np.zeros((len(calibrated.covariance.slopes), len(names)))
     if noise is None:
-        if any(q not in own.sds and q not in data.sds for q in read):
+        if any(q not in reading_noise.sds and q not in data.sds for q in read):
             return None
-        noise = Noise({q: own.sds.get(q, 0.0) for q in read} | _marginal(own.joint, read))
-        learnt = {q: s for q, s in own.slopes.items() if q in read and q not in data.sds}
-        if not any(own.sds.get(q, 0.0) or q in data.sds for q in read):
+        noise = Noise(
+            {q: reading_noise.sds.get(q, 0.0) for q in read} | _marginal(reading_noise.joint, read)
+        )
+        learnt = {q: s for q, s in reading_noise.slopes.items() if q in read and q not in data.sds}
+        if not any(reading_noise.sds.get(q, 0.0) or q in data.sds for q in read):
             S = S.copy()
-            for i, q in enumerate(known.units):
+            for i, q in enumerate(calibrated.units):
                 S[:, i, names.index(q)] = 1.0
-            learnt = {q: own.slopes[q] for q in known.units if q in own.slopes}
-            entries |= {q: own.sds[q] for q in learnt}
+            learnt = {
+                q: reading_noise.slopes[q] for q in calibrated.units if q in reading_noise.slopes
+            }
+            entries |= {q: reading_noise.sds[q] for q in learnt}
         for q, relative in learnt.items():
             slopes[:, names.index(q)] = relative
     # What is found moves nothing by itself: any sd will do for it.
     noise = Noise(entries | noise.entries)
     zeros = {q: np.zeros(len(data)) for q in names if q not in data.readings}
     readings = {q: np.nan_to_num(v) for q, v in data.readings.items()} | zeros
-    its = resolve_noise(noise, replace(data, readings=readings), names, found.quantity_group)
-    sd = np.where(np.isinf(its.sd), 0.0, its.sd)
+    uncertainty = resolve_noise(
+        noise, replace(data, readings=readings), names, solved.quantity_group
+    )
+    sd = np.where(np.isinf(uncertainty.sd), 0.0, uncertainty.sd)
     G = S * np.broadcast_to(sd, (len(names), len(data))).T[:, None, :]
-    for block in its.blocks:
+    for block in uncertainty.blocks:
         G[:, :, block.indices] = S[:, :, block.indices] @ block.factor
     turned = G.transpose(0, 2, 1)
     covariance = G @ turned
@@ -338,19 +347,19 @@ def _marginal(
     joint: Mapping[tuple[str, ...], Array], read: Sequence[str]
 ) -> dict[str | tuple[str, ...], Any]:
     """The joint covariances of those of their quantities that are read."""
-    found: dict[str | tuple[str, ...], Any] = {}
+    covariances: dict[str | tuple[str, ...], Any] = {}
     for names, matrix in joint.items():
         index = [i for i, name in enumerate(names) if name in read]
         if index:
-            found[tuple(names[i] for i in index)] = matrix[np.ix_(index, index)]
-    return found
+            covariances[tuple(names[i] for i in index)] = matrix[np.ix_(index, index)]
+    return covariances
 
 
-def _ratio(from_parameters: Array, known: Predictor) -> Array:
-    usual = {(one.instrument, one.unit): one.sd for one in known.usual}
+def _ratio(from_parameters: Array, calibrated: Predictor) -> Array:
+    usual = {(one.instrument, one.unit): one.sd for one in calibrated.usual}
     ratios = [
         trace_sd(from_parameters, group) / max(usual[group.instrument, group.unit], 1e-300)
-        for group in output_groups(known.mechanism)
+        for group in output_groups(calibrated.mechanism)
         if (group.instrument, group.unit) in usual
     ]
     return np.max(ratios, axis=0) if ratios else np.full(len(from_parameters), np.nan)

@@ -17,9 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.calibrate import begun_near
 from loopcal.estimation.dependence.dependence import Drifting
-from loopcal.estimation.model_error import noise_told, weighed
+from loopcal.estimation.model_error import used_noise, weighed
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.noise.linear_model import ModelBlock, linear_model
@@ -29,6 +28,7 @@ from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.estimation.steps import begun_near
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.small_samples import LearntCovariance, f_limit
@@ -62,34 +62,33 @@ def held_problem(
 
     near: corrections (N,) from which the search for what no sensor reads begins.
     """
-    exact = fit.fit.solver.exact
     mechanism = fit.mechanism
     data = with_latest(mechanism, data)
-    noise = noise_told(fit.fit, mechanism, data, noise)
+    noise = used_noise(fit.fit, mechanism, data, noise)
     if noise is not None:
         data = weighed(fit.fit, data)
         mechanism, data = with_model(mechanism, data, noise)
     # Nothing is estimated here: with informative priors any number of poses will do.
-    known = mechanism.with_parameters(mechanism.parameters.with_prior({"*": 1.0}))
-    problem = build_problem(known, data, noise, fit.value)
+    machine = mechanism.with_parameters(mechanism.parameters.with_prior({"*": 1.0}))
+    problem = build_problem(machine, data, noise, fit.value)
     problem = replace(problem, prior_sd=fit.problem.prior_sd)
     if noise is not None and noise.estimate:
         stated = np.median(problem.uncertainty.sd, axis=1)
         problem = scaled(problem, [(i,) for i in range(len(stated))], _ratios(fit, stated))
     if near:
         problem = begun_near(problem, near)
-    return Held(problem, found_unmeasured(problem, problem.start, exact=exact))
+    return Held(problem, unmeasured_corrections(problem, problem.start))
 
 
-def found_unmeasured(problem: Problem, parameters: Array, *, exact: bool) -> Array:
+def unmeasured_corrections(problem: Problem, parameters: Array) -> Array:
     """Corrections (k, N) [SI] of what no sensor reads, to where the loops close; else zero.
 
-    parameters: (n_all,); exact: take the readings as exact.
+    parameters: (n_all,).
     """
     corrections = np.zeros_like(problem.readings)
     if not any(pattern.unmeasured for pattern in problem.patterns):
         return corrections
-    sweeper = Sweeper(problem, exact=exact)
+    sweeper = Sweeper(problem)
     begun = start_corrections(sweeper, parameters)
     closed = sweeper.close(parameters, begun, NEGLIGIBLE, 1.0).corrections
     for pattern in problem.patterns:
@@ -100,9 +99,9 @@ def found_unmeasured(problem: Problem, parameters: Array, *, exact: bool) -> Arr
 
 def _ratios(fit: Result, stated: Array) -> Array:
     """By how much the fit found the variances to be larger than stated."""
-    found = np.median(fit.problem.uncertainty.sd, axis=1)
-    usable = np.isfinite(found) & np.isfinite(stated) & (stated > 0.0)
-    return np.where(usable, np.square(found / np.where(usable, stated, 1.0)), 1.0)
+    learnt = np.median(fit.problem.uncertainty.sd, axis=1)
+    usable = np.isfinite(learnt) & np.isfinite(stated) & (stated > 0.0)
+    return np.where(usable, np.square(learnt / np.where(usable, stated, 1.0)), 1.0)
 
 
 @dataclass(frozen=True)
@@ -124,8 +123,8 @@ class Predictive:
         """(N,) 1 where the measured point lies in its stated region, 0 outside, NaN without one."""
         inside = np.full(len(self.squares), np.nan)
         for loops in np.unique(self.loops[self.loops > 0]):
-            its = self.loops == loops
-            inside[its] = self.squares[its] <= f_limit(level, int(loops), self.denominator[its])
+            at = self.loops == loops
+            inside[at] = self.squares[at] <= f_limit(level, int(loops), self.denominator[at])
         return inside
 
 
@@ -142,41 +141,42 @@ def predictive(
         shared = SameRun.of(fit, problem, held.corrections, drifting, run)
     learnt = () if shared is not None else fit.learnt_noise
     model = linear_model(problem, problem.start, held.corrections, [c for c, _ in learnt])
-    own = 0.0
+    unit_variance = 0.0
     if fit.fit.solver.exact:
         variance = fit.fit.solver.unit_variance(fit.information.chi_squared, fit.freedom)
         if variance is None:
             return None
-        own = variance
+        unit_variance = variance
     system = fit.spectrum
     free = system.scale[:, None] * system.directions[:, ~system.kept]
     limit = _UNPREDICTABLE * float(system.singular_values.max(initial=0.0))
-    scale = math.sqrt(own) if own else 1.0
+    scale = math.sqrt(unit_variance) if unit_variance else 1.0
     density, squares = np.zeros((2, len(problem.poses)))
     loops = np.zeros(len(problem.poses), dtype=np.intp)
     denominator = np.full(len(problem.poses), math.inf)
     for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
         r = block.e.shape[1]
-        W = block.fixed + block.G @ np.swapaxes(block.G, -1, -2) + own * np.eye(r)
+        W = block.fixed + block.G @ np.swapaxes(block.G, -1, -2) + unit_variance * np.eye(r)
         if shared is not None:
-            noise = np.broadcast_to(np.eye(r), W.shape) if own else W
-            total = LearntCovariance.known(
+            noise = np.broadcast_to(np.eye(r), W.shape) if unit_variance else W
+            total = LearntCovariance.certain(
                 shared.covariance(np.arange(len(problem.poses))[poses], noise, block.J)
             )
         else:
-            known = fit.covariance_through(block.J, drifting)
-            slopes = np.zeros((len(known.slopes), *W.shape))
-            if own and len(slopes):
+            covariance = fit.covariance_through(block.J, drifting)
+            slopes = np.zeros((len(covariance.slopes), *W.shape))
+            if unit_variance and len(slopes):
+                # A variance from nu residuals has the relative sd sqrt(2 / nu).
                 slopes += math.sqrt(2.0 / fit.freedom) * W
             elif len(slopes):
                 for j, (_, relative) in enumerate(learnt):
                     G = block.G[:, :, block.owner == j]
                     slopes += np.multiply.outer(relative, G @ np.swapaxes(G, -1, -2))
-            total = known.plus(LearntCovariance(W, W, slopes))
-        found = _densities(block, W, total.matrix, free, limit / scale)
-        if found is None:
+            total = covariance.plus(LearntCovariance(W, W, slopes))
+        densities = _densities(block, W, total.matrix, free, limit / scale)
+        if densities is None:
             return None
-        density[poses], squares[poses] = found
+        density[poses], squares[poses] = densities
         loops[poses], denominator[poses] = r, total.denominator
     return Predictive(density, squares, loops, denominator)
 
@@ -194,6 +194,7 @@ def _densities(
     except np.linalg.LinAlgError:
         return None  # a loop without any uncertainty
     z = np.linalg.solve(L, block.e[:, :, None])[:, :, 0]
+    # log |C| = 2 sum log L_rr: half of it.
     volume = np.log(np.einsum("brr->br", L)).sum(axis=1)
     squares: Array = np.square(z).sum(axis=1)
     density: Array = -0.5 * squares - volume - 0.5 * r * math.log(2.0 * math.pi)

@@ -188,8 +188,8 @@ def _at_poses(result: Result) -> Array | None:
         return None
     chi = result.chi_squared
     factor = chi.variance_factor if chi is not None and result.variance_factor_applied else None
-    own: Array = (factor or 1.0) * (learnt.root @ learnt.shared @ learnt.root.T)
-    return result.covariance - own
+    shared: Array = (factor or 1.0) * (learnt.root @ learnt.shared @ learnt.root.T)
+    return result.covariance - shared
 
 
 def predictor_at(
@@ -226,14 +226,15 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
     for pattern in problem.patterns:
         poses = _some(pattern, len(problem.poses))
         too = {i for i in pattern.unmeasured if mechanism.tape.quantities[i] not in unused}
-        found = outputs | too
-        if not poses.size or len(found) > len(loops):
+        solved = outputs | too
+        if not poses.size or len(solved) > len(loops):
             continue  # the other readings do not say where the outputs are
-        at, known = x[:, poses], problem.known[:, poses]
+        at, constants = x[:, poses], problem.pose_constants[:, poses]
+        # An output without a reading has no value to linearise at.
         if outputs & set(pattern.absent):
             at = at.copy()
-            at[sorted(outputs)] = predict_outputs(mechanism, values, at, known)
-        S = output_sensitivity(mechanism, values, bare.names, at, known, pattern.unmeasured)
+            at[sorted(outputs)] = predict_outputs(mechanism, values, at, constants)
+        S = output_sensitivity(mechanism, values, bare.names, at, constants, pattern.unmeasured)
         gathered.append(by_parameters(bare, S.by_parameter, measured=True))
     if not gathered:
         return ()
@@ -243,6 +244,7 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
         sizes = trace_sd(covariance, group)
         sizes = sizes[np.isfinite(sizes)]
         if sizes.size:
+            # Not the largest, which one pose at the edge decides.
             sd = float(np.percentile(sizes, 95))
             usual.append(UsualSd(group.instrument, group.station, group.unit, sd))
     return tuple(usual)
@@ -254,14 +256,20 @@ def _some(pattern: Pattern, total: int) -> NDArray[np.intp]:
     return np.intersect1d(chosen, np.arange(total)[pattern.poses])
 
 
-def by_parameters(known: Predictor, S: Array, *, measured: bool = False) -> Array:
+def by_parameters(calibrated: Predictor, S: Array, *, measured: bool = False) -> Array:
     """C_p = S Cov S^T, (N, o, o); inf for outputs that an undetermined direction moves.
 
     measured: at poses of the fit.
     """
-    own = known.at_poses if measured and known.at_poses is not None else known.covariance.matrix
-    covariance: Array = rows_times(S, own) @ S.transpose(0, 2, 1)
-    for step in known.undetermined.T:
+    matrix = (
+        calibrated.at_poses
+        if measured and calibrated.at_poses is not None
+        else calibrated.covariance.matrix
+    )
+    if not np.isfinite(matrix).all():  # without a pose to spare nothing is known of their errors
+        return np.full((*S.shape[:2], S.shape[1]), np.inf)
+    covariance: Array = rows_times(S, matrix) @ S.transpose(0, 2, 1)
+    for step in calibrated.undetermined.T:
         effect = np.abs(S @ step)
         # measured by the largest single effect in the pose: an output may feel none of them
         single = (np.abs(S) * np.abs(step)).max(axis=(1, 2))
@@ -272,5 +280,5 @@ def by_parameters(known: Predictor, S: Array, *, measured: bool = False) -> Arra
 
 def trace_sd(covariance: Array, group: OutputGroup) -> Array:
     """(N,) root of the trace over the outputs of a group [its unit]."""
-    size: Array = np.sqrt(np.einsum("noo->no", covariance)[:, list(group.rows)].sum(axis=1))
-    return size
+    variance = np.einsum("noo->no", covariance)[:, list(group.rows)].sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))  # rounding leaves less than none

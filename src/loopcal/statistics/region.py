@@ -14,7 +14,7 @@ them says.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,15 @@ from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.mechanisms.limits import joint_limits
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.statistics.predictor import Predictor, by_parameters, trace_sd
 
 Array = NDArray[np.float64]
+# If squares vary by as much as their mean, the rms of 400 is sure to 1 / (2 sqrt(400)) = 2.5 %.
 _POSES = 400
 _MOST = 2000
+# A quarter turn either way (record 0054).
 _QUARTER = 0.5 * math.pi
 _FEWEST = 40
 """Poses of the box that the machine can reach; of fewer nothing is said."""
@@ -37,13 +40,13 @@ Span = tuple[float, float]
 
 
 def region_of(
-    result: Result, known: Predictor, stated: Mapping[str, Span] | None = None
+    result: Result, calibrated: Predictor, stated: Mapping[str, Span] | None = None
 ) -> RegionEntry | None:
     """The working region and the sds there; None where the machine cannot be moved in a box.
 
     stated: quantity -> range [SI], in place of limits.
     """
-    mechanism = known.mechanism
+    mechanism = calibrated.mechanism
     machine, problem = mechanism.predicting(), result.problem
     names, outputs = machine.tape.quantities, set(machine.outputs)
     corrected = problem.readings + result.solution.corrections
@@ -54,39 +57,28 @@ def region_of(
     ]
     if not driven:
         return None
-    limits, given = joint_limits(mechanism), dict(stated or {})
-    turning = {s.joint for s in mechanism.chain if s.joint and s.motion[0] == "r"}
-    ranges = []
-    for q in driven:
-        row = corrected[names.index(q)]
-        if q in given:
-            ranges.append(RegionRange(q, *given[q], "stated"))
-        elif q in limits:
-            ranges.append(RegionRange(q, limits[q].low, limits[q].high, "limits"))
-        else:
-            low, high = float(row.min()), float(row.max())
-            if q in turning:
-                middle = 0.5 * (low + high)
-                low, high = min(low, middle - _QUARTER), max(high, middle + _QUARTER)
-            ranges.append(RegionRange(q, low, high, "turn" if q in turning else "readings"))
+    ranges = ranges_of(mechanism, {q: corrected[names.index(q)] for q in driven}, stated or {})
+    # A fixed seed: the same result has the same region.
     rng = np.random.default_rng(0)
-    home = np.array([known.typical.get(q, 0.0) for q in names])
-    x = np.repeat(home[:, None], _POSES, axis=1)
-    for one in ranges:
-        x[names.index(one.quantity)] = rng.uniform(one.low, one.high, _POSES)
+    x = _poses_in(calibrated, ranges, rng)
     if {one.source for one in ranges} == {"readings"}:
         rows = [names.index(q) for q in driven]
         first, last = rng.integers(0, problem.count, (2, _POSES))
         x[rows] = corrected[rows][:, first]
+        # One share for all joints: a point on the straight way between two poses.
         x[rows] += rng.random(_POSES) * (corrected[rows][:, last] - x[rows])
-    constants = problem.known[:, rng.integers(0, problem.known.shape[1] or 1, _POSES)]
+    constants = problem.pose_constants[
+        :, rng.integers(0, problem.pose_constants.shape[1] or 1, _POSES)
+    ]
     also = [q for i, q in enumerate(names) if unread[i] and q not in still]
-    there = _sds(known, x, constants, also)
+    region_sds = _sds(calibrated, x, constants, also)
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
-    here = _sds(known, corrected[:, some], problem.known[:, some], also, measured=True)
+    fit_sds = _sds(
+        calibrated, corrected[:, some], problem.pose_constants[:, some], also, measured=True
+    )
     worst: dict[str, tuple[float, RegionSd]] = {}
     for i, group in enumerate(output_groups(mechanism)):
-        at, over = here[i][np.isfinite(here[i])], there[i][~np.isnan(there[i])]
+        at, over = fit_sds[i][np.isfinite(fit_sds[i])], region_sds[i][~np.isnan(region_sds[i])]
         if not at.size or len(over) < _FEWEST:
             continue
         left = _unexplained(result, group)
@@ -99,6 +91,47 @@ def region_of(
     return RegionEntry(tuple(ranges), tuple(one for _, one in by)) if by else None
 
 
+def ranges_of(
+    mechanism: Mechanism, readings: Mapping[str, Array], stated: Mapping[str, Span]
+) -> list[RegionRange]:
+    """The box of the working region; readings: (N,) [SI] of what drives the machine."""
+    limits = joint_limits(mechanism)
+    turning = {s.joint for s in mechanism.chain if s.joint and s.motion[0] == "r"}
+    ranges = []
+    for q, row in readings.items():
+        if q in stated:
+            ranges.append(RegionRange(q, *stated[q], "stated"))
+        elif q in limits:
+            ranges.append(RegionRange(q, limits[q].low, limits[q].high, "limits"))
+        else:
+            low, high = float(row.min()), float(row.max())
+            if q in turning:
+                middle = 0.5 * (low + high)
+                low, high = min(low, middle - _QUARTER), max(high, middle + _QUARTER)
+            ranges.append(RegionRange(q, low, high, "turn" if q in turning else "readings"))
+    return ranges
+
+
+def _poses_in(
+    calibrated: Predictor, ranges: Sequence[RegionRange], rng: np.random.Generator
+) -> Array:
+    """(k, N) random readings [SI] of the box, what it does not hold as is typical."""
+    names = calibrated.mechanism.tape.quantities
+    home = np.array([calibrated.typical.get(q, 0.0) for q in names])
+    x = np.repeat(home[:, None], _POSES, axis=1)
+    for one in ranges:
+        x[names.index(one.quantity)] = rng.uniform(one.low, one.high, _POSES)
+    return x
+
+
+def sds_in(calibrated: Predictor, ranges: Sequence[RegionRange]) -> list[float]:
+    """By group of outputs, the sd that the parameters cause: rms over random poses of a box."""
+    x = _poses_in(calibrated, ranges, np.random.default_rng(0))
+    constants = np.zeros((len(calibrated.mechanism.tape.pose_constants), _POSES))
+    sds = [sd[~np.isnan(sd)] for sd in _sds(calibrated, x, constants, [])]
+    return [float(np.sqrt(np.square(sd).mean())) if len(sd) >= _FEWEST else 0.0 for sd in sds]
+
+
 def _unexplained(result: Result, group: OutputGroup) -> float:
     """Rms distance that the fit leaves in these outputs; 0 where nothing says it."""
     left = result.differences_after
@@ -109,24 +142,24 @@ def _unexplained(result: Result, group: OutputGroup) -> float:
 
 
 def _sds(
-    known: Predictor, x: Array, constants: Array, also: list[str], *, measured: bool = False
+    calibrated: Predictor, x: Array, constants: Array, also: list[str], *, measured: bool = False
 ) -> list[Array]:
     """By group of outputs, the sd (N,) that the parameters cause; NaN where loops stay open.
 
     also: what no sensor reads: the loops find it with the outputs; measured: at poses of the fit.
     """
-    solved = solving(known.mechanism, also)
+    solved = solving(calibrated.mechanism, also)
     names, values = solved.tape.quantities, np.array([p.nominal for p in solved.parameters])
     x = x.copy()
     rows = [names.index(q) for q in solved.outputs]
-    x[rows] = predict_outputs(solved, values, np.nan_to_num(x), constants, known.names)
+    x[rows] = predict_outputs(solved, values, np.nan_to_num(x), constants, calibrated.names)
     good = np.isfinite(x).all(axis=0)
-    S = output_sensitivity(solved, values, known.names, x[:, good], constants[:, good])
-    outputs = S.by_parameter[:, : len(known.mechanism.outputs)]
-    covariance = by_parameters(known, outputs, measured=measured)
-    found = []
-    for group in output_groups(known.mechanism):
+    S = output_sensitivity(solved, values, calibrated.names, x[:, good], constants[:, good])
+    outputs = S.by_parameter[:, : len(calibrated.mechanism.outputs)]
+    covariance = by_parameters(calibrated, outputs, measured=measured)
+    sds = []
+    for group in output_groups(calibrated.mechanism):
         sd = np.full(x.shape[1], np.nan)
         sd[good] = trace_sd(covariance, group)
-        found.append(sd)
-    return found
+        sds.append(sd)
+    return sds

@@ -17,7 +17,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.plain import known
+from loopcal.document.plain import finite
 from loopcal.document.reliability import Reliability, SensorReliability
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
@@ -29,6 +29,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.mechanisms.outputs import output_groups
 
 Array = NDArray[np.float64]
+# Baarda (1968): with these the noncentrality is 4.13.
 ALPHA, POWER = 0.001, 0.8
 _MOST = 400
 """Poses over which the effect on predictions is averaged."""
@@ -73,10 +74,10 @@ class ReadingReliability:
         middle = largest = moved = pose = None
         if tested.any():
             middle, largest = float(np.median(detectable[tested])), float(detectable[tested].max())
-        finite = tested & np.isfinite(effect)
-        if finite.any():
-            worst = int(np.argmax(np.where(finite, effect, -1.0)))
-            moved, pose = known(float(effect[worst])), self.poses[worst]
+        bounded = tested & np.isfinite(effect)
+        if bounded.any():
+            worst = int(np.argmax(np.where(bounded, effect, -1.0)))
+            moved, pose = finite(float(effect[worst])), self.poses[worst]
         unit, count = self.units[quantity], int(tested.sum())
         return SensorReliability(quantity, unit, count, hidden, share, middle, largest, moved, pose)
 
@@ -157,6 +158,7 @@ def _moved(result: Result, equations: tuple[PoseEquations, ...], covariance: Arr
     squares = _squares(result, problem, rows, len(groups))
     if squares is None:
         return _Moved(by_error, None)
+    # |effect|^2 = d^2 x^T D C M C D^T x, M the mean of S^T S over the poses.
     root = covariance @ squares @ covariance
     for block in equations:
         spread = rows_times(block.D, root) @ block.D.transpose(0, 2, 1)
@@ -178,12 +180,12 @@ def _squares(result: Result, problem: Problem, rows: list[int], count: int) -> A
         values,
         problem.names,
         x,
-        problem.known[:, chosen],
+        problem.pose_constants[:, chosen],
         np.flatnonzero(unread).tolist(),
     ).by_parameter[:, rows]
     S = S[np.isfinite(S).all(axis=(1, 2))]
     if not len(S):
         return None
     flat = S.reshape(-1, S.shape[2])
-    found: Array = flat.T @ flat / (len(S) * count)
-    return found
+    squares: Array = flat.T @ flat / (len(S) * count)
+    return squares

@@ -74,8 +74,8 @@ class SensorScatter:
     @property
     def drifts(self) -> bool:
         """Whether the readings change with time beyond their scatter."""
-        found = (self.drift_p_value, self.slow_p_value)
-        return any(p is not None and p < CLEAR for p in found)
+        p_values = (self.drift_p_value, self.slow_p_value)
+        return any(p is not None and p < CLEAR for p in p_values)
 
     @property
     def scatter(self) -> Scatter:
@@ -189,6 +189,7 @@ def _sensor(name: str, every: Sequence[Dataset]) -> SensorScatter:
     square = sum(float(v @ v) for v in centred)
     difference = sum(float(np.square(np.diff(v)).sum()) for v in centred)
     # Var sum d^2 = 2 sigma^4 tr A^2 with tr A^2 = 6 n - 8 for each series
+    # nu = 2 E^2 / Var, with E sum d^2 = 2 (N - S) sigma^2 (Satterthwaite 1946).
     matching = 2.0 * (N - S) ** 2 / (3 * N - 4 * S)
     lines = [_line(v) for v in centred]
     slow = slow_p_value(square, difference, counts)
@@ -259,6 +260,7 @@ def _drift_p_value(square: float, left: float, N: int, S: int) -> float | None:
 
     if not square > 0.0:
         return None
+    # A line without residuals, as of a column that counts: F would divide by zero.
     if not left > 1e-12 * square:
         return 0.0
     return float(fdtrc(S, N - 2 * S, (square - left) / S / (left / (N - 2 * S))))
@@ -278,6 +280,7 @@ def slow_p_value(square: float, difference: float, counts: NDArray[np.int_]) -> 
     freedom = N - S
     bound = math.cos(math.pi / int(counts.max()))
     variance = (N - 2 * S) / (freedom * (freedom + 2.0))
+    # A symmetric beta(a, a) on (-b, b) has the variance b^2 / (2 a + 1).
     shape = max((bound * bound / variance - 1.0) / 2.0, 0.5)
     C = 1.0 - difference / (2.0 * square)
     part = min(max((1.0 - C / bound) / 2.0, 0.0), 1.0)
@@ -300,19 +303,20 @@ def _homogeneity(values: Sequence[Array]) -> float | None:
     return float(fdtrc(len(values) - 1, freedom, between / (len(values) - 1) / (within / freedom)))
 
 
-def _resolution(found: Sequence[Grid]) -> float | None:
+def _resolution(grids: Sequence[Grid]) -> float | None:
     """The finest grid of counts that a series shows; else that of the decimals."""
-    counts = [g.step for g in found if g.step is not None and g.step != g.decimals]
-    decimals = [g.decimals for g in found if g.decimals is not None]
+    counts = [g.step for g in grids if g.step is not None and g.step != g.decimals]
+    decimals = [g.decimals for g in grids if g.decimals is not None]
     if counts:
         return min(counts)
-    return min(decimals) if len(decimals) == len(found) else None
+    return min(decimals) if len(decimals) == len(grids) else None
 
 
 def _correlations(
     every: Sequence[Dataset], sensors: Sequence[SensorScatter]
 ) -> tuple[Correlation, ...]:
     names = [sensor.name for sensor in sensors]
+    # Each series takes its mean, the line between the two sensors one more.
     parts, freedom = [], -1
     for one in every:
         rows = np.array([one[name] for name in names]).reshape(len(names), len(one))
@@ -342,4 +346,5 @@ def _no_correlation(r: float, freedom: int) -> float:
     """Two-sided p-value of r if the sensors are independent: Student's t with nu - 1 degrees."""
     from scipy.special import betainc
 
+    # With t^2 = nu r^2 / (1 - r^2), nu / (nu + t^2) = 1 - r^2.
     return float(betainc(freedom / 2.0, 0.5, max(1.0 - r * r, 0.0)))

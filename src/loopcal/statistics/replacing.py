@@ -24,9 +24,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.kernel import eliminate
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.station import Station
-from loopcal.statistics.gauge import carried, gauge, moved, rotation_by
-from loopcal.statistics.predictive import found_unmeasured
+from loopcal.statistics.predictive import unmeasured_corrections
 
 Array = NDArray[np.float64]
 _STEPS, _ROUGHLY = 100, 4
@@ -34,22 +32,18 @@ _STEPS, _ROUGHLY = 100, 4
 _SETTLED = 1e-9
 """Share of the sum of squares: a step that promises to lower it by less is not taken."""
 _MOST_DAMPING = 1e12
-_ASTRAY, _STARTS = 100.0, 10
-"""A mean square from which on other starts are tried, and how many."""
+# A mean square is about 1 where machine and sds are right.
+ASTRAY, _STARTS = 100.0, 10
+"""A mean square from which on a misfit is gross; then so many other starts are tried."""
 DETERMINED = 1e-9
 """Singular values so far below the largest are of directions that these poses do not show."""
 
 
 @dataclass(frozen=True)
 class Freedom:
-    """What may have changed since a calibration.
-
-    names: parameters that are found anew; whole: whether the machine is moved as a whole, because
-    its placement is spread over the parameters of the machine itself.
-    """
+    """What may have changed since a calibration: names of the parameters that are found anew."""
 
     names: tuple[str, ...]
-    whole: bool = False
 
     @classmethod
     def of(cls, mechanism: Mechanism, remounted: bool | Sequence[str] = False) -> Freedom:
@@ -59,15 +53,12 @@ class Freedom:
         or parameters (globs). Raises InputError for a name that is none of these.
         """
         names = [n for family in mechanism.families for n in family.standing]
-        placement = mechanism.placement
-        if isinstance(placement, Station):
-            names += placement.parameters
-        given = remounted if not isinstance(remounted, bool) else mounted(mechanism, remounted)
-        for name in (given,) if isinstance(given, str) else given:
+        if mechanism.placement is not None:
+            names += mechanism.placement.parameters
+        patterns = remounted if not isinstance(remounted, bool) else mounted(mechanism, remounted)
+        for name in (patterns,) if isinstance(patterns, str) else patterns:
             names += _named(mechanism, name)
-        order = mechanism.parameters.names
-        whole = placement is not None and not isinstance(placement, Station)
-        return cls(tuple(n for n in order if n in names), whole)
+        return cls(tuple(n for n in mechanism.parameters.names if n in names))
 
 
 def mounted(mechanism: Mechanism, remounted: bool = True) -> tuple[str, ...]:
@@ -75,14 +66,14 @@ def mounted(mechanism: Mechanism, remounted: bool = True) -> tuple[str, ...]:
 
     Raises InputError where nothing says which these are.
     """
-    its = tuple(n for family in mechanism.families for n in family.mounted)
-    if remounted and not its:
+    parameters = tuple(n for family in mechanism.families for n in family.mounted)
+    if remounted and not parameters:
         raise InputError(
             f"nothing says what is mounted on {mechanism.name!r}",
             code="missing-key",
             remedy="name the parameters of what was mounted anew",
         )
-    return its if remounted else ()
+    return parameters if remounted else ()
 
 
 def _named(mechanism: Mechanism, name: str) -> tuple[str, ...]:
@@ -90,9 +81,9 @@ def _named(mechanism: Mechanism, name: str) -> tuple[str, ...]:
     families = {family.name: family.mounted for family in mechanism.families}
     if name in families and name not in mechanism.parameters.names:
         return families[name]
-    prefixed = tuple(n for n in mechanism.parameters.names if n.startswith(f"{name}_"))
-    if prefixed and name not in mechanism.parameters.names:
-        return prefixed
+    owned = tuple(p.name for p in mechanism.parameters if p.owner == name)
+    if owned and name not in mechanism.parameters.names:
+        return owned
     return mechanism.parameters.matching(name)
 
 
@@ -117,20 +108,14 @@ class Replaced:
     """A held machine whose instruments were placed anew.
 
     parameters: (n_all,); corrections: (k, N) [SI] of what no sensor reads; rows: the equations
-    there; directions: (n_all, g) along which parameters may change; anew: (n_all,) whether a
-    parameter is found anew by itself; carry: (n_all, n_all) how the
-    parameters change with those of the machine where it was calibrated, None for not at all;
-    exact: whether the readings are taken as exact.
+    there; anew: (n_all,) whether a parameter is found anew.
     """
 
     problem: Problem
     parameters: Array
     corrections: Array
     rows: tuple[Rows, ...]
-    directions: Array
     anew: NDArray[np.bool_]
-    carry: Array | None = None
-    exact: bool = False
 
     @property
     def e(self) -> Array:
@@ -142,9 +127,11 @@ class Replaced:
         """(R, n_all) the whitened equations."""
         return np.concatenate([rows.J.reshape(-1, rows.J.shape[2]) for rows in self.rows])
 
-    def brought(self, steps: Array) -> Array:
-        """Parameter steps (n_all, s) of the machine where it was calibrated, as they are here."""
-        return steps if self.carry is None else self.carry @ steps
+    @property
+    def directions(self) -> Array:
+        """(n_all, g) the unit steps of what is found anew."""
+        unit: Array = np.eye(len(self.anew))[:, self.anew]
+        return unit
 
 
 def replaced(
@@ -161,46 +148,48 @@ def replaced(
     the readings are taken as exact; components: quantities whose noise is told apart in the rows.
     """
     search = _Search(problem, freedom, variance, components)
-    place, found = search.lowest(search.begun())
-    if found.merit > _ASTRAY * len(found.e):
+    place, equations = search.lowest(search.begun())
+    if equations.merit > ASTRAY * len(equations.e):
         others = [search.lowest(start, _ROUGHLY) for start in search.elsewhere(place)]
         near = min(others, key=lambda one: one[1].merit, default=None)
-        if near is not None and (end := search.lowest(near[0]))[1].merit < found.merit:
-            place, found = end
-    if not np.isfinite(found.merit):
+        if near is not None and (end := search.lowest(near[0]))[1].merit < equations.merit:
+            place, equations = end
+    if not np.isfinite(equations.merit):
         raise NoTrustworthyResult(
             "the machine cannot be placed by these readings: some loop has no value wherever the "
             "search went",
             code="not-verified",
             remedy="check that the readings belong to this machine, and their columns and units",
         )
-    return replace(found.replaced, carry=search.carry(place)) if freedom.whole else found.replaced
+    return equations.replaced
 
 
-def zero_columns(here: Replaced, quantities: Sequence[str]) -> Array:
+def zero_columns(placement: Replaced, quantities: Sequence[str]) -> Array:
     """(R, q) how the whitened equations change with the zeros of these readings.
 
     A zero is what a true value exceeds its reading by; columns have the sign of those of J.
     """
-    sweeper = Sweeper(here.problem, exact=here.exact)
-    sweeper.at(here.parameters)
-    order = here.problem.mechanism.tape.quantities
-    found = []
-    for (pattern, block), rows in zip(sweeper.blocks(here.corrections), here.rows, strict=True):
-        values = sweeper.engine(pattern).evaluate(block.corrected, block.known)
+    sweeper = Sweeper(placement.problem)
+    order = placement.problem.mechanism.tape.quantities
+    by_block = []
+    for (pattern, block), rows in zip(
+        sweeper.blocks(placement.parameters, placement.corrections), placement.rows, strict=True
+    ):
+        values = sweeper.loop_values(pattern, block)
         unmeasured = list(block.noise.unmeasured)
         by_reading = values.by_quantity[[order.index(q) for q in quantities]]
         if unmeasured:
             by_reading = eliminate(values.by_quantity[unmeasured]).apply(by_reading)
         columns = by_reading[:, len(unmeasured) :].transpose(2, 1, 0)
-        found.append(np.linalg.solve(rows.root, columns).reshape(-1, len(quantities)))
-    return np.concatenate(found)
+        by_block.append(np.linalg.solve(rows.root, columns).reshape(-1, len(quantities)))
+    return np.concatenate(by_block)
 
 
 def _damped(A: Array, e: Array, damping: float) -> Array:
     """The step that lowers |e - A step|, kept short by the damping (Marquardt 1963)."""
     scale = np.linalg.norm(A, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
+    # Rows below each other: A^T A would square the condition number.
     rows = np.vstack([A / scale, np.sqrt(damping) * np.eye(A.shape[1])])
     right = np.concatenate([e, np.zeros(A.shape[1])])
     step: Array = np.linalg.lstsq(rows, right, rcond=DETERMINED)[0] / scale
@@ -208,20 +197,10 @@ def _damped(A: Array, e: Array, damping: float) -> Array:
 
 
 @dataclass(frozen=True)
-class _Place:
-    """Where a search stands: a motion of the whole machine, then values (n_all,) before it."""
-
-    rotation: Array
-    shift: Array
-    values: Array
-
-
-@dataclass(frozen=True)
-class _Found:
+class _Equations:
     replaced: Replaced
     e: Array
     J: Array
-    directions: Array
     merit: float
 
 
@@ -235,133 +214,90 @@ class _Search:
     components: Sequence[Sequence[int]]
 
     @property
-    def _size(self) -> int:
-        return len(self.problem.mechanism.outputs) if self.freedom.whole else 3
-
-    @property
     def _free(self) -> list[int]:
         order = self.problem.mechanism.parameters.names
         return [order.index(name) for name in self.freedom.names]
 
-    def begun(self) -> _Place:
+    def begun(self) -> Array:
         """Where points are best aligned; as calibrated where no points are seen, or too few."""
-        start, d = self.problem.start, self._size
-        stays = _Place(np.eye(d), np.zeros(d), start)
-        station = self.problem.mechanism.placement
-        anew = isinstance(station, Station) and {*station.parameters} <= {*self.freedom.names}
-        if not (self.freedom.whole or anew):
-            return stays
+        values, free = self.problem.start.copy(), self._free
         try:
-            mechanism, motion = placed(self.problem)
+            parameters = placed(self.problem)[0].parameters
         except InputError:
-            return stays
-        if self.freedom.whole:
-            return _Place(motion.rotation, motion.shift, start)
-        there = np.array([p.nominal for p in mechanism.parameters])
-        return replace(stays, values=there)
+            return values
+        values[free] = [parameters[name].nominal for name in self.freedom.names]
+        return values
 
-    def at(self, place: _Place, near: _Found | None = None) -> _Found:
-        """The equations at a place; their merit is infinite where a loop has no value.
+    def at(self, values: Array, near: _Equations | None = None) -> _Equations:
+        """The equations there; their merit is infinite where a loop has no value.
 
         near: at a place nearby, from which loops are closed.
         """
-        problem, mechanism = self.problem, self.problem.mechanism
+        problem = self.problem
         if near is not None:
-            problem = replace(problem, found=near.replaced.corrections)
-        values = place.values
-        unit = np.eye(len(values))[:, self._free]
-        if self.freedom.whole:
-            values = moved(mechanism, place.values, place.rotation, place.shift)
-            if unit.shape[1]:
-                unit = self.carry(place) @ unit
-            unit = np.hstack([gauge(mechanism, values, self._centre), unit])
-        corrections = found_unmeasured(problem, values, exact=self.variance is not None)
-        rows = tuple(self.rows(values, corrections))
+            problem = replace(problem, first_corrections=near.replaced.corrections)
         anew = np.zeros(len(values), dtype=bool)
         anew[self._free] = True
-        found = Replaced(
-            self.problem, values, corrections, rows, unit, anew, None, self.variance is not None
-        )
-        e, J = found.e, found.J
-        finite = np.isfinite(e).all() and np.isfinite(J).all()
-        return _Found(found, e, J, unit, float(e @ e) if finite else np.inf)
+        with np.errstate(all="ignore"):  # steps may lead anywhere; what is not finite is refused
+            corrections = unmeasured_corrections(problem, values)
+            rows = tuple(self.rows(values, corrections))
+            placement = Replaced(self.problem, values, corrections, rows, anew)
+            e, J = placement.e, placement.J
+            merit = float(e @ e) if np.isfinite(e).all() and np.isfinite(J).all() else np.inf
+        return _Equations(placement, e, J, merit)
 
-    def lowest(self, here: _Place, steps: int = _STEPS) -> tuple[_Place, _Found]:
+    def lowest(self, values: Array, steps: int = _STEPS) -> tuple[Array, _Equations]:
         """The lowest place near one, or that after so many steps."""
-        found, damping = self.at(here), 1e-3
+        equations, damping, free = self.at(values), 1e-3, self._free
         for _ in range(steps):
-            if not found.directions.shape[1] or not damping < _MOST_DAMPING:
+            if not free or not damping < _MOST_DAMPING or not np.isfinite(equations.merit):
                 break
-            if not np.isfinite(found.merit):
+            A = equations.J[:, free]
+            step = _damped(A, equations.e, damping)
+            promised = equations.merit - float(np.square(equations.e - A @ step).sum())
+            if promised <= _SETTLED * equations.merit:
                 break
-            A = found.J @ found.directions
-            step = _damped(A, found.e, damping)
-            promised = found.merit - float(np.square(found.e - A @ step).sum())
-            if promised <= _SETTLED * found.merit:
-                break
-            tried = self.at(trial := self.stepped(here, step), found)
-            if tried.merit < found.merit:
-                here, found, damping = trial, tried, 0.1 * damping
+            trial = values.copy()
+            trial[free] += step
+            tried = self.at(trial, equations)
+            if tried.merit < equations.merit:
+                values, equations, damping = trial, tried, 0.1 * damping
             else:
                 damping *= 10.0
-        return here, found
+        return values, equations
 
-    def elsewhere(self, place: _Place) -> Iterator[_Place]:
+    def elsewhere(self, place: Array) -> Iterator[Array]:
         """Other starts, for points such as anchors that no aligned points say anything of."""
         mechanism = self.problem.mechanism
         names = [n for f in mechanism.families if f.placement is None for n in f.standing]
         free = [i for i in self._free if mechanism.parameters.names[i] in names]
         draw = np.random.default_rng(0)
         for _ in range(_STARTS if free else 0):
-            values = place.values.copy()
+            values = place.copy()
+            # 1 m or 1 rad at least, for an anchor may be calibrated at 0.
             reach = 1.0 + np.abs(self.problem.start[free])
             values[free] = self.problem.start[free] + reach * draw.uniform(-1.0, 1.0, len(free))
-            yield replace(place, values=values)
-
-    def carry(self, place: _Place) -> Array:
-        """How the parameters there change with those of the machine where it was calibrated."""
-        return carried(self.problem.mechanism, place.values, place.rotation, place.shift)
-
-    @property
-    def _centre(self) -> Array:
-        names = self.problem.mechanism.tape.quantities
-        rows = [names.index(q) for q in self.problem.mechanism.outputs]
-        centre: Array = self.problem.readings[rows].mean(axis=1)
-        return centre
-
-    def stepped(self, place: _Place, step: Array) -> _Place:
-        """The place after a step along the directions."""
-        values = place.values.copy()
-        if not self.freedom.whole:
-            values[self._free] += step
-            return replace(place, values=values)
-        d = self._size
-        turns = 1 if d == 2 else 3
-        values[self._free] += step[turns + d :]
-        R, centre = rotation_by(step[:turns]), self._centre
-        shift = R @ (place.shift - centre) + centre + step[turns : turns + d]
-        return _Place(R @ place.rotation, shift, values)
+            yield values
 
     def rows(self, values: Array, corrections: Array) -> list[Rows]:
         problem = self.problem
         model = linear_model(problem, values, corrections, self.components)
         everything = np.arange(len(problem.poses))
-        found = []
+        by_block = []
         for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
             W = block.fixed + block.G @ block.G.transpose(0, 2, 1)
             if self.variance is not None:
                 W = self.variance * np.broadcast_to(np.eye(W.shape[1]), W.shape)
-            if np.isfinite(W).all():
-                try:
-                    L = np.linalg.cholesky(W)
-                except np.linalg.LinAlgError:
-                    raise _exact(problem) from None
-                whitened = np.linalg.solve(L, block.columns)
-            else:  # a loop has no value here
-                L = W
-                whitened = np.full_like(block.columns, np.nan)
+            # NaN makes the merit infinite, and a step to such a place is refused.
+            L, whitened = W, np.full_like(block.columns, np.nan)
+            try:
+                if np.isfinite(W).all():
+                    L = np.asarray(np.linalg.cholesky(W))
+                    whitened = np.asarray(np.linalg.solve(L, block.columns))
+            except np.linalg.LinAlgError:
+                _refuse_exact(problem)  # otherwise the machine is so far away that it has no value
             n = block.J.shape[2]
-            found.append(
+            by_block.append(
                 Rows(
                     everything[poses],
                     whitened[:, :, n],
@@ -371,13 +307,15 @@ class _Search:
                     np.asarray(L),
                 )
             )
-        return found
+        return by_block
 
 
-def _exact(problem: Problem) -> InputError:
+def _refuse_exact(problem: Problem) -> None:
     names = problem.mechanism.tape.quantities
     exact = [q for q, sd in zip(names, problem.uncertainty.sd, strict=True) if not sd.any()]
-    return InputError(
+    if not exact:
+        return
+    raise InputError(
         f"some loop equations contain exact readings alone ({listed(exact)}), so nothing says how "
         "well they should close",
         code="missing-sd",

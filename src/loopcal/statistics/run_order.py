@@ -16,10 +16,12 @@ MOST = 3
 """So many poses for each cosine at least: as many cosines as poses describe any order."""
 
 
-def told_by_joints(joints: Array) -> float:
-    """How far the joints (N, n), in order, tell the number of the pose: the adjusted R^2 of its
-    regression on their products of second order; about 0 in random order, 1 along a path. 1 where
-    there are too few poses for the regression."""
+def order_by_joints(joints: Array) -> float:
+    """How far the joints (N, n), in order, tell the number of the pose.
+
+    The adjusted R^2 of its regression on their products of second order: about 0 in random order,
+    1 along a path. 1 where there are too few poses for the regression.
+    """
     N = len(joints)
     scaled = _scaled(joints)
     first, second = np.triu_indices(scaled.shape[1])
@@ -38,10 +40,12 @@ def path_cosines(joints: Array) -> int:
     errors of a machine along this path are as fast. 0 where the joints follow no path."""
     N, scaled = len(joints), _scaled(joints)
     phase = np.pi * (np.arange(N) + 0.5) / N
+    # Orthonormal (DCT-II): squared products with the joints are then shares of their variance.
     cosines = np.cos(np.outer(phase, np.arange(1, N // (2 * MOST) + 1))) * np.sqrt(2.0 / N)
     shares = np.cumsum(np.square(cosines.T @ scaled), axis=0) / np.square(scaled).sum(axis=0)
     if not shares.size:
         return 0
+    # cos^2 a = (1 + cos 2 a) / 2: squares of the joints are twice as fast as the joints.
     enough = np.flatnonzero(shares.min(axis=1) >= DESCRIBED)
     return 2 * (int(enough[0]) + 1) if enough.size else 0
 

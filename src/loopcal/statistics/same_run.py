@@ -30,6 +30,7 @@ from loopcal.estimation.result import Result
 
 Array = NDArray[np.float64]
 Positions = NDArray[np.intp]
+# The correlations of 3000 poses by pairs take 72 MB.
 _MOST = 3000
 """Poses of a run whose correlations are computed pair by pair."""
 
@@ -43,10 +44,11 @@ class Run:
 
     def ordered(self, fit: Problem, held: Problem) -> Run:
         """Numbers in the order of measuring: by the known time if there is one, else as given."""
-        times = [i for i, unit in enumerate(fit.mechanism.known.values()) if unit == "s"]
+        times = [i for i, unit in enumerate(fit.mechanism.pose_constants.values()) if unit == "s"]
         when = np.concatenate([self.fitted, self.held]).astype(float)
         if len(times) == 1:
-            when = np.concatenate([fit.known[times[0]], held.known[times[0]]])
+            when = np.concatenate([fit.pose_constants[times[0]], held.pose_constants[times[0]]])
+        # Twice gives ranks; stable, so that equal times stay in the order of the rows.
         number = np.argsort(np.argsort(when, kind="stable"), kind="stable")
         return Run(number[: len(self.fitted)], number[len(self.fitted) :])
 
@@ -77,16 +79,14 @@ class SameRun:
         run, drift, root = run.ordered(problem, held), drifting.drift, solution.spectrum.root
         A = seen(problem, fit.pose_equations(), root, drifting.readings).A
         N, q, k = A.shape
-        precision = (
-            np.zeros(len(root)) if fit.fit.solver.exact else 1.0 / np.square(problem.prior_sd)
-        )
-        P = root.T @ (precision[:, None] * root)
+        P = root.T @ (problem.precision[:, None] * root)
         flat = A.reshape(N, q * k)
         along = (_kernel(drift.lengths, drift.sizes, run.fitted, run.fitted) @ flat).reshape(-1, k)
         K = _kernel(drift.lengths, drift.sizes, run.held, run.fitted) @ flat
         return cls(
             drift.white,
             float(drift.sizes.sum()),
+            # D^T D = I - P in these directions.
             drift.white * (np.eye(k) - P) + P + A.reshape(-1, k).T @ along,
             K.reshape(-1, q, k),
             _effects(fit, held, corrections, drifting.readings),
@@ -94,36 +94,41 @@ class SameRun:
         )
 
     def covariance(self, poses: Positions, W: Array, J: Array) -> Array:
-        """(b, r, r) of the misclosures of these poses, whose own noise at the sds of the fit is
-        W (b, r, r), and J (b, r, m)."""
+        """(b, r, r) of the misclosures of these poses.
+
+        W (b, r, r): their noise at the sds of the fit; J (b, r, m): derivatives by parameters.
+        """
         D, r = rows_times(J, self.root), W.shape[1]
+        # W = L L^T: L takes the whitened effects back to the units of the misclosures.
         X = np.linalg.cholesky(W) @ self.X[poses, :r]
         shared = X @ self.K[poses] @ np.swapaxes(D, -1, -2)
-        own = self.white * W + self.level * X @ np.swapaxes(X, -1, -2)
+        noise = self.white * W + self.level * X @ np.swapaxes(X, -1, -2)
         fitted = rows_times(D, self.V) @ np.swapaxes(D, -1, -2)
-        found: Array = own + fitted - shared - np.swapaxes(shared, -1, -2)
-        return found
+        total: Array = noise + fitted - shared - np.swapaxes(shared, -1, -2)
+        return total
 
 
 def _kernel(lengths: Array, sizes: Array, rows: Positions, columns: Positions) -> Array:
     """cov(u_i, u_j) of poses with these numbers."""
     apart = np.abs(rows[:, None] - columns[None, :]).astype(float)
-    found: Array = np.zeros_like(apart)
+    kernel: Array = np.zeros_like(apart)
+    # AR(1) of several lengths (record 0050); poses apart by d correlate as exp(-d / length).
     for length, size in zip(lengths.tolist(), sizes.tolist(), strict=True):
         if size > 0.0:
-            found += size * np.exp(-apart / length)
-    return found
+            kernel += size * np.exp(-apart / length)
+    return kernel
 
 
 def _effects(fit: Result, held: Problem, corrections: Array, readings: tuple[str, ...]) -> Array:
     """(n, R, q) what an error of one sd of these readings does to the whitened equations."""
     rows = [held.mechanism.tape.quantities.index(name) for name in readings]
-    equations = pose_equations(held, held.start, corrections, exact=fit.fit.solver.exact)
+    equations = pose_equations(held, held.start, corrections)
     most = max((block.E.shape[1] for block in equations), default=0)
-    found = np.zeros((len(held.poses), most, len(rows)))
+    effects = np.zeros((len(held.poses), most, len(rows)))
     units = units_of(fit.problem, rows)
     missing = np.isinf(np.broadcast_to(held.uncertainty.sd, held.readings.shape)[rows])
     for block in equations:
-        here = block.X[:, :, rows] * units * ~missing.T[block.poses][:, None, :]
-        found[block.poses, : block.E.shape[1]] = here
-    return found
+        # What was not read carries no drift.
+        whitened = block.X[:, :, rows] * units * ~missing.T[block.poses][:, None, :]
+        effects[block.poses, : block.E.shape[1]] = whitened
+    return effects

@@ -28,6 +28,7 @@ from loopcal.estimation.products import rows_times
 from loopcal.estimation.result import Result
 
 Array = NDArray[np.float64]
+# A pose that alone determines a direction has redundancy 0 there, and its root no bound.
 _LEAST = 1e-6
 
 
@@ -62,21 +63,22 @@ def scatter(result: Result) -> Scatter | None:
         return None
     if result.terms or not result.status.converged:
         return None
-    problem, solution, method = result.problem, result.solution, result.fit.solver
+    problem, solution = result.problem, result.solution
     covariance, rank = result.spectrum.covariance(), result.spectrum.rank
-    precision = np.zeros(len(covariance)) if method.exact else 1.0 / np.square(problem.prior_sd)
-    found = covariance @ (precision[:, None] * covariance)
+    # C P C: the pull of the prior, which no pose shows.
+    matrix = covariance @ (problem.precision[:, None] * covariance)
     whole, single = np.zeros_like(covariance), 0.0
     for block in result.pose_equations():
         turned = rows_times(block.D, covariance)
-        own = np.eye(block.E.shape[1]) - turned @ block.D.transpose(0, 2, 1)
-        values, vectors = np.linalg.eigh(own)
+        redundancy = np.eye(block.E.shape[1]) - turned @ block.D.transpose(0, 2, 1)
+        values, vectors = np.linalg.eigh(redundancy)
         whole += np.einsum("brn,brm->nm", turned, block.D)
+        # 1 - values are the eigenvalues of H_i.
         single += float(np.square((1.0 - values).sum(axis=1)).sum() + np.square(1.0 - values).sum())
         root = vectors / np.sqrt(np.maximum(values, _LEAST))[:, None, :]
         freed = np.einsum("brs,bts,bt->br", root, vectors, block.E)
         pulls = np.einsum("brn,br->bn", turned, freed)
-        found = found + pulls.T @ pulls
+        matrix = matrix + pulls.T @ pulls
     poses = (np.trace(whole) ** 2 + np.trace(whole @ whole)) / max(single, 1e-300)
     left = 1.0 - rank / max(solution.equations, 1)
-    return Scatter(found, max(float(poses) * left, 1.0))
+    return Scatter(matrix, max(float(poses) * left, 1.0))

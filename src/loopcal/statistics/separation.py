@@ -33,6 +33,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 Array = NDArray[np.float64]
 _UNCERTAIN = 0.5
 """Relative sd of an sd from which on an upper bound says more."""
+# Places on one line leave the turn about it open.
 _SPREAD = 0.05
 """Places of which one direction spreads less than this beside another show no rotation."""
 _ELSEWHERE = 0.1
@@ -74,7 +75,7 @@ class Separation:
     miss: float | None
 
     @property
-    def told_apart(self) -> bool:
+    def separable(self) -> bool:
         """Whether these readings can say which group is to blame."""
         return self.correlation is None or abs(self.correlation) < ALIKE
 
@@ -90,8 +91,8 @@ def separate(
 
     e = J_x dx + offset of the series, dx ~ N(0, Sigma); J_x at the readings and at the nominal
     parameters. raw: scatter [SI] of each quantity about its mean. A spatial machine whose
-    placement is not known is placed first: by the series where these are of three poses or more
-    that spread in space, else by the readings `elsewhere`.
+    placement is not known is placed first. The series place it where these are of three poses or
+    more that spread in space, else the readings `elsewhere`.
 
     Raises InputError where readings are missing, nothing scatters, or the instrument plainly
     stands elsewhere than the machine's placement says.
@@ -117,9 +118,9 @@ def separate(
     )
     lengths = [len(one) for one in whole]
     offsets = _with_offsets(model, np.repeat(np.arange(len(whole)), lengths), len(whole))
-    found = estimate_ratios(offsets)
-    judged = tuple(_judged(offsets, found, i, group) for i, group in enumerate(groups))
-    return Separation(judged, _correlation(found), sum(lengths), miss)
+    estimate = estimate_ratios(offsets)
+    judged = tuple(_judged(offsets, estimate, i, group) for i, group in enumerate(groups))
+    return Separation(judged, _correlation(estimate), sum(lengths), miss)
 
 
 def _placed(
@@ -145,7 +146,7 @@ def _miss(problem: Problem) -> float | None:
     if not lengths or len(lengths) != len(mechanism.outputs):
         return None
     rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
-    computed = predict_outputs(mechanism, problem.start, problem.readings, problem.known)
+    computed = predict_outputs(mechanism, problem.start, problem.readings, problem.pose_constants)
     miss = float(np.linalg.norm(computed - problem.readings[rows], axis=0).max())
     if miss > _ELSEWHERE:
         raise InputError(
@@ -160,26 +161,26 @@ def _miss(problem: Problem) -> float | None:
 
 def _complete(one: Dataset, mechanism: Mechanism) -> Dataset:
     """The rows in which every quantity was read."""
-    needed = [*mechanism.quantities, *mechanism.known]
-    there = ~np.isnan([one[q] for q in needed]).any(axis=0)
-    if there.sum() < 3:
+    needed = [*mechanism.quantities, *mechanism.pose_constants]
+    complete = ~np.isnan([one[q] for q in needed]).any(axis=0)
+    if complete.sum() < 3:
         raise InputError(
-            f"{int(there.sum())} rows have all of {', '.join(needed)}",
+            f"{int(complete.sum())} rows have all of {', '.join(needed)}",
             code="missing-reading",
             place=one.source.name,
             remedy="read all of them in at least three rows, or omit --project",
         )
-    kept = one.take(np.flatnonzero(there))
+    kept = one.take(np.flatnonzero(complete))
     return replace(kept, readings={q: kept[q] for q in needed}, sds={})
 
 
 def _groups(mechanism: Mechanism, raw: Mapping[str, float]) -> list[SeparatedSd]:
     """Instrument and other sensors by unit, with the rms of their scatter; still ones left out."""
     members: dict[tuple[str, str], list[str]] = {}
-    for quantity, its in mechanism.quantities.items():
+    for quantity, unit in mechanism.quantities.items():
         if raw.get(quantity, 0.0) > 0.0:
             role = "instrument" if quantity in mechanism.outputs else "joints"
-            members.setdefault((role, its), []).append(quantity)
+            members.setdefault((role, unit), []).append(quantity)
     if not members:
         raise InputError(
             "these readings show no scatter",
@@ -189,16 +190,16 @@ def _groups(mechanism: Mechanism, raw: Mapping[str, float]) -> list[SeparatedSd]
     several = [role for role, _ in members]
     return [
         SeparatedSd(
-            f"{role} [{its}]" if several.count(role) > 1 else role,
+            f"{role} [{unit}]" if several.count(role) > 1 else role,
             tuple(names),
-            its,
+            unit,
             math.sqrt(sum(raw[q] ** 2 for q in names) / len(names)),
             0.0,
             None,
             None,
             None,
         )
-        for (role, its), names in sorted(members.items(), key=lambda m: m[0][0] == "instrument")
+        for (role, unit), names in sorted(members.items(), key=lambda m: m[0][0] == "instrument")
     ]
 
 
@@ -207,21 +208,22 @@ def _with_offsets(model: LinearModel, owner: NDArray[np.intp], count: int) -> Li
     blocks, begin = [], 0
     for block in model.blocks:
         poses, r = block.e.shape
-        own = np.eye(count)[owner[begin : begin + poses]]
-        J = np.einsum("bs,rt->brst", own, np.eye(r)).reshape(poses, r, count * r)
+        indicator = np.eye(count)[owner[begin : begin + poses]]
+        J = np.einsum("bs,rt->brst", indicator, np.eye(r)).reshape(poses, r, count * r)
         blocks.append(replace(block, J=J))
         begin += poses
     n = blocks[0].J.shape[2]
     return replace(model, blocks=tuple(blocks), precision=np.zeros(n), offset=np.zeros(n))
 
 
-def _judged(model: LinearModel, found: Estimate, which: int, group: SeparatedSd) -> SeparatedSd:
-    ratio = math.sqrt(float(found.ratios[which]))
-    sd_of_ratio = found.sd_of_root(which)
+def _judged(model: LinearModel, estimate: Estimate, which: int, group: SeparatedSd) -> SeparatedSd:
+    ratio = math.sqrt(float(estimate.ratios[which]))
+    sd_of_ratio = estimate.sd_of_root(which)
     unsure = sd_of_ratio is None or sd_of_ratio > _UNCERTAIN * ratio
-    bound = upper_bound(model, found, which) if unsure else None
-    without = None if len(found.ratios) == 1 else without_component(model, found, which)
-    rise = None if without is None else max(without - found.criterion, 0.0)
+    bound = upper_bound(model, estimate, which) if unsure else None
+    # One group alone cannot be left out: nothing would remain to explain the scatter.
+    without = None if len(estimate.ratios) == 1 else without_component(model, estimate, which)
+    rise = None if without is None else max(without - estimate.criterion, 0.0)
     return replace(
         group,
         sd=ratio * group.raw,
@@ -232,8 +234,8 @@ def _judged(model: LinearModel, found: Estimate, which: int, group: SeparatedSd)
     )
 
 
-def _correlation(found: Estimate) -> float | None:
-    if len(found.ratios) != 2 or not np.all(found.ratios > 0.0):
+def _correlation(estimate: Estimate) -> float | None:
+    if len(estimate.ratios) != 2 or not np.all(estimate.ratios > 0.0):
         return None
-    spread = np.sqrt(np.diag(found.covariance))
-    return float(found.covariance[0, 1] / (spread[0] * spread[1]))
+    spread = np.sqrt(np.diag(estimate.covariance))
+    return float(estimate.covariance[0, 1] / (spread[0] * spread[1]))

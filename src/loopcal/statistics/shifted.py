@@ -13,6 +13,7 @@ from loopcal.document.change_points import ChangePoint
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.stationed import standing
 
 if TYPE_CHECKING:
     from loopcal.mechanisms.effects.drift import Drift, Shift
@@ -35,6 +36,7 @@ def with_shifts(
 ) -> Shifted:
     """The mechanism and data with these change points as effects `shift` and `drift`.
 
+    An arm of transitions gets a station where a change moves its instrument.
     Their known constant `column` is the number of the pose: its id where ids are rising numbers,
     else its position from 1. The lines call it `pose`. Raises InputError where the mechanism cannot
     have such an effect.
@@ -42,32 +44,34 @@ def with_shifts(
     effects = _effects(data, found, column)
     if not effects:
         return Shifted(mechanism, data, "")
-    if column not in mechanism.known:
+    if column not in mechanism.pose_constants:
         data = data.with_readings({column: pose_numbers(data)}, units={column: "1"})
+    mechanism = standing(mechanism, [name for effect in effects for name in effect.changing])
     return Shifted(with_effects(mechanism, effects), data, shift_lines(data, found))
 
 
-def shift_lines(data: Dataset, found: Sequence[ChangePoint]) -> str:
+def shift_lines(data: Dataset, points: Sequence[ChangePoint]) -> str:
     """The lines of a project or mechanism file that model these changes."""
-    tables = ["\n".join(_table(effect)) for effect in _effects(data, found, COLUMN)]
+    tables = ["\n".join(_table(effect)) for effect in _effects(data, points, COLUMN)]
     return "\n\n".join(tables) + "\n" if tables else ""
 
 
-def _effects(data: Dataset, found: Sequence[ChangePoint], column: str) -> list[Shift | Drift]:
-    if not found:
+def _effects(data: Dataset, points: Sequence[ChangePoint], column: str) -> list[Shift | Drift]:
+    if not points:
         return []
     from loopcal.mechanisms.effects.drift import Drift, Shift
 
     numbers = pose_numbers(data)
     first = {pose: float(number) for pose, number in zip(data.poses, numbers, strict=True)}
     effects: list[Shift | Drift] = []
-    for names in dict.fromkeys(p.names for p in found if p.shape == "step"):
-        at = tuple(sorted(first[p.pose] for p in found if p.shape == "step" and p.names == names))
+    for names in dict.fromkeys(p.names for p in points if p.shape == "step"):
+        at = tuple(sorted(first[p.pose] for p in points if p.shape == "step" and p.names == names))
         effects.append(Shift(names, at, column, name=f"shift of {', '.join(names)}"))
-    for names in dict.fromkeys(p.names for p in found if p.shape == "ramp"):
+    for names in dict.fromkeys(p.names for p in points if p.shape == "ramp"):
         since, over = float(numbers.min()), float(np.ptp(numbers))
-        own = f"drift of {', '.join(names)}"
-        effects.append(Drift(names, column, "1", since, over, own, since + over))
+        title = f"drift of {', '.join(names)}"
+        # Ending with the run, so that predictions hold for its end (docs/explanation/drift.md).
+        effects.append(Drift(names, column, "1", since, over, title, since + over))
     return effects
 
 

@@ -22,6 +22,7 @@ def stored_covariance(
     n = len(entry.names)
 
     def square(rows: Sequence[Sequence[float | None]]) -> NDArray[np.float64]:
+        # Null is what nothing limits: undetermined steps stand for it, and 0 here.
         return np.asarray(np.nan_to_num(np.array(rows, dtype=float)).reshape(n, n))
 
     matrix = square(entry.matrix if determined is None else determined)

@@ -19,11 +19,12 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.mechanisms.outputs import points
 from loopcal.statistics.causes import Suspect
 from loopcal.statistics.outlier_search import Search
-from loopcal.statistics.pose_tests import Fitted, PoseTests, misfit_there, try_rows
+from loopcal.statistics.pose_tests import Fitted, PoseTests, misfit_of_rows, try_rows
 
 UNREMARKABLE = 0.001
 """A pose whose statistic has at least this probability is explained."""
 JOINTS = "the joints"
+# One start every 15 degrees, because loops are linearised where they start.
 _ROUND = 24
 
 
@@ -36,24 +37,25 @@ def find_suspects(
     """
     explained: dict[int, dict[int, tuple[float, float]]] = {int(i): {} for i in where}
     possible = np.isfinite(tests.w) & search.readings[:, None]
+    # The circle costs 24 starts for each angle, so it is left to poses that nothing near explains.
     for anywhere in (False, True):
-        left = [i for i, own in explained.items() if not own]
+        left = [i for i, singles in explained.items() if not singles]
         pairs = [(i, int(j)) for i in left for j in np.flatnonzero(possible[:, i])]
         starts = [search.problem.readings[j, i] for i, j in pairs]
         if anywhere:
             pairs, starts = _round_the_circle(search.problem, fit, pairs)
         for i, j, size, t in _without_each(search, fit, pairs, starts):
             explained[i][j] = (size, t)
-    together = _together(search, fit, [i for i, own in explained.items() if not own], tests)
+    together = _together(search, fit, [i for i, singles in explained.items() if not singles], tests)
     return [
         Suspect(
             i,
             float(tests.t[i]),
             int(tests.freedom[i]),
-            dict(sorted(own.items(), key=lambda item: item[1][1])),
+            dict(sorted(singles.items(), key=lambda item: item[1][1])),
             together.get(i, {}),
         )
-        for i, own in explained.items()
+        for i, singles in explained.items()
     ]
 
 
@@ -78,7 +80,7 @@ def _round_the_circle(
     readings = problem.readings[:, [i for i, _ in turned]]
     for column, (_, j) in enumerate(turned):
         readings[j, column] += 2 * np.pi * (column % _ROUND) / _ROUND
-    t = misfit_there(problem, fit, [i for i, _ in turned], readings, _left_out(problem, turned))
+    t = misfit_of_rows(problem, fit, [i for i, _ in turned], readings, _left_out(problem, turned))
     best = np.where(np.isfinite(t), t, np.inf).reshape(-1, _ROUND).argmin(axis=1)
     columns = np.arange(len(angles)) * _ROUND + best
     return angles, [float(readings[j, c]) for (_, j), c in zip(angles, columns, strict=True)]
@@ -96,12 +98,12 @@ def _without_each(
     for column, (_, j) in enumerate(pairs):
         readings[j, column] = starts[column]
     without = _left_out(problem, pairs)
-    tried = try_rows(problem, fit, rows, readings, without, exact=search.exact)
+    tried = try_rows(problem, fit, rows, readings, without)
     p = tried.tests.p_pose
     for column, (i, j) in enumerate(pairs):
         if p[column] >= UNREMARKABLE:
-            there = readings[j, column] + tried.corrections[j, column]
-            yield i, j, float(problem.readings[j, i] - there), float(tried.tests.t[column])
+            corrected = readings[j, column] + tried.corrections[j, column]
+            yield i, j, float(problem.readings[j, i] - corrected), float(tried.tests.t[column])
 
 
 def _together(
@@ -112,7 +114,7 @@ def _together(
 
     Joints that are as many as the equations can explain anything, as can an only instrument.
     """
-    problem, found = search.problem, {i: dict[str, float | None]() for i in poses}
+    problem, instruments = search.problem, {i: dict[str, float | None]() for i in poses}
     names = problem.mechanism.tape.quantities
     families = [f for f in problem.mechanism.families if f.form != "closure"]
     groups = [(f.name, [names.index(q) for q in f.readings], f) for f in families]
@@ -123,15 +125,15 @@ def _together(
                 read = problem.readings[rows, i][:, None]
                 moved = points(family, read + corrections[rows][:, None]) - points(family, read)
                 size = float(np.linalg.norm(moved))
-            found[i][name] = size
+            instruments[i][name] = size
     joints = joint_rows(problem) if families else []
     if len(joints) > 1:
         testable = [i for i in poses if len(joints) < tests.freedom[i]]
         explained = {i for i, _ in _without_all(search, fit, testable, joints)}
         for i in poses:
             if i in explained or i not in testable:
-                found[i][JOINTS] = None
-    return found
+                instruments[i][JOINTS] = None
+    return instruments
 
 
 def _without_all(
@@ -144,9 +146,10 @@ def _without_all(
     index = list(poses)
     readings = problem.readings[:, index]
     without = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))[:, index]
+    # Where all of them were unmeasured before, leaving them out explains nothing.
     seen = np.asarray(~without[list(rows)].all(axis=0))
     without[list(rows)] = True
-    tried = try_rows(problem, fit, index, readings, without, exact=search.exact)
+    tried = try_rows(problem, fit, index, readings, without)
     p = tried.tests.p_pose
     for column, i in enumerate(index):
         if seen[column] and p[column] >= UNREMARKABLE:

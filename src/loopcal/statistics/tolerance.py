@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.verdict import Answer
-from loopcal.presentation.shown import with_unit
+from loopcal.document.judgement import Fact, Figure, fact
 
 Array = NDArray[np.float64]
 SHARE = 0.95
@@ -37,12 +36,12 @@ class Quantile:
     @classmethod
     def of(cls, distances: Array) -> Quantile | None:
         """From distances (N,), those that are missing left out; None for fewer than three."""
-        known = distances[np.isfinite(distances)]
-        if len(known) < _FEWEST:
+        finite = distances[np.isfinite(distances)]
+        if len(finite) < _FEWEST:
             return None
-        u = np.cbrt(np.square(known))
+        u = np.cbrt(np.square(finite))
         mean, sd = float(u.mean()), float(u.std(ddof=1))
-        factors = (_NORMAL, *_factors(len(known)))
+        factors = (_NORMAL, *_factors(len(finite)))
         return cls(*(max(mean + k * sd, 0.0) ** 1.5 for k in factors))
 
     @classmethod
@@ -50,6 +49,7 @@ class Quantile:
         """From the 95 % quantile of so many distances, those of normal errors in space."""
         if poses < _FEWEST:
             return None
+        # Mean 1 - 2 / (9 k), variance 2 / (9 k) with k = 3 (Wilson and Hilferty 1931).
         mean, sd = 1.0 - 2.0 / 27.0, math.sqrt(2.0 / 27.0)  # of (chi-squared(3) / 3)^(1/3)
         middle = mean + _NORMAL * sd
         low, high = (max((mean + k * sd) / middle, 0.0) ** 1.5 for k in _factors(poses))
@@ -70,34 +70,18 @@ def _factors(poses: int) -> tuple[float, float]:
     return low, high
 
 
-def judged(quantile: Quantile | None, tolerance: float | None, unit: str, where: str) -> Answer:
-    """The answer for a tolerance [unit]; where: of which poses the quantile speaks."""
-    if tolerance is None:
-        return Answer(None, "no-tolerance", None, "No tolerance is stated.", "State a tolerance.")
+def kept(quantile: Quantile | None, tolerance: float, unit: str, where: str) -> Fact:
+    """Whether a tolerance [unit] is kept; where: of which poses the quantile speaks."""
     if quantile is None:
-        words = f"There are too few distances {where} for a decision."
-        return Answer(None, "unknown-accuracy", None, words, "Measure more poses.")
-    limit = with_unit(tolerance, unit)
+        return fact("few-distances", where=where)
+    limit = Figure(tolerance, unit)
     if not math.isfinite(quantile.value):
-        words = f"The error {where} is unbounded; the tolerance is {limit}."
-        return Answer(False, "outside-tolerance", None, words, "Measure poses all over the region.")
-    found = f"95 % of poses {where} are within {with_unit(quantile.value, unit)}"
-    band = f"{with_unit(quantile.low, unit)} to {with_unit(quantile.high, unit)}"
-    words = f"{found} (guard band {band}); the tolerance is {limit}."
+        return fact("error-unbounded", where=where, limit=f"{limit}")
+    sizes = {"error": quantile.value, "low": quantile.low, "high": quantile.high}
+    numbers = {name: Figure(value, unit) for name, value in sizes.items()} | {"tolerance": limit}
+    code = "near-tolerance"
     if quantile.high <= tolerance:
-        return Answer(True, "within-tolerance", quantile.value, words, None)
-    if quantile.low > tolerance:
-        return Answer(
-            False,
-            "outside-tolerance",
-            quantile.value,
-            words,
-            "Improve the model or the sensors, calibrate again, or widen the tolerance.",
-        )
-    return Answer(
-        None,
-        "near-tolerance",
-        quantile.value,
-        words,
-        "Measure more poses: the tolerance lies within the guard band.",
-    )
+        code = "within-tolerance"
+    elif quantile.low > tolerance:
+        code = "outside-tolerance"
+    return fact(code, numbers=numbers, where=where)

@@ -56,14 +56,14 @@ def validate(
     case = Case(mechanism, data, Noise.of(noise), asked.fit)
     if not asked.fit.method.choice:
         return validated(case, full or case.calibrated(), asked.scheme, executor, progress)
-    found = choose(case, asked.scheme, executor, progress).validation
-    if found is None:
+    validation = choose(case, asked.scheme, executor, progress).validation
+    if validation is None:
         raise NoTrustworthyResult(
             "no candidate of the choice could be validated",
             code="not-converged",
             remedy="calibrate by a stated method, and read its summary",
         )
-    return found
+    return validation
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class MethodComparison:
 
     def __str__(self) -> str:
         units = [v.accuracy.unit for v in self.validations.values() if v.accuracy is not None]
-        entries = {name: found.entry for name, found in self.validations.items()}
+        entries = {name: validation.entry for name, validation in self.validations.items()}
         return "\n".join(validation_table(entries, units[0] if units else ""))
 
 
@@ -98,5 +98,7 @@ def compare_methods(
         )
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
-    found = {name: validate(mechanism, data, **how, **validation) for name, how in methods.items()}
-    return MethodComparison(MappingProxyType(found))
+    validations = {
+        name: validate(mechanism, data, **how, **validation) for name, how in methods.items()
+    }
+    return MethodComparison(MappingProxyType(validations))

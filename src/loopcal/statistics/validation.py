@@ -28,10 +28,11 @@ from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.leaving_out import leaving_out
 from loopcal.estimation.prediction import output_differences
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Executor, Progress, gathered
-from loopcal.execution.forked import own_cores
+from loopcal.execution.forked import process_cores
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.statistics.blocks import blocks_of
@@ -53,6 +54,7 @@ from loopcal.statistics.same_run import Run
 from loopcal.statistics.verification import day_problem
 
 Array = NDArray[np.float64]
+# Record 0061.
 NEARLY = 1e-2
 """Where sds of terms are learnt, or weights are found in rounds, refits converge to so many sds: no
 prediction moves by more than a hundredth of its error."""
@@ -90,33 +92,33 @@ class Validation:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Which parts could not be predicted, and why."""
-        found = tuple(
+        sentences = tuple(
             f"{'Block' if 'blocks' in self.scheme else 'Fold'} {part.number} of {self.parts} "
             f"({part.poses} poses) is not validated: {part.reason}."
             for part in self.failed
         )
-        return found if self.blocked is None else (*found, *self.blocked.warnings)
+        return sentences if self.blocked is None else (*sentences, *self.blocked.warnings)
 
     @property
     def coverage(self) -> Coverage | None:
         """How often the stated regions hold; None where the method states none."""
-        if self.inside is None or not (there := np.isfinite(self.inside)).any():
+        if self.inside is None or not (judged := np.isfinite(self.inside)).any():
             return None
-        return Coverage(LEVEL, float(self.inside[there].mean()), int(there.sum()))
+        return Coverage(LEVEL, float(self.inside[judged].mean()), int(judged.sum()))
 
     @property
     def entry(self) -> ValidationEntry:
         """As a document holds it."""
-        found = self.accuracy
-        turned = None if found is None else found.orientation
+        pooled_accuracy = self.accuracy
+        turned = None if pooled_accuracy is None else pooled_accuracy.orientation
         return ValidationEntry(
             dict(self.scheme),
             self.words,
             len(self.poses),
-            None if found is None else found.distances,
+            None if pooled_accuracy is None else pooled_accuracy.distances,
             self.log_likelihood,
             None if turned is None else turned.distances,
-            () if found is None else tuple(one.entry for one in found.by),
+            () if pooled_accuracy is None else tuple(one.entry for one in pooled_accuracy.by),
             self.parts,
             self.failed,
             self.coverage,
@@ -147,9 +149,9 @@ def validated(
     """
     if scheme.other is not None:
         other = scheme.other
-        known = case.noise if scheme.other_noise is None else Noise.of(scheme.other_noise)
+        noise = case.noise if scheme.other_noise is None else Noise.of(scheme.other_noise)
         name = other.source.name or "other readings"
-        held = held_problem(whole, other, known)
+        held = held_problem(whole, other, noise)
         part = _predicted(whole, held, np.arange(len(other)))
         words = f"{len(other)} poses of {name}"
         return _pooled(
@@ -188,7 +190,7 @@ def planned(case: Case, scheme: Scheme) -> Plan:
     blocked = blocks_of(scheme, case.mechanism, case.data, groups) if scheme.blocks else None
     parts = parts_of(scheme, case.data, groups)
     freedom = Freedom.of(case.mechanism) if scheme.place_anew else Freedom(())
-    if freedom.names or freedom.whole:
+    if freedom.names:
         placed = "the instrument is placed by the readings of the group"
         parts = replace(parts, words=f"{parts.words}; {placed}")
     return Plan(parts, blocked, groups, scheme.place_anew)
@@ -209,7 +211,7 @@ def left_out(
     """
     begun = [replace(_Begun.at(case, whole), anew=anew) for case, whole in fitted]
     pieces = [(which, index) for which in range(len(begun)) for index in indices]
-    made = gathered(executor or own_cores(), _left_out, begun, pieces, progress)
+    made = gathered(executor or process_cores(), _left_out, begun, pieces, progress)
     return [made[i * len(indices) : (i + 1) * len(indices)] for i in range(len(begun))]
 
 
@@ -221,15 +223,19 @@ def pooled(
     Raises NoTrustworthyResult where no part at random could be predicted.
     """
     count = len(plan.random.indices)
-    told = _all_stated(whole, made) if stating else None
-    found = _pooled(whole, made[:count], plan.random, data, told and told[:count])
+    predictives = _all_stated(whole, made) if stating else None
+    validation = _pooled(
+        whole, made[:count], plan.random, data, predictives and predictives[:count]
+    )
     if plan.blocked is None:
-        return found
+        return validation
     try:
-        blocked = _pooled(whole, made[count:], plan.blocked, data, told and told[count:])
-        return replace(found, blocked=blocked)
+        blocked = _pooled(
+            whole, made[count:], plan.blocked, data, predictives and predictives[count:]
+        )
+        return replace(validation, blocked=blocked)
     except NoTrustworthyResult:
-        return found
+        return validation
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,9 +248,11 @@ class Asked:
     @classmethod
     def of(cls, fit: Fit | None, options: ValidationOptions) -> Asked:
         """Settings and scheme; keyword arguments override the settings."""
-        given: dict[str, Any] = dict(options)
-        scheme = {name: given.pop(name) for name in SchemeOptions.__annotations__ if name in given}
-        return cls(Fit.of(fit, cast(FitOptions, given)), Scheme(**scheme))
+        settings: dict[str, Any] = dict(options)
+        scheme = {
+            name: settings.pop(name) for name in SchemeOptions.__annotations__ if name in settings
+        }
+        return cls(Fit.of(fit, cast(FitOptions, settings)), Scheme(**scheme))
 
 
 @dataclass(frozen=True)
@@ -316,15 +324,16 @@ class _Begun:
         """Parameters and learnt sds of the calibration of all poses."""
         noise, learnt = case.noise, whole.estimate
         if learnt is not None and learnt.settled:
+            # A start, not a value: held sds would hide what they fit too well (record 0061).
             noise = (noise or Noise({})).begun_at(learnt.factors)
         # the mechanism of the calibration has the prior already
         fit = replace(case.fit, start=dict(whole.value), prior=None)
-        rough = bool(whole.mechanism.learnt_terms) or fit.solver.at_readings
+        rough = bool(whole.mechanism.learnt_terms) or fit.solver.weighting is Weighting.READ
         enough = NEARLY if rough else ENOUGH
         fit = replace(fit, tolerance=fit.tolerance or enough)
         same = len(case.data) == whole.problem.count  # no copied rows went
         near = Case(whole.mechanism, case.data, noise, fit, near=unread(whole) if same else {})
-        plain = fit.robust_loss is None and not fit.solver.at_readings
+        plain = fit.robust_loss is None and fit.solver.weighting is not Weighting.READ
         return cls(case, near, whole if same and plain else None)
 
     def without(self, index: Index) -> Case:
@@ -343,10 +352,11 @@ class _Begun:
     def calibrated(self, gone: Index) -> Result:
         """The calibration without these poses, begun near where it will end."""
         index = np.setdiff1d(np.arange(len(self.case.data)), gone)
-        found = self.without(gone).calibrated(index)
-        if found.spectrum.rank < len(found.estimated) or not found.status.converged:
+        refit = self.without(gone).calibrated(index)
+        # An open direction would stay where the poses left out have put it.
+        if refit.spectrum.rank < len(refit.estimated) or not refit.status.converged:
             return self.case.calibrated(index)
-        return found
+        return refit
 
 
 def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
@@ -359,16 +369,16 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
     index = first if first.size else index
     with one_blas_thread():
         try:
-            found = begun.calibrated(gone)
-            if not found.status.converged:
-                return Failed(index, f"the fit did not converge ({found.status.reason})")
+            refit = begun.calibrated(gone)
+            if not refit.status.converged:
+                return Failed(index, f"the fit did not converge ({refit.status.reason})")
             if begun.anew:
                 part = case.data.take(index)
-                return _placed_anew(found, part, taken(case.noise, index), index)
+                return _placed_anew(refit, part, taken(case.noise, index), index)
             near = of_poses(begun.near.near, index)
-            held = held_problem(found, case.data.take(index), taken(case.noise, index), near)
+            held = held_problem(refit, case.data.take(index), taken(case.noise, index), near)
             return replace(
-                _predicted(found, held, index), rest=np.setdiff1d(rest, begun.near.copied)
+                _predicted(refit, held, index), rest=np.setdiff1d(rest, begun.near.copied)
             )
         except (InputError, NoTrustworthyResult) as error:
             return Failed(index, error.message)
@@ -376,7 +386,7 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
 
 def _all_stated(whole: Result, made: Sequence[Outcome]) -> list[Predictive | None]:
     """What was stated of each part."""
-    return gathered(own_cores(), _stated, whole.drifting, made)
+    return gathered(process_cores(), _stated, whole.drifting, made)
 
 
 def _stated(drifting: Drifting | None, part: Outcome) -> Predictive | None:
@@ -395,19 +405,19 @@ def _placed_anew(fit: Result, data: Dataset, noise: Noise | None, index: Index) 
     Stated is the region of each pose, less what the placement takes up of it; not their
     probability, for they say where the instrument stands.
     """
-    known = Calibrated.of(fit, "")
-    own = None if noise is None or noise.estimate else noise
-    problem = day_problem(known, data, own)
-    variance = None if known.residual is None else known.residual.value
-    components = components_of(known, known.mechanism.tape.quantities)
-    freedom = Freedom.of(known.mechanism)
-    here = replaced(problem, freedom, variance=variance, components=components)
-    linear = Linearised.of(here, known)
-    seen = linear.by_pose(here)
+    calibrated = Calibrated.of(fit, "").stationed
+    stated_noise = None if noise is None or noise.estimate else noise
+    problem = day_problem(calibrated, data, stated_noise)
+    variance = None if calibrated.residual is None else calibrated.residual.value
+    components = components_of(calibrated, calibrated.mechanism.tape.quantities)
+    freedom = Freedom.of(calibrated.mechanism)
+    placement = replaced(problem, freedom, variance=variance, components=components)
+    linear = Linearised.of(placement, calibrated)
+    seen = linear.by_pose(placement)
     denominator = np.full(len(index), linear.noise)
     stated = Predictive(None, seen.squares, seen.loops, denominator)
-    rows = [known.mechanism.tape.quantities.index(q) for q in known.mechanism.compared]
-    differences = output_differences(problem, here.parameters, here.corrections)
+    rows = [calibrated.mechanism.tape.quantities.index(q) for q in calibrated.mechanism.compared]
+    differences = output_differences(problem, placement.parameters, placement.corrections)
     return Predicted(index, problem.readings[rows], differences, regions=stated)
 
 
@@ -416,9 +426,9 @@ def _pooled(
     made: Sequence[Outcome],
     parts_left: Parts,
     data: Dataset,
-    told: Sequence[Predictive | None] | None,
+    predictives: Sequence[Predictive | None] | None,
 ) -> Validation:
-    """The parts together; told: what was stated of each, None where nobody asked."""
+    """The parts together; predictives: what was stated of each, None where it was not asked for."""
     mechanism, words = whole.mechanism, parts_left.words
     failed = tuple(
         FailedPart(number, len(part.index), part.reason)
@@ -437,8 +447,8 @@ def _pooled(
         words += f"; {len(parts)} of {len(made)} {kind} predicted"
     measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
     terms, inside = np.full((2, len(data)), np.nan)
-    judged = probable = told is not None
-    for part, stated in zip(made, told or [None] * len(made), strict=True):
+    judged = probable = predictives is not None
+    for part, stated in zip(made, predictives or [None] * len(made), strict=True):
         if isinstance(part, Failed):
             continue
         measured[:, part.index] = part.measured

@@ -64,14 +64,15 @@ def verify(
 
     Raises InputError where readings or sds are missing, and for a name that is not there.
     """
-    known = Calibrated.of(calibration, "") if isinstance(calibration, Result) else calibration
+    calibrated = Calibrated.of(calibration, "") if isinstance(calibration, Result) else calibration
+    calibrated = calibrated.stationed
     data = data.dataset if isinstance(data, Result) else data
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     check_tolerance(tolerance)
     with one_blas_thread():
-        freedom = Freedom.of(known.mechanism, remounted)
-        problem = day_problem(known, data, Noise.of(noise))
-        return _verified(known, problem, freedom, tolerance)
+        freedom = Freedom.of(calibrated.mechanism, remounted)
+        problem = day_problem(calibrated, data, Noise.of(noise))
+        return _verified(calibrated, problem, freedom, tolerance)
 
 
 def check_tolerance(tolerance: float | None) -> None:
@@ -84,14 +85,14 @@ def check_tolerance(tolerance: float | None) -> None:
         )
 
 
-def day_problem(known: Calibrated, data: Dataset, noise: Noise | None) -> Problem:
+def day_problem(calibrated: Calibrated, data: Dataset, noise: Noise | None) -> Problem:
     """The poses of another day at the calibrated parameters, all of which count as estimated.
 
     noise: of these readings, else that of the calibration.
     """
-    mechanism = known.mechanism
-    data = with_latest(mechanism, data if noise else as_learnt(known, data))
-    weighed = None if known.residual is not None else (noise or noise_of(known))
+    mechanism = calibrated.mechanism
+    data = with_latest(mechanism, data if noise else as_learnt(calibrated, data))
+    weighed = None if calibrated.residual is not None else (noise or noise_of(calibrated))
     if weighed is not None:
         mechanism, data = with_model(mechanism, data, weighed)
     # Nothing is estimated by it: with informative priors any number of poses will do.
@@ -99,22 +100,24 @@ def day_problem(known: Calibrated, data: Dataset, noise: Noise | None) -> Proble
     return build_problem(mechanism.with_parameters(free), data, weighed)
 
 
-def as_learnt(known: Calibrated, data: Dataset) -> Dataset:
+def as_learnt(calibrated: Calibrated, data: Dataset) -> Dataset:
     """The readings without sds of their own where the calibration has learnt better ones."""
-    learnt = {q for entry in known.noise if entry.source == "estimated" for q in entry.quantities}
+    learnt = {
+        q for entry in calibrated.noise if entry.source == "estimated" for q in entry.quantities
+    }
     return replace(data, sds={q: sd for q, sd in data.sds.items() if q not in learnt})
 
 
-def noise_of(known: Calibrated) -> Noise:
+def noise_of(calibrated: Calibrated) -> Noise:
     """The sds that a calibration used, for other readings; what had none was not measured."""
     entries: dict[str | tuple[str, ...], Any] = {}
-    for entry in known.noise:
+    for entry in calibrated.noise:
         if entry.role == "disturbance":
             entries[MODEL] = entry.sd
             continue
         entries |= dict.fromkeys(entry.quantities, entry.sd)
-    disturbances = known.mechanism.disturbances
-    unmeasured = [q for q in known.mechanism.quantities if q not in (*entries, *disturbances)]
+    disturbances = calibrated.mechanism.disturbances
+    unmeasured = [q for q in calibrated.mechanism.quantities if q not in (*entries, *disturbances)]
     return Noise(entries | dict.fromkeys(unmeasured, np.inf))
 
 
@@ -126,17 +129,17 @@ class _Day:
     taken as exact; components: quantities of each learnt sd.
     """
 
-    known: Calibrated
+    calibrated: Calibrated
     problem: Problem
     freedom: Freedom
     variance: float | None
     components: Sequence[Sequence[int]]
 
     @classmethod
-    def of(cls, known: Calibrated, problem: Problem, freedom: Freedom) -> _Day:
-        variance = None if known.residual is None else known.residual.value
-        components = components_of(known, problem.mechanism.tape.quantities)
-        return cls(known, problem, freedom, variance, components)
+    def of(cls, calibrated: Calibrated, problem: Problem, freedom: Freedom) -> _Day:
+        variance = None if calibrated.residual is None else calibrated.residual.value
+        components = components_of(calibrated, problem.mechanism.tape.quantities)
+        return cls(calibrated, problem, freedom, variance, components)
 
     def placed(self, problem: Problem) -> Replaced:
         """These poses with the instrument placed anew."""
@@ -145,22 +148,22 @@ class _Day:
     def changed(self, parameters: Mapping[str, float], zeros: Mapping[str, float]) -> Replaced:
         """Placed with changes of parameters and of the zeros of readings, by name [SI]."""
         problem, names = self.problem, self.problem.mechanism.parameters.names
-        there = dict(zip(names, problem.start.tolist(), strict=True))
+        values = dict(zip(names, problem.start.tolist(), strict=True))
         readings = problem.readings.copy()
         for name, change in zeros.items():
             readings[problem.mechanism.tape.quantities.index(name)] += change
         for name, change in parameters.items():
-            there[name] += change
-        return self.placed(_with_values(replace(problem, readings=readings), there))
+            values[name] += change
+        return self.placed(_with_values(replace(problem, readings=readings), values))
 
-    def linearised(self, here: Replaced) -> Linearised:
+    def linearised(self, placement: Replaced) -> Linearised:
         """The equations of the held machine there."""
-        return Linearised.of(here, self.known)
+        return Linearised.of(placement, self.calibrated)
 
     def as_drawn(self) -> tuple[Replaced | None, str | None]:
         """The machine as drawn, placed with the same freedom; or why it cannot be."""
         names = self.problem.mechanism.parameters.names
-        drawn = dict(zip(names, self.known.nominal.tolist(), strict=True))
+        drawn = dict(zip(names, self.calibrated.nominal.tolist(), strict=True))
         try:
             return replace(self, components=()).placed(_with_values(self.problem, drawn)), None
         except (InputError, NoTrustworthyResult) as error:
@@ -173,14 +176,14 @@ def _with_values(problem: Problem, values: Mapping[str, float]) -> Problem:
 
 
 def _verified(
-    known: Calibrated, problem: Problem, freedom: Freedom, tolerance: float | None
+    calibrated: Calibrated, problem: Problem, freedom: Freedom, tolerance: float | None
 ) -> Verification:
-    mechanism, day = problem.mechanism, _Day.of(known, problem, freedom)
-    here = day.placed(problem)
-    linear = day.linearised(here)
+    mechanism, day = problem.mechanism, _Day.of(calibrated, problem, freedom)
+    placement = day.placed(problem)
+    linear = day.linearised(placement)
     nominal, unplaced = day.as_drawn()
     measured = problem.readings[[mechanism.tape.quantities.index(q) for q in mechanism.compared]]
-    differences = _differences(here)
+    differences = _differences(placement)
     drawn = np.full_like(differences, np.nan) if nominal is None else _differences(nominal)
     apart = deviations(mechanism, measured, differences)
     distances = by_pose(apart)
@@ -188,32 +191,32 @@ def _verified(
     gain = None
     if nominal is not None and distances is not None and others is not None:
         gain = Gain.in_rms(np.square(distances), np.square(others))
-    beyond = known.carried or known.rejected is not None
-    changes = what_changed(here, linear, day.changed, day.linearised, beyond)
+    beyond = calibrated.carried or calibrated.rejected is not None
+    changes = what_changed(placement, linear, day.changed, day.linearised, beyond)
     return Verification(
         poses=problem.poses,
         unit=main_unit(apart) or "m",
         calibrated=_distances(mechanism, measured, differences),
         nominal=None if nominal is None else _distances(mechanism, measured, drawn),
-        expected=_expected(here, linear, day.variance, measured),
+        expected=_expected(placement, linear, day.variance, measured),
         gain=gain,
         innovation=linear.innovation() if changes is None else changes.test,
         changes=changes,
-        placed=_placed(here, linear, freedom),
-        worst=_worst(problem, distances, linear.by_pose(here).squares),
+        placed=_placed(placement, linear, freedom),
+        worst=_worst(problem, distances, linear.by_pose(placement).squares),
         quantile=None if distances is None else Quantile.of(distances),
         tolerance=tolerance,
         unplaced=unplaced,
     )
 
 
-def _differences(here: Replaced) -> Array:
-    return output_differences(here.problem, here.parameters, here.corrections)
+def _differences(placement: Replaced) -> Array:
+    return output_differences(placement.problem, placement.parameters, placement.corrections)
 
 
 def _distances(mechanism: Mechanism, measured: Array, differences: Array) -> Distances | None:
-    found = accuracy(deviations(mechanism, measured, differences))
-    return None if found is None else found.distances
+    output_accuracy = accuracy(deviations(mechanism, measured, differences))
+    return None if output_accuracy is None else output_accuracy.distances
 
 
 def _worst(problem: Problem, distances: Array | None, squares: Array) -> tuple[WorstPose, ...]:
@@ -230,79 +233,82 @@ def _worst(problem: Problem, distances: Array | None, squares: Array) -> tuple[W
     )
 
 
-def _placed(here: Replaced, linear: Linearised, freedom: Freedom) -> tuple[Placed, ...]:
+def _placed(placement: Replaced, linear: Linearised, freedom: Freedom) -> tuple[Placed, ...]:
     """What was found anew, with sds that include what is not known of the machine."""
-    mechanism, g = here.problem.mechanism, here.directions.shape[1]
-    names = list(freedom.names)
-    if freedom.whole and mechanism.placement is not None:
-        names = [*mechanism.placement.parameters, *names]
-    own = here.directions @ linear.solve[:g]
-    follows = own @ linear.A - linear.root
-    variance = np.square(own).sum(axis=1) + np.square(follows).sum(axis=1)
-    seen = np.abs(here.directions @ (linear.solve @ linear.F)[:g, :g])
-    order, found = mechanism.parameters.names, []
-    for name in dict.fromkeys(names):
+    mechanism, g = placement.problem.mechanism, placement.directions.shape[1]
+    response = placement.directions @ linear.solve[:g]
+    follows = response @ linear.A - linear.root
+    variance = np.square(response).sum(axis=1) + np.square(follows).sum(axis=1)
+    # solve F is 1 along what these poses determine, and less where the pseudoinverse leaves a gap.
+    seen = np.abs(placement.directions @ (linear.solve @ linear.F)[:g, :g])
+    order, entries = mechanism.parameters.names, []
+    for name in freedom.names:
         i = order.index(name)
-        shown = abs(seen[i] - np.abs(here.directions[i])).max(initial=0.0) < 1e-6
-        found.append(
+        shown = abs(seen[i] - np.abs(placement.directions[i])).max(initial=0.0) < 1e-6
+        entries.append(
             Placed(
                 name,
-                float(here.parameters[i]),
+                float(placement.parameters[i]),
                 float(np.sqrt(variance[i])) if shown else None,
                 mechanism.parameters[name].unit,
             )
         )
-    return tuple(found)
+    return tuple(entries)
 
 
 def _expected(
-    here: Replaced, linear: Linearised, variance: float | None, measured: Array
+    placement: Replaced, linear: Linearised, variance: float | None, measured: Array
 ) -> Distances | None:
     """The distances that the stated covariance leads one to expect, as means over random draws.
 
     What is placed anew follows the error of the held machine as far as it can, and takes up some
     of the noise.
     """
-    problem, mechanism = here.problem, here.problem.mechanism
+    problem, mechanism = placement.problem, placement.problem.mechanism
     if not mechanism.outputs:
         return None
     names = mechanism.tape.quantities
     outputs = [names.index(q) for q in mechanism.outputs]
-    differences = _differences(here)[: len(outputs)]
-    x = problem.readings + here.corrections
+    differences = _differences(placement)[: len(outputs)]
+    x = problem.readings + placement.corrections
+    # Linearised at the computed outputs, where the loops close.
     x[outputs] += np.nan_to_num(differences)
     unread = np.flatnonzero(np.isinf(problem.uncertainty.sd).all(axis=1)).tolist()
-    parameters = here.parameters, mechanism.parameters.names
-    S = output_sensitivity(mechanism, *parameters, x, problem.known, unread)
-    g = here.directions.shape[1]
-    follows = here.directions @ (linear.solve @ linear.A)[:g]
+    parameters = placement.parameters, mechanism.parameters.names
+    S = output_sensitivity(mechanism, *parameters, x, problem.pose_constants, unread)
+    g = placement.directions.shape[1]
+    follows = placement.directions @ (linear.solve @ linear.A)[:g]
     machine = S.by_parameter @ (follows - linear.root)
-    own = _own_noise(problem, S.by_reading, outputs, variance)
+    noise = _reading_noise(problem, S.by_reading, outputs, variance)
+    # The placement takes up as many equations as it has rank, and their share of the noise.
     left = (len(linear.e) - linear.rank) / max(len(linear.e), 1)
-    own = own * np.sqrt(max(left, 0.0) * linear.factor)
+    noise = noise * np.sqrt(max(left, 0.0) * linear.factor)
+    # Seeded, so that the same readings get the same answer.
     draw = np.random.default_rng(0)
-    found = []
+    samples = []
     for _ in range(_DRAWS):
-        h, v = draw.standard_normal(machine.shape[2]), draw.standard_normal(own.shape[::2])
-        errors = machine @ h + np.einsum("nok,nk->no", own, v)
+        h, v = draw.standard_normal(machine.shape[2]), draw.standard_normal(noise.shape[::2])
+        errors = machine @ h + np.einsum("nok,nk->no", noise, v)
         drawn = np.full(measured.shape, np.nan)
         drawn[: len(outputs)] = np.where(np.isfinite(differences), errors.T, np.nan)
         drawn[len(outputs) :] = 0.0
         one = _distances(mechanism, measured, drawn)
         if one is not None:
-            found.append((one.mean, one.rms, one.p95, one.max))
-    if not found:
+            samples.append((one.mean, one.rms, one.p95, one.max))
+    if not samples:
         return None
-    mean, _, p95, largest = np.mean(found, axis=0).tolist()
-    rms = float(np.sqrt(np.square(np.array(found)[:, 1]).mean()))
+    mean, _, p95, largest = np.mean(samples, axis=0).tolist()
+    # Squares are averaged, for the mean of roots is smaller than the root of the mean.
+    rms = float(np.sqrt(np.square(np.array(samples)[:, 1]).mean()))
     return Distances(mean, rms, p95, largest, int(np.isfinite(differences).all(axis=0).sum()))
 
 
-def _own_noise(
+def _reading_noise(
     problem: Problem, by_reading: Array, outputs: Sequence[int], variance: float | None
 ) -> Array:
     """(N, o, k) a square root of the covariance that the readings of these poses cause."""
     T = np.nan_to_num(by_reading)
+    # Computed minus measured: an error of the measured output enters with the other sign.
     T[:, range(len(outputs)), list(outputs)] = -1.0
     if variance is not None:
         sd = np.zeros(T.shape[2])

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from loopcal.document.accuracy import Distances
+from loopcal.document.catalogue import findings
+from loopcal.document.judgement import Fact, Figure, Finding, Question, Where, fact
 from loopcal.document.tables import distances_shown
 from loopcal.document.verdict import Answer, answer_lines
 from loopcal.lazy import cached_property
 from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import by_sd, chance, size, unit_shown, with_unit
+from loopcal.presentation.shown import by_sd, chance, size, unit_shown
 from loopcal.presentation.text_table import columns
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Innovation
-from loopcal.statistics.tolerance import Quantile, judged
+from loopcal.statistics.tolerance import Quantile, kept
+
+_QUESTIONS: tuple[Question, ...] = ("consistent", "better", "tolerance")
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,8 @@ class Verification:
     expect of the calibrated one; gain: of calibrated over nominal; innovation: the test of the
     machine; changes: of single parameters and zeros of joints, None without redundancy; placed:
     what was found anew; worst: poses, the farthest first; quantile: the distance that 95 % of poses
-    keep; unplaced: why the nominal machine cannot be placed, None where it can.
+    keep; unplaced: why the nominal machine cannot be placed, None where it can; files: names of
+    result and readings, for command lines.
     """
 
     poses: tuple[str, ...]
@@ -66,15 +71,12 @@ class Verification:
     quantile: Quantile | None
     tolerance: float | None = None
     unplaced: str | None = None
+    files: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
-    def verdict(self) -> Mapping[str, Answer]:
+    def verdict(self) -> Mapping[Question, Answer]:
         """The answers by question: "consistent", "better" and "tolerance"."""
-        return {
-            "consistent": self._consistent(),
-            "better": self._better(),
-            "tolerance": judged(self.quantile, self.tolerance, self.unit, "of this file"),
-        }
+        return {question: Answer.of(self.findings, question) for question in _QUESTIONS}
 
     @property
     def failed(self) -> tuple[Answer, ...]:
@@ -82,81 +84,76 @@ class Verification:
         asked = (self.verdict["consistent"], self.verdict["tolerance"])
         return tuple(answer for answer in asked if answer.passed is False)
 
-    def _consistent(self) -> Answer:
-        its, changes = self.innovation, self.changes
-        if its.p_value is None or changes is None:
-            return Answer(
-                None,
-                "no-redundancy",
-                None,
-                "These poses only determine what was placed anew.",
-                "Measure more poses.",
-            )
-        if changes.verdict == "unchanged":
-            words = f"The machine is as calibrated: {self._statistic()}."
-            return Answer(True, "unchanged", its.p_value, words, None)
-        found = changes.found
-        told = "; ".join(change.words for change in found) if found else self._statistic()
-        words = f"The machine is not as calibrated: {told}."
-        p_value = min(its.p_value, *(change.p_value for change in found), 1.0)
-        if changes.verdict == "re-master":
-            return Answer(False, "re-master", p_value, words, changes.next)
-        return Answer(False, "changed", p_value, words, changes.next)
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found out, the gravest first."""
+        facts = [self._consistent(), self._better()]
+        if self.tolerance is not None:
+            facts.append(kept(self.quantile, self.tolerance, self.unit, "of this file"))
+        return findings(facts, self.files)
+
+    def _consistent(self) -> Fact:
+        innovation, changes = self.innovation, self.changes
+        if innovation.p_value is None or changes is None:
+            return fact("no-redundancy")
+        place = Where(parameters=tuple(change.name for change in changes.found))
+        words = "; ".join(change.words for change in changes.found) or self._statistic()
+        p_value = min(innovation.p_value, *(change.p_value for change in changes.found), 1.0)
+        return fact(
+            changes.code,
+            place,
+            {"p_value": innovation.p_value if changes.code == "unchanged" else p_value},
+            statistic=self._statistic(),
+            changes=words,
+            joints=", ".join(changes.joints),
+        )
 
     def _statistic(self) -> str:
-        its = self.innovation
-        if its.learnt_freedom is None:
-            size = significant(its.value, 4)
-            of = f"{its.degrees_of_freedom} degrees of freedom"
-            return f"chi-squared {size} at {of} (p = {chance(its.p_value)})"
-        ratio = significant(its.value / its.degrees_of_freedom, 3)
-        both = f"{its.degrees_of_freedom} and {significant(its.learnt_freedom, 3)}"
-        return f"F = {ratio} at {both} degrees of freedom (p = {chance(its.p_value)})"
+        innovation = self.innovation
+        if innovation.learnt_freedom is None:
+            size = significant(innovation.value, 4)
+            of = f"{innovation.degrees_of_freedom} degrees of freedom"
+            return f"chi-squared {size} at {of} (p = {chance(innovation.p_value)})"
+        ratio = significant(innovation.value / innovation.degrees_of_freedom, 3)
+        both = f"{innovation.degrees_of_freedom} and {significant(innovation.learnt_freedom, 3)}"
+        return f"F = {ratio} at {both} degrees of freedom (p = {chance(innovation.p_value)})"
 
-    def _better(self) -> Answer:
+    def _better(self) -> Fact:
         mine, drawn, gain = self.calibrated, self.nominal, self.gain
         if self.unplaced is not None:
-            words = f"The nominal machine cannot be placed: {self.unplaced}."
-            return Answer(None, "nominal-not-placed", None, words, None)
+            return fact("nominal-not-placed", reason=self.unplaced)
         if mine is None or drawn is None or gain is None:
-            words = "The accuracy is unknown: too few of these poses have measured outputs."
-            return Answer(None, "unknown-accuracy", None, words, None)
-        both = f"{with_unit(mine.rms, self.unit)} rms instead of {with_unit(drawn.rms, self.unit)}"
-        difference, sd = with_unit(gain.difference, self.unit), with_unit(gain.sd, self.unit, 2)
-        said = f"{both} (difference {difference}, sd {sd})."
-        if gain.better is None:
-            words = (
-                f"The calibrated machine predicts these poses about as well as the drawing: {said}"
-            )
-            remedy = "Measure more poses to decide."
-            return Answer(None, "like-nominal", gain.difference, words, remedy)
-        if gain.better:
-            words = f"The calibrated machine predicts these poses better than the drawing: {said}"
-            return Answer(True, "better-than-nominal", gain.difference, words, None)
-        words = f"The calibrated machine predicts these poses worse than the drawing: {said}"
-        remedy = "Do not use the calibration at poses like these. Calibrate with such poses."
-        return Answer(False, "worse-than-nominal", gain.difference, words, remedy)
+            return fact("unknown-accuracy")
+        code = {None: "like-nominal", True: "better-than-nominal", False: "worse-than-nominal"}
+        sizes = {"difference": gain.difference, "sd": gain.sd}
+        sizes |= {"rms": mine.rms, "nominal_rms": drawn.rms}
+        return fact(code[gain.better], numbers={n: Figure(v, self.unit) for n, v in sizes.items()})
 
     @property
     def headline(self) -> str:
         """The worst answer in words: what failed, then what is open, else the test."""
-        answers = [a for a in self.verdict.values() if a.code != "no-tolerance"]
+        answers = [a for a in self.verdict.values() if a.asked]
         return min(answers, key=lambda a: {False: 0, None: 1, True: 2}[a.passed]).words
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
-        its = self.innovation
+        innovation = self.innovation
         answers = {name: asdict(answer) for name, answer in self.verdict.items()}
-        told = {"calibrated": self.calibrated, "nominal": self.nominal, "expected": self.expected}
-        distances = {name: None if d is None else asdict(d) for name, d in told.items()}
+        accuracies = {
+            "calibrated": self.calibrated,
+            "nominal": self.nominal,
+            "expected": self.expected,
+        }
+        distances = {name: None if d is None else asdict(d) for name, d in accuracies.items()}
         return {
             "verdict": {**answers, "headline": self.headline},
+            "findings": [asdict(one) for one in self.findings],
             "accuracy": {"unit": self.unit, **distances},
             "chi_squared": {
-                "value": its.value,
-                "degrees_of_freedom": its.degrees_of_freedom,
-                "learnt_freedom": its.learnt_freedom,
-                "p_value": its.p_value,
+                "value": innovation.value,
+                "degrees_of_freedom": innovation.degrees_of_freedom,
+                "learnt_freedom": innovation.learnt_freedom,
+                "p_value": innovation.p_value,
             },
             "changes": None if self.changes is None else self.changes.document(),
             "placed": [asdict(one) for one in self.placed],
@@ -179,9 +176,19 @@ class Verification:
     def _accuracy_table(self) -> list[str]:
         shown = unit_shown(self.unit)
         rows = [["accuracy", f"mean [{shown}]", "rms", "95 %", "max"]]
-        told = {"nominal": self.nominal, "calibrated": self.calibrated, "expected": self.expected}
-        rows += [[n, *distances_shown(d, self.unit)] for n, d in told.items() if d is not None]
-        return columns(rows) if len(rows) > 1 else ["accuracy unknown: no measured outputs"]
+        accuracies = {
+            "nominal": self.nominal,
+            "calibrated": self.calibrated,
+            "expected": self.expected,
+        }
+        rows += [
+            [n, *distances_shown(d, self.unit)] for n, d in accuracies.items() if d is not None
+        ]
+        return (
+            columns(rows)
+            if len(rows) > 1
+            else ["accuracy unknown: too few of these poses have measured outputs"]
+        )
 
     def _placed_table(self) -> list[str]:
         rows = [["placed anew", "value", "sd", "unit"]]

@@ -1,7 +1,7 @@
 """One draw of a scenario: readings with noise, calibrated by every method, beside the truth.
 
 The random numbers of a draw depend on the study's seed, the scenario's name and the draw's number
-alone, and all methods see the same readings.
+alone. All methods see the same readings.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import DomainError, NoTrustworthyResult
+from loopcal.errors import DomainError, InputError, NoTrustworthyResult
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -32,13 +32,15 @@ SIGMAS = 1.959963984540054
 """Half width of a 95 % interval in sds."""
 POINTS = 25
 """Poses of a scenario at which end points are predicted, evenly spread over its list."""
+# By chance an error exceeds 6 sds in 2e-9 of the draws, so few needless fits are made.
 _SUSPICIOUS, _ELSEWHERE = 6.0, 1e-3
-"""An error of so many sds asks for a fit that starts at the truth; ending so many sds apart from
-it is another optimum."""
+"""Sds of an error above which a fit also starts at the truth, and sds between both ends above which
+they are two optima."""
 
 
 def seed_of(seed: int, scenario: str, draw: int | str) -> int:
     """The seed of a draw (128 bits): equal for equal study seed, scenario name and draw."""
+    # A hash, not SeedSequence of positions: scenarios can be added or reordered without new draws.
     digest = sha256(f"{seed}\n{scenario}\n{draw}".encode()).digest()
     return int.from_bytes(digest[:16], "big")
 
@@ -49,7 +51,7 @@ class _Points:
 
     x: Array
     outputs: Array
-    known: Array
+    pose_constants: Array
 
 
 def run_draws(
@@ -64,14 +66,11 @@ def run_draws(
 
     Raises InputError where a draw cannot be simulated.
     """
-    driven = Dataset.from_arrays(scenario.simulation.driven(seed_of(seed, scenario.name, "poses")))
     rows: list[dict[str, str | float]] = []
     chosen = range(len(scenario.methods)) if methods is None else methods
     with one_blas_thread():
         for draw in draws:
-            own = seed_of(seed, scenario.name, draw)
-            truth = scenario.simulation.machine(scenario.mechanism.parameters, own)
-            made = simulate(scenario.mechanism, driven, noise=scenario.noise, seed=own, truth=truth)
+            made = _simulated(scenario, seed, draw)
             points = _points(scenario.mechanism, made)
             for i in chosen:
                 method = scenario.methods[i]
@@ -89,28 +88,51 @@ def run_draws(
     }
 
 
+def _simulated(scenario: Scenario, seed: int, draw: int) -> Simulation:
+    """The readings of a draw; its poses are those of all draws."""
+    driven = Dataset.from_arrays(scenario.simulation.driven(seed_of(seed, scenario.name, "poses")))
+    draw_seed = seed_of(seed, scenario.name, draw)
+    truth = scenario.simulation.machine(scenario.mechanism.parameters, draw_seed)
+    return simulate(scenario.mechanism, driven, noise=scenario.noise, seed=draw_seed, truth=truth)
+
+
+def first_draw(scenario: Scenario, seed: int) -> dict[str, Result]:
+    """Method -> result for the readings of draw 0: one case behind the distributions.
+
+    A method that cannot evaluate this draw is left out.
+    """
+    made = _simulated(scenario, seed, 0)
+    results = {}
+    for method in scenario.methods:
+        try:
+            results[method.name] = calibrated(method, made)
+        except InputError:
+            continue
+    return results
+
+
 def _row(
     method: StudyMethod, names: Sequence[str], made: Simulation, points: _Points
 ) -> dict[str, str | float]:
     """One fit; a parameter that this method holds fixed has an error, and the sd 0."""
     try:
-        found = calibrated(method, made)
+        result = calibrated(method, made)
     except DomainError:
         return _without_result(names, "cannot_evaluate", 0)
     except NoTrustworthyResult:
         return _without_result(names, "sds_not_estimated", 0)
-    if not found.status.converged:
-        return _without_result(names, found.status.reason, found.status.iterations)
+    if not result.status.converged:
+        return _without_result(names, result.status.reason, result.status.iterations)
     row: dict[str, str | float] = {
-        "reason": found.status.reason,
+        "reason": result.status.reason,
         "converged": 1.0,
-        "iterations": float(found.status.iterations),
-        "chi_squared": found.solution.chi_squared,
+        "iterations": float(result.status.iterations),
+        "chi_squared": result.solution.chi_squared,
     }
-    row |= {f"error.{name}": made.parameters[name] - found.value[name] for name in names}
-    row |= {f"sd.{name}": found.sd[name] or 0.0 for name in names}
-    row |= _end_point(method.mechanism, found, points)
-    row["other_optimum"] = float(_is_elsewhere(method, made, found))
+    row |= {f"error.{name}": made.parameters[name] - result.value[name] for name in names}
+    row |= {f"sd.{name}": result.sd[name] or 0.0 for name in names}
+    row |= _end_point(method.mechanism, result, points)
+    row["other_optimum"] = float(_is_elsewhere(method, made, result))
     return row
 
 
@@ -136,16 +158,16 @@ def _without_result(names: Sequence[str], reason: str, iterations: int) -> dict[
     return row | {"other_optimum": 0.0}
 
 
-def _is_elsewhere(method: StudyMethod, made: Simulation, found: Result) -> bool:
+def _is_elsewhere(method: StudyMethod, made: Simulation, result: Result) -> bool:
     """Whether a fit that starts at the truth ends at another optimum.
 
     Its steps are damped even where the method's own are not: a full first step may leave the truth
     far behind.
     """
-    names = found.estimated
+    names = result.estimated
     truth = np.array([made.parameters[name] for name in names])
-    value = np.array([found.value[name] for name in names])
-    sd = np.array([found.sd[name] for name in names], dtype=np.float64)
+    value = np.array([result.value[name] for name in names])
+    sd = np.array([result.sd[name] for name in names], dtype=np.float64)
     rounding = 1e-6 * np.maximum(np.abs(truth), 1.0)
     if not (np.abs(truth - value) > np.maximum(_SUSPICIOUS * sd, rounding)).any():
         return False
@@ -164,27 +186,34 @@ def _points(mechanism: Mechanism, made: Simulation) -> _Points:
     poses = len(made.dataset)
     at = np.unique(np.linspace(0, poses - 1, min(poses, POINTS)).round().astype(int))
     x = np.array([made.quantities[name][at] for name in mechanism.tape.quantities])
-    known = np.array([made.dataset[name][at] for name in mechanism.tape.known])
+    pose_constants = np.array([made.dataset[name][at] for name in mechanism.tape.pose_constants])
     rows = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
-    return _Points(x, x[rows], known.reshape(len(mechanism.tape.known), len(at)))
+    return _Points(x, x[rows], pose_constants.reshape(len(mechanism.tape.pose_constants), len(at)))
 
 
-def _end_point(mechanism: Mechanism, found: Result, at: _Points) -> Mapping[str, float]:
+def _end_point(mechanism: Mechanism, result: Result, at: _Points) -> Mapping[str, float]:
     """How far predicted outputs are off at true readings, and whether their intervals hold."""
     units = {mechanism.quantities[name] for name in mechanism.outputs}
     if len(units) != 1:
         return dict.fromkeys(("end_point_rms", "end_point_max", "end_point_held"), math.nan)
-    parameters, covariance, o = found.solution.parameters, found.covariance, len(mechanism.outputs)
-    names, patterns = mechanism.tape.quantities, found.problem.patterns
+    parameters, covariance, o = (
+        result.solution.parameters,
+        result.covariance,
+        len(mechanism.outputs),
+    )
+    names, patterns = mechanism.tape.quantities, result.problem.patterns
     hidden = {
         names[i] for i in frozenset.intersection(*(frozenset(p.unmeasured) for p in patterns))
     }
     machine = solving(mechanism, hidden)
-    closed = predict_outputs(machine, parameters, at.x, at.known)
+    closed = predict_outputs(machine, parameters, at.x, at.pose_constants)
     off = closed[:o] - at.outputs
     x = at.x.copy()
     x[[names.index(name) for name in machine.outputs]] = closed
-    S = output_sensitivity(machine, parameters, found.estimated, x, at.known).by_parameter[:, :o]
+    S = output_sensitivity(
+        machine, parameters, result.estimated, x, at.pose_constants
+    ).by_parameter[:, :o]
+    # Rounding can leave a variance of 0 a little below 0.
     sd = np.sqrt(np.maximum(np.einsum("poi,ij,poj->op", S, covariance, S), 0.0))
     distance = np.sqrt(np.square(off).sum(axis=0))
     return {

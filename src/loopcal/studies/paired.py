@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+# 25 resamples beyond each quantile of 2.5 %; Efron and Tibshirani (1993) use 1000 for intervals.
 RESAMPLES = 1000
 LEVEL = 0.95
 
@@ -59,23 +60,23 @@ def paired(
     advantages = []
     for i, name in enumerate(names):
         closer_low, closer_high = binomial_interval(float(wins[i]), draws)
-        known = bool(np.isfinite(ratios[i]) and np.isfinite(low[i]) and np.isfinite(high[i]))
+        finite = bool(np.isfinite(ratios[i]) and np.isfinite(low[i]) and np.isfinite(high[i]))
         advantages.append(
             Advantage(
                 name,
                 float(wins[i]) / draws,
                 closer_low,
                 closer_high,
-                float(ratios[i]) if known else None,
-                float(low[i]) if known else None,
-                float(high[i]) if known else None,
+                float(ratios[i]) if finite else None,
+                float(low[i]) if finite else None,
+                float(high[i]) if finite else None,
             )
         )
     return Paired(methods, draws, tuple(advantages))
 
 
 def binomial_interval(wins: float, draws: int, level: float = LEVEL) -> tuple[float, float]:
-    """The exact interval of a share: of the probability that gives so many wins (Clopper-Pearson).
+    """The exact interval of the probability of a win (Clopper-Pearson).
 
     >>> [round(end, 3) for end in binomial_interval(970, 1000)]
     [0.957, 0.98]
@@ -99,10 +100,11 @@ def _bootstrap(squares: Array, seed: int) -> tuple[Array, Array]:
     """Quantiles (c,) of the ratios of rms errors over resampled draws."""
     rng = np.random.Generator(np.random.PCG64(seed))
     draws = len(squares)
-    found = []
+    ratios = []
     for _ in range(RESAMPLES):
+        # A resample is how often each draw is taken; its means follow from one product.
         counts = np.bincount(rng.integers(0, draws, draws), minlength=draws)
-        found.append(_ratio(counts @ squares / draws))
+        ratios.append(_ratio(counts @ squares / draws))
     tail = (1.0 - LEVEL) / 2.0
-    low, high = np.quantile(np.array(found), (tail, 1.0 - tail), axis=0)
+    low, high = np.quantile(np.array(ratios), (tail, 1.0 - tail), axis=0)
     return low, high

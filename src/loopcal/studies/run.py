@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from loopcal.errors import InputError, UsageError
+from loopcal.errors import InputError, Unfinished, UsageError
 from loopcal.execution.executor import Executor
 from loopcal.execution.local import Processes
 from loopcal.files.machines.python_function import load_function
+from loopcal.files.outputs import refuse_foreign
 from loopcal.files.study.study_file import Study, read_study
 from loopcal.files.study.study_parts import (
+    FILES,
     Part,
     join_parts,
     missing_parts,
@@ -58,7 +60,8 @@ def run_study(
     default NAME-study beside the study NAME.toml. Neither the executor nor where a run was stopped
     changes any value.
 
-    Raises InputError for a study or folder that cannot be used.
+    Raises InputError for a study or folder that cannot be used, and Unfinished for what goes wrong
+    once draws are written, which are kept.
     """
     if draws is not None and draws < 1:
         raise UsageError("draws are counted from 1", remedy="give 1 or more")
@@ -68,22 +71,34 @@ def run_study(
     if executor and sharing:
         sharing(executor)
     folder = _default_folder(study) if out is None else Path(out)
+    # Refused before the first draw, not after hours of them.
+    refuse_foreign(*(folder / name for name in FILES))
     open_folder(folder, study)
+    try:
+        return _drawn(study, draws, folder, executor, progress)
+    except InputError as error:
+        raise Unfinished.of(error) from None  # the draws until here are kept
+
+
+def _drawn(
+    study: Study, draws: int, folder: Path, executor: Executor | None, progress: Progress | None
+) -> StudyDone:
+    """Every draw that the folder does not hold yet, and the tables of all."""
     parts = parts_of(len(study.scenarios), draws)
     missing = missing_parts(folder, parts)
     methods = len(study.methods)
     total, done = sum(part.last - part.first for part in missing), 0
     with closing((executor or Processes()).run(_columns, study, missing)) as finished:
-        for found in finished:
-            part = missing[found.number]
-            write_part(folder, part, found.value)
+        for piece in finished:
+            part = missing[piece.number]
+            write_part(folder, part, piece.value)
             done += part.last - part.first
             if progress:
                 progress(done * methods, total * methods)
     made = tables(study, draws, join_parts(folder, parts))
-    text, told = summary(made), document(made)
-    write_summary(folder, told, text)
-    return StudyDone(study, made, folder, text, told)
+    text, study_document = summary(made), document(made)
+    write_summary(folder, study_document, text)
+    return StudyDone(study, made, folder, text, study_document)
 
 
 def _default_folder(study: Study) -> Path:

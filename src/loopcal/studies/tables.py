@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Columns = Mapping[str, Sequence[str] | Array]
 END_POINT = "end point"
 TELLING, LOWEST, HIGHEST = 1000, 0.1, 99.9
-"""So many draws tell whether a printed one lies outside these percentiles."""
+"""Draws from which it can be decided whether a printed one lies outside these percentiles."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ class Placed:
     def of(cls, error: float, errors: Array) -> Placed:
         """Where this error stands among those of the draws."""
         below, equal = np.sum(errors < error), np.sum(errors == error)
+        # Ties count half, so a printed error equal to all draws is their median.
         percentile = float(100.0 * (below + 0.5 * equal) / len(errors))
         sd = float(np.std(errors, ddof=1)) if len(errors) > 1 else 0.0
         outside = percentile < LOWEST or percentile > HIGHEST
@@ -122,10 +123,10 @@ def tables(study: Study, draws: int, columns: Columns) -> StudyTables:
     made = []
     for scenario in study.scenarios:
         rows = names == scenario.name
-        own: Columns = {
+        scenario_columns: Columns = {
             name: np.asarray(values)[rows] for name, values in columns.items() if name != "scenario"
         }
-        made.append(_scenario(study, scenario, own))
+        made.append(_scenario(study, scenario, scenario_columns))
     return StudyTables(study.title, study.seed, draws, tuple(made))
 
 
@@ -144,7 +145,10 @@ def _scenario(study: Study, scenario: Scenario, columns: Columns) -> ScenarioTab
     return ScenarioTable(
         scenario.name,
         scenario.simulation.poses,
-        tuple(_method(scenario, name, units, own) for name, own in of_method.items()),
+        tuple(
+            _method(scenario, name, units, method_columns)
+            for name, method_columns in of_method.items()
+        ),
         tuple(
             paired(
                 (first, other),
@@ -165,9 +169,9 @@ def _units(scenario: Scenario) -> dict[str, str]:
     return units | ({END_POINT: ends.pop()} if len(ends) == 1 else {})
 
 
-def _errors(own: Mapping[str, Array], units: Mapping[str, str]) -> Array:
+def _errors(method_columns: Mapping[str, Array], units: Mapping[str, str]) -> Array:
     """(draws, names), NaN where the fit did not converge."""
-    return np.column_stack([own[_column(name)].astype(float) for name in units])
+    return np.column_stack([method_columns[_column(name)].astype(float) for name in units])
 
 
 def _column(name: str) -> str:
@@ -175,22 +179,22 @@ def _column(name: str) -> str:
 
 
 def _method(
-    scenario: Scenario, name: str, units: Mapping[str, str], own: Mapping[str, Array]
+    scenario: Scenario, name: str, units: Mapping[str, str], columns: Mapping[str, Array]
 ) -> MethodTable:
-    good = own["converged"].astype(float) == 1.0
-    reasons = [str(reason) for reason in own["reason"][~good]]
+    good = columns["converged"].astype(float) == 1.0
+    reasons = [str(reason) for reason in columns["reason"][~good]]
     published = scenario.published.get(name, {})
     spreads = []
     for parameter, unit in units.items():
-        errors = own[_column(parameter)].astype(float)
-        known = good & np.isfinite(errors)
-        if not known.any():
+        errors = columns[_column(parameter)].astype(float)
+        finite = good & np.isfinite(errors)
+        if not finite.any():
             continue  # nothing converged, or no end point can be predicted
-        errors = errors[known]
+        errors = errors[finite]
         if parameter == END_POINT:
-            held = float(own["end_point_held"][known].astype(float).mean())
+            held = float(columns["end_point_held"][finite].astype(float).mean())
         else:
-            sd = own[f"sd.{parameter}"][known].astype(float)
+            sd = columns[f"sd.{parameter}"][finite].astype(float)
             held = float(np.mean(np.abs(errors) <= SIGMAS * sd))
         spread = Spread.of(parameter, unit, errors, held)
         if parameter in published:
@@ -200,6 +204,6 @@ def _method(
         name,
         len(good),
         {reason: reasons.count(reason) for reason in sorted(set(reasons))},
-        int(np.nansum(own["other_optimum"].astype(float))),
+        int(np.nansum(columns["other_optimum"].astype(float))),
         tuple(spreads),
     )

@@ -19,20 +19,21 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress
 from loopcal.execution.executor import Executor
-from loopcal.files.project.fit_entries import ValidationSpec
+from loopcal.files.outputs import one_command, refuse_foreign
+from loopcal.files.project.fit_table import Validation
 from loopcal.files.project.project_data import LoadedData, load_dataset
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import ParquetStream, project_stream
 from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.files.result import result_file
 from loopcal.files.result.residual_parts import NAME as RESIDUALS
-from loopcal.files.versions import versions as known_versions
+from loopcal.files.versions import versions as installed_versions
 from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.calibrate import calibrate
 from loopcal.statistics.findings import Findings, findings
-from loopcal.statistics.verdict import refuses, verdict_of
-from loopcal.workflow.projects import named_project
+from loopcal.statistics.verdict import judged, refuses
+from loopcal.workflow.projects import named_project, stored_files
 
 Addition = Callable[[ResultDocument], ResultDocument]
 """Adds to the document of a result what was asked for beside the fit."""
@@ -66,7 +67,8 @@ class Request:
     require: questions of the verdict that must be answered with yes, beside "sound"; folds: of a
     validation, instead of the project's; profile: parameters that get a profile interval, beside
     those of the project; compare: whether the project's models are compared, and the result is
-    that of the one recommended; report: whether report.html is written as well.
+    that of the one recommended; report: whether report.html is written as well; history: folder to
+    which the result is added.
     """
 
     method: str | None = None
@@ -77,6 +79,7 @@ class Request:
     profile: Sequence[str] = ()
     compare: bool = False
     report: bool = False
+    history: str | Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +131,7 @@ def run_calibration(
                 code="unknown-name",
                 remedy=nearest(name, QUESTIONS),
             )
-    run = _Run(named_project(project, function), request, out, executor, listeners)
+    run = _Run(named_project(project, function), request, out, executor, listeners, function)
     stream = project_stream(run.project)
     folded = run.fit.method.choice or (run.validation is not None and run.validation.folds)
     if executor and not (folded or stream or run.patterns or request.compare):
@@ -158,13 +161,14 @@ class _Finished:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """One run: a project, what is asked of it, where results go, who works and who is told."""
+    """One run: a project, what is asked of it, where results go, who does the fits and listens."""
 
     project: Project
     request: Request
     out: str | Path | None
     executor: Executor | None
     listeners: Listeners
+    function: str | None = None
 
     @cached_property
     def truth(self) -> Mapping[str, float] | None:
@@ -187,11 +191,11 @@ class _Run:
             raise error.at(self.project.name) from None
 
     @cached_property
-    def validation(self) -> ValidationSpec | None:
+    def validation(self) -> Validation | None:
         """The validation asked for."""
         if self.request.folds is None:
             return self.project.fit.validation
-        return ValidationSpec(folds=self.request.folds)
+        return Validation(folds=self.request.folds)
 
     @property
     def patterns(self) -> tuple[str, ...]:
@@ -203,6 +207,7 @@ class _Run:
         """Where results go."""
         return default_folder(self.project) if self.out is None else Path(self.out)
 
+    # Blocks of a pose are small: two threads double the processor time for no gain (`scratch`).
     @one_blas_thread()
     def in_memory(self) -> Calibration:
         """Calibrate from poses that are all in memory, and write the result."""
@@ -245,7 +250,11 @@ class _Run:
             notice=self.listeners.notice,
         )
         try:
-            done = self._written(self._finished(_Done(run.result), stream.warnings))
+            finished = self._finished(_Done(run.result), stream.warnings)
+            # Before result.json: another run may have removed the residuals of this one.
+            run.parts.check()
+            done = self._written(finished)
+            # After it: a run that dies in between can still resume.
             run.finish()
         except BaseException:
             run.undo()
@@ -255,7 +264,13 @@ class _Run:
 
     def _begin(self) -> None:
         """Meet what is wrong with the request before any work, then tell who shares in it."""
+        # Cached properties: their refusals come now, not after an hour of fitting.
         _ = self.truth, self.fit
+        refuse_foreign(*(self.folder / name for name in (*result_file.NAMES, "report.html")))
+        if self.request.history is not None:
+            from loopcal.files.history.folder import refuse_no_history
+
+            refuse_no_history(self.request.history)
         if self.executor and self.listeners.sharing:
             self.listeners.sharing(self.executor)
 
@@ -310,34 +325,37 @@ class _Run:
         from loopcal.statistics.validate import validate
 
         assert self.validation is not None
-        given: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
+        options: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
         poses = loaded.dataset.poses
-        given |= validation_arguments(self.project, self.validation, poses) | self._shared("folds")
+        options |= validation_arguments(self.project, self.validation, poses)
+        options |= self._shared("folds")
         try:
-            found = validate(self.project.mechanism, loaded.dataset, **given, full=result)
+            validated = validate(self.project.mechanism, loaded.dataset, **options, full=result)
         except NoTrustworthyResult as error:
+            # A fold that fails leaves the calibration of all poses as it is.
             return _Done(result.noted(f"Not validated: {error}"))
-        return _Done(result, (found.added_to,))
+        return _Done(result, (validated.added_to,))
 
     def _compared(self, loaded: LoadedData) -> _Done:
         """The calibration with the recommended one of the project's models."""
         from loopcal.statistics.models import compare_models
 
         project = self.project
-        given: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
-        asked = self.validation or ValidationSpec(folds=10)
-        given |= validation_arguments(project, asked, loaded.dataset.poses)
-        given |= self._shared("folds")
-        found = compare_models(project.mechanism, loaded.dataset, project.compare, **given)
-        return _Done(found.result, (found.added_to,))
+        options: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
+        # On poses not used a model with more parameters has no advantage by them.
+        asked = self.validation or Validation(folds=10)
+        options |= validation_arguments(project, asked, loaded.dataset.poses)
+        options |= self._shared("folds")
+        comparison = compare_models(project.mechanism, loaded.dataset, project.compare, **options)
+        return _Done(comparison.result, (comparison.added_to,))
 
     def _profiled(self, done: _Done) -> _Done:
         from loopcal.statistics.intervals import intervals, with_intervals
 
         if not done.result.status.converged:
             return replace(done, result=done.result.noted(f"No profile intervals: {_UNCONVERGED}."))
-        found = intervals(done.result, self.patterns, **self._shared("intervals"))
-        return replace(done, add=(*done.add, partial(with_intervals, intervals=found)))
+        profiles = intervals(done.result, self.patterns, **self._shared("intervals"))
+        return replace(done, add=(*done.add, partial(with_intervals, intervals=profiles)))
 
     def _finished(self, done: _Done, warnings: Sequence[DataWarning]) -> _Finished:
         """The result with everything that its files tell."""
@@ -351,25 +369,27 @@ class _Run:
             errors = {name: value - result.value[name] for name, value in self.truth.items()}
             result = replace(result, errors=MappingProxyType(errors))
         asked = self.project.verdict
-        told = findings(result, asked.region)
-        document = told.added_to(result.document)
+        judgement = findings(result, asked.region)
+        document = judgement.added_to(result.document)
         for addition in done.add:
             document = addition(document)
-        judged = verdict_of(document, asked.tolerance)
+        files = stored_files(self.project, self.function, self.folder)
+        document = judged(document, asked.tolerance, files)
         words = tuple(str(warning) for warning in warnings)
         document = replace(
             document,
-            verdict=judged,
             title=self.project.title,
             warnings=(*words, *document.warnings),
             inputs=result_file.finite_only(self.project.inputs),
         )
-        result = result.adding(lambda _: document, judge=lambda _: judged)
-        return _Finished(result, told, words)
+        result = result.adding(lambda _: document, judge=lambda _: document)
+        return _Finished(result, judgement, words)
 
     def _written(self, done: _Finished) -> Calibration:
         """The result and its files."""
-        written = write_result(done.result, self.folder, report=self.request.report)
+        written = save_result(
+            done.result, self.folder, report=self.request.report, history=self.request.history
+        )
         objection = self._objection(written.document)
         return Calibration(done.result, done.findings, written, done.warnings, objection)
 
@@ -403,6 +423,7 @@ def calibrated(project: Project) -> Result:
     return _Run(project, Request(), None, None, Listeners()).finished().result
 
 
+@one_command
 def write_result(
     result: Result,
     folder: str | Path,
@@ -411,25 +432,42 @@ def write_result(
     inputs: Mapping[str, Any] | None = None,
     warnings: tuple[str, ...] = (),
     report: bool = False,
+    force: bool = False,
 ) -> WrittenResult:
     """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
 
     The folder is made if need be. title, inputs (the project as it was read) and warnings go to
     result.json, beside what the result says itself; `findings` and a verdict are added where it has
-    none. report: whether report.html comes with them. Raises InputError, naming the file, the
-    reason and a remedy, where they cannot be written.
+    none. report: whether report.html comes with them; force: replace files that loopcal did not
+    write, keeping backups. Raises InputError, naming the file, the reason and a remedy, where they
+    cannot be written.
     """
-    told = result.document
-    if told.verdict is None:
-        told = findings(result).added_to(told)
-        told = replace(told, verdict=verdict_of(told))
-    versions = known_versions()
-    told = replace(
-        told,
+    return save_result(result, folder, title=title, inputs=inputs, warnings=warnings, report=report)
+
+
+def save_result(
+    result: Result,
+    folder: str | Path,
+    *,
+    title: str | None = None,
+    inputs: Mapping[str, Any] | None = None,
+    warnings: tuple[str, ...] = (),
+    report: bool = False,
+    history: str | Path | None = None,
+) -> WrittenResult:
+    """`write_result` within a command; history: folder to which the result is added with it."""
+    document = result.document
+    if document.verdict is None:
+        document = judged(
+            findings(result).added_to(document), files={"result": Path(folder).name or "."}
+        )
+    versions = installed_versions()
+    document = replace(
+        document,
         loopcal=versions["loopcal"],
-        title=told.title if title is None else title,
-        warnings=(*warnings, *told.warnings),
-        inputs=told.inputs if inputs is None else result_file.finite_only(inputs),
+        title=document.title if title is None else title,
+        warnings=(*warnings, *document.warnings),
+        inputs=document.inputs if inputs is None else result_file.finite_only(inputs),
         versions=versions,
     )
     page = None
@@ -437,7 +475,17 @@ def write_result(
         from loopcal.report.page import page_of
 
         page = page_of(result, folder)
-    return result_file.write_result(result, told, folder, report=page)
+    if history is None:
+        return result_file.write_result(result, document, folder, report=page)
+    from loopcal.workflow.history import calibration_entry, note_history
+    from loopcal.workflow.history import history as read_history
+
+    content = calibration_entry(document, result.calibrated, Path(folder) / "result.json")
+    written = result_file.write_result(
+        result, document, folder, report=page, entry=(history, content)
+    )
+    note_history(read_history(history), written.folder)
+    return written
 
 
 def default_folder(project: Project) -> Path:

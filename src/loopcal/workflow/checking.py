@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from loopcal.errors import InputError
@@ -20,7 +20,7 @@ from loopcal.planning.cure import Cure, cure
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.prediction import Prediction, predict
 from loopcal.statistics.predictor import predictor_of
-from loopcal.workflow.projects import named_project
+from loopcal.workflow.projects import named_project, project_files
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +46,7 @@ def run_check(project: str | Path, *, function: str | None = None) -> Checked:
     read = named_project(project, function)
     loaded = load_sample(read)
     noise: Noise | None = loaded.noise
+    # A method without noise needs no sds; stated ones are used where they are there.
     if read.fit.settings.method.exact and not loaded.noise.entries:
         noise = None
     try:
@@ -53,6 +54,7 @@ def run_check(project: str | Path, *, function: str | None = None) -> Checked:
         done = check(read.mechanism, loaded.dataset, noise=noise, start=read.fit.settings.start)
     except InputError as error:
         raise error.at(read.name) from None
+    done = replace(done, files=project_files(read, function))
     warnings = tuple(str(warning) for warning in loaded.warnings)
     return Checked(done, read.title, warnings, _cure(done, read, loaded.dataset, noise))
 
@@ -74,15 +76,16 @@ def run_prediction(
     out: a table to write (.csv, .tsv or .parquet). Raises InputError for what cannot be used.
     """
     if out is not None:
+        # Refused ahead of the work, not after it.
         check_ending(out)
     loops = None if function is None else load_function(function)
     read = read_result_folder(result, function=loops)
     try:
-        known = predictor_of(read.document, read.mechanism)
+        calibrated = predictor_of(read.document, read.mechanism)
     except InputError as error:
         raise error.at(str(read.path)) from None
     data = read_new_readings(readings, read.document.inputs, read.mechanism)
-    done = predict(known, data)
+    done = predict(calibrated, data)
     if out is not None:
         path = Path(out)
         write_files(path.parent, {path.name: table_bytes(done.columns(), path.suffix)})

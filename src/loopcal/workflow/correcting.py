@@ -12,31 +12,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.deployment.arms import Arms, arm_joints, arms_of
-from loopcal.deployment.corrected import Corrected, CorrectionBounds, Targets, corrected
+from loopcal.deployment.corrected import (
+    Corrected,
+    CorrectionBounds,
+    Refusal,
+    Targets,
+    corrected,
+)
 from loopcal.deployment.correction import Correction, Left
 from loopcal.deployment.inverse import solve
-from loopcal.deployment.refusals import Refusal
 from loopcal.deployment.rigid import inverse
 from loopcal.deployment.solutions import solutions, with_turns
-from loopcal.deployment.straight import StraightMove, straight_move
+from loopcal.deployment.straight import StraightMove, divided, line_errors
 from loopcal.deployment.tool import CALIBRATED, Tool, tool_of
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
+from loopcal.files.atomic import write_atomic
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
+from loopcal.files.outputs import refuse_foreign
 from loopcal.files.programs.copying import inserted
+from loopcal.files.programs.corrected import (
+    corrected_already,
+    correction_mark,
+    refuse_corrected,
+)
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.poses_text import pose_of_turns
 from loopcal.files.programs.program import Program, ProgramTarget
-from loopcal.files.programs.reader import beside, read_program, refuse_existing, write_program
+from loopcal.files.programs.reader import beside, read_program
 from loopcal.files.project.new_readings import result_columns, result_pose_column
 from loopcal.files.recognition.robots import dh_robot
-from loopcal.files.result.deployed import CORRECTION, note_deployed, result_path
+from loopcal.files.result.deployed import CORRECTION, note_deployed, result_path, was_corrected
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.predictor import Predictor, predictor, predictor_of
-from loopcal.workflow.given import readings, result_of
+from loopcal.statistics.predictor import Predictor, predictor
+from loopcal.workflow.resolved import readings, result_of
 from loopcal.workflow.saved_result import SavedResult
 
 Array = NDArray[np.float64]
+# 10 nm and 10 nrad: three decades below what an arm repeats.
 _NEAR = 1e-8
 
 
@@ -67,56 +80,62 @@ def correct(
     joint. Raises InputError for what cannot be used. Source: Denavit-Hartenberg pose redefinition,
     doi 10.1177/16878132221090094.
     """
-    given = result_of(result)
-    known, nominal, inputs = _known(given)
+    calibrated, nominal, inputs = _model_of(result_of(result))
     if not isinstance(tool, str):
         tool = [*(1e-3 * float(v) for v in tool[:3]), *np.radians(tool[3:]).tolist()]
-    seated = tool_of(known.mechanism, nominal, tool)
-    joints = arm_joints(known.mechanism)
+    seated = tool_of(calibrated.mechanism, nominal, tool)
+    joints = arm_joints(calibrated.mechanism)
     of_controller = _controller(controller, joints)
-    arms = arms_of(known.mechanism, nominal, seated, of_controller, at, known.typical)
+    arms = arms_of(calibrated.mechanism, nominal, seated, of_controller, at, calibrated.typical)
     bounds, at = bounds or CorrectionBounds(), at or {}
     if not isinstance(targets, str | Path):
-        return _of_table(arms, known, targets, bounds, at)
+        return _of_table(arms, calibrated, targets, bounds, at)
     axes = JointAxes(
         joints,
-        result_columns(inputs, known.mechanism),
-        result_pose_column(inputs, known.mechanism),
+        result_columns(inputs, calibrated.mechanism),
+        result_pose_column(inputs, calibrated.mechanism),
         tuple(pulses),
     )
     program = read_program(targets, axes)
+    refuse_corrected(program)
+    # Three numbers are a shift without a turn.
     placed = np.eye(4) if frame is None else pose_of_turns([*frame, 0.0, 0.0, 0.0][:6])
     wanted = _wanted(arms, program, placed, frame is not None)
-    found = corrected(arms, known, wanted, bounds, at)
+    corrections = corrected(arms, calibrated, wanted, bounds, at)
+    # T_frame_target = T_base_frame^-1 T_base_target: programs state poses in their frame.
     new = {
-        i: program.write(target, found.joints[i], inverse(placed) @ found.poses[i])
+        i: program.write(target, corrections.joints[i], inverse(placed) @ corrections.poses[i])
         for i, target in enumerate(program.targets)
-        if found.refused[i] is None
+        if corrections.refused[i] is None
     }
     changed = tuple(
         Refusal("configuration-changed", "the corrected joints are in another configuration")
         if refusal is None and not program.fits(target, q)
         else refusal
-        for target, q, refusal in zip(program.targets, found.joints, found.refused, strict=True)
+        for target, q, refusal in zip(
+            program.targets, corrections.joints, corrections.refused, strict=True
+        )
     )
+    # The correction may carry a joint across the border of a quadrant or turn.
     new = {i: texts for i, texts in new.items() if changed[i] is None}
-    found = replace(found, refused=changed)
-    moves, ahead = _straight(arms, program, found, bounds.line), dict[int, list[list[str]]]()
+    corrections = replace(corrections, refused=changed)
+    moves, ahead = _straight(arms, program, corrections, bounds.line), dict[int, list[list[str]]]()
     for index, move in moves.items():
         if len(move.inserted):
-            own = program.targets[move.end]
+            end = program.targets[move.end]
             poses = inverse(placed) @ arms.controller(move.inserted)
             pairs = zip(move.inserted, poses, strict=True)
-            ahead[index] = [program.write(own, q, pose) for q, pose in pairs]
+            ahead[index] = [program.write(end, q, pose) for q, pose in pairs]
+    mark = correction_mark(program) if new else []
     return Correction(
         arms,
-        found,
+        corrections,
         program.name,
         program.kind,
         tuple(target.line for target in program.targets),
         tuple(Left(note.line, note.words) for note in program.noted),
         _remarks(seated, arms),
-        program.edited(new, inserted(program, ahead)),
+        program.edited(new, [*inserted(program, ahead), *mark]),
         moves=tuple(moves.values()),
     )
 
@@ -126,59 +145,59 @@ def run_correct(
     targets: str | Path,
     *,
     out: str | Path | None = None,
-    force: bool = False,
     **options: Any,
 ) -> Correction:
     """`correct` a program on the disk, and write the corrected one.
 
-    out: by default NAME-corrected beside the program; a file that exists is replaced only with
-    force. Nothing is written where every target is refused. The report of the result shows it.
+    out: by default NAME-corrected beside the program. Nothing is written where every target is
+    refused. The report of the result shows it.
     """
     path = beside(targets) if out is None else Path(out)
-    refuse_existing(path, force)
+    refuse_foreign(path)
+    # By SHA-256: formats without a place for the mark are recognised too.
+    if was_corrected(result_path(result), Path(targets)):
+        raise corrected_already(str(targets))
     done = correct(result, targets, **options)
     if not done.corrected.done.any():
         return done
-    write_program(path, done.content)
+    write_atomic(path, done.content)
     done = replace(done, written=str(path))
-    note_deployed(result_path(result), CORRECTION, Path(targets).name, done.document())
+    name, document = Path(targets).name, done.document()
+    note_deployed(result_path(result), CORRECTION, name, document, [done.content])
     return done
 
 
-def _known(given: Any) -> tuple[Predictor, dict[str, float], Mapping[str, Any]]:
+def _model_of(result: Any) -> tuple[Predictor, dict[str, float], Mapping[str, Any]]:
     """What is known of the machine, the drawing's values, and the project of the result."""
-    if isinstance(given, SavedResult):
-        try:
-            known = predictor_of(given.document, given.mechanism)
-        except InputError as error:
-            raise error.at(str(given.path)) from None
-        nominal = {p.name: p.nominal for p in given.document.parameters}
-        return known, nominal, given.document.inputs
-    if not isinstance(given, Result):
+    if isinstance(result, SavedResult):
+        nominal = {p.name: p.nominal for p in result.document.parameters}
+        return result.predictor, nominal, result.document.inputs
+    if not isinstance(result, Result):
         raise InputError(
-            f"{given!r} is no result",
+            f"{result!r} is no result",
             code="invalid-value",
             remedy="give a result of calibrate, or the path of its folder",
         )
-    found = predictor(given)
-    if found is None:
+    calibrated = predictor(result)
+    if calibrated is None:
         raise InputError(
-            f"{given.mechanism.name!r} has no outputs to predict",
+            f"{result.mechanism.name!r} has no outputs to predict",
             code="no-outputs",
             remedy="correct targets by the result of a measured arm",
         )
-    return found, {p.name: p.nominal for p in given.mechanism.parameters}, {}
+    return calibrated, {p.name: p.nominal for p in result.mechanism.parameters}, {}
 
 
 def _controller(
-    given: Mechanism | str | Path | None, joints: Mapping[str, str]
+    controller: Mechanism | str | Path | None, joints: Mapping[str, str]
 ) -> Mechanism | None:
-    if given is None or isinstance(given, Mechanism):
-        return given
-    path = Path(given)
+    if controller is None or isinstance(controller, Mechanism):
+        return controller
+    path = Path(controller)
     if path.suffix.lower() == ".toml":
         return read_mechanism(path)
     table = dict(dh_robot(path, ()).table)
+    # A controller's table has other names: its joints are matched by their order.
     table["joint"] = [
         {**joint, "name": name} for joint, name in zip(table["joint"], joints, strict=False)
     ]
@@ -186,10 +205,10 @@ def _controller(
 
 
 def _of_table(
-    arms: Arms, known: Predictor, table: Any, bounds: CorrectionBounds, at: Mapping[str, float]
+    arms: Arms, calibrated: Predictor, table: Any, bounds: CorrectionBounds, at: Mapping[str, float]
 ) -> Correction:
     """Joint targets of a DataFrame, dict or Dataset [SI]."""
-    data = readings(table, known.mechanism)
+    data = readings(table, calibrated.mechanism)
     missing = [joint for joint in arms.joints if joint not in data.readings]
     if missing:
         raise InputError(
@@ -200,10 +219,10 @@ def _of_table(
     q = np.array([data.readings[joint] for joint in arms.joints]).T
     cartesian = np.zeros(len(q), dtype=bool)
     targets = Targets(data.poses, q, arms.controller(q), cartesian, np.zeros(q.shape))
-    found = corrected(arms, known, targets, bounds, at)
+    corrections = corrected(arms, calibrated, targets, bounds, at)
     lines = tuple(range(1, len(q) + 1))
     remarks = _remarks(arms.tool, arms)
-    return Correction(arms, found, "", "joints", lines, (), remarks)
+    return Correction(arms, corrections, "", "joints", lines, (), remarks)
 
 
 def _wanted(arms: Arms, program: Program, frame: Array, stated: bool) -> Targets:
@@ -211,10 +230,11 @@ def _wanted(arms: Arms, program: Program, frame: Array, stated: bool) -> Targets
 
     stated: whether the user states the frame of the poses.
     """
-    count, n = len(program.targets), len(arms.joints)
-    q, poses = np.full((count, n), np.nan), np.full((count, 4, 4), np.nan)
-    step, missing = np.zeros((count, max(n, 6))), {}
-    for i, target in enumerate(program.targets):
+    targets, n = program.targets, len(arms.joints)
+    q, poses = np.full((len(targets), n), np.nan), np.full((len(targets), 4, 4), np.nan)
+    step, missing = np.zeros((len(targets), max(n, 6))), {}
+    placed = []
+    for i, target in enumerate(targets):
         step[i, : len(target.step)] = target.step
         if target.pose is None:
             q[i] = target.joints
@@ -223,36 +243,50 @@ def _wanted(arms: Arms, program: Program, frame: Array, stated: bool) -> Targets
             missing[i] = Refusal("not-stated", words)
         else:
             poses[i] = frame @ target.pose
-            found = _joints_of(arms, program, target, poses[i])
-            if isinstance(found, Refusal):
-                missing[i] = found
-            else:
-                q[i] = found
-    written = np.array([target.cartesian for target in program.targets], dtype=bool)
-    known = np.isfinite(q).all(axis=1) & ~written
-    poses[known] = arms.controller(q[known])
-    names = tuple(target.name for target in program.targets)
+            placed.append(i)
+    for i, joints in _joints_of(arms, program, placed, poses).items():
+        if isinstance(joints, Refusal):
+            missing[i] = joints
+        else:
+            q[i] = joints
+    written = np.array([target.cartesian for target in targets], dtype=bool)
+    # A Cartesian target keeps the pose that is written; rounding of its joints would shift it.
+    solved = np.isfinite(q).all(axis=1) & ~written
+    poses[solved] = arms.controller(q[solved])
+    names = tuple(target.name for target in targets)
     return Targets(names, q, poses, written, step, missing)
 
 
-def _joints_of(arms: Arms, program: Program, target: ProgramTarget, pose: Array) -> Array | Refusal:
-    """The joints that the controller takes at a pose, or why they are not known."""
+def _joints_of(
+    arms: Arms, program: Program, placed: Sequence[int], poses: Array
+) -> dict[int, Array | Refusal]:
+    """The joints that the controller takes at the poses of these targets, or why unknown."""
     if len(arms.joints) > 6:
         words = "a redundant arm takes a pose in many ways; give joint targets"
-        return Refusal("configuration-missing", words)
-    if target.joints is not None:
-        near = solve(arms.controller, pose[None], target.joints[None])
-        if not near.settled[0] or np.abs(near.left[0]).max() > _NEAR:
-            words = "the controller's model does not reach this pose from the seed"
-            return Refusal("not-reached", words)
-        seeded: Array = near.joints[0]
-        return seeded
-    every = solutions(arms, pose)
+        return dict.fromkeys(placed, Refusal("configuration-missing", words))
+    joints_of = dict[int, Array | Refusal]()
+    seeds = {i: joints for i in placed if (joints := program.targets[i].joints) is not None}
+    if seeds:
+        near = solve(arms.controller, poses[[*seeds]], np.array([*seeds.values()]))
+        reached = near.settled & ~(np.abs(near.left).max(axis=1) > _NEAR)
+        words = "the controller's model does not reach this pose from the seed"
+        for i, joints, good in zip(seeds, near.joints, reached, strict=True):
+            joints_of[i] = joints if good else Refusal("not-reached", words)
+    free = [i for i in placed if i not in seeds]
+    for i, every in zip(free, solutions(arms, poses[free]), strict=True):
+        joints_of[i] = _stated(arms, program, program.targets[i], every)
+    return joints_of
+
+
+def _stated(arms: Arms, program: Program, target: ProgramTarget, every: Array) -> Array | Refusal:
+    """Of all joints (m, n) that give a pose those that the program states."""
     fitting: list[Array] = []
     for turns in (0, 1):  # of joints without limits
-        for one in every:
-            ways = [q for q in with_turns(arms, one, turns) if program.fits(target, q)]
-            fitting += sorted(ways, key=lambda q: float(np.abs(q).max()))[:1]
+        for ways in with_turns(arms, every, turns):
+            fits = ways[program.fits(target, ways)]
+            if len(fits):
+                # Whole turns change no pose: the way nearest to zero represents all.
+                fitting.append(fits[np.argmin(np.abs(fits).max(axis=1))])
         if fitting:
             break
     fitting = program.chosen(target, fitting)
@@ -269,23 +303,35 @@ def _joints_of(arms: Arms, program: Program, target: ProgramTarget, pose: Array)
 
 
 def _straight(
-    arms: Arms, program: Program, found: Corrected, bound: float | None
+    arms: Arms, program: Program, corrections: Corrected, bound: float | None
 ) -> dict[int, StraightMove]:
     """The straight moves between corrected targets, by their index in the program."""
-    moves, done = dict[int, StraightMove](), found.done
-    for at, (last, move) in enumerate(pairwise(program.moves), 1):
-        if last is None or move is None or not move.straight:
-            continue
-        ends = (last.target, move.target)
-        if not all(done[i] for i in ends):
-            continue
-        q, wanted = found.joints[list(ends)], found.targets.poses[list(ends)]
-        own = straight_move(arms, ends, move.line, q, wanted, None if move.fixed else bound)
-        why = move.fixed if bound is not None and own.error > bound else own.why
-        if not all(program.fits(program.targets[move.target], one) for one in own.inserted):
-            own = straight_move(arms, ends, move.line, q, wanted, None)
-            why = "in between the arm leaves the configuration that the target states"
-        moves[at] = replace(own, why=why)
+    done, none = corrections.done, np.empty((0, corrections.joints.shape[1]))
+    straight = {
+        at: (last.target, move)
+        for at, (last, move) in enumerate(pairwise(program.moves), 1)
+        if last is not None and move is not None and move.straight
+        if done[last.target] and done[move.target]
+    }
+    ends = np.array([(begin, move.target) for begin, move in straight.values()], dtype=np.intp)
+    q, wanted = (
+        corrections.joints[ends.reshape(-1, 2)],
+        corrections.targets.poses[ends.reshape(-1, 2)],
+    )
+    errors, moves = line_errors(arms, q, wanted).tolist(), dict[int, StraightMove]()
+    for i, (at, (begin, move)) in enumerate(straight.items()):
+        straight_move = StraightMove(begin, move.target, move.line, errors[i], none)
+        if bound is not None and move.fixed:
+            straight_move = replace(
+                straight_move, why=move.fixed if straight_move.error > bound else ""
+            )
+        elif bound is not None:
+            apart = divided(arms, straight_move, q[i], wanted[i], bound)
+            if not program.fits(program.targets[move.target], apart.inserted).all():
+                why = "in between the arm leaves the configuration that the target states"
+                apart = replace(straight_move, why=why)
+            straight_move = apart
+        moves[at] = straight_move
     return moves
 
 

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from loopcal.deployment.exporting import exported
 from loopcal.document.exported import Exported, accuracy_lines
 from loopcal.document.verdict import Verdict
-from loopcal.errors import InputError, nearest
-from loopcal.files.exports.format import VENDORS, ExportOptions, Format
+from loopcal.errors import InputError, listed, nearest
+from loopcal.files.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.files.exports.geometry_json import accuracy
 from loopcal.files.exports.placing import PlacedFiles, place_files
-from loopcal.files.exports.registry import format_named
+from loopcal.files.exports.registry import EXPORTS, format_named
+from loopcal.files.exports.tables import ORIENTATIONS
+from loopcal.files.machines.mechanism_writer import source_file
 from loopcal.files.machines.python_function import load_function
-from loopcal.files.result.deployed import EXPORT, note_deployed
-from loopcal.files.result.result_poses import read_result_poses
+from loopcal.files.outputs import one_command
+from loopcal.files.result.deployed import EXPORT, PREVIEW, note_deployed
 from loopcal.presentation.shown import with_unit
-from loopcal.statistics.predictor import predictor, predictor_of
-from loopcal.workflow.given import result_of
+from loopcal.statistics.predictor import predictor
+from loopcal.workflow.resolved import result_of
 from loopcal.workflow.saved_result import SavedResult, read_result
 
 OFFSETS = ("origin", "file")
@@ -69,6 +72,7 @@ class Export:
         return "\n".join(lines).lstrip("\n")
 
 
+@one_command
 def export(
     result: Any,
     to: str,
@@ -82,13 +86,13 @@ def export(
 ) -> Export:
     """A calibrated machine in a format for its controller, description or simulator.
 
-    result: of `calibrate` or `read_result`, or the path of its folder; to: "urdf", "xacro", "ur",
-    "dh", "mdh", "mjcf", "sdf", "zeros", "frames" or "json"; out: folder in which the files are
+    result: of `calibrate` or `read_result`, or the path of its folder; to: the format, such as
+    "urdf" or "json" (`loopcal export --help` lists all); out: folder in which the files are
     written, none are without it; source: the user's own file, for "urdf" the URDF that was
     calibrated; offsets: "origin", or "file" where the controller adds the zero offsets itself;
-    vendor: "kuka", "fanuc", "yaskawa" or "abb", whose orientation convention "frames" follows;
-    counts: joint -> encoder counts per degree (of a slide per mm), for "zeros"; force: replace
-    files that exist, keeping backups.
+    vendor: whose orientation convention "frames" follows, such as "kuka"; counts: joint -> encoder
+    counts per degree (of a slide per mm), for "zeros"; force: replace files that exist, keeping
+    backups.
 
     Effects beyond geometry are left out and the geometry is refitted to the full model's
     predictions in the working region (`Export.machine.accuracy` states what that costs).
@@ -97,19 +101,18 @@ def export(
     file that exists with another content.
     """
     one = format_named(to)
-    _check_options(one, source, offsets, vendor)
-    given = result_of(result)
-    if isinstance(given, SavedResult):
-        document, mechanism = given.document, given.mechanism
-        poses = read_result_poses(given.path.parent, mechanism)
-        known = None if document.prediction is None else predictor_of(document, mechanism)
+    _check_options(one, source, offsets, vendor, counts)
+    calibration = result_of(result)
+    document = calibration.judged
+    if isinstance(calibration, SavedResult):
+        mechanism, poses = calibration.mechanism, calibration.poses
+        predicting = None if document.prediction is None else calibration.predictor
     else:
-        document, mechanism, poses = given.document, given.calibrated, given.dataset
-        known = predictor(given)
-    machine = exported(document, mechanism, poses, known, offsets_apart=offsets == "file")
-    _check_machine(one, machine, source)
-    its = ExportOptions(None if source is None else Path(source), vendor, dict(counts or {}))
-    done = one.write(machine, its)
+        mechanism, poses = calibration.calibrated, calibration.dataset
+        predicting = predictor(calibration)
+    machine = exported(document, mechanism, poses, predicting, offsets_apart=offsets == "file")
+    options = ExportOptions(None if source is None else Path(source), vendor, dict(counts or {}))
+    done = _written(one, machine, options, source_file(mechanism))
     files = {n: c.encode() if isinstance(c, str) else c for n, c in done.files.items()}
     warnings = (
         *_verdict(document.verdict),
@@ -117,7 +120,7 @@ def export(
         *_worse(one, machine),
         *done.warnings,
     )
-    placed = None if out is None else place_files(out, files, force=force)
+    placed = None if out is None else place_files(out, files)
     return Export(one.name, files, machine, (*warnings, *machine.warnings), placed)
 
 
@@ -130,31 +133,38 @@ def run_export(
     loops = None if function is None else load_function(function)
     read = read_result(result, mechanism=loops)
     done = export(read, to, out=read.path.parent / "export" if out is None else out, **options)
-    note_deployed(read.path, EXPORT, done.format, done.document())
+    if PREVIEW not in Path(out or "").parts:  # what is only looked at is not deployed
+        note_deployed(read.path, EXPORT, done.format, done.document(), done.files.values())
     return done
 
 
-def _check_options(one: Format, source: Any, offsets: str, vendor: str | None) -> None:
+def _check_options(
+    one: Format, source: Any, offsets: str, vendor: str | None, counts: Mapping[str, float] | None
+) -> None:
     """Raise InputError for options that the format does not take."""
     if offsets not in OFFSETS:
         raise InputError(
             f"offsets is {offsets!r}", code="unknown-name", remedy="give 'origin' or 'file'"
         )
-    if vendor is not None and vendor not in VENDORS:
+    if vendor is not None and vendor not in ORIENTATIONS:
         raise InputError(
-            f"there is no vendor {vendor!r}", code="unknown-name", remedy=nearest(vendor, VENDORS)
+            f"there is no vendor {vendor!r}",
+            code="unknown-name",
+            remedy=nearest(vendor, ORIENTATIONS),
         )
-    if source is not None and not one.source:
+    stated = {
+        "source": source is not None,
+        "offsets": offsets != OFFSETS[0],
+        "vendor": vendor is not None,
+        "counts": bool(counts),
+    }
+    takes = (*one.options, *(["source"] if one.source else []))
+    for option in [name for name, is_stated in stated.items() if is_stated and name not in takes]:
+        others = [other.name for other in EXPORTS.values() if option in other.options]
         raise InputError(
-            f"the format {one.name!r} takes no source",
+            f"the format {one.name!r} takes no {option}",
             code="conflicting-keys",
-            remedy="remove --source",
-        )
-    if offsets == "file" and one.needs != "origins":
-        raise InputError(
-            f"the format {one.name!r} keeps no zero offsets apart",
-            code="conflicting-keys",
-            remedy="remove --offsets; 'zeros' tables what to enter in the controller",
+            remedy=f"remove --{option}" + (f"; {listed(others)} take it" if others else ""),
         )
 
 
@@ -165,28 +175,57 @@ _LACKS = {
 }
 
 
-def _check_machine(one: Format, machine: Exported, source: Any) -> None:
-    """Raise InputError for a machine that a format cannot hold, and for a lacking source."""
-    there = {
+def _written(
+    one: Format, machine: Exported, options: ExportOptions, read_from: Path | None
+) -> ExportFiles:
+    """The files of a format; read_from: the file that the machine was read from.
+
+    Raises InputError; where the format cannot hold the machine, it names those that can.
+    """
+    try:
+        return _of_format(one, machine, options, read_from)
+    except InputError as error:
+        if error.code != "unsupported":
+            raise
+        able = []
+        for other in EXPORTS.values():
+            # Only the writer of a format shows whether it can hold the machine.
+            with suppress(InputError):
+                _of_format(other, machine, ExportOptions(), read_from)
+                able.append(repr(other.name))
+        raise InputError(
+            error.message,
+            code=error.code,
+            place=error.place,
+            remedy=f"export one of these, which take this machine: {', '.join(able)}",
+        ) from None
+
+
+def _of_format(
+    one: Format, machine: Exported, options: ExportOptions, read_from: Path | None
+) -> ExportFiles:
+    """The files of a format. Raises InputError for a machine that it cannot hold, and for a lacking
+    source."""
+    holds = {
         "parameters": True,
         "chain": machine.chain is not None,
         "origins": bool(machine.origins),
         "zeros": bool(machine.zeros),
     }
-    if not there[one.needs]:
+    if not holds[one.needs]:
         raise InputError(
             f"{machine.name!r} cannot be exported as {one.name!r}: {_LACKS[one.needs]}",
             code="unsupported",
-            remedy="export 'json': all parameters by name"
-            if one.needs != "origins"
-            else "export 'mjcf', 'sdf', 'dh' or 'json'",
         )
-    if one.source and not one.optional and source is None:
+    if one.described and options.source is None:
+        options = replace(options, source=read_from)
+    if one.source and not one.optional and options.source is None:
         raise InputError(
             f"the format {one.name!r} needs {one.source}",
             code="missing-key",
             remedy="name the file: --source FILE",
         )
+    return one.write(machine, options)
 
 
 def _verdict(verdict: Verdict | None) -> tuple[str, ...]:
@@ -219,7 +258,7 @@ def _cost(one: Format, machine: Exported) -> tuple[str, ...]:
 def _worse(one: Format, machine: Exported) -> tuple[str, ...]:
     """Whether zeros and tool alone would make the arm less accurate where it was measured."""
     alone, nominal = machine.of("zeros and tool"), machine.of("nominal")
-    if one.needs != "zeros" or not alone or not nominal:
+    if not one.nominal or not alone or not nominal:
         return ()
     after, before = alone.measured, nominal.measured
     if not after or not before or after.rms <= before.rms:

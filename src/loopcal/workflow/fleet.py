@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from loopcal.document.result_document import ResultDocument
-from loopcal.errors import InputError
+from loopcal.errors import InputError, UsageError
 from loopcal.estimation.inherited import UPDATED
 from loopcal.estimation.result import Result
-from loopcal.files.atomic import write_atomic
+from loopcal.files.atomic import Data, write_all
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.start_writer import Start, start_to_toml
 from loopcal.files.result.deployed import FLEET, note_deployed, result_path
@@ -41,23 +41,31 @@ def run_fleet(
     Raises InputError for what cannot be read, compared or written.
     """
     loops = None if function is None else load_function(function)
-    found = learn([_read(read_result_folder(path, function=loops), str(path)) for path in results])
-    starts = {p.name: Start(p.mean, p.prior_sd, p.unit) for p in found.parameters}
+    comparison = learn(
+        [_read(read_result_folder(path, function=loops), str(path)) for path in results]
+    )
+    # prior_sd is of one more machine: that of the spread is in it (docs/decisions/0084).
+    starts = {p.name: Start(p.mean, p.prior_sd, p.unit) for p in comparison.parameters}
     remarks = (
-        f"Where the next machine of this type begins: {found.machine}.",
-        f"Learnt from {len(found.machines)} machines. Put this into its project file.",
+        f"Where the next machine of this type begins: {comparison.machine}.",
+        f"Learnt from {len(comparison.machines)} machines. Put this into its project file.",
         "value: mean of the machines; sd: of one more machine, lengths in m, angles in rad.",
     )
-    write_atomic(out, start_to_toml(remarks, starts))
-    written = [Path(out)]
+    written: dict[Path, Data] = {Path(out): start_to_toml(remarks, starts)}
     if report:
         from loopcal.report.life_pages import fleet_html
 
-        written.append(Path(out).with_suffix(".html"))
-        write_atomic(written[-1], fleet_html(found))
+        names = ", ".join(result_path(path).parent.name for path in results)
+        page = Path(out).with_suffix(".html")
+        if page in written:
+            raise UsageError(
+                "--out is the page itself", remedy="name a .toml file; the page comes beside it"
+            )
+        written[page] = fleet_html(comparison, names)
+    write_all(written)
     for path in results:
-        note_deployed(result_path(path), FLEET, Path(out).stem, found.document())
-    return FleetDone(found, tuple(written))
+        note_deployed(result_path(path), FLEET, Path(out).stem, comparison.document())
+    return FleetDone(comparison, tuple(written))
 
 
 def fleet(results: Sequence[Result | SavedResult | str | Path]) -> Fleet:
@@ -74,8 +82,8 @@ def fleet(results: Sequence[Result | SavedResult | str | Path]) -> Fleet:
 
 def _measured(result: Result | SavedResult | str | Path, name: str) -> MeasuredMachine:
     if isinstance(result, Result):
-        known = Calibrated.of(result, name)
-        return _machine(known, result.document)
+        calibrated = Calibrated.of(result, name)
+        return _machine(calibrated, result.document)
     if isinstance(result, SavedResult):
         return _read(result.folder, str(result.path.parent))
     return _read(read_result_folder(result), str(result))
@@ -87,12 +95,12 @@ def _read(read: ReadResult, name: str) -> MeasuredMachine:
     )
 
 
-def _machine(known: Calibrated, document: ResultDocument) -> MeasuredMachine:
+def _machine(calibrated: Calibrated, document: ResultDocument) -> MeasuredMachine:
     if not document.status.converged:
         raise InputError(
-            f"the result {known.name!r} did not converge",
+            f"the result {calibrated.name!r} did not converge",
             code="not-converged",
             remedy="calibrate this machine again, or leave it out",
         )
     updated = document.method_label == UPDATED
-    return MeasuredMachine.of(known, document.data.used, updated=updated)
+    return MeasuredMachine.of(calibrated, document.data.used, updated=updated)

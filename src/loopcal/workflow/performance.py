@@ -57,12 +57,12 @@ def run_performance(
     out: str | Path | None = None,
 ) -> Performance:
     """The figures, and their page where a file is named for it; distances: "P2,P4"."""
-    found = pose_performance(attained, errors, distances=[_pair(text) for text in distances])
+    figures = pose_performance(attained, errors, distances=[_pair(text) for text in distances])
     if out is not None:
         from loopcal.report.performance_page import performance_html
 
-        write_atomic(out, performance_html(found, attained))
-    return found
+        write_atomic(out, performance_html(figures, attained))
+    return figures
 
 
 def new_performance(name: str | Path) -> tuple[Path, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.document.plain import plain
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
-from loopcal.files.atomic import write_files
+from loopcal.files.atomic import write_all
+from loopcal.files.json_writer import marked, marked_json
+from loopcal.files.outputs import refuse_foreign
 from loopcal.files.paths import expanded
-from loopcal.files.programs.reader import write_program
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables
@@ -40,9 +39,11 @@ POSES, DOCUMENT, PAGE = "plan.csv", "plan.json", "plan.html"
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A plan and where it was written; program: for the controller, where one was asked for."""
+    """A plan and where it was written; document: of plan.json; program: for the controller, where
+    one was asked for."""
 
     plan: Plan
+    document: Mapping[str, Any]
     title: str
     folder: Path
     files: tuple[str, ...]
@@ -54,7 +55,7 @@ class PlanRequest:
     """What the options of `loopcal plan` ask for.
 
     candidates, existing: paths; report: write the page; program: path of a program for the
-    controller; pulses: per degree of each joint, for it; force: replace it where it exists.
+    controller; pulses: per degree of each joint, for it.
     """
 
     poses: int = 30
@@ -64,11 +65,10 @@ class PlanRequest:
     report: bool = True
     program: str | None = None
     pulses: Sequence[float] = ()
-    force: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class PlanningBasis:
     """What a plan begins from: the machine, its noise, and poses already measured.
 
     calibrated: by a fit, whose own terms say what geometry does not explain.
@@ -99,36 +99,37 @@ def run_plan(
     """
     read = named_project(project, function)
     folder = Path(out) if out is not None else plan_folder(read)
-    known = known_of(read, request.existing)
-    told = None if request.program is None else Path(request.program)
+    refuse_foreign(*(folder / name for name in (POSES, DOCUMENT, PAGE)))
+    basis = basis_of(read, request.existing)
+    program_path = None if request.program is None else Path(request.program)
     write = None
-    if told is not None:
-        pulses, force = request.pulses, request.force
-        write = program_writer(known.mechanism, told, pulses=pulses, force=force)
+    if program_path is not None:
+        write = program_writer(basis.mechanism, program_path, pulses=request.pulses)
     try:
         made = plan(
-            known.mechanism,
+            basis.mechanism,
             request.poses,
-            noise=known.noise,
+            noise=basis.noise,
             candidates=candidates_of(read, request.candidates),
-            existing=known.existing,
+            existing=basis.existing,
             criterion=request.criterion,
-            settings=known.settled(settings_of(read)),
+            settings=basis.settled(settings_of(read)),
             progress=progress,
         )
     except InputError as error:
         raise error.at(read.name) from None
     files: dict[str, str | bytes] = dict(_tables(made, read, folder))
-    document = {"title": read.title, **made.document()}
-    files[DOCUMENT] = json.dumps(plain(document), indent=1, ensure_ascii=False) + "\n"
+    document = marked({"title": read.title, **made.document()}, files)
+    files[DOCUMENT] = marked_json(document)
     if request.report:
-        files[PAGE] = plan_html(made, read.title, known.mechanism)
-    write_files(folder, files, remove=() if request.report else (PAGE,))
-    if known.calibrated:
+        files[PAGE] = plan_html(made, read.title, basis.mechanism, read.name)
+    written: dict[Path, str | bytes] = {folder / name: data for name, data in files.items()}
+    if program_path is not None and write is not None:
+        written[program_path] = write(made)
+    write_all(written, remove=() if request.report else (folder / PAGE,))
+    if basis.calibrated:
         note_deployed(result_path(str(request.existing)), PLAN, folder.name, document)
-    if told is not None and write is not None:
-        write_program(told, write(made))
-    return Planned(made, read.title, folder, tuple(files), told)
+    return Planned(made, document, read.title, folder, tuple(files), program_path)
 
 
 def plan_folder(project: Project) -> Path:
@@ -147,41 +148,46 @@ def settings_of(project: Project) -> PlanSettings:
     return replace(project.plan, forbidden=rows)
 
 
-def known_of(project: Project, existing: Any = None) -> Known:
+def basis_of(project: Project, existing: Any = None) -> PlanningBasis:
     """The machine and noise of a project, or those that a calibration has found.
 
     existing: a result, the folder of one, or a file of readings in the project's columns.
     """
     if existing is None:
-        return Known(project.mechanism, project.noise.noise())
+        return PlanningBasis(project.mechanism, project.noise.noise())
     if isinstance(existing, Dataset):
-        return Known(project.mechanism, project.noise.noise(), existing)
+        return PlanningBasis(project.mechanism, project.noise.noise(), existing)
     if isinstance(existing, str | Path) and poses_of_result(existing, project.mechanism) is None:
         data = read_new_readings(existing, project.inputs, project.mechanism, whole=True)
-        return Known(project.mechanism, project.noise.noise(), data)
+        return PlanningBasis(project.mechanism, project.noise.noise(), data)
     return of_calibration(existing)
 
 
-def of_calibration(result: Any) -> Known:
+def of_calibration(result: Any) -> PlanningBasis:
     """What a calibration leaves to plan from: its machine, learnt sds and poses."""
-    known = _calibrated(result)
-    if known.poses is None:
+    calibrated = _calibrated(result)
+    if calibrated.poses is None:
         raise InputError(
             "the result has no residuals.csv, which holds its readings",
             code="missing-file",
-            place=known.name,
+            place=calibrated.name,
             remedy="give the file of readings",
         )
-    names = known.mechanism.parameters.names
-    sds = dict(zip(names, known.prior_sd.tolist(), strict=True))
-    mechanism = known.mechanism.with_parameters(known.mechanism.parameters.with_prior(sds))
+    names = calibrated.mechanism.parameters.names
+    sds = dict(zip(names, calibrated.prior_sd.tolist(), strict=True))
+    mechanism = calibrated.mechanism.with_parameters(
+        calibrated.mechanism.parameters.with_prior(sds)
+    )
+    # An sd of inf: what has no noise in the result was not measured.
     entries: dict[str, float] = dict.fromkeys(mechanism.quantities, np.inf)
-    entries |= {q: e.sd for e in known.noise for q in e.quantities if q in entries}
-    model = [e.sd for e in known.noise if e.role == "disturbance"]
+    entries |= {q: e.sd for e in calibrated.noise for q in e.quantities if q in entries}
+    model = [e.sd for e in calibrated.noise if e.role == "disturbance"]
     entries |= {MODEL: model[0]} if model else {}
-    kept = {q: v for q, v in known.poses.readings.items() if q not in mechanism.disturbances}
-    data = Dataset(kept, known.poses.units, known.poses.poses, {}, known.poses.source)
-    return Known(mechanism, Noise(entries), data, calibrated=True)
+    kept = {q: v for q, v in calibrated.poses.readings.items() if q not in mechanism.disturbances}
+    data = Dataset(
+        kept, calibrated.poses.units, calibrated.poses.poses, {}, calibrated.poses.source
+    )
+    return PlanningBasis(mechanism, Noise(entries), data, calibrated=True)
 
 
 def _calibrated(result: Any) -> Calibrated:

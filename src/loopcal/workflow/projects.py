@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from loopcal.errors import UsageError, nearest
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.templates import TEMPLATES
 from loopcal.files.result import result_file
-
-if TYPE_CHECKING:
-    pass
-
 
 SCHEMAS = ("project", "result")
 
@@ -71,3 +68,19 @@ def schema(name: str) -> dict[str, Any]:
 def named_project(path: str | Path, function: str | None) -> Project:
     """The project of a file; function: FILE.py:NAME of its loops, where they are Python code."""
     return read_project(path, mechanism=None if function is None else load_function(function))
+
+
+def project_files(project: Project, function: str | None) -> dict[str, str]:
+    """Names for the command lines of findings; empty where the project's file is not all of it."""
+    return {} if project.path is None or function else {"project": str(project.path)}
+
+
+def stored_files(project: Project, function: str | None, folder: Path) -> dict[str, str]:
+    """The same with the result's folder, as they are typed in the project's folder.
+
+    What is stored must not depend on the folder in which the command was typed.
+    """
+    if not project_files(project, function) or project.path is None:
+        return {}
+    result = os.path.relpath(folder, project.path.parent)
+    return {"project": project.path.name, "result": Path(result).as_posix()}

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import wraps
 from inspect import Parameter, signature
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit
@@ -29,7 +29,6 @@ from loopcal.statistics import calibrate as calibrating
 from loopcal.statistics import (
     change_points,
     comparison,
-    judging,
     models,
     outliers,
     prediction,
@@ -41,25 +40,31 @@ from loopcal.statistics import findings as finding
 from loopcal.statistics import intervals as bounding
 from loopcal.statistics import reliability as redundancy
 from loopcal.statistics import validate as validating
+from loopcal.statistics import verdict as judge
 from loopcal.statistics.compared import Compared
 from loopcal.statistics.repeats import Repeats
 from loopcal.workflow.calibration import calibrated
-from loopcal.workflow.given import (
+from loopcal.workflow.planning import (
+    PlanningBasis,
+    basis_of,
+    candidates_of,
+    of_calibration,
+    settings_of,
+)
+from loopcal.workflow.resolved import (
     Stated,
     Units,
-    calibrated_from,
     described,
     fitted,
     later_readings,
-    predictor_from,
     readings,
     result_of,
     stated,
 )
-from loopcal.workflow.planning import Known, candidates_of, known_of, of_calibration, settings_of
+from loopcal.workflow.saved_result import SavedResult
 from loopcal.workflow.simulation import simulated
 
-Found = TypeVar("Found", covariant=True)
+Output = TypeVar("Output")
 Described = TypeVar("Described", bound=Callable[..., Any])
 _FIT = frozenset(Fit.__dataclass_fields__)
 _ON_MACHINE = """
@@ -78,50 +83,25 @@ _ON_FIT = """
     """
 
 
-class OnMachine(Protocol[Found]):
-    """A function of a mechanism and its readings, or of a project that states both."""
-
-    def __call__(
-        self, mechanism: Any, data: Any = None, *more: Any, units: Units = None, **options: Any
-    ) -> Found:
-        """The options are those of the function below this layer."""
-
-
-class OnResult(Protocol[Found]):
-    """A function of a result and further readings."""
-
-    def __call__(
-        self, calibration: Any, data: Any, *, units: Units = None, **options: Any
-    ) -> Found:
-        """The options are those of the function below this layer."""
-
-
-class OnFit(Protocol[Found]):
-    """A function of a result with its fit."""
-
-    def __call__(self, result: Any, *more: Any, **options: Any) -> Found:
-        """The options are those of the function below this layer."""
-
-
 def _on_machine(
-    function: Callable[..., Found], whole: Callable[[Project], Found] | None = None
-) -> OnMachine[Found]:
+    function: Callable[..., Output], whole: Callable[[Project], Output] | None = None
+) -> Callable[..., Output]:
     """whole: does for a project alone all that its file asks for."""
     takes = signature(function).parameters
 
     @wraps(function)
     def accepting(
         mechanism: Any, data: Any = None, *more: Any, units: Units = None, **options: Any
-    ) -> Found:
+    ) -> Output:
         if whole and data is None and not options:
             project = described(mechanism)
             if isinstance(project, Project):
                 return whole(project)
-        its = stated(mechanism, data, units)
-        given = _with_own(its, options, takes)
-        refuse_other_units(its.mechanism, its.data, Noise.of(given.get("noise")))
-        found = function(its.mechanism, its.data, *more, **given)
-        return _titled(found, its.title) if isinstance(found, Result) else found
+        inputs = stated(mechanism, data, units)
+        chosen = _with_stated(inputs, options, takes)
+        refuse_other_units(inputs.mechanism, inputs.data, Noise.of(chosen.get("noise")))
+        output = function(inputs.mechanism, inputs.data, *more, **chosen)
+        return _titled(output, inputs.title) if isinstance(output, Result) else output
 
     return _described(accepting, function, _ON_MACHINE)
 
@@ -131,46 +111,51 @@ def _titled(result: Any, title: str | None) -> Any:
     return result.adding(lambda document: replace(document, title=title)) if title else result
 
 
-def _with_own(its: Stated, options: Mapping[str, Any], takes: Mapping[str, Any]) -> dict[str, Any]:
+def _with_stated(
+    inputs: Stated, options: Mapping[str, Any], takes: Mapping[str, Any]
+) -> dict[str, Any]:
     """The options given, and where they are silent those of the project."""
-    own = {key: value for key, value in its.options.items() if key in takes}
-    given = dict(options)
-    if "fit" in own and "fit" not in given:
-        own["fit"] = own["fit"].changed(**{k: given.pop(k) for k in _FIT & given.keys()})
-    return {**own, **given}
+    of_project = {key: value for key, value in inputs.options.items() if key in takes}
+    rest = dict(options)
+    if "fit" in of_project and "fit" not in rest:
+        # A single setting changes the project's fit; a whole fit replaces it.
+        changes = {key: rest.pop(key) for key in _FIT & rest.keys()}
+        of_project["fit"] = of_project["fit"].changed(**changes)
+    return {**of_project, **rest}
 
 
 def _on_result(
-    function: Callable[..., Found], needed: Callable[[Any], Any], *, whole: bool
-) -> OnResult[Found]:
+    function: Callable[..., Output], needed: str, *, whole: bool
+) -> Callable[..., Output]:
     """needed: what the function takes of a result from a folder; whole: read the outputs too."""
 
     @wraps(function)
-    def accepting(calibration: Any, data: Any, *, units: Units = None, **options: Any) -> Found:
+    def accepting(calibration: Any, data: Any, *, units: Units = None, **options: Any) -> Output:
         result = result_of(calibration)
-        return function(needed(result), later_readings(result, data, units, whole=whole), **options)
+        poses = later_readings(result, data, units, whole=whole)
+        return function(_taken(result, needed), poses, **options)
 
     return _described(accepting, function, _ON_RESULT)
 
 
-def _on_fit(function: Callable[..., Found]) -> OnFit[Found]:
+def _on_fit(function: Callable[..., Output]) -> Callable[..., Output]:
     @wraps(function)
-    def accepting(result: Any, *more: Any, **options: Any) -> Found:
+    def accepting(result: Any, *more: Any, **options: Any) -> Output:
         return function(fitted(result), *more, **options)
 
     return _described(accepting, function, _ON_FIT)
 
 
-def _described(accepting: Described, function: Callable[..., Any], told: str) -> Described:
+def _described(accepting: Described, function: Callable[..., Any], words: str) -> Described:
     """With the signature and documentation of the function, and what is accepted beyond."""
-    own = signature(function)
-    listed = list(own.parameters.values())
-    if told is not _ON_FIT:
+    taken = signature(function)
+    listed = list(taken.parameters.values())
+    if words is not _ON_FIT:
         end = next((i for i, p in enumerate(listed) if p.kind is Parameter.VAR_KEYWORD), None)
         new = Parameter("units", Parameter.KEYWORD_ONLY, default=None, annotation=Units)
         listed.insert(len(listed) if end is None else end, new)
-    vars(accepting)["__signature__"] = own.replace(parameters=listed)
-    accepting.__doc__ = f"{(function.__doc__ or '').rstrip()}\n{told}"
+    vars(accepting)["__signature__"] = taken.replace(parameters=listed)
+    accepting.__doc__ = f"{(function.__doc__ or '').rstrip()}\n{words}"
     return accepting
 
 
@@ -178,15 +163,15 @@ calibrate = _on_machine(calibrating.calibrate, calibrated)
 check = _on_machine(checking.check)
 validate = _on_machine(validating.validate)
 compare_models = _on_machine(models.compare_models)
-predict = _on_result(prediction.predict, predictor_from, whole=False)
-verify = _on_result(verification.verify, calibrated_from, whole=True)
-update = _on_result(updating.update, calibrated_from, whole=True)
+predict = _on_result(prediction.predict, "predictor", whole=False)
+verify = _on_result(verification.verify, "calibrated", whole=True)
+update = _on_result(updating.update, "calibrated", whole=True)
 findings = _on_fit(finding.findings)
 find_outliers = _on_fit(outliers.find_outliers)
 find_shifts = _on_fit(change_points.find_shifts)
 reliability = _on_fit(redundancy.reliability)
 intervals = _on_fit(bounding.intervals)
-verdict = _on_fit(judging.verdict)
+verdict = _on_fit(judge.verdict)
 
 
 @wraps(validating.compare_methods)
@@ -199,10 +184,10 @@ def compare_methods(
     **validation: Any,
 ) -> validating.MethodComparison:
     """`compare_methods`, of paths too."""
-    its = stated(mechanism, data, units)
+    inputs = stated(mechanism, data, units)
     takes = signature(validating.validate).parameters
-    every = {name: _with_own(its, how, takes) for name, how in methods.items()}
-    return validating.compare_methods(its.mechanism, its.data, every, **validation)
+    every = {name: _with_stated(inputs, how, takes) for name, how in methods.items()}
+    return validating.compare_methods(inputs.mechanism, inputs.data, every, **validation)
 
 
 @wraps(comparison.compare)
@@ -210,9 +195,13 @@ def compare(a: Any, b: Any, *, poses: Any = None, align: bool = True) -> Compare
     """`compare`, of paths too."""
     first, second = result_of(a), result_of(b)
     at = None if poses is None else later_readings(first, poses, None, whole=False)
-    return comparison.compare(
-        calibrated_from(first), calibrated_from(second), poses=at, align=align
-    )
+    both = [_taken(result, "calibrated") for result in (first, second)]
+    return comparison.compare(*both, poses=at, align=align)
+
+
+def _taken(result: Any, needed: str) -> Any:
+    """What a function needs of a result from a folder; others as they are."""
+    return getattr(result, needed) if isinstance(result, SavedResult) else result
 
 
 @wraps(simulating.simulate)
@@ -220,14 +209,14 @@ def simulate(
     mechanism: Any, readings: Any = None, *, seed: int, units: Units = None, **options: Any
 ) -> Simulation:
     """`simulate`, of paths too."""
-    its = described(mechanism)
-    if readings is None and isinstance(its, Project):
-        return simulated(its, seed)
-    given = stated(its, readings, units)
-    own = _with_own(given, options, signature(simulating.simulate).parameters)
+    machine = described(mechanism)
+    if readings is None and isinstance(machine, Project):
+        return simulated(machine, seed)
+    inputs = stated(machine, readings, units)
+    chosen = _with_stated(inputs, options, signature(simulating.simulate).parameters)
     if "start" not in options:
-        own.pop("start", None)  # of a fit
-    return simulating.simulate(given.mechanism, given.data, seed=seed, **own)
+        chosen.pop("start", None)  # of a fit
+    return simulating.simulate(inputs.mechanism, inputs.data, seed=seed, **chosen)
 
 
 @wraps(planning.plan)
@@ -241,27 +230,29 @@ def plan(
     **options: Any,
 ) -> Plan:
     """`plan`, of paths and projects too."""
-    its = described(mechanism)
-    if isinstance(its, Project):
-        known = known_of(its, existing)
-        options.setdefault("settings", settings_of(its))
+    description = described(mechanism)
+    if isinstance(description, Project):
+        basis = basis_of(description, existing)
+        options.setdefault("settings", settings_of(description))
     elif (
         existing is None or isinstance(existing, Dataset | Mapping) or hasattr(existing, "columns")
     ):
-        machine = getattr(its, "mechanism", its)
+        machine = getattr(description, "mechanism", description)
         data = None if existing is None else readings(existing, machine, units)
-        known = Known(machine, options.pop("noise", getattr(its, "noise", None)), data)
+        basis = PlanningBasis(
+            machine, options.pop("noise", getattr(description, "noise", None)), data
+        )
     else:
-        known = of_calibration(existing)
-    options.setdefault("noise", known.noise)
-    options["settings"] = known.settled(options.get("settings") or PlanSettings())
+        basis = of_calibration(existing)
+    options.setdefault("noise", basis.noise)
+    options["settings"] = basis.settled(options.get("settings") or PlanSettings())
     if candidates is not None:
-        if isinstance(its, Project) and isinstance(candidates, str | Path):
-            candidates = candidates_of(its, candidates)
+        if isinstance(description, Project) and isinstance(candidates, str | Path):
+            candidates = candidates_of(description, candidates)
         else:
-            candidates = readings(candidates, known.mechanism, units)
+            candidates = readings(candidates, basis.mechanism, units)
     return planning.plan(
-        known.mechanism, poses, candidates=candidates, existing=known.existing, **options
+        basis.mechanism, poses, candidates=candidates, existing=basis.existing, **options
     )
 
 
@@ -273,20 +264,20 @@ def repeated_readings(series: Any) -> Repeats:
     return repeats.repeated_readings([_dataset(s) for s in every])
 
 
-def _dataset(given: Any) -> Dataset:
-    if isinstance(given, Dataset):
-        return given
-    return read_dataset(given) if isinstance(given, str | Path) else Dataset.from_arrays(given)
+def _dataset(data: Any) -> Dataset:
+    if isinstance(data, Dataset):
+        return data
+    return read_dataset(data) if isinstance(data, str | Path) else Dataset.from_arrays(data)
 
 
 @wraps(project_data.load_dataset)
 def load_dataset(project: Project | str | Path) -> LoadedData:
     """`load_dataset`, of a path too."""
-    its = described(project)
-    if not isinstance(its, Project):
+    description = described(project)
+    if not isinstance(description, Project):
         raise InputError(
             "a mechanism file names no readings",
             code="invalid-value",
             remedy="give a Project, or the path of one",
         )
-    return project_data.load_dataset(its)
+    return project_data.load_dataset(description)

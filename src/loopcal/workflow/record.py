@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from loopcal.errors import InputError
-from loopcal.files.atomic import write_atomic
+from loopcal.files.atomic import write_all
 from loopcal.files.result.record_file import RecordCheck, RecordFile, check_record, record_files
 from loopcal.files.result.result_file import read_result
 from loopcal.files.toml.place import Place
@@ -86,12 +86,10 @@ def record(
     texts = {key: str(value) for key, value in stated.items() if value is not None}
     content = record_content(document, texts, files)
     html = record_page(content)
+    # Ahead of all writing: what does not validate is not written (docs/decisions/0083).
     xml = _certificate(content, html, schema) if dcc else None
-    write_atomic(page, html)
-    beside = page.with_suffix(".xml")
-    if xml is not None:
-        write_atomic(beside, xml)
-    at = None if xml is None else beside
+    at = None if xml is None else page.with_suffix(".xml")
+    write_all({page: html} if at is None or xml is None else {page: html, at: xml})
     return Record(page, content.number, content.title, files, content.missing, at)
 
 
@@ -101,10 +99,11 @@ def _certificate(content: RecordContent, html: str, schema: str | Path | None) -
 
     xml = record_dcc(content, html)
     if schema is not None:
-        found = schema_version(Path(schema))
-        if found != VERSION:
+        version = schema_version(Path(schema))
+        # Elements and their order differ from version to version.
+        if version != VERSION:
             raise InputError(
-                f"this schema is of version {found or 'unknown'}; loopcal writes {VERSION}",
+                f"this schema is of version {version or 'unknown'}; loopcal writes {VERSION}",
                 code="wrong-schema",
                 place=str(schema),
                 remedy=f"name the dcc.xsd of https://www.ptb.de/dcc/v{VERSION}/",
@@ -123,10 +122,10 @@ def verify_record(path: str | Path) -> RecordCheck:
 
 def _stated(project: Path) -> dict[str, Any]:
     """[record] of a project file as it is now."""
-    from loopcal.files.project.project_schema import ProjectModel
-    from loopcal.files.toml.model import validated
+    from loopcal.files.project.project_schema import ProjectTables
+    from loopcal.files.toml.tables import read_tables
 
     place = Place(str(project))
     data = read_toml(project)
     checked_schema(data, place)
-    return validated(ProjectModel, data, place).record.model_dump()
+    return asdict(read_tables(ProjectTables, data, place).made("record"))

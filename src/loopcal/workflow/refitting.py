@@ -71,12 +71,12 @@ def run_refit(
         raise InputError("the project streams its readings", code="unsupported", place=read.name)
     loaded = load_dataset(read)
     case = Case(read.mechanism, loaded.dataset, loaded.noise, fit)
-    found = continued(case, ending)
-    accuracy = found.accuracy_after
+    result = continued(case, ending)
+    accuracy = result.accuracy_after
     if accuracy is None:
         raise InputError("the machine has no outputs", code="unsupported", place=read.name)
-    whole = pose_table(found)
+    whole = pose_table(result)
     after, readings = dict(whole.differences_after), dict(whole.readings)
     table = PoseTable(whole.poses, differences_after=after, readings=readings)
-    label, ended = found.fit.label, found.status.converged
-    return Refit(label, ended, accuracy.unit, accuracy.distances, table, dict(found.value))
+    label, ended = result.fit.label, result.status.converged
+    return Refit(label, ended, accuracy.unit, accuracy.distances, table, dict(result.value))

@@ -21,10 +21,14 @@ from loopcal.figures.figure import Figure
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.result.result_file import read_result as read_document
 from loopcal.files.result.result_folder import ReadResult, read_result_folder
+from loopcal.files.result.result_poses import read_result_poses
 from loopcal.lazy import cached_property
+from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.report.drawn import figures
 from loopcal.report.source import Source, read_source, source_of
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.predictor import Predictor, predictor_of
 from loopcal.workflow.calibration import write_result
 
 Array = NDArray[np.float64]
@@ -40,6 +44,11 @@ class SavedResult(Views):
     document: ResultDocument
     path: Path
     loops: Loops | Mechanism | None = field(default=None)
+
+    @property
+    def judged(self) -> ResultDocument:
+        """The document: it was judged when it was written."""
+        return self.document
 
     @property
     def verdict(self) -> Verdict | None:
@@ -88,12 +97,28 @@ class SavedResult(Views):
         return self.folder.mechanism
 
     @cached_property
+    def poses(self) -> Dataset | None:
+        """The poses used; None where residuals.csv is not there."""
+        return read_result_poses(self.path.parent, self.mechanism)
+
+    @cached_property
+    def predictor(self) -> Predictor:
+        """What predictions need. Raises InputError for a result without outputs."""
+        try:
+            return predictor_of(self.document, self.mechanism)
+        except InputError as error:
+            raise error.at(str(self.path)) from None
+
+    @cached_property
+    def calibrated(self) -> Calibrated:
+        """What comparisons and verifications need."""
+        name = str(self.path.parent)
+        return Calibrated.from_document(self.document, self.mechanism, self.poses, name)
+
+    @cached_property
     def source(self) -> Source:
         """With what became of every reading. Raises InputError without residuals.csv."""
         return read_source(self.path)
-
-    def __str__(self) -> str:
-        return str(self.document)
 
     def __repr__(self) -> str:
         state = "converged" if self.converged else self.document.status.reason
@@ -107,6 +132,7 @@ def read_result(path: str | Path, *, mechanism: Loops | Mechanism | None = None)
     the place in the file, for anything that is no result.
     """
     path = Path(path)
+    # A result.json under another name is read as the file that it is.
     if path.name != "result.json" and path.suffix != ".json":
         path = path / "result.json"
     return SavedResult(read_document(path), path, mechanism)
@@ -162,7 +188,9 @@ def fitted(result: Result | SavedResult) -> dict[str, Array]:
     return {n: table.readings[n] + d for n, d in table.differences_after.items()}
 
 
-def save(result: Result | SavedResult, folder: str | Path, *, report: bool = True) -> WrittenResult:
+def save(
+    result: Result | SavedResult, folder: str | Path, *, report: bool = True, force: bool = False
+) -> WrittenResult:
     """`write_result` of a result in memory."""
     if isinstance(result, SavedResult):
         raise InputError(
@@ -170,4 +198,4 @@ def save(result: Result | SavedResult, folder: str | Path, *, report: bool = Tru
             code="unsupported",
             remedy="copy that folder",
         )
-    return write_result(result, folder, report=report)
+    return write_result(result, folder, report=report, force=force)

@@ -48,19 +48,19 @@ def sensor_noise(
 
     read = None if project is None else named_project(project, function)
     series = read_repeats(files, project=read, columns=columns, pose=pose)
-    found = repeated_readings(series)
+    repeats = repeated_readings(series)
     if read is not None and _all_read(read, series):
         try:
             elsewhere = load_sample(read).dataset if read.fit.settings.start != "nominal" else None
         except InputError:
             elsewhere = None  # its readings are not here; the series may place the machine
-        raw = {sensor.name: sensor.about_mean.sd for sensor in found.sensors}
+        raw = {sensor.name: sensor.about_mean.sd for sensor in repeats.sensors}
         try:
             apart = separate(read.mechanism, series, raw, elsewhere=elsewhere)
         except InputError as error:
             raise error.at(read.name) from None
-        found = with_separation(found, apart)
-    return SensorNoise(found, repeats_summary.summary(found), repeats_summary.document(found))
+        repeats = with_separation(repeats, apart)
+    return SensorNoise(repeats, repeats_summary.summary(repeats), repeats_summary.document(repeats))
 
 
 def _all_read(project: Project, series: Sequence[Dataset]) -> bool:

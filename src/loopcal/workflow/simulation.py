@@ -33,7 +33,7 @@ def run_simulation(
     """Make readings as the [simulation] of a project says, with the noise of a seed.
 
     Writes the readings to `out` (.csv, .tsv or .parquet) under the column names and units in
-    which the project reads them, and the truth beside them: NAME.truth.json for NAME.csv.
+    which the project reads them. The truth comes beside them: NAME.truth.json for NAME.csv.
     Raises InputError for what cannot be used.
     """
     out = Path(out)
@@ -43,17 +43,12 @@ def run_simulation(
     assert read.simulation is not None
     noise = read.simulation.noise.noise()
     quantities = read.mechanism.tape.quantities
-    known = resolve_noise(noise, made.dataset, quantities, read.mechanism.quantity_group)
+    resolved = resolve_noise(noise, made.dataset, quantities, read.mechanism.quantity_group)
     shape = (len(quantities), len(made.dataset))
-    sds = dict(zip(quantities, np.broadcast_to(known.sd, shape), strict=True))
+    sds = dict(zip(quantities, np.broadcast_to(resolved.sd, shape), strict=True))
     truth_file = out.with_name(f"{out.stem}.truth.json")
-    write_files(
-        out.parent,
-        {
-            **readings_tables(made.dataset, read.data, sds, out),
-            truth_file.name: truth_json(made, read.mechanism),
-        },
-    )
+    tables = readings_tables(made.dataset, read.data, sds, out)
+    write_files(out.parent, {**tables, truth_file.name: truth_json(made, read.mechanism, tables)})
     return Simulated(made, out, truth_file)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, Unfinished
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress
@@ -36,6 +36,7 @@ class StreamedRun:
     def finish(self) -> None:
         """Put the residuals of all poses in place, once the result is written."""
         self.parts.finish()
+        # The checkpoint goes last: a run that dies ahead of this can still resume.
         self.progress.remove()
 
     def undo(self) -> None:
@@ -79,6 +80,7 @@ def run_stream(
     iteration keeps a checkpoint there in unfinished.json. A run that finds one of the same project,
     readings and method resumes from it. The residuals of all poses are written as they come.
     """
+    # Another version may take other steps: its checkpoint would lead elsewhere.
     task = {
         "project": project.inputs,
         "readings": stream.sha256,
@@ -88,7 +90,7 @@ def run_stream(
     }
     kept = ProgressFile(folder, task)
     resume = kept.read()
-    if notice and kept.there():
+    if notice and kept.present():
         resumed = resume and f"resuming after iteration {resume.iterations} of an interrupted run"
         notice(f"{kept.path}: {resumed or DROPPED}")
     parts = ResidualParts(folder)
@@ -104,6 +106,11 @@ def run_stream(
             reached=kept.write,
             parts=Parts(residual_part, parts.add),
         )
+    except InputError as error:
+        parts.undo()
+        if kept.present():  # what was reached stays for the next run
+            raise Unfinished.of(error) from None
+        raise
     except BaseException:
         parts.undo()
         raise

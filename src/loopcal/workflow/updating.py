@@ -11,9 +11,11 @@ from typing import Any
 from loopcal.document.result_document import WrittenResult
 from loopcal.errors import InputError, UsageError
 from loopcal.estimation.result import Result
-from loopcal.files.history.folder import is_history
+from loopcal.files.history.folder import is_history, refuse_no_history
 from loopcal.files.machines.python_function import load_function
+from loopcal.files.outputs import refuse_foreign
 from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.result.result_file import NAMES
 from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.result.result_poses import poses_of_result, read_result_poses
 from loopcal.life.updating import Since, updated
@@ -21,10 +23,11 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import Freedom, mounted
 from loopcal.statistics.verdict import refuses
 from loopcal.units import difference_to_si
-from loopcal.workflow.calibration import write_result
+from loopcal.workflow.calibration import save_result
 from loopcal.workflow.history import history as read_history
 
-_DRIFT = re.compile(r"\s*([^=\s]+)\s*=\s*([-+.\deE]+)\s*([A-Za-zµ/]+)\s*")
+# Possessive: no text makes the match back out (docs/decisions/0137).
+_DRIFT = re.compile(r"\s*([^=\s]+)\s*=\s*([-+.\deE]++)\s*+([A-Za-zµ/]+)\s*")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,16 +66,30 @@ def run_update(
 ) -> UpdateDone:
     """Update the result of a folder by readings in the columns of its project, and write it.
 
-    out: the folder to write to, by default RESULT-updated; drift: "KIND=VALUE UNIT" each, else the
-    rates of this history of the machine, where it knows them; the rest as in `update`.
+    out: the folder to write to, by default RESULT-updated; drift: "ROLE=VALUE UNIT" each, else the
+    rates of the history, where it knows them; history: folder to which the result is added; the
+    rest as in `update`.
     Raises InputError for what cannot be used.
     """
-    allowed = drifts(drift) if drift or history is None else _usual(history)
+    if history is not None:
+        refuse_no_history(history)
+    usual = {} if drift or history is None else _usual(history)
     loops = None if function is None else load_function(function)
     read = read_result_folder(result, function=loops)
     folder = read.path.parent
+    held = {p.name for p in read.mechanism.parameters if p.fixed}
+    allowed = drifts(drift) | {name: sd for name, sd in usual.items() if name not in held}
+    target = Path(f"{folder}-updated") if out is None else Path(out)
+    # Another spelling of a path is the same folder.
+    if target.resolve() == folder.resolve():
+        raise UsageError(
+            "the update would replace the calibration that it begins from",
+            code="conflicting-keys",
+            remedy="write it to another folder (--out)",
+        )
+    refuse_foreign(*(target / name for name in (*NAMES, "report.html")))
     poses = read_result_poses(folder, read.mechanism)
-    known = Calibrated.from_document(read.document, read.mechanism, poses, str(result))
+    calibrated = Calibrated.from_document(read.document, read.mechanism, poses, str(result))
     anew = (*mounted(read.mechanism, mounting.remounted), *mounting.anew)
     Freedom.of(read.mechanism, anew)  # raises for a name that is not there
     data, inputs = poses_of_result(readings, read.mechanism), read.document.inputs
@@ -80,31 +97,26 @@ def run_update(
         inputs = _with_file(inputs, readings)
         data = read_new_readings(readings, read.document.inputs, read.mechanism, whole=True)
     try:
-        done = updated(known, data, Since(mounting.moved, anew, allowed), None)
+        done = updated(calibrated, data, Since(mounting.moved, anew, allowed), None)
     except InputError as error:
         raise error.at(str(readings)) from None
-    target = Path(f"{folder}-updated") if out is None else Path(out)
-    if target.resolve() == folder.resolve():
-        raise UsageError(
-            "the update would replace the calibration that it begins from",
-            code="conflicting-keys",
-            remedy="write it to another folder (--out)",
-        )
     title = read.document.title
-    written = write_result(done.result, target, title=title, inputs=inputs, report=report)
+    written = save_result(
+        done.result, target, title=title, inputs=inputs, report=report, history=history
+    )
     verdict = written.document.verdict
     assert verdict is not None
     bad = verdict.sound.words if refuses("sound", verdict.sound) else None
     return UpdateDone(done.result, written, allowed, done.mixed or bad)
 
 
-def drifts(given: Sequence[str]) -> dict[str, float]:
+def drifts(texts: Sequence[str]) -> dict[str, float]:
     """Sds [SI] by kind or name, of texts such as "length=0.01mm".
 
     Raises UsageError for a text that is none.
     """
-    found = {}
-    for text in given:
+    sds = {}
+    for text in texts:
         match = _DRIFT.fullmatch(text)
         if match is None:
             raise UsageError(
@@ -113,12 +125,12 @@ def drifts(given: Sequence[str]) -> dict[str, float]:
                 remedy="write it as length=0.01mm or angle=20urad",
             )
         try:
-            found[match[1]] = float(difference_to_si(float(match[2]), match[3]))
+            sds[match[1]] = float(difference_to_si(float(match[2]), match[3]))
         except ValueError:
             raise UsageError(
                 f"the drift {text!r} has no number", code="invalid-value", remedy="give a number"
             ) from None
-    return found
+    return sds
 
 
 def _usual(folder: str | Path) -> dict[str, float]:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from loopcal.errors import InputError
-from loopcal.files.atomic import write_atomic
+from loopcal.files.atomic import Data, write_all
+from loopcal.files.history.folder import append_entries, refuse_no_history
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.deployed import VERIFICATION, note_deployed
 from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.result.result_poses import poses_of_result
+from loopcal.life.history import History
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import Freedom, mounted
 from loopcal.statistics.verification import check_tolerance, verify
 from loopcal.statistics.verified import Verification
+from loopcal.workflow.history import note_history, verification_entry
 
 
 def run_verification(
@@ -26,18 +30,22 @@ def run_verification(
     anew: Sequence[str] = (),
     tolerance: float | None = None,
     out: str | Path | None = None,
+    history: str | Path | None = None,
     function: str | None = None,
 ) -> Verification:
     """Check a result against readings in the columns of its project, or those of another result.
 
     remounted: everything that instruments look at; anew: further instruments, targets or
-    parameters; tolerance: [m]; out: file of a page with figures.
+    parameters; tolerance: [m]; out: file of a page with figures; history: folder to which this is
+    added.
     Raises InputError for what cannot be used.
     """
     check_tolerance(tolerance)
+    if history is not None:
+        refuse_no_history(history)
     loops = None if function is None else load_function(function)
     read = read_result_folder(result, function=loops)
-    known = Calibrated.from_document(read.document, read.mechanism, None, str(result))
+    calibrated = Calibrated.from_document(read.document, read.mechanism, None, str(result))
     units = {read.mechanism.quantities[q] for q in read.mechanism.outputs}
     if tolerance is not None and "m" not in units:
         raise InputError(
@@ -53,14 +61,23 @@ def run_verification(
     if data is None:
         data = read_new_readings(readings, read.document.inputs, read.mechanism, whole=True)
     try:
-        found = verify(known, data, remounted=changed, tolerance=tolerance)
+        verification = verify(calibrated, data, remounted=changed, tolerance=tolerance)
     except InputError as error:
         raise error.at(str(readings)) from None
+    verification = replace(verification, files={"result": str(result), "readings": str(readings)})
+    files: dict[Path, Data] = {}
     if out is not None:
         from loopcal.report.life_pages import verification_html
 
-        write_atomic(out, verification_html(found, read.mechanism.name))
+        names = f"{read.path.parent.name}, {Path(readings).name}"
+        files[Path(out)] = verification_html(verification, read.mechanism.name, names)
+    if history is None:
+        write_all(files)
+    else:
+        entry = verification_entry(verification, result, readings)
+        every = append_entries(history, [("verification", entry)], lambda _: files)
+        note_history(History(every), result)
     name = Path(readings)
-    told = {"readings": name.name, **found.document()}
-    note_deployed(read.path, VERIFICATION, name.stem, told)
-    return found
+    document = {"readings": name.name, **verification.document()}
+    note_deployed(read.path, VERIFICATION, name.stem, document)
+    return verification

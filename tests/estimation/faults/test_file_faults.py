@@ -12,13 +12,13 @@ import pytest
 import loopcal as lc
 from analyses.file_faults import FAULTS, GOOD, ROUGH, draw
 from analyses.instruments import setup
-from loopcal.estimation.calibrate import started
 from loopcal.estimation.faults.misfit import _Linear, _scales, beside, misfit, missed
 from loopcal.estimation.faults.search import NEAR, column_faults, suspicious
+from loopcal.estimation.steps import started
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
-from loopcal.statistics.verdict import verdict_of
 from tests.reference.robots import urdf_of
+from tests.reference.verdicts import verdict_of
 from tests.statistics.test_change_points import ARM, NOISE, joints
 
 SPATIAL = {
@@ -104,7 +104,7 @@ def test_learnt_sds_are_not_sought_in_a_file_at_fault_and_every_face_says_so() -
     assert not result.status.converged
     assert [fault.code for fault in result.faults] == ["rows-shifted"]
     assert lc.find_outliers(result).columns == result.faults
-    assert str(result).splitlines()[2].startswith("FILE AT FAULT")
+    assert str(result.document).splitlines()[2].startswith("FILE AT FAULT")
     assert verdict_of(result.document).grade == "bad"
 
 

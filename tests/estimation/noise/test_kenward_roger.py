@@ -34,10 +34,10 @@ def test_slopes_are_differences_of_the_covariance() -> None:
     assert estimate is not None
     found = learnt_parameters(estimate)
     for along, error in zip(found.covariance.slopes, found.errors.T, strict=True):
-        step = 1e-4 * estimate.found.ratios.min() / np.abs(error).max()
+        step = 1e-4 * estimate.sensor_estimate.ratios.min() / np.abs(error).max()
         ends = []
         for side in (-step, step):
-            at = projected(estimate.model, estimate.found.ratios + side * error)
+            at = projected(estimate.model, estimate.sensor_estimate.ratios + side * error)
             assert at is not None
             ends.append(at.root @ at.root.T)
         np.testing.assert_allclose(
@@ -51,7 +51,7 @@ def test_the_addition_is_that_of_the_dense_formula(prior: lc.Prior | None) -> No
     result = learnt({"?P": "group", "phi?": "group"}, prior=prior)
     estimate = result.estimate
     assert estimate is not None
-    model, ratios = estimate.model, estimate.found.ratios
+    model, ratios = estimate.model, estimate.sensor_estimate.ratios
     rows = sum(block.e.size for block in model.blocks)
     informed = np.flatnonzero(model.precision)
     V = np.zeros((rows + len(informed),) * 2)
@@ -168,7 +168,7 @@ def test_a_worse_instrument_is_not_called_a_fault_of_the_model() -> None:
 def test_the_score_alone_is_that_beside_the_information() -> None:
     estimate = learnt({"?P": "group", "phi?": "each"}).estimate
     assert estimate is not None
-    joined = whitened(estimate.model, estimate.found.ratios)
+    joined = whitened(estimate.model, estimate.sensor_estimate.ratios)
     assert joined is not None
     alone, beside = slope(estimate.model, joined), mixed_fit(estimate.model, joined)
     assert alone.criterion == beside.criterion

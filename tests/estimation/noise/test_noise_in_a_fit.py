@@ -213,9 +213,9 @@ def test_exact_readings_in_some_poses() -> None:
 def test_a_loop_of_exact_quantities_cannot_close_and_says_so() -> None:
     simulated = planar_arm(50)
     data = simulated.read(SD, seed=4)
-    with refused("open-loops", "50 poses", "pose '1'") as caught:
+    with refused("exact-readings", "50 poses", "pose '1'") as caught:
         fit(simulated.truth, data, SD | {"yP": 0.0, "phi*": 0.0})
-    assert "sd above zero" in str(caught.value)
+    assert "sd above 0" in str(caught.value)
 
 
 def test_two_coordinates_may_be_exact_if_the_joints_are_not() -> None:

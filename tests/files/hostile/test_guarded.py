@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -12,6 +14,15 @@ from loopcal.files import guarded as module
 from loopcal.files.guarded import Stopped, guarded
 
 READING = "tests.files.hostile.reading"
+
+
+@pytest.fixture(autouse=True)
+def from_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The child never imports from the working directory, where the readers of these tests lie."""
+    module._CHILDREN.end()
+    monkeypatch.chdir(tmp_path)
+    yield
+    module._CHILDREN.end()
 
 
 def test_arguments_go_in_and_bytes_come_back() -> None:

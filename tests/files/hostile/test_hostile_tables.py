@@ -15,9 +15,9 @@ import pytest
 from loopcal import InputError, read_dataset
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.reader import read_program
-from loopcal.files.recognition.fields import source_of
+from loopcal.files.recognition.fields import sources_of
 from loopcal.files.tables import raw
-from tests.command_line import run
+from tests.command_line import run, run_here
 from tests.files.hostile import generated
 from tests.refusals import refused
 
@@ -99,7 +99,7 @@ def test_a_crash_of_a_reader_shows_no_stack_trace(tmp_path: Path) -> None:
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="there is no /dev/zero here")
 @pytest.mark.parametrize("command", ["noise", "calibrate", "study"])
 def test_a_device_is_refused_at_once(command: str) -> None:
-    done = run(command, "/dev/zero")
+    done = run_here(command, "/dev/zero")
     assert done.returncode == 3
     assert "/dev/zero: this is a device" in done.stderr
 
@@ -123,7 +123,7 @@ def test_a_workbook_of_which_no_sheet_can_be_read_is_refused_once(
     ending, content = generated.REFUSED[fault]
     path = generated.written(tmp_path, ending, content())
     with pytest.raises(InputError) as caught:
-        source_of(path, 1)
+        sources_of(path, 1)
     assert is_whole(caught.value, path)
 
 

@@ -74,7 +74,7 @@ def test_effects_are_read_in_their_units_and_written_again_bit_for_bit() -> None
     assert mechanism.parameters["theta_2_yield"].nominal == pytest.approx(2e-6)
     assert mechanism.parameters["theta_2_yield"].prior_sd == pytest.approx(1e-6)
     assert mechanism.parameters["z6B_drift"].nominal == pytest.approx(0.5e-3)
-    assert mechanism.known["t"] == "K"
+    assert mechanism.pose_constants["t"] == "K"
     loads = (mechanism.description or {})["effect"][2]["loads"]
     assert [load["mass"] for load in loads] == pytest.approx([2.0, 60.0])
     assert loads[1]["point"] == pytest.approx([0.1, 0.0, 0.2])

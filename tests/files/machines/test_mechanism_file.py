@@ -211,7 +211,7 @@ def test_a_function_may_be_a_whole_mechanism_whose_values_the_file_replaces():
         ('type="planar-two-link"\nparameters={l2={fixed=1}}', "parameters.l2.fixed", "true or"),
         ('type="planar-two-link"\nparameters={phi20={value=1,unit="m"}}', "phi20.unit", "length"),
         ('type="planar-two-link"\nname=1', "arm.toml: name", "text in quotes"),
-        ('type="planar-two-link"\nparameters={l2=' + "9" * 400 + "}", "parameters.l2", "a number"),
+        ('type="planar-two-link"\nparameters={l2=' + "9" * 400 + "}", "parameters.l2", "64 bits"),
         ('type="planar-two-link"\njoint=[]', "arm.toml: joint", "unknown key"),
     ],
 )

@@ -111,7 +111,7 @@ def test_a_function_survives_but_for_its_code():
         {"a": "m", "b": "m"},
         {"gain": (1 / 3, "1"), "give": (1e-9, "1")},
         ("b",),
-        known={"load": "m"},
+        pose_constants={"load": "m"},
         loops=["balance"],
     )
     made = made.with_parameters(made.parameters.with_prior({"g*": 0.1}).with_fixed(["give"]))

@@ -13,7 +13,8 @@ from loopcal.errors import InputError
 from loopcal.files.programs.copying import inserted
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.program import Move, Program
-from loopcal.files.programs.reader import FORMATS, read_program
+from loopcal.files.programs.reader import read_program
+from loopcal.files.programs.registry import BY_ENDING
 from tests.refusals import refused
 
 AXES = JointAxes({f"q{i}": "rad" for i in range(1, 7)}, pulses=(1000.0, -500.0, 800, 700, 600, 400))
@@ -221,7 +222,7 @@ def test_unchanged_targets_read_back_and_bytes_outside_them_stay(name: str, tmp_
 
 def read(data: bytes, name: str) -> list[Move]:
     """The moves that are understood."""
-    reads = FORMATS[Path(name).suffix](data.decode("latin-1"), name, AXES)
+    reads = BY_ENDING[Path(name).suffix].read(data.decode("latin-1"), name, AXES)
     return [move for move in reads.moves if move is not None]
 
 

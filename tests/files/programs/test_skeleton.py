@@ -10,7 +10,8 @@ import pytest
 
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.reader import read_program
-from loopcal.files.programs.skeleton import FORMATS, program_of_stops
+from loopcal.files.programs.registry import WRITTEN
+from loopcal.files.programs.skeleton import program_of_stops
 from tests.refusals import refused
 
 ARMS = {
@@ -21,7 +22,7 @@ STEP = {".ls": 0.5e-3, ".jbi": 0.5 / 1000.0}
 """What rounding leaves [deg, mm]; elsewhere a millionth."""
 
 
-@pytest.mark.parametrize("ending", FORMATS)
+@pytest.mark.parametrize("ending", WRITTEN)
 @pytest.mark.parametrize("arm", ARMS)
 def test_planned_joints_read_back(arm: str, ending: str, tmp_path: Path) -> None:
     units = ARMS[arm]

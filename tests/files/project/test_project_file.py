@@ -85,7 +85,7 @@ method = "least-squares"
     assert math.isinf(project.mechanism.parameters["x1"].prior_sd)
     assert project.data is not None
     assert project.data.file == "left_arm_grid.csv"
-    assert project.data.options["exclude"] == [13]
+    assert project.data.exclude == (13,)
     assert project.data.columns["x"].sd_column == "u_x"
     assert project.data.columns["z"].column == 10
     assert project.noise.sd_of("theta_3") == 5e-5

@@ -22,7 +22,7 @@ def test_a_change_can_be_taken_back_to_the_last_byte(tmp_path: Path) -> None:
     with pytest.raises(InputError):
         folder.undo()
     assert [e.kind for e in folder.log().entries] == ["edit", "edit", "undo", "undo"]
-    assert folder.log().entries[0].told["reason"] == "because"
+    assert folder.log().entries[0].record["reason"] == "because"
 
 
 def test_a_change_made_elsewhere_is_not_undone(tmp_path: Path) -> None:

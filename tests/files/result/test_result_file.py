@@ -16,6 +16,7 @@ import pytest
 
 from loopcal.document.accuracy import Coverage, ValidationEntry
 from loopcal.document.choice import Candidate, Chosen
+from loopcal.document.judgement import answered
 from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.terms import TermEntry
@@ -131,7 +132,15 @@ def test_a_document_with_all_of_schema_2_keeps_to_it_and_reads_back(tmp_path: Pa
     document, path = judged(), tmp_path / "result.json"
     path.write_text(result_json(document), encoding="utf-8")
     jsonschema.Draft202012Validator(result_schema()).validate(json.loads(path.read_text("utf-8")))
-    assert plain(read_result(path)) == plain(document)
+    read = read_result(path)
+    assert document.verdict is not None
+    assert read.verdict == document.verdict
+    assert plain(replace(read, findings=())) == plain(document)
+    # its verdict had no findings yet: each answer is one, as it was
+    for question, answer in document.verdict.answers.items():
+        of_question = [one for one in read.findings if one.question == question]
+        assert [one.words for one in of_question] == [answer.words] * answer.asked
+        assert not answer.asked or answered(of_question) is answer.passed
 
 
 def test_a_file_of_schema_1_is_read(tmp_path: Path) -> None:
@@ -252,7 +261,7 @@ def document_with(**changes: Any) -> dict[str, Any]:
         ("", "empty"),
         ("{", "line 1"),
         ("[]", "schema"),
-        ('{"schema": 3}', "schema is 3"),
+        ('{"schema": 4}', "schema is 4"),
         ('{"schema": true}', "schema is True"),
         ('{"schema": 1}', "is missing"),
         ('{"schema": 1, "closure": NaN}', "NaN"),
@@ -319,7 +328,7 @@ def test_a_missing_result_is_told(tmp_path: Path) -> None:
 
 def test_the_truth_reads_back_bit_for_bit(tmp_path: Path) -> None:
     path = tmp_path / "truth.json"
-    path.write_text(truth_json(MADE, planar_two_link()))
+    path.write_text(truth_json(MADE, planar_two_link(), {}))
     assert dict(read_truth(path, planar_two_link())) == dict(MADE.parameters)
     stated = json.loads(path.read_text())
     assert stated["seed"] == 4

@@ -40,6 +40,12 @@ def test_a_scenario_replaces_what_all_share():
     assert b.methods[0].noise.entries["xP"] == 1e-4
 
 
+def test_a_parameter_that_a_scenario_knows_exactly_does_not_deviate():
+    head = HEAD + "[simulation.perturb]\n'l*' = 1e-3\n"
+    made = study("[[scenarios]]\nname = 'a'\nprior = { l2 = 0 }\n[[scenarios]]\nname = 'b'\n", head)
+    assert [list(one.simulation.perturb) for one in made.scenarios] == [["l3"], ["l2", "l3"]]
+
+
 def test_a_method_may_be_told_something_else():
     methods = (
         '[[methods]]\nname = "wrong"\nmethod = "implicit-loop"\n[methods.noise]\nphi3 = 2\n'

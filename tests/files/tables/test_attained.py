@@ -108,6 +108,15 @@ def test_payload_speed_direction_time_and_block_are_read(tmp_path: Path) -> None
     assert read.time == pytest.approx([0.0, 60.0, 120.0])
 
 
+@pytest.mark.parametrize(
+    ("unit", "seconds"), [("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0)]
+)
+def test_a_time_is_in_the_unit_of_its_header(tmp_path: Path, unit: str, seconds: float) -> None:
+    rows = [f"{row},{250 * i}" for i, row in enumerate(ROWS)]
+    read = read_attained(written(tmp_path, f"{HEAD},time [{unit}]", *rows))
+    assert read.time == pytest.approx([0.0, 250 * seconds, 500 * seconds])
+
+
 def test_dates_are_times(tmp_path: Path) -> None:
     rows = [f"{row},2026-03-01T08:{10 + i}:00" for i, row in enumerate(ROWS)]
     read = read_attained(written(tmp_path, f"{HEAD},timestamp", *rows))

@@ -48,7 +48,7 @@ def test_standard_input_is_read(monkeypatch):
         (b'a = 1\nb = "\xff"', "line 2", "not UTF-8"),
         (b"a = " + b"[" * 100_000, "project.toml", "nested too deeply"),
         (b"a = " + b"9" * 5_000, "project.toml", "not valid TOML"),
-        (b"x" * (MOST_BYTES + 1), "project.toml", "larger than 4 MB"),
+        (b"x" * (MOST_BYTES + 1), "project.toml", "larger than 2 MB"),
         (b"PK\x03\x04\x14\0\x06", "line 1", "NUL byte"),
     ],
 )
@@ -65,7 +65,7 @@ def test_a_line_of_200_mb_is_not_even_read(tmp_path):
     path = tmp_path / "project.toml"
     with path.open("wb") as file:
         file.truncate(200_000_000)
-    with refused("too-large", "4"):
+    with refused("too-large", "2 MB"):
         read_toml(path)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.files.recognition.fields import Field
+from loopcal.files.recognition.robots import dh_robot
+from loopcal.workflow.beginning import meanings
 from loopcal.workflow.beginning.initial import RobotFile, initial_project
 from tests.reference import dh_arm
 from tests.refusals import refused
@@ -155,6 +161,21 @@ def test_a_quaternion_with_w_last_is_recognised_by_the_data(tmp_path: Path, came
     assert any("in the order x, y, z, w" in words for words in made.remarks)
     assert made.mechanism.parameters["tool_x"].nominal == pytest.approx(0.05, abs=5e-3)
     assert_gives_the_noise_back(tmp_path / "out")
+
+
+def test_poses_without_a_quaternion_have_no_made_up_orientation(
+    camera: Any,
+) -> None:
+    joints, T = camera
+    turns = quaternion(T[:, :3, :3])
+    missing = np.arange(len(joints)) % 2 == 0
+    turns[missing] = np.nan
+    fields = [Field(0, i, None, column) for i, column in enumerate(turns.T)]
+    seen: Any = SimpleNamespace(kind="pose", turned=fields, form="quaternion")
+    for *_, R, _words in meanings._orientations(seen, as_stated=False):
+        assert R is not None
+        assert np.isnan(R[missing]).all()
+        assert np.isfinite(R[~missing]).all()
 
 
 def test_a_pose_of_the_station_seen_from_the_target_is_turned_round(
@@ -642,7 +663,6 @@ def test_a_guessed_mounting_is_wide_and_a_weak_set_keeps_all_candidates(
     near = joints[:1] + 0.15 * (joints - joints.mean(axis=0))[:40]
     points = dh_arm.seen(near, sd=NOISE)[:, :3, 3]
     made = lc.init({**of(near, NAMES), **of(points, ["x", "y", "z"])}, dh=dh(tmp_path))
-    assert any("worse than a drawing" in words for words in made.remarks)
     for axis in "xyz":
         target = made.mechanism.parameters[f"tool_{axis}"]
         assert target.prior_sd == 0.2
@@ -655,3 +675,79 @@ def test_a_guessed_mounting_is_wide_and_a_weak_set_keeps_all_candidates(
     }
     assert result.verdict is not None
     assert result.verdict.sound.passed is not False
+
+
+NARROW = np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
+
+
+@pytest.mark.parametrize(
+    ("moved", "count", "weak"),
+    [
+        (np.ones(6), 60, False),
+        (np.ones(6), 20, False),
+        (np.full(6, 0.5), 40, False),
+        (np.full(6, 0.04), 60, True),
+        (NARROW, 60, True),
+        (NARROW[::-1], 60, True),
+    ],
+)
+def test_poses_are_called_worse_than_the_drawing_where_they_are(
+    moved: np.ndarray, count: int, weak: bool, tmp_path: Path
+) -> None:
+    joints = moved * dh_arm.poses(count)
+    made = lc.init({**of(joints, NAMES), **of(points_of(joints), "xyz")}, dh=dh(tmp_path))
+    said = [words for words in made.remarks if "worse than its drawing" in words]
+    assert bool(said) is weak
+    if weak:
+        still = [name for name, share in zip(NAMES, moved, strict=True) if share < 0.5]
+        assert [name for name in NAMES if f"{name} -" in said[0]] == still
+        assert re.search(r"at least \d+ poses", said[0])
+    # over the working range, by the true machine
+    everywhere = np.random.default_rng(8).uniform(-1.5, 1.5, (100, 6))
+    true = points_of(everywhere, sd=0.0)
+    data = lc.Dataset.from_arrays({**of(everywhere, NAMES), **of(true, "xyz")})
+    found = lc.calibrate(made, method="least-squares").predict(data).outputs
+    off = np.square(np.array([found[axis] for axis in "xyz"]).T - true).sum(axis=1)
+    parameters = made.mechanism.parameters
+    drawn = parameters.with_fixed([p.name for p in parameters if p.dimension])
+    placed = lc.calibrate(made.mechanism.with_parameters(drawn), data, method="least-squares")
+    assert placed.accuracy_after is not None
+    assert (np.sqrt(off.mean()) > placed.accuracy_after.rms) is np.bool_(weak)
+
+
+@pytest.mark.parametrize(
+    ("rows", "spans"),
+    [
+        (
+            ["400,300,0,0", "300,0,180,0", "0,0,0,0,prismatic", "50,0,0,0"],
+            [(-2.0, 2.0), (-2.0, 2.0), (0.0, 0.2), (-2.0, 2.0)],
+        ),
+        (
+            [
+                *("0,0,-90,0,prismatic", "200,400,-90,0", "600,0,0,-90", "100,0,-90,0"),
+                *("0,640,90,0", "0,0,-90,0", "0,200,0,0"),
+            ],
+            [(0.0, 2.0), *6 * [(-1.4, 1.4)]],
+        ),
+    ],
+    ids=["SCARA", "rail"],
+)
+def test_fifteen_good_poses_of_an_arm_with_a_slide_are_not_called_worse_than_its_drawing(
+    rows: list[str], spans: list[tuple[float, float]], tmp_path: Path
+) -> None:
+    path = tmp_path / "dh.csv"
+    kinds = [row if row.endswith("prismatic") else f"{row},revolute" for row in rows]
+    lines = [f"j{i},{row}" for i, row in enumerate(kinds, 1)]
+    path.write_text("\n".join(["joint,a [mm],d [mm],alpha [deg],theta [deg],type", *lines, ""]))
+    machine = mechanism_from_data(dict(dh_robot(path, ()).table), "project.toml")
+    names = [*dict.fromkeys(step.joint for step in machine.chain if step.joint)]
+    joints = lc.random_poses(dict(zip(names, spans, strict=True)), 15, seed=2)
+    truth = {"tool_x": 0.05, "tool_y": 0.05, "tool_z": 0.05}
+    truth = {p.name: truth.get(p.name, p.nominal) for p in machine.parameters}
+    made = lc.simulate(machine, joints, noise=lc.Noise({"*": 3e-5}), seed=1, truth=truth).dataset
+    began = lc.init({q: np.array(made[q]) for q in [*names, *"xyz"]}, dh=path)
+    assert not [words for words in began.remarks if "worse than its drawing" in words]
+
+
+def points_of(joints: np.ndarray, sd: float = NOISE) -> np.ndarray:
+    return dh_arm.seen(joints, sd=sd)[:, :3, 3]

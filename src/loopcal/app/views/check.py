@@ -15,7 +15,7 @@ from loopcal.app.view import View, heading, table
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import in_unit, unit_shown
 
-Found = Mapping[str, Any]
+CheckDocument = Mapping[str, Any]
 
 
 def show(view: View) -> None:
@@ -27,42 +27,42 @@ def show(view: View) -> None:
     run = view.session.last.get("check")
     if run is None:
         return
-    if (found := checked(run)) is not None:
-        _found(found)
+    if (answer := checked(run)) is not None:
+        _answer(answer)
     else:
         printed(view, "check")
 
 
-def _found(found: Found) -> None:
-    for warning in found["warnings"]:
+def _answer(answer: CheckDocument) -> None:
+    for warning in answer["warnings"]:
         ui.label(warning).classes("care")
-    apart = [one["words"] for one in found["identifiability"]["weak_directions"]]
+    apart = [one["words"] for one in answer["identifiability"]["weak_directions"]]
     with ui.card().classes("w-full").props("flat bordered"):
-        ui.label(found["words"]).classes(f"text-subtitle1 {GRADES[found['verdict']]}")
-        for line in found["said"]:
+        ui.label(answer["words"]).classes(f"text-subtitle1 {GRADES[answer['verdict']]}")
+        for line in answer["said"]:
             if line not in apart:
                 ui.label(line)
-        if found["remarks"]:
+        if answer["remarks"]:
             with ui.expansion(words.REMARKS).classes("w-full"):
-                for line in found["remarks"]:
+                for line in answer["remarks"]:
                     ui.label(line)
     if apart:
         heading(words.NOT_APART)
         for line in apart:
             ui.label(line)
-    if found["cure"] is not None:
-        _cure(found["cure"], {q["name"]: q["unit"] for q in found["quantities"]})
+    if answer["cure"] is not None:
+        _cure(answer["cure"], {q["name"]: q["unit"] for q in answer["quantities"]})
     heading(words.EXPECTED)
-    table(words.EXPECTED_HEAD, [_parameter(p) for p in found["parameters"]])
+    table(words.EXPECTED_HEAD, [_parameter(p) for p in answer["parameters"]])
     heading(words.RANGES)
-    table(words.RANGE_HEAD, [_range(q) for q in found["quantities"]])
+    table(words.RANGE_HEAD, [_range(q) for q in answer["quantities"]])
 
 
-def _cure(cure: Found, units: Mapping[str, str]) -> None:
+def _cure(cure: CheckDocument, units: Mapping[str, str]) -> None:
     """The poses to measure besides."""
     heading(words.CURE)
     ui.label(cure["words"])
-    poses: Sequence[Found] = cure["poses"]
+    poses: Sequence[CheckDocument] = cure["poses"]
     if cure["enough"] and poses:
         head = [f"{q} [{unit_shown(units[q])}]" for q in poses[0]]
         rows = [[f"{in_unit(v, units[q]):z.2f}" for q, v in pose.items()] for pose in poses]
@@ -70,16 +70,16 @@ def _cure(cure: Found, units: Mapping[str, str]) -> None:
     ui.label(words.CURE_PLAN)
 
 
-def _parameter(p: Found) -> list[str]:
-    unit, known, sd = p["unit"], p["prior_sd"], p["expected_sd"]
-    prior = "flat" if known is None else significant(in_unit(known, unit), 3)
+def _parameter(p: CheckDocument) -> list[str]:
+    unit, prior_sd, sd = p["unit"], p["prior_sd"], p["expected_sd"]
+    prior = "flat" if prior_sd is None else significant(in_unit(prior_sd, unit), 3)
     expected = "unknown" if sd is None else significant(in_unit(sd, unit), 3)
     sds = ["", "fixed"] if p["fixed"] else [prior, expected]
     shown = "" if unit == "1" else unit_shown(unit)
-    return [p["name"], f"{round(in_unit(p['nominal'], unit), 9):z.6g}", *sds, shown, p["kind"]]
+    return [p["name"], f"{round(in_unit(p['nominal'], unit), 9):z.6g}", *sds, shown, p["role"]]
 
 
-def _range(q: Found) -> list[str]:
+def _range(q: CheckDocument) -> list[str]:
     ends = [
         "" if q[k] is None else f"{in_unit(q[k], q['unit']):z.6g}" for k in ("smallest", "largest")
     ]

@@ -10,16 +10,17 @@ from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.cells import bad_cells, columns
-from loopcal.app.controls import offer, text
+from loopcal.app.controls import folded, offer, text
 from loopcal.app.pictures import joints_of, machine_figure, moved
 from loopcal.app.uploads import uploader
 from loopcal.app.view import View, heading, table
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
+from loopcal.files.tables.registry import BY_ENDING
 from loopcal.measurements.dataset import Dataset
 from loopcal.presentation.shown import in_unit, unit_shown
 
-ENDS = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".parquet", ".mat")
+ENDS = tuple(BY_ENDING)
 UNITS = {"rad": ("rad", "deg", "mrad"), "m": ("m", "mm", "cm", "um", "in"), "1": ("1",)}
 ROWS = 2_000
 """Rows of readings shown; of more the first ones."""
@@ -36,9 +37,9 @@ def show(view: View) -> None:
         else:
             _recognise(view)
         return
-    told = view.session.unread()
-    if told:
-        ui.label(told).classes("bad printed")
+    unread = view.session.unread()
+    if unread:
+        ui.label(unread).classes("bad printed")
         _bad(view, project)
     loaded = view.session.readings()
     with ui.element("div").classes("beside"):
@@ -73,8 +74,8 @@ def _recognise(view: View) -> None:
         return
 
     links = [("base", words.BASE_LINK), ("tip", words.TIP_LINK)]
-    options = [*(links if kind == "urdf" else []), ("sheet", words.SHEET_OR_VARIABLE)]
-    with ui.expansion(words.STATE_IT).classes("w-full"), ui.row():
+    options = [*(links if kind == "urdf" else []), ("sheet", words.PART_OF_FILE)]
+    with folded(view, "read.stated", words.STATE_IT), ui.row():
         for option, label in options:
             text(view, f"read.{option}", label)
 
@@ -103,31 +104,31 @@ def _bad(view: View, project: Project) -> None:
 
 def _columns(view: View, project: Project) -> None:
     stated: dict[str, Any] = dict(project.inputs.get("data", {}).get("columns", {}))
-    own = {**project.mechanism.quantities, **project.mechanism.known}
+    units = {**project.mechanism.quantities, **project.mechanism.pose_constants}
     labels = columns(project)
     heading(words.COLUMNS_HEAD)
     ui.label(words.COLUMNS).classes("text-body2")
     with ui.element("div").classes("columns"):
         for name in ("quantity", "column of the file", "unit"):
             ui.label(name).classes("text-caption")
-        for quantity, unit in own.items():
+        for quantity, unit in units.items():
             entry = stated.get(quantity)
             if entry is not None:
-                its = entry if isinstance(entry, dict) else {"column": entry}
-                _column(view, quantity, unit, its, labels)
+                column = entry if isinstance(entry, dict) else {"column": entry}
+                _column(view, quantity, unit, column, labels)
 
 
-def _column(view: View, quantity: str, unit: str, its: dict[str, Any], labels: list[str]) -> None:
+def _column(view: View, quantity: str, unit: str, entry: dict[str, Any], labels: list[str]) -> None:
     def change(key: str, event: Any) -> None:
         keys = ["data", "columns", quantity, key]
         view.act(partial(view.session.changed, keys, event.value, "corrected by pointing"))
 
     ui.label(quantity)
-    now = its.get("column", quantity)
+    now = entry.get("column", quantity)
     choices = {now: str(now) if now != 0 else "row number", **{name: name for name in labels}}
     box = ui.select(choices, value=now, on_change=partial(change, "column"))
     box.props(f'dense aria-label="column of {quantity}"')
-    units = list(dict.fromkeys([str(its.get("unit", unit)), *UNITS.get(unit, (unit,))]))
+    units = list(dict.fromkeys([str(entry.get("unit", unit)), *UNITS.get(unit, (unit,))]))
     box = ui.select(units, value=units[0], on_change=partial(change, "unit"))
     box.props(f'dense aria-label="unit of {quantity}"')
 
@@ -148,7 +149,7 @@ def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
 
 def _rows(view: View, project: Project, loaded: LoadedData, plot: Any) -> None:
     data, mechanism = loaded.dataset, project.mechanism
-    units = {**mechanism.quantities, **mechanism.known}
+    units = {**mechanism.quantities, **mechanism.pose_constants}
     names = [name for name in data.readings if name in units]
     for warning in loaded.warnings:
         ui.label(str(warning)).classes("care")

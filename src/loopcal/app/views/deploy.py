@@ -9,23 +9,28 @@ from pathlib import Path
 from nicegui import ui
 
 from loopcal.app import words
-from loopcal.app.controls import choice, download, offer, page, printed, pulses, text
+from loopcal.app.controls import choice, download, offer, page, printed, pulses, text, written
 from loopcal.app.uploads import uploader
 from loopcal.app.view import View, heading
-from loopcal.files.exports.format import VENDORS
 from loopcal.files.exports.registry import EXPORTS
-from loopcal.files.project.project_folder import PREVIEW
+from loopcal.files.exports.tables import ORIENTATIONS
+from loopcal.files.programs.registry import BY_ENDING
+from loopcal.files.result.deployed import PREVIEW
+from loopcal.presentation.wrapped import shortened
 
-PROGRAMS = (".csv", ".tsv", ".txt", ".src", ".dat", ".ls", ".mod", ".jbi", ".script", ".xlsx")
 LONGEST = 400
 """Lines of a difference that are shown."""
 
 
 def show(view: View) -> None:
     """The step."""
-    if view.session.source() is None:
-        ui.label(words.NO_RESULT)
+    source = view.session.source()
+    if source is None:
+        ui.label(view.session.unreadable() or words.NO_RESULT)
         return
+    verdict = source.document.verdict
+    if verdict is not None and verdict.grade != "good":
+        ui.label(shortened(verdict.headline)).classes(f"text-subtitle1 {verdict.grade}")
     if view.session.state().stale:
         ui.label(words.STALE).classes("care")
     _export(view)
@@ -39,30 +44,33 @@ def show(view: View) -> None:
 def _export(view: View) -> None:
     folder = view.session.folder
     heading(words.EXPORT)
-    own = ["", *_named(view, (".urdf", ".xml", ".conf", ".yaml"))]
+    sources = ["", *_named(view, (".urdf", ".xml", ".conf", ".yaml"))]
     with ui.row().classes("items-end"):
         choice(view, "export.to", words.FORMAT, _formats(view), on_change_too=view.refresh)
         one = EXPORTS[str(view.kept["export.to"])]
         if one.source:
-            choice(view, "export.source", words.YOUR_OWN_FILE, own if one.optional else own[1:])
-        if one.needs == "origins":
+            choice(
+                view, "export.source", words.SOURCE_FILE, sources if one.optional else sources[1:]
+            )
+        if "offsets" in one.options:
             places = {"origin": "into the origins", "file": "into offsets.csv"}
             choice(view, "export.offsets", words.ZERO_OFFSETS_JOINTS, places)
-        if one.name == "frames":
-            vendors = {k: words.VENDORS[k] for k in ("", *VENDORS)}
+        if "vendor" in one.options:
+            vendors = {name: orientation.label for name, orientation in ORIENTATIONS.items()}
             choice(view, "export.vendor", words.ORIENTATIONS, vendors)
 
     def line(*more: str) -> Sequence[str]:
         asked = ["export", folder.result.name, "--to", one.name]
         if one.source and view.kept.get("export.source"):
             asked += ["--source", str(view.kept["export.source"])]
-        if one.needs == "origins" and view.kept["export.offsets"] != "origin":
+        if "offsets" in one.options and view.kept["export.offsets"] != "origin":
             asked += ["--offsets", str(view.kept["export.offsets"])]
-        if one.name == "frames" and view.kept["export.vendor"]:
+        if "vendor" in one.options and view.kept["export.vendor"]:
             asked += ["--vendor", str(view.kept["export.vendor"])]
         return [*asked, *more]
 
     ui.label(words.EXPORT_FIRST).classes("text-body2")
+    # Only Write writes where the robot reads (docs/decisions/0095).
     preview = f"{PREVIEW}/{one.name}"
     offer(view, words.PREVIEW, lambda: line("--force", "--out", preview), what=words.PREVIEW_EXPORT)
     ran = view.session.last.get("export")
@@ -70,13 +78,13 @@ def _export(view: View) -> None:
         printed(view, "export")
         before = str(view.kept.get("export.source") or "")
         for name in folder.inside_of(preview):
-            there = f"{folder.result.name}/export/{name}"
-            old = there if folder.content(there) is not None else before
+            path = f"{folder.result.name}/export/{name}"
+            old = path if folder.content(path) is not None else before
             _difference(view, old, f"{preview}/{name}", name)
         offer(view, words.WRITE, lambda: line("--force"), what=words.EXPORT)
     written = [f.name for f in folder.listed() if f.name.startswith(f"{folder.result.name}/export")]
     for name in written:
-        download(name)
+        _made(view, name)
 
 
 def _formats(view: View) -> dict[str, str]:
@@ -84,14 +92,14 @@ def _formats(view: View) -> dict[str, str]:
     project = view.session.project()
     kind = "" if project is None else str((project.mechanism.description or {}).get("type"))
     first = "urdf" if kind == "urdf" else "dh" if project and project.mechanism.chain else "json"
-    return {name: words.FORMATS[name] for name in (first, *EXPORTS)}
+    return {name: EXPORTS[name].label for name in (first, *EXPORTS)}
 
 
 def _correct(view: View) -> None:
     heading(words.CORRECT_PROGRAM)
     ui.label(words.CORRECT).classes("text-body2")
     uploader(view, words.DROP_PROGRAM)
-    files = _named(view, PROGRAMS)
+    files = _named(view, tuple(BY_ENDING))
     if not files:
         return
     with ui.row().classes("items-end"):
@@ -109,6 +117,7 @@ def _correct(view: View) -> None:
         if view.kept["correct.tool"] != "calibrated":
             asked += ["--tool", str(view.kept["correct.tool"])]
         if view.kept["correct.frame"].strip():
+            # One word: a frame that begins with a minus would be taken for an option.
             asked += [f"--frame={view.kept['correct.frame'].replace(' ', '')}"]
         return [*asked, *pulses(view), "--force"]
 
@@ -116,7 +125,7 @@ def _correct(view: View) -> None:
     printed(view, "correct")
     if view.session.folder.content(target()) is not None:
         _difference(view, str(view.kept["correct.file"]), target(), target())
-        download(target())
+        _made(view, target())
 
 
 def _record(view: View) -> None:
@@ -127,18 +136,31 @@ def _record(view: View) -> None:
     stated = {} if project is None else project.inputs.get("record") or {}
     with ui.element("div").classes("tiles"):
         for key, label in words.STATED.items():
-            box = ui.input(label, value=str(stated.get(key) or "")).classes("w-full")
-
-            def keep(key: str = key, box: object = box) -> None:
-                value = str(getattr(box, "value", "") or "").strip()
+            # A default binds the key of this round; a closure would see that of the last one.
+            def keep(said: str, key: str = key) -> None:
+                value = said.strip()
                 if value != str(stated.get(key) or ""):
                     view.act(lambda: session.changed(["record", key], value or None, "record"))
 
-            box.on("blur", keep)
+            box = ui.input(label, value=str(stated.get(key) or "")).classes("w-full")
+            written(box, keep)
     result = session.folder.result.name
     offer(view, words.WRITE_RECORD, lambda: ("record", result, "--project", view.project_name()))
     if session.folder.content(f"{result}/record.html") is not None:
         page(f"{result}/record.html", words.OPEN_RECORD)
+        _old(view, f"{result}/record.html")
+
+
+def _made(view: View, name: str) -> None:
+    """A link to a file for the robot, and whether it is of this result."""
+    with ui.row().classes("items-center"):
+        download(name)
+        _old(view, name)
+
+
+def _old(view: View, name: str) -> None:
+    if not view.session.deployed().get(name, True):
+        ui.label(words.NOT_OF_RESULT).classes("care")
 
 
 def _difference(view: View, before: str, after: str, name: str) -> None:

@@ -23,7 +23,8 @@ def show(view: View) -> None:
     """The step."""
     errors = _errors(view)
     if errors is None:
-        ui.label(words.NO_RESULT if view.session.source() is None else words.NO_OUTPUTS)
+        none = view.session.unreadable() or words.NO_RESULT
+        ui.label(none if view.session.source() is None else words.NO_OUTPUTS)
         return
     linked = Linked(view, errors)
     session = view.session
@@ -101,7 +102,7 @@ def _elsewhere(linked: Linked) -> None:
 
     with ui.element("div").classes("tiles"):
         for name in linked.errors.joints:
-
+            # A default binds the name of this round; a closure would see that of the last one.
             def make(e: Errors, name: str = name) -> dict[str, Any]:
                 return e.over_joint(name, linked.what)
 
@@ -114,7 +115,7 @@ def _again(linked: Linked) -> None:
     view.part(lambda: len(session.folder.log().entries), partial(_undo, view))
     heading(words.FIT_AGAIN)
     offer_fit(view)
-    view.part(lambda: (session.source(), session.shown()), partial(_found, linked))
+    view.part(lambda: (session.source(), session.shown()), partial(_detected, linked))
 
 
 def _undo(view: View) -> None:
@@ -125,23 +126,23 @@ def _undo(view: View) -> None:
         ui.button(label, on_click=undo, icon="undo").props("outline")
 
 
-def _found(linked: Linked) -> None:
+def _detected(linked: Linked) -> None:
     """What loopcal has found by itself, with the poses to look at."""
     view, source = linked.view, linked.view.session.source()
     if source is None:
         return
     document = source.document
     changes = document.change_points
-    found = () if changes is None else changes.found
+    points = () if changes is None else changes.found
     outliers = outlier_table(document)
-    if not found and outliers is None:
+    if not points and outliers is None:
         return
-    heading(words.FOUND_BY_LOOPCAL)
+    heading(words.DETECTED_CHANGES)
     poses = linked.errors.source.table.poses
-    for point in found:
+    for point in points:
         words_ = str(point)
         ui.label(f"{words_[0].upper()}{words_[1:]}.").classes("text-body2")
-    _runs(linked, [poses.index(p.pose) for p in found if p.shape == "step" and p.pose in poses])
+    _runs(linked, [poses.index(p.pose) for p in points if p.shape == "step" and p.pose in poses])
     if changes is not None and changes.toml:
         _state(view, changes)
     if outliers is not None:

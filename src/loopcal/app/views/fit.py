@@ -8,7 +8,7 @@ from pathlib import Path
 from nicegui import ui
 
 from loopcal.app import words
-from loopcal.app.controls import choice, offer, page
+from loopcal.app.controls import as_number, choice, offer, page, written
 from loopcal.app.view import View, heading, stale, table
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
@@ -35,7 +35,7 @@ def show(view: View) -> None:
     _tolerance(view)
     source = view.session.source()
     if source is None:
-        ui.label(words.NO_RESULT)
+        ui.label(view.session.unreadable() or words.NO_RESULT)
     else:
         stale(view)
         document = source.document
@@ -43,9 +43,9 @@ def show(view: View) -> None:
         _verdict(document)
         with ui.row():
             page(f"{view.session.folder.result.name}/report.html", words.OPEN_WHOLE_REPORT)
-        for its in accuracy_tables(document):
-            heading(its.caption)
-            table(its.head, its.rows)
+        for accuracy_table in accuracy_tables(document):
+            heading(accuracy_table.caption)
+            table(accuracy_table.head, accuracy_table.rows)
         models = model_table(document)
         if models is not None:
             heading(models.caption)
@@ -84,17 +84,20 @@ def _tolerance(view: View) -> None:
     """What the user demands, which the verdict then answers."""
     project = view.session.project()
     stated = {} if project is None else project.inputs.get("verdict") or {}
-    known = stated.get("tolerance")
-    value = in_unit(to_si(known["value"], known["unit"]), "m") if isinstance(known, dict) else None
+    demand = stated.get("tolerance")
+    value = (
+        in_unit(to_si(demand["value"], demand["unit"]), "m") if isinstance(demand, dict) else None
+    )
     box = ui.number(words.TOLERANCE, value=value, min=0.0, step=0.1).classes("w-72")
 
-    def state() -> None:
-        if box.value != value:
-            tolerance = None if not box.value else {"value": box.value, "unit": "mm"}
+    def state(said: str) -> None:
+        demanded = as_number(said)
+        if demanded != value:
+            tolerance = {"value": demanded, "unit": "mm"} if demanded else None
             keys = ["verdict", "tolerance"]
             view.act(lambda: view.session.changed(keys, tolerance, "what is demanded"))
 
-    box.on("blur", state)
+    written(box, state)
 
 
 def _labelled(method: str) -> str:
@@ -107,10 +110,13 @@ def _verdict(document: ResultDocument) -> None:
     with ui.card().classes("w-full").props("flat bordered"):
         ui.label(shortened(document.verdict.headline)).classes(f"text-h6 {document.verdict.grade}")
         with ui.grid(columns="auto auto 1fr").classes("items-start"):
-            for name, answer in document.verdict.answers.items():
-                ui.label(QUESTIONS[name]).classes("text-weight-medium")
-                ui.label(answer.mark).classes(MARKS[answer.mark])
-                ui.label(f"{answer.words} {answer.next or ''}")
+            for one in document.findings:
+                ui.label(QUESTIONS[one.question or "sound"]).classes("text-weight-medium")
+                ui.label(one.mark).classes(MARKS[one.mark])
+                with ui.column().classes("gap-0"):
+                    ui.label(f"{one.words} {one.next.words if one.next else ''}")
+                    if one.next and one.next.command:
+                        ui.code(one.next.command, language="bash")
     if document.method_label:
         ui.label(words.BY_METHOD.format(label=document.method_label))
 

@@ -24,7 +24,7 @@ def show(view: View) -> None:
 def _done(view: View) -> None:
     """The log of the folder."""
     log = view.session.folder.log()
-    heading(words.DONE_HERE)
+    heading(words.FOLDER_LOG)
     if log.edits():
         last = log.edits()[-1]
         undo = ui.button(words.UNDO.format(what=last.what), icon="undo").props("outline")
@@ -32,15 +32,15 @@ def _done(view: View) -> None:
     if log.broken:
         lines = ", ".join(map(str, log.broken))
         ui.label(words.LOG_BROKEN.format(lines=lines)).classes("care")
-    undone = {entry.told.get("of") for entry in log.entries if entry.kind == "undo"}
+    undone = {entry.record.get("of") for entry in log.entries if entry.kind == "undo"}
     rows = [
         [
             str(e.number),
             e.at.replace("T", " ")[:19],
             e.what + (" (undone)" if e.number in undone else ""),
-            str(e.told.get("reason", "")),
-            str(e.told.get("command", "")),
-            _end(e.told.get("code")),
+            str(e.record.get("reason", "")),
+            str(e.record.get("command", "")),
+            _end(e.record.get("code")),
         ]
         for e in reversed(log.entries)
         if e.kind != "begun"
@@ -63,14 +63,14 @@ def _machine(view: View) -> None:
 
     offer(view, words.ADD_THIS_EVENT, event, what=words.ADD_HISTORY)
     try:
-        found = History(read_entries(view.session.folder.path / FOLDER))
-        its = history_table(found)
-        drawn = history_figures(found)
+        history = History(read_entries(view.session.folder.inside(FOLDER)))
+        trend_table = history_table(history)
+        drawn = history_figures(history)
     except LoopcalError as error:
-        told = words.NO_HISTORY if error.code == "missing-file" else str(error)
-        ui.label(told)
+        message = words.NO_HISTORY if error.code == "missing-file" else str(error)
+        ui.label(message)
         return
-    table(its.head, its.rows)
+    table(trend_table.head, trend_table.rows)
     page(f"{FOLDER}.html", words.OPEN_PAGE_HISTORY)
     for one in drawn:
         figure(one)

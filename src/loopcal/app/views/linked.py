@@ -79,6 +79,7 @@ class Linked:
 
     async def _tell_later(self, number: int) -> None:
         await asyncio.sleep(NEXT)
+        # A brush makes many selections; what takes long follows the last of them.
         if number == self._latest:
             for hear in self.later:
                 hear()
@@ -90,9 +91,9 @@ class Linked:
 
     def _drawn(self, positions: Sequence[int]) -> list[int]:
         """Which of these poses some figure draws."""
-        known = np.union1d(self.errors.drawn, self.zoomed(self.errors).drawn)
-        found: list[int] = np.intersect1d(known, list(positions)).tolist()
-        return found
+        drawn_poses = np.union1d(self.errors.drawn, self.zoomed(self.errors).drawn)
+        drawn: list[int] = np.intersect1d(drawn_poses, list(positions)).tolist()
+        return drawn
 
     @property
     def span(self) -> tuple[float, float] | None:
@@ -101,8 +102,8 @@ class Linked:
 
     def zoomed(self, errors: Errors) -> Errors:
         """What the first figure shows."""
-        found = None if self.span is None else errors.between(*self.span)
-        return errors if found is None else found
+        zoom = None if self.span is None else errors.between(*self.span)
+        return errors if zoom is None else zoom
 
     def zoom(self, positions: Sequence[int]) -> None:
         """Show these poses, and some beside them, in the whole width of the first figure; of none,
@@ -119,8 +120,8 @@ class Linked:
 
     def follow(self, errors: Errors) -> bool:
         """Show other errors in the figures that are there; False where these cannot."""
-        own = self.errors
-        if list(errors.shown) != list(own.shown) or errors.joints != own.joints:
+        before = self.errors
+        if list(errors.shown) != list(before.shown) or errors.joints != before.joints:
             return False
         self.errors = errors
         self.draw()
@@ -136,6 +137,7 @@ class Linked:
 
         async def each() -> None:
             for plot, make in [self._plots[label] for label in labels or self._plots]:
+                # Other errors may have come while the browser drew.
                 if self.errors is errors and not plot.is_deleted:
                     plot.update_figure(make(errors))
                     await asyncio.sleep(NEXT)

@@ -13,12 +13,13 @@ from loopcal.app.pictures import joints_of, machine_figure, moved
 from loopcal.app.uploads import uploader
 from loopcal.app.view import View, heading, table
 from loopcal.files.project.project_file import Project
+from loopcal.files.tables.registry import TEXT
 from loopcal.presentation.shown import in_unit, unit_shown
 
 TYPES = ("motoman-ma1400",)
 """Machines whose dimensions loopcal knows."""
 KINDS = {"urdf": "URDF", "dh": words.DH_TABLE, "machine": words.TYPE}
-ENDS = {"urdf": (".urdf", ".xml"), "dh": (".csv", ".tsv", ".txt", ".xlsx")}
+ENDS = {"urdf": (".urdf", ".xml"), "dh": (*TEXT.endings, ".xlsx")}
 
 
 def show(view: View) -> None:
@@ -58,8 +59,8 @@ def _choose(view: View) -> None:
             for f in view.session.folder.listed()
             if f.name.endswith(ENDS[shown]) and "/" not in f.name
         ]
-    known = value if kind == shown and value in options else None
-    box = ui.select(options, value=known, label=KINDS[shown], on_change=of_value).classes("w-96")
+    selected = value if kind == shown and value in options else None
+    box = ui.select(options, value=selected, label=KINDS[shown], on_change=of_value).classes("w-96")
     box.props(f'aria-label="{KINDS[shown]}"')
     if value:
         ui.label(words.ROBOT_DONE.format(name=value)).classes("good")
@@ -68,7 +69,9 @@ def _choose(view: View) -> None:
 def _machine(view: View, project: Project) -> None:
     mechanism = project.mechanism
     ui.label(f"{mechanism.name}, stated in {view.project_name()}").classes("text-subtitle1")
-    joints = dict.fromkeys(joints_of(mechanism), 0.0)
+    joints: dict[str, float] = view.kept.setdefault(f"robot.{view.project_name()}", {})
+    for name in joints_of(mechanism):
+        joints.setdefault(name, 0.0)
     drawn = machine_figure(mechanism, joints)
     if drawn is not None:
         with ui.element("div").classes("beside"):
@@ -80,32 +83,38 @@ def _machine(view: View, project: Project) -> None:
                     joints[name] = value
                     plot.run_plot_method("restyle", moved(mechanism, joints), [0])
 
-                for name in joints:
-                    _slider(name, mechanism.quantities.get(name, "rad"), partial(move, name))
+                for name in joints_of(mechanism):
+                    unit = mechanism.quantities.get(name, "rad")
+                    _slider(name, unit, joints[name], partial(move, name))
     rows = [
         [
             p.name,
             f"{in_unit(p.nominal, p.unit):.6g}",
             unit_shown(p.unit) if p.unit != "1" else "",
-            mechanism.kinds[p.name],
+            p.role,
         ]
         for p in mechanism.parameters
     ]
     heading(f"{len(rows)} parameters")
-    table(["parameter", "nominal", "unit", "kind"], rows)
+    table(["parameter", "nominal", "unit", "role"], rows)
 
 
-def _slider(name: str, unit: str, move: Any) -> None:
+def _slider(name: str, unit: str, value: float, move: Any) -> None:
+    # A step of most / 180 is 1 degree.
     most = np.pi if unit == "rad" else 1.0
     ui.label(name).classes("self-center")
-    slider = ui.slider(min=-most, max=most, step=most / 180.0, value=0.0)
+    slider = ui.slider(min=-most, max=most, step=most / 180.0, value=value)
     slider.props(f'aria-label="{name} [{unit_shown(unit)}]"')
-    told = ui.label(f"0 {unit_shown(unit)}").classes("self-center")
+    value_label = ui.label().classes("self-center")
+
+    def show(value: float) -> None:
+        value_label.set_text(f"{in_unit(value, unit):z.1f} {unit_shown(unit)}")
 
     def at(event: Any) -> None:
         move(float(event.value))
-        told.set_text(f"{in_unit(float(event.value), unit):z.1f} {unit_shown(unit)}")
+        show(float(event.value))
 
+    show(value)
     slider.on_value_change(at)
 
 

@@ -9,7 +9,8 @@ from typing import Any
 from nicegui import ui
 
 from loopcal.app import words
-from loopcal.app.controls import reason
+from loopcal.app.controls import reason, written
+from loopcal.app.place import Place
 from loopcal.app.view import Part, heading, table
 from loopcal.app.views.linked import Linked
 
@@ -20,25 +21,23 @@ LISTED = 200
 def offer_selection(linked: Linked) -> None:
     """The panel."""
     heading(words.SELECTED_POSES)
-    told = ui.label().classes("text-subtitle1")
+    count_label = ui.label().classes("text-subtitle1")
 
     def count() -> None:
         chosen, every = linked.view.selected, len(linked.errors.size)
         some = words.SELECTED.format(count=len(chosen), all=every)
-        told.set_text(some if chosen else words.NONE_SELECTED)
+        count_label.set_text(some if chosen else words.NONE_SELECTED)
 
     _ends(linked)
     _zoom(linked)
-    acts = ui.refreshable(lambda: _acts(linked))
-    listed = ui.refreshable(lambda: _listed(linked))
+    acts = Place(partial(_acts, linked))
+    listed = Place(partial(_listed, linked))
 
     def of() -> object:
         return bool(linked.view.selected), linked.view.session.moved()
 
     linked.heard += [count, Part(of, acts.refresh).update]
     linked.later.append(listed.refresh)
-    acts()
-    listed()
     count()
 
 
@@ -78,14 +77,14 @@ def _ends(linked: Linked) -> None:
         if run is not None:
             move(end, run[end] + by)
 
-    def named(end: int) -> None:
-        given, run = str(boxes[end].value).strip(), _run(linked)
-        if not given or (run is not None and given == poses()[run[end]]):
+    def named(end: int, said: str) -> None:
+        pose, run = said.strip(), _run(linked)
+        if not pose or (run is not None and pose == poses()[run[end]]):
             return
-        if given in poses():
-            move(end, poses().index(given))
+        if pose in poses():
+            move(end, poses().index(pose))
         else:
-            ui.notify(words.NO_SUCH_POSE.format(pose=given), type="negative")
+            ui.notify(words.NO_SUCH_POSE.format(pose=pose), type="negative")
 
     def show() -> None:
         run = _run(linked)
@@ -104,9 +103,7 @@ def _ends(linked: Linked) -> None:
             with ui.row().classes("items-center no-wrap q-gutter-x-xs"):
                 stepper(end, -1)
                 box = ui.input(label).classes("col").props("dense")
-                for event in ("blur", "keydown.enter"):
-                    box.on(event, partial(named, end))
-                boxes.append(box)
+                boxes.append(written(box, partial(named, end)))
                 stepper(end, +1)
     linked.heard.append(show)
     show()
@@ -146,7 +143,7 @@ def _acts(linked: Linked) -> None:
     reason(view, "shifted", words.REASONS["shifted"])
     for what, names in view.session.moved().items():
         act = partial(view.session.shifted, names)
-        moved = ui.button(words.MOVED_HERE.format(what=what)).props("unelevated")
+        moved = ui.button(words.PARAMETERS_MOVED.format(what=what)).props("unelevated")
         moved.on_click(partial(do, act, "shifted"))
     reason(view, "excluded", words.REASONS["excluded"])
     exclude = partial(do, view.session.excluded, "excluded")

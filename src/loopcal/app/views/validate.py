@@ -13,19 +13,20 @@ from loopcal.app.pictures import machine_figure, moved
 from loopcal.app.predicting import Map, Probe, map_figure
 from loopcal.app.uploads import uploader
 from loopcal.app.view import View, figure, heading
+from loopcal.files.tables.registry import BY_ENDING
 from loopcal.presentation.shown import in_unit, unit_shown
 from loopcal.report import top
 from loopcal.report.drawn import figures
 from loopcal.report.source import Source
 
-ENDS = (".csv", ".tsv", ".txt", ".xlsx", ".parquet")
+ENDS = tuple(BY_ENDING)
 
 
 def show(view: View) -> None:
     """The step."""
     source = view.session.source()
     if source is None:
-        ui.label(words.NO_RESULT)
+        ui.label(view.session.unreadable() or words.NO_RESULT)
         return
     if view.session.state().stale:
         ui.label(words.STALE).classes("care")
@@ -44,14 +45,15 @@ def show(view: View) -> None:
         waiting = ui.spinner(size="lg")
 
     async def fill() -> None:
-        found = await run.io_bound(_predicted, source)
+        prediction = await run.io_bound(_predicted, source)
         waiting.delete()
         with place:
-            if found is None:
+            if prediction is None:
                 ui.label(words.NO_REGION)
             else:
-                _region(source, *found)
+                _region(view, source, *prediction)
 
+    # The page is shown ahead of what takes long.
     ui.timer(0.01, fill, once=True)
     _another_day(view)
     drawn = figures(source)
@@ -68,10 +70,13 @@ def _predicted(source: Source) -> tuple[Probe, Map] | None:
 class _Pose:
     """One pose of the region: its sliders, its prediction, and the machine in it."""
 
-    def __init__(self, source: Source, probe: Probe) -> None:
+    def __init__(self, view: View, source: Source, probe: Probe) -> None:
         assert source.mechanism is not None
         self.mechanism, self.probe = source.mechanism, probe
-        self.joints = {**probe.known.typical, **probe.middle()}
+        self.asked: dict[str, float] = view.kept.setdefault("validate.joints", {})
+        asked = [(n, self.asked[n], span) for n, span in probe.spans.items() if n in self.asked]
+        within = {n: min(max(v, low), high) for n, v, (low, high) in asked}
+        self.joints = {**probe.predictor.typical, **probe.middle(), **within}
         self.sliders: dict[str, Any] = {}
         self.words: dict[str, Any] = {}
         self.quiet = False
@@ -81,7 +86,7 @@ class _Pose:
                 drawn = machine_figure(self.mechanism, self.joints)
                 self.plot = None if drawn is None else ui.plotly(drawn).classes("w-full")
             with ui.column().classes("acts"):
-                self.told = ui.column()
+                self.outputs = ui.column()
                 with ui.grid(columns="auto 1fr 5.5rem").classes("w-full items-center"):
                     for name, (low, high) in probe.spans.items():
                         self._slider(name, low, high)
@@ -95,12 +100,13 @@ class _Pose:
         self.sliders[name], self.words[name] = slider, ui.label()
 
     def _moved(self, name: str, event: Any) -> None:
-        self.joints[name] = float(event.value)
+        self.joints[name] = self.asked[name] = float(event.value)
         if not self.quiet:
             self.show()
 
     def go(self, joints: dict[str, float]) -> None:
         """Move all sliders at once."""
+        # One prediction for all sliders together.
         self.quiet = True
         for name, value in joints.items():
             self.sliders[name].set_value(value)
@@ -112,31 +118,31 @@ class _Pose:
         for name, label in self.words.items():
             unit = self.probe.units[name]
             label.set_text(f"{in_unit(self.joints[name], unit):z.2f} {unit_shown(unit)}")
-        given = {name: self.joints[name] for name in self.probe.spans}
-        self.told.clear()
-        with self.told:
-            for line in self.probe.words(given):
+        joints = {name: self.joints[name] for name in self.probe.spans}
+        self.outputs.clear()
+        with self.outputs:
+            for line in self.probe.words(joints):
                 ui.label(line).classes("text-subtitle1")
         if self.plot is not None:
             moving = moved(self.mechanism, self.joints)
             self.plot.run_plot_method("restyle", moving, [0])
 
 
-def _region(source: Source, probe: Probe, found: Map) -> None:
+def _region(view: View, source: Source, probe: Probe, region_map: Map) -> None:
     """The sd over the working region, and one pose of it."""
-    drawn = map_figure(found)
+    drawn = map_figure(region_map)
     plot = None
     if drawn is not None:
         ui.label(words.MAP).classes("text-body2")
         plot = ui.plotly(drawn).classes("w-full")
         plot.props('aria-label="predicted sd over the working region"')
-    pose = _Pose(source, probe)
+    pose = _Pose(view, source, probe)
     if plot is not None:
         picked = "(event) => emit((event?.points ?? []).map((point) => point.customdata))"
 
         def clicked(event: Any) -> None:
             if event.args:
-                pose.go(found.pose(int(event.args[0])))
+                pose.go(region_map.pose(int(event.args[0])))
 
         plot.on("plotly_click", clicked, js_handler=picked)
 

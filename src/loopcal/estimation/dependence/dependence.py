@@ -20,6 +20,7 @@ from loopcal.estimation.products import rows_times
 from loopcal.estimation.solve.solution import Solution
 
 Array = NDArray[np.float64]
+# docs/decisions/0050: family-wise.
 LEVEL = 0.001
 MOST_NEIGHBOURS = 2000
 """Poses among which neighbours in joint space are sought; of more, every second, third, ..."""
@@ -33,10 +34,10 @@ _ROUNDING = 1e-14
 
 @dataclass(frozen=True, eq=False)
 class Depending:
-    """What was found; drifting: the drift that was learnt, None without serial dependence;
+    """entry: the tests; drifting: the drift that was learnt, None without serial dependence;
     covariance: (n, n) [SI] of the estimate under it."""
 
-    found: Dependence
+    entry: Dependence
     drifting: Drifting | None = None
     covariance: Array | None = None
 
@@ -50,38 +51,40 @@ class Drifting:
 
 
 def dependence(
-    problem: Problem, solution: Solution, equations: Sequence[PoseEquations], *, exact: bool = False
+    problem: Problem, solution: Solution, equations: Sequence[PoseEquations]
 ) -> Depending:
     """The tests of all instruments, and the covariance where an instrument drifts.
 
-    equations: of the poses where the fit ended; exact: the readings were taken as exact.
+    equations: of the poses where the fit ended.
     """
-    found, whole = _tested(problem, solution, equations, exact=exact)
-    families = {i.instrument for i in found.serial}
+    entry, whole = _tested(problem, solution, equations)
+    families = {i.instrument for i in entry.serial}
     drifting = [f for f in instruments(problem) if f.name in families]
     if not drifting:
-        return Depending(found)
+        return Depending(entry)
     root = solution.spectrum.root
     readings = tuple(dict.fromkeys(q for f in drifting for q in f.readings))
-    its = seen(problem, equations, root, readings).take(pose_order(problem))
-    drift = learnt_drift(whole, its)
-    found = replace(found, drift_share=drift.share, drift_poses=drift.length)
-    return Depending(found, Drifting(drift, readings), root @ drift.covariance(whole, its) @ root.T)
+    drifting_seen = seen(problem, equations, root, readings).take(pose_order(problem))
+    drift = learnt_drift(whole, drifting_seen)
+    entry = replace(entry, drift_share=drift.share, drift_poses=drift.length)
+    return Depending(
+        entry, Drifting(drift, readings), root @ drift.covariance(whole, drifting_seen) @ root.T
+    )
 
 
 def likenesses(
-    problem: Problem, solution: Solution, equations: Sequence[PoseEquations], *, exact: bool = False
+    problem: Problem, solution: Solution, equations: Sequence[PoseEquations]
 ) -> Dependence:
     """The tests of all instruments alone, as in `dependence`."""
-    return _tested(problem, solution, equations, exact=exact)[0]
+    return _tested(problem, solution, equations)[0]
 
 
 def _tested(
-    problem: Problem, solution: Solution, equations: Sequence[PoseEquations], *, exact: bool
+    problem: Problem, solution: Solution, equations: Sequence[PoseEquations]
 ) -> tuple[Dependence, Whole]:
     root = solution.spectrum.root
-    whole = _whole(problem, solution, equations, root, exact=exact)
-    informed = 0 if exact else int(np.isfinite(problem.prior_sd).sum())
+    whole = _whole(problem, solution, equations, root)
+    informed = int(np.count_nonzero(problem.precision))
     freedom = whole.equations + informed - root.shape[1]
     square = whole.EE + whole.square
     families = instruments(problem)
@@ -92,12 +95,12 @@ def _tested(
     pairs = _spatial(problem, order)
     rows = []
     for family in families:
-        own = seen(problem, equations, root, family.readings)
-        following = order[in_order(own.take(order))]
-        serial = likeness(own, following, square, freedom)
-        spatial = likeness(own, pairs, square, freedom)
+        family_seen = seen(problem, equations, root, family.readings)
+        following = order[in_order(family_seen.take(order))]
+        serial = likeness(family_seen, following, square, freedom)
+        spatial = likeness(family_seen, pairs, square, freedom)
         rows.append(InstrumentDependence(family.name, serial, spatial))
-    shared = _shared(problem, equations, root) if _joints_exact(problem, exact=exact) else None
+    shared = _shared(problem, equations, root) if _joints_exact(problem) else None
     return Dependence(tuple(rows), LEVEL, shared=shared), whole
 
 
@@ -106,47 +109,40 @@ def covariance_under(
     problem: Problem,
     solution: Solution,
     equations: Sequence[PoseEquations],
-    *,
-    exact: bool = False,
 ) -> Array:
     """(n, n) [SI] of an estimate under a drift that is known."""
     root = solution.spectrum.root
-    whole = _whole(problem, solution, equations, root, exact=exact)
-    its = seen(problem, equations, root, drifting.readings).take(pose_order(problem))
-    return np.asarray(root @ drifting.drift.covariance(whole, its) @ root.T)
+    whole = _whole(problem, solution, equations, root)
+    drifting_seen = seen(problem, equations, root, drifting.readings).take(pose_order(problem))
+    return np.asarray(root @ drifting.drift.covariance(whole, drifting_seen) @ root.T)
 
 
 def pose_order(problem: Problem) -> NDArray[np.intp]:
     """(N,) the poses as they were measured: by the known time if there is one, else by row."""
-    times = [i for i, q in enumerate(problem.mechanism.known.values()) if q == "s"]
+    times = [i for i, q in enumerate(problem.mechanism.pose_constants.values()) if q == "s"]
     if len(times) != 1:
         return np.arange(len(problem.poses))
-    return np.argsort(problem.known[times[0]], kind="stable")
+    return np.argsort(problem.pose_constants[times[0]], kind="stable")
 
 
 def _whole(
-    problem: Problem,
-    solution: Solution,
-    equations: Sequence[PoseEquations],
-    root: Array,
-    *,
-    exact: bool,
+    problem: Problem, solution: Solution, equations: Sequence[PoseEquations], root: Array
 ) -> Whole:
     k = root.shape[1]
     DD, DE, EE, count = np.zeros((k, k)), np.zeros(k), 0.0, 0
     for block in equations:
         D, E = rows_times(block.D, root).reshape(-1, k), block.E.ravel()
         DD, DE, EE, count = DD + D.T @ D, DE + D.T @ E, EE + float(E @ E), count + len(E)
-    precision = np.zeros(len(root)) if exact else 1.0 / np.square(problem.prior_sd)
+    precision = problem.precision
     away = problem.nominal - solution.parameters[problem.free]
     pull = np.where(precision > 0.0, precision * away, 0.0)
     P, square = root.T @ (precision[:, None] * root), float(pull @ away)
     return Whole(DD, DE, EE, P, root.T @ pull, square, count)
 
 
-def _joints_exact(problem: Problem, *, exact: bool) -> bool:
+def _joints_exact(problem: Problem) -> bool:
     """Whether the fit gives the joints no noise, which all instruments would see."""
-    return exact or not problem.uncertainty.sd[joint_rows(problem)].any()
+    return problem.loops_alike or not problem.uncertainty.sd[joint_rows(problem)].any()
 
 
 def _shared(problem: Problem, equations: Sequence[PoseEquations], root: Array) -> Likeness | None:
@@ -155,7 +151,7 @@ def _shared(problem: Problem, equations: Sequence[PoseEquations], root: Array) -
     The largest canonical correlation of any pair, and the p-value after Bonferroni.
     """
     every = [seen(problem, equations, root, f.readings) for f in instruments(problem)]
-    found = []
+    tests = []
     for a, b in combinations(every, 2):
         both = a.read & b.read
         n, p, q = int(np.count_nonzero(both)), a.y.shape[1], b.y.shape[1]
@@ -163,13 +159,15 @@ def _shared(problem: Problem, equations: Sequence[PoseEquations], root: Array) -
             continue
         X, Y = a.y[both] - a.y[both].mean(axis=0), b.y[both] - b.y[both].mean(axis=0)
         r = np.linalg.svd(np.linalg.qr(X)[0].T @ np.linalg.qr(Y)[0], compute_uv=False)
+        # Residuals that are copies have r = 1, whose logarithm is not finite.
         left = 1.0 - np.square(np.minimum(r, 1.0 - 1e-12))
+        # Bartlett's factor: n - 1 - (p + q + 1) / 2.
         square = -(n - 0.5 * (p + q + 3)) * float(np.log(left).sum())
-        found.append((tail(max(square, 0.0), p * q), float(r[0])))
-    if not found:
+        tests.append((tail(max(square, 0.0), p * q), float(r[0])))
+    if not tests:
         return None
-    p_value, correlation = min(found, key=lambda one: (one[0], -one[1]))
-    return Likeness(correlation, min(1.0, len(found) * p_value))
+    p_value, correlation = min(tests, key=lambda one: (one[0], -one[1]))
+    return Likeness(correlation, min(1.0, len(tests) * p_value))
 
 
 def joint_rows(problem: Problem) -> list[int]:
@@ -192,10 +190,10 @@ def _spatial(problem: Problem, order: NDArray[np.intp]) -> Pairs:
     order = order[:: -(-len(order) // MOST_NEIGHBOURS)]
     points = []
     for i in rows:
-        own = problem.readings[i, order]
+        readings = problem.readings[i, order]
         if mechanism.quantities[names[i]] == "rad":
-            points += [np.cos(own), np.sin(own)]
+            points += [np.cos(readings), np.sin(readings)]
         else:
-            points.append((own - own.mean()) / max(float(own.std()), 1e-300))
+            points.append((readings - readings.mean()) / max(float(readings.std()), 1e-300))
     pairs: Pairs = order[near(np.array(points).T, apart=int(_APART * len(order)))]
     return pairs

@@ -50,12 +50,15 @@ def likeness(seen: Seen, pairs: Pairs, square: float, freedom: int) -> Likeness 
     products = np.einsum("pq,pq->p", y[i], y[j])
     total = float(products.sum())
     near = np.zeros_like(A)
+    # A pose may be in many pairs; near[i] += would count only the last of them.
     np.add.at(near, i, 0.5 * A[j])
     np.add.at(near, j, 0.5 * A[i])
     N, q, k = A.shape
     once = A.reshape(N * q, k).T @ near.reshape(N * q, k)
     twice = float(np.einsum("nqi,nqi->", near, M @ near))
+    # M = 1 - D D^T, and K pairs different poses: of tr MK only -tr D^T K D is left.
     trace = -float(np.trace(once))
+    # tr (MK)^2 = tr K^2 - 2 tr D^T K^2 D + tr (D^T K D)^2; a pair is in K twice, as 1/2.
     squared = 0.5 * float(np.einsum("pqr,prq->", M[i], M[j])) - 2.0 * twice
     squared += float(np.square(once).sum())
     variance = 2.0 * (freedom * squared - trace**2) / (freedom**2 * (freedom + 2.0))
@@ -63,16 +66,17 @@ def likeness(seen: Seen, pairs: Pairs, square: float, freedom: int) -> Likeness 
     if not variance > 0.0:
         return None
     deviate = (total / square - trace / freedom) / math.sqrt(variance)
-    own = float(np.einsum("nq,nq->", y, y)) / int(seen.read.sum())
-    correlation = total / len(i) / own if own > 0.0 else 0.0
+    mean_square = float(np.einsum("nq,nq->", y, y)) / int(seen.read.sum())
+    correlation = total / len(i) / mean_square if mean_square > 0.0 else 0.0
+    # One-sided: errors that neighbours share make residuals alike, never unlike.
     return Likeness(correlation, 0.5 * math.erfc(deviate / math.sqrt(2.0)))
 
 
 def near(points: Array, neighbours: int = 6, apart: int = 0) -> Pairs:
     """(2, p) pairs of poses that are nearest to each other at points (N, d).
 
-    apart: poses that follow each other within so many are no pair, so that a drift along a path
-    is not taken for a place in joint space.
+    apart: poses that follow each other within so many are no pair. A drift along a path is then
+    not taken for a place in joint space.
     """
     N = len(points)
     if 2 * apart + 2 >= N:
@@ -81,8 +85,8 @@ def near(points: Array, neighbours: int = 6, apart: int = 0) -> Pairs:
     distance = squares[:, None] + squares - 2.0 * points @ points.T
     rows = np.arange(N)
     distance[np.abs(rows[:, None] - rows) <= apart] = np.inf
-    found = np.argpartition(distance, min(neighbours, N - 1), axis=1)[:, :neighbours]
-    both = np.sort(np.array([np.repeat(rows, found.shape[1]), found.ravel()]), axis=0)
+    nearest = np.argpartition(distance, min(neighbours, N - 1), axis=1)[:, :neighbours]
+    both = np.sort(np.array([np.repeat(rows, nearest.shape[1]), nearest.ravel()]), axis=0)
     kept = np.isfinite(distance[both[0], both[1]])
     pairs: Pairs = np.array(np.divmod(np.unique(both[0, kept] * N + both[1, kept]), N))
     return pairs

@@ -58,22 +58,22 @@ def seen(
     """The poses as these readings see them; root: (n, k) directions of the parameters [SI]."""
     rows = [problem.mechanism.tape.quantities.index(q) for q in readings]
     N, q, k = len(problem.poses), len(rows), root.shape[1]
-    found = Seen(np.zeros((N, q)), np.zeros((N, q, k)), np.zeros((N, q, q)))
+    view = Seen(np.zeros((N, q)), np.zeros((N, q, k)), np.zeros((N, q, q)))
     units = units_of(problem, rows)
     missing = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows])
     for block in equations:
         X = block.X[:, :, rows] * units * ~missing.T[block.poses][:, None, :]
         turned = X.transpose(0, 2, 1)
-        found.y[block.poses] = np.einsum("bqr,br->bq", turned, block.E)
-        found.A[block.poses] = turned @ rows_times(block.D, root)
-        found.M[block.poses] = turned @ X
-    return found
+        view.y[block.poses] = np.einsum("bqr,br->bq", turned, block.E)
+        view.A[block.poses] = turned @ rows_times(block.D, root)
+        view.M[block.poses] = turned @ X
+    return view
 
 
 def units_of(problem: Problem, rows: Sequence[int]) -> Array:
     """(q,) the usual sd of each reading [SI]; 1 where they are taken as exact."""
     sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[list(rows)]
-    known = np.isfinite(sd) & (sd > 0.0)
-    if not known.any(axis=1).all():
+    usable = np.isfinite(sd) & (sd > 0.0)
+    if not usable.any(axis=1).all():
         return np.ones(len(rows))
-    return np.array([float(np.median(own[there])) for own, there in zip(sd, known, strict=True)])
+    return np.array([float(np.median(row[mask])) for row, mask in zip(sd, usable, strict=True)])

@@ -63,23 +63,25 @@ class Drift:
     def covariance(self, whole: Whole, seen: Seen) -> Array:
         """(k, k) of z under this drift, (D^T V D + P) where D^T D + P = I."""
         total = self.white + float(self.sizes.sum())
-        found = self.white * whole.DD + whole.P
+        spread = self.white * whole.DD + whole.P
         for length, size in zip(self.lengths.tolist(), self.sizes.tolist(), strict=True):
             if size > _NOTHING * total:
-                found = found + size * _correlated(math.exp(-1.0 / length), seen.A)
-        return found
+                spread = spread + size * _correlated(math.exp(-1.0 / length), seen.A)
+        return spread
 
 
 def learnt_drift(whole: Whole, seen: Seen) -> Drift:
     """The drift averaged over the grid; poses of `seen` in the order in which they were read."""
     N = len(seen.y)
+    # The shortest keeps exp(-1 / 0.7) = 0.24 from one pose to the next, the longest outlasts
+    # the run.
     lengths = np.geomspace(0.7, max(2.0 * N, 4.0), 10)
     columns = np.concatenate([seen.A, seen.y[:, :, None]], axis=2)
-    found = [
+    grid = [
         [_criterion(whole, seen.M, columns, math.exp(-1.0 / length), ratio) for ratio in _RATIOS]
         for length in lengths.tolist()
     ]
-    criteria, s2 = np.moveaxis(np.array(found), 2, 0)  # (lengths, ratios) each
+    criteria, s2 = np.moveaxis(np.array(grid), 2, 0)  # (lengths, ratios) each
     weights = np.exp(-0.5 * (criteria - criteria.min()))
     weights /= weights.sum()
     share = float((weights @ (_RATIOS / (1.0 + _RATIOS))).sum())
@@ -120,8 +122,11 @@ def _criterion(
             band[q - above, j::q] += M[:, j - above, j]
     factor = cholesky_banded(band)
     log_V = 2.0 * float(np.log(factor[q]).sum())
+    # |1 + X R X^T| = |R| |R^-1 + M| (Sylvester), R = ratio rho^|i - j|; the determinant of
+    # rho^|i - j| is (1 - rho^2)^(N - 1).
     log_V += N * q * math.log(ratio) + q * (N - 1) * math.log1p(-rho * rho)
     flat = columns.reshape(N * q, -1)
+    # Woodbury's identity: V^-1 needs only the inverse of the band R^-1 + M.
     taken = flat.T @ cho_solve_banded((factor, False), flat)
     left = _Left(
         whole, whole.DD - taken[:-1, :-1], whole.DE - taken[:-1, -1], whole.EE - taken[-1, -1]

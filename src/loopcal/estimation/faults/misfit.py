@@ -1,8 +1,8 @@
 """How far the machine as drawn is from its readings, whatever instrument made them.
 
 Only what no drawing states is estimated: where instruments stand, and where on the machine their
-targets are. The misfit has no unit: lengths count as shares of the spread of what the instrument
-read, angles in rad. It is that of nine tenths of the poses, found by repetition (least trimmed
+targets are. The misfit has no unit: what an instrument read counts as shares of its spread, angles
+in rad. It is that of nine tenths of the poses, found by repetition (least trimmed
 squares, Rousseeuw 1984), so that gross errors in single poses neither make a fault nor hide one.
 """
 
@@ -20,6 +20,7 @@ from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.alignment import align, can_be_placed, placed, seen_points
 from loopcal.estimation.problem.problem import Problem, taken
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.residuals import residuals
 from loopcal.estimation.solve.solver import solve
 from loopcal.estimation.solve.sweep import Sweeper
@@ -27,12 +28,17 @@ from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.outputs import points
 
 Array = NDArray[np.float64]
+# docs/decisions/0052 for the first.
 MOST, HALF = 0.9, 0.5
 """Shares of the poses that decide: gross errors are few. Of a grid driven row by row whose readings
 stand one row late, the better half shows nothing but a constant shift."""
 GROSS = 10.0
 """A pose this many times farther off than half of them takes no part in verifying a fault."""
+# One over the normal distribution's quantile of 3/4.
+NORMAL = 1.4826
+"""The sd of normal values, over the median of their distances from the middle."""
 _ROUNDS, _STEPS = 3, 10
+# As in docs/decisions/0046.
 _MOUNTED = 5e-3
 """By how much [m] what is mounted on a body may be off the drawing."""
 _SPREAD = ("point", "pose", "spherical", "polar", "length")
@@ -43,7 +49,7 @@ _SPREAD = ("point", "pose", "spherical", "polar", "length")
 class Misfit:
     """Of the better part of the poses.
 
-    share: as it is compared; size: in `unit` [m or rad], for the reader; away: (N,) the share of
+    share: as it is compared; size: the same in `unit`, for the reader; away: (N,) the share of
     every pose, NaN where nothing was read.
     """
 
@@ -61,8 +67,9 @@ class Misfit:
 
 def undrawn(mechanism: Mechanism) -> tuple[str, ...]:
     """The parameters that say where instruments stand and what they look at, where known."""
-    kinds = mechanism.kinds
-    return tuple(n for n in mechanism.parameters.free if kinds[n] in ("placement", "mounting"))
+    return tuple(
+        p.name for p in mechanism.parameters if not p.fixed and p.role in ("placement", "mounting")
+    )
 
 
 def misfit(
@@ -92,6 +99,7 @@ def misfit(
 
 
 def _better(away: Array, kept: float) -> NDArray[np.intp]:
+    # Between poses, one of them infinite, interpolation would give NaN; "higher" takes a pose.
     return np.flatnonzero(away <= np.nanquantile(away, kept, method="higher"))
 
 
@@ -230,23 +238,22 @@ class _Linear:
         cls, problem: Problem, parameters: Array, names: tuple[str, ...], scales: _Scales
     ) -> _Linear:
         """At parameters (n_all,), by the named ones."""
-        its = [problem.names.index(n) for n in names]
+        index = [problem.names.index(n) for n in names]
         values = np.zeros((problem.count, len(scales.loops)))
         columns = np.zeros((*values.shape, len(names)))
         sd = np.where(np.isfinite(problem.uncertainty.sd), problem.uncertainty.sd, 0.0)
         sd = np.broadcast_to(sd, problem.readings.shape)
         sweeper, noise = Sweeper(problem), np.full(problem.count, np.nan)
-        sweeper.at(parameters)
-        for pattern, block in sweeper.blocks(np.broadcast_to(0.0, problem.readings.shape)):
-            found = sweeper.engine(pattern).evaluate(block.corrected, block.known)
+        for pattern, block in sweeper.blocks(parameters):
+            loop_values = sweeper.loop_values(pattern, block)
             rows = np.array(pattern.loops, dtype=np.intp)
             by = scales.loops[rows]
             at = np.ix_(np.arange(problem.count)[block.poses], rows)
-            values[at] = (found.f / by).T
-            columns[at] = (found.by_parameter[its] / by).transpose(2, 1, 0)
-            own = found.by_quantity * sd[:, None, block.poses] / by
-            noise[block.poses] = np.sqrt(np.square(own).sum(axis=(0, 1)))
-        return cls(problem.free[its], values, columns, noise)
+            values[at] = (loop_values.f / by).T
+            columns[at] = (loop_values.by_parameter[index] / by).transpose(2, 1, 0)
+            by_noise = loop_values.by_quantity * sd[:, None, block.poses] / by
+            noise[block.poses] = np.sqrt(np.square(by_noise).sum(axis=(0, 1)))
+        return cls(problem.free[index], values, columns, noise)
 
     def step(self, loops: Array, good: NDArray[np.intp]) -> Array:
         """The step (n,) that brings these loops (N, m) nearest to zero in some poses.
@@ -254,8 +261,8 @@ class _Linear:
         Loops without a derivative, as a distance of zero, have no part in it.
         """
         J, missing = self.columns[good].reshape(-1, len(self.free)), -loops[good].ravel()
-        known = np.isfinite(J).all(axis=1) & np.isfinite(missing)
-        return np.asarray(np.linalg.lstsq(J[known], missing[known], rcond=None)[0], dtype=float)
+        finite = np.isfinite(J).all(axis=1) & np.isfinite(missing)
+        return np.asarray(np.linalg.lstsq(J[finite], missing[finite], rcond=None)[0], dtype=float)
 
 
 def fit_of_all(problem: Problem, iterations: int) -> float:
@@ -265,8 +272,8 @@ def fit_of_all(problem: Problem, iterations: int) -> float:
         away = _scales(problem).shares(problem, parameters)
     except InputError:
         return math.inf
-    there = away[np.isfinite(away)]
-    return float(np.sqrt(np.square(there).mean())) if there.size else math.inf
+    finite = away[np.isfinite(away)]
+    return float(np.sqrt(np.square(finite).mean())) if finite.size else math.inf
 
 
 def _begun(problem: Problem) -> Array:
@@ -278,15 +285,16 @@ def _begun(problem: Problem) -> Array:
 
 def _fitted(problem: Problem, start: Array, names: tuple[str, ...], iterations: int) -> Array:
     """All parameters after a least-squares fit of some of them, from a start (n_all,)."""
-    its = np.array([problem.names.index(n) for n in names], dtype=np.intp)
+    index = np.array([problem.names.index(n) for n in names], dtype=np.intp)
     part = replace(
         problem,
         start=start,
-        free=problem.free[its],
-        nominal=problem.nominal[its],
-        prior_sd=np.full(len(its), math.inf),
+        free=problem.free[index],
+        nominal=problem.nominal[index],
+        prior_sd=np.full(len(index), math.inf),
+        weighting=Weighting.ALIKE,
     )
-    return solve(part, exact=True, max_iterations=iterations).parameters
+    return solve(part, max_iterations=iterations).parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,10 +309,10 @@ class _Scales:
         """(N,) root mean square of the scaled loop values over what was read in a pose."""
         if unread(problem):
             return self._predicted(problem, parameters)
-        found = np.array(list(residuals(problem, parameters).values())) / self.loops
-        there = np.isfinite(found)
-        squares = np.where(there, np.square(found), 0.0).sum(axis=0)
-        return np.where(there.any(axis=0), np.sqrt(squares), np.nan)
+        scaled = np.array(list(residuals(problem, parameters).values())) / self.loops
+        finite = np.isfinite(scaled)
+        squares = np.where(finite, np.square(scaled), 0.0).sum(axis=0)
+        return np.where(finite.any(axis=0), np.sqrt(squares), np.nan)
 
     def _predicted(self, problem: Problem, parameters: Array) -> Array:
         """The same of the outputs alone, where loops find what nobody reads; inf if they do not."""
@@ -312,33 +320,73 @@ class _Scales:
         measured = problem.readings[
             [mechanism.tape.quantities.index(q) for q in mechanism.compared]
         ]
-        found = by_pose(deviations(mechanism, measured, output_differences(problem, parameters)))
-        if found is None:
+        distances = by_pose(
+            deviations(mechanism, measured, output_differences(problem, parameters))
+        )
+        if distances is None:
             return np.full(problem.count, np.nan)
-        return np.where(np.isfinite(found), found / self.size, np.inf)
+        return np.where(np.isfinite(distances), distances / self.size, np.inf)
 
 
 def _scales(problem: Problem) -> _Scales:
     mechanism = problem.mechanism
-    own = _own(mechanism)
+    drawn = _drawn(mechanism)
     reach = math.sqrt(
-        sum(p.nominal**2 for p in mechanism.parameters if p.unit == "m" and p.name in own)
+        sum(p.nominal**2 for p in mechanism.parameters if p.unit == "m" and p.name in drawn)
     )
     whole = Family("", mechanism.tape.loops, mechanism.outputs)
+    families = mechanism.families or (whole,)
+    units = {
+        loop: mechanism.quantities.get(loop, "m" if mechanism.families else "")
+        for family in families
+        for loop in family.loops
+    }
+    other = {loop for loop, unit in units.items() if unit not in ("m", "rad")}
+    swing = _swing(problem) if other else {}
     scale: dict[str, float] = {}
-    spreads = []
-    for family in mechanism.families or (whole,):
+    spreads: list[tuple[float, str]] = []
+    for family in families:
         spread = _spread(problem, family) or reach or 1.0
         for loop in family.loops:
-            unit = mechanism.quantities.get(loop, "m")
-            scale[loop] = 1.0 if unit == "rad" else spread
-        if any(mechanism.quantities.get(q) == "m" for q in family.readings):
-            spreads.append(spread)
+            usual = swing.get(loop, spread) if loop in other else spread
+            scale[loop] = 1.0 if units[loop] == "rad" else usual
+        read = [mechanism.quantities.get(q, "") for q in family.readings]
+        if "m" in read:
+            spreads.append((spread, "m"))
+        elif read:
+            spreads.append((scale[family.loops[0]] if read[0] != "rad" else 1.0, read[0]))
     loops = np.array([[scale.get(loop, reach or 1.0)] for loop in mechanism.tape.loops])
-    return _Scales(loops, spreads[0] if spreads else 1.0, "m" if spreads else "rad")
+    spreads.sort(key=lambda entry: entry[1] != "m")
+    return _Scales(loops, *(spreads[0] if spreads else (1.0, "1")))
 
 
-def _own(mechanism: Mechanism) -> frozenset[str]:
+def _swing(problem: Problem) -> dict[str, float]:
+    """How far the spread of the outputs moves each loop that contains one, in the loop's unit.
+
+    The median of |df / d outputs * their spreads| over the poses, at the start. The spread is that
+    of the middle of the readings, so that a few steep ones do not count.
+    """
+    mechanism = problem.mechanism
+    names, loops = mechanism.tape.quantities, mechanism.tape.loops
+    sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
+    spread = np.zeros(len(names))
+    for row in [names.index(q) for q in mechanism.outputs]:
+        read = problem.readings[row][np.isfinite(sd[row])]
+        if read.size:
+            middle = float(np.median(np.abs(read - np.median(read))))
+            spread[row] = NORMAL * middle if middle else float(np.std(read))
+    moved = np.full((len(loops), problem.count), np.nan)
+    sweeper = Sweeper(problem)
+    for pattern, block in sweeper.blocks(problem.start):
+        slopes = sweeper.loop_values(pattern, block).by_quantity
+        at = np.ix_(np.array(pattern.loops), np.arange(problem.count)[block.poses])
+        moved[at] = np.sqrt(np.square(slopes * spread[:, None, None]).sum(axis=0))
+    finite = {loop: row[np.isfinite(row)] for loop, row in zip(loops, moved, strict=True)}
+    medians = {loop: float(np.median(row)) for loop, row in finite.items() if row.size}
+    return {loop: size for loop, size in medians.items() if size > 0.0}
+
+
+def _drawn(mechanism: Mechanism) -> frozenset[str]:
     """The parameters that the drawing states, or all."""
     every = frozenset(mechanism.parameters.names)
     return every - frozenset(undrawn(mechanism)) or every
@@ -348,12 +396,14 @@ def _spread(problem: Problem, family: Family) -> float:
     """Median distance [m] of what an instrument read from its middle; 0 where it reads none."""
     mechanism = problem.mechanism
     names = mechanism.tape.quantities
-    its = [q for q in family.readings if mechanism.quantities[q] == "m" or family.form in _SPREAD]
+    coordinates = [
+        q for q in family.readings if mechanism.quantities[q] == "m" or family.form in _SPREAD
+    ]
     if family.form == "pose":
-        its = [q for q in its if mechanism.quantities[q] == "m"]
-    if not its or family.form not in _SPREAD:
+        coordinates = [q for q in coordinates if mechanism.quantities[q] == "m"]
+    if not coordinates or family.form not in _SPREAD:
         return 0.0
-    rows = [names.index(q) for q in its]
+    rows = [names.index(q) for q in coordinates]
     hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows])
     read = points(family, np.where(hidden, np.nan, problem.readings[rows]))
     read = read[:, np.isfinite(read).all(axis=0)]

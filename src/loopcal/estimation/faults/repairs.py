@@ -83,8 +83,8 @@ class _Maker:
         x = problem.readings
         self.moving = [j for j in self.real if np.ptp(x[j]) > PARKED * np.abs(x[j]).max()]
         self.families = [f for f in self.mechanism.families if f.form != "closure"]
-        its = [f.readings for f in self.families] or [self.mechanism.outputs]
-        self.seen = [[j for j in self.real if self.names[j] in readings] for readings in its]
+        groups = [f.readings for f in self.families] or [self.mechanism.outputs]
+        self.seen = [[j for j in self.real if self.names[j] in readings] for readings in groups]
         outputs = {j for rows in self.seen for j in rows}
         self.driven = [j for j in self.moving if j not in outputs]
 
@@ -132,8 +132,8 @@ class _Maker:
             for rows in dict.fromkeys(tuple(rows) for rows in alike if rows):
                 be = "is" if len(rows) == 1 else "are"
                 for ratio, words in ratios:
-                    told = f"{self._listed(rows)} {be} {words}"
-                    yield self._changed("unit", told, rows, ratio * x[list(rows)])
+                    sentence = f"{self._listed(rows)} {be} {words}"
+                    yield self._changed("unit", sentence, rows, ratio * x[list(rows)])
 
     def exchanged(self) -> Iterator[Repair]:
         """Columns of one unit in each other's place."""
@@ -146,14 +146,20 @@ class _Maker:
     def orientations(self) -> Iterator[Repair]:
         """Measured orientations in another order, unit or direction."""
         for orientation in self.mechanism.orientations:
-            its = [i for i, n in enumerate(self.mechanism.tape.known) if n in orientation.columns]
-            if len(its) != len(orientation.columns):
+            positions = [
+                i
+                for i, n in enumerate(self.mechanism.tape.pose_constants)
+                if n in orientation.columns
+            ]
+            if len(positions) != len(orientation.columns):
                 continue
-            known = dict(zip(orientation.columns, self.problem.known[its], strict=True))
+            columns = dict(
+                zip(orientation.columns, self.problem.pose_constants[positions], strict=True)
+            )
             names = ", ".join(orientation.columns)
-            for told, changed in _reread(orientation, known):
-                yield self._oriented("orientation", f"{names} {told}", orientation, changed)
-            yield from self._inverted(orientation, known)
+            for meaning, changed in _reread(orientation, columns):
+                yield self._oriented("orientation", f"{names} {meaning}", orientation, changed)
+            yield from self._inverted(orientation, columns)
 
     def _oriented(
         self,
@@ -163,10 +169,10 @@ class _Maker:
         columns: dict[str, Array],
         point: tuple[Sequence[int], Array] | None = None,
     ) -> Repair:
-        known = self.problem.known.copy()
+        constants = self.problem.pose_constants.copy()
         for name, values in columns.items():
-            known[self.mechanism.tape.known.index(name)] = values
-        problem = replace(self.problem, known=known)
+            constants[self.mechanism.tape.pose_constants.index(name)] = values
+        problem = replace(self.problem, pose_constants=constants)
         names = orientation.columns
         if point is not None:
             readings = problem.readings.copy()
@@ -175,16 +181,17 @@ class _Maker:
             names = (*(self.names[j] for j in point[0]), *names)
         return Repair(code, names, words, problem)
 
-    def _inverted(self, orientation: Orientation, known: dict[str, Array]) -> Iterator[Repair]:
+    def _inverted(self, orientation: Orientation, columns: dict[str, Array]) -> Iterator[Repair]:
         """The pose of the station in the target's frame, in place of the target's."""
         for family, rows in zip(self.families, self.seen, strict=True):
             if not set(orientation.turns) & set(family.readings):
                 continue
-            R = np.array([np.asarray(axis) for axis in orientation.axes(known)])  # (axis, xyz, N)
+            R = np.array([np.asarray(axis) for axis in orientation.axes(columns)])  # (axis, xyz, N)
             inverse = _written(orientation, np.moveaxis(R, 2, 0))
             point = [j for j in rows if self.unit[j] == "m"]
             if len(point) != 3:
                 continue
+            # The inverse of (R, p) is (R^T, -R^T p).
             moved = -np.einsum("axn,xn->an", R, self.problem.readings[point])
             names = ", ".join([*(self.names[j] for j in point), *orientation.columns])
             words = f"{names} hold the inverse pose (the station seen from the target)"
@@ -193,11 +200,13 @@ class _Maker:
     def rows(self) -> Iterator[Repair]:
         """The readings of all instruments some rows away from those of the machine."""
         problem, N = self.problem, self.problem.count
-        rows = [j for its in self.seen for j in its]
+        rows = [j for group in self.seen for j in group]
         if len(problem.patterns) > 1 or not rows or not self.driven:
             return  # what is unmeasured would be displaced as well
         columns = {n for o in self.mechanism.orientations for n in o.columns}
-        known = [i for i, n in enumerate(self.mechanism.tape.known) if n in columns]
+        orientation_rows = [
+            i for i, n in enumerate(self.mechanism.tape.pose_constants) if n in columns
+        ]
         names = tuple(self.names[j] for j in rows)
         what = self._listed(rows)
         every = np.arange(N)
@@ -212,11 +221,14 @@ class _Maker:
         steps[opposite] = (every, every[::-1])
         for words, (machine, seen) in steps.items():
             moved = taken(problem, machine)
-            readings, constants = moved.readings.copy(), moved.known.copy()
+            readings, constants = moved.readings.copy(), moved.pose_constants.copy()
             readings[rows] = problem.readings[rows][:, seen]
-            constants[known] = problem.known[known][:, seen]
+            constants[orientation_rows] = problem.pose_constants[orientation_rows][:, seen]
             yield Repair(
-                "rows-shifted", names, words, replace(moved, readings=readings, known=constants)
+                "rows-shifted",
+                names,
+                words,
+                replace(moved, readings=readings, pose_constants=constants),
             )
 
 
@@ -233,11 +245,11 @@ def _shifted(N: int, shift: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _reread(
-    orientation: Orientation, known: dict[str, Array]
+    orientation: Orientation, columns: dict[str, Array]
 ) -> Iterator[tuple[str, dict[str, Array]]]:
     """What else the numbers of an orientation may mean, in words and as they should be."""
     names = orientation.columns
-    values = [known[name] for name in names]
+    values = [columns[name] for name in names]
     if orientation.form == "quaternion":
         last_first = dict(zip(names, [values[-1], *values[:-1]], strict=True))
         yield "hold the quaternion in the order x, y, z, w, taken as w, x, y, z", last_first
@@ -245,8 +257,8 @@ def _reread(
         yield "hold the quaternion in the order w, x, y, z, taken as x, y, z, w", first_last
     else:
         for ratio, words in ANGLES:
-            yield f"are {words}", {n: ratio * v for n, v in known.items()}
-    R = np.array([np.asarray(axis) for axis in orientation.axes(known)])
+            yield f"are {words}", {n: ratio * v for n, v in columns.items()}
+    R = np.array([np.asarray(axis) for axis in orientation.axes(columns)])
     yield "hold the inverse rotation", _written(orientation, np.moveaxis(R, 2, 0))
 
 
@@ -255,4 +267,5 @@ def _written(orientation: Orientation, matrices: Array) -> dict[str, Array]:
     from scipy.spatial.transform import Rotation
 
     numbers = Rotation.from_matrix(matrices).as_quat()
+    # SciPy writes the scalar of a quaternion last.
     return orientation.written(numbers[:, [3, 0, 1, 2]].T)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import ColumnFault
-from loopcal.document.plain import known
+from loopcal.document.plain import finite
 from loopcal.errors import InputError
 from loopcal.estimation.faults.misfit import (
     HALF,
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from loopcal.estimation.faults.repairs import Repair
 
 Array = NDArray[np.float64]
+# This, PLAUSIBLE and MUCH_BETTER: docs/decisions/0052, measured by analyses/file_faults.py.
 NEAR = 0.01
 """A drawing that misses the readings by this share of their spread, or less, raises no question."""
 PLAUSIBLE = 0.1
@@ -83,15 +84,15 @@ def column_faults(
     still = file.still
     if still:
         return still
-    found: list[ColumnFault] = []
+    faults: list[ColumnFault] = []
     for _ in range(_MOST):
-        fault = _gravest(file, found=bool(found))
+        fault = _gravest(file, repaired=bool(faults))
         if fault is None:
             break
-        repair, told = fault
-        found.append(told)
+        repair, column_fault = fault
+        faults.append(column_fault)
         file = _File(repair.problem, stated)
-    return tuple(found) or _hopeless(file.problem)
+    return tuple(faults) or _hopeless(file.problem)
 
 
 def suspicious(problem: Problem, *, stated: bool = True) -> bool:
@@ -129,7 +130,9 @@ class _File:
         """Whether loops close whatever the readings, or no point that is seen can be computed."""
         if unread(self.problem) and not can_be_placed(self.problem.mechanism):
             return True
-        return bool(self.seen) and all(np.isnan(own).any(axis=0).all() for _, own, _ in self.seen)
+        return bool(self.seen) and all(
+            np.isnan(computed).any(axis=0).all() for _, computed, _ in self.seen
+        )
 
     @property
     def suspicious(self) -> bool:
@@ -148,19 +151,20 @@ class _File:
     @property
     def still(self) -> tuple[ColumnFault, ...]:
         """Instruments that read the same in every pose, although the machine moves there."""
-        found = []
+        faults = []
         outputs = self.problem.mechanism.outputs
         for family, computed, measured in self.seen:
             if family.form not in ("point", "pose") or measured.shape[1] < 10:
                 continue
             names = [q for q in family.readings if q in outputs][: len(measured)]
             spread = np.nanmax(np.nanstd(computed, axis=1))
-            for name, own, read in zip(names, computed, measured, strict=True):
-                away = float(np.nanstd(own))
+            for name, predicted, read in zip(names, computed, measured, strict=True):
+                away = float(np.nanstd(predicted))
                 if np.isfinite(read).all() and np.ptp(read) == 0.0 and away > NEAR * spread:
                     words = f"{name} reads the same value in every pose, although the machine moves"
-                    found.append(ColumnFault((name,), words, away, None, True, "constant"))
-        return tuple(found)
+                    unit = self.problem.mechanism.quantities[name]
+                    faults.append(ColumnFault((name,), words, away, None, True, "constant", unit))
+        return tuple(faults)
 
 
 def _thinned(problem: Problem, most: int) -> Problem:
@@ -170,9 +174,9 @@ def _thinned(problem: Problem, most: int) -> Problem:
     return taken(problem, np.unique(np.linspace(0, N - 1, min(N, most)).round().astype(np.intp)))
 
 
-def _gravest(file: _File, *, found: bool) -> tuple[Repair, ColumnFault] | None:
+def _gravest(file: _File, *, repaired: bool) -> tuple[Repair, ColumnFault] | None:
     problem, before = file.problem, file.left
-    if found and before <= NEAR:
+    if repaired and before <= NEAR:
         return None
     few = _FEWEST if unread(problem) else _FEW
     tried = _tried(problem).repairs
@@ -187,7 +191,7 @@ def _gravest(file: _File, *, found: bool) -> tuple[Repair, ColumnFault] | None:
     if not least <= min(MUCH_BETTER * before, PLAUSIBLE):
         return None
     alike = [first[i][1] for i in sorted(i for share, i in near if share <= EQUAL * least)]
-    after = misfit(alike[0].problem)
+    after, now = misfit(alike[0].problem), misfit(problem)
     drawn = bool(undrawn(problem.mechanism))
     if not (drawn and least <= SURE * before):
         limit = (BETTER if drawn else MUCH_BETTER) * _fitted(problem, after.good)
@@ -197,15 +201,16 @@ def _gravest(file: _File, *, found: bool) -> tuple[Repair, ColumnFault] | None:
     best = alike[0]
     quantities = tuple(dict.fromkeys(name for repair in alike for name in repair.quantities))
     words = " or ".join(repair.words for repair in alike)
-    told = ColumnFault(
+    fault = ColumnFault(
         quantities,
         words,
-        known(misfit(problem).size),
+        finite(now.size),
         after.size,
         drawn,
         best.code,
+        now.unit,
     )
-    return best, told
+    return best, fault
 
 
 def _roughly(problem: Problem, before: float, few: int) -> Callable[[Problem], float]:
@@ -214,11 +219,11 @@ def _roughly(problem: Problem, before: float, few: int) -> Callable[[Problem], f
     Of a drawing that fits the readings as they stand, what repairs leave is linear: a repair that
     moves them much leaves more.
     """
-    here = _thinned(problem, few)
-    near = beside(here) if before <= NEAR and not unread(problem) else None
+    sample = _thinned(problem, few)
+    near = beside(sample) if before <= NEAR and not unread(problem) else None
 
     def share(some: Problem) -> float:
-        if near is not None and some.poses == here.poses:  # displaced rows are other poses
+        if near is not None and some.poses == sample.poses:  # displaced rows are other poses
             return near(some)
         return misfit(some, 1, _FIRST).share
 
@@ -253,6 +258,7 @@ def _tried(problem: Problem) -> _Tried:
 
 
 def _fitted(problem: Problem, good: NDArray[np.intp]) -> float:
+    # A repair of displaced rows has fewer poses than the file.
     good = good[good < problem.count]
     return fit_of_all(_thinned(taken(problem, good), _SAMPLE), _STEPS)
 
@@ -265,13 +271,15 @@ def _hopeless(problem: Problem) -> tuple[ColumnFault, ...]:
     if not left.share > NOTHING:
         return ()
     names = tuple(q for q in problem.mechanism.outputs)
-    how = f"{size(left.size, left.unit)} {unit_shown(left.unit)}"
+    how = f"{size(left.size, left.unit)} {unit_shown(left.unit)}".removesuffix(" 1")
     if _same_shape(problem):
         words = (
             "the readings of the instrument belong to these poses, but in another order (shuffled "
             f"rows, or ids that do not match){_tried(problem).words}"
         )
-        return (ColumnFault(names, words, known(left.size), None, True, "rows-shuffled"),)
+        return (
+            ColumnFault(names, words, finite(left.size), None, True, "rows-shuffled", left.unit),
+        )
     causes = "another robot type, or joint readings of another file"
     quantities = problem.mechanism.tape.quantities
     stuck = [repr(quantities[i]) for i in standing(problem.mechanism, problem.readings)]
@@ -284,7 +292,7 @@ def _hopeless(problem: Problem) -> tuple[ColumnFault, ...]:
         f"the nominal machine does not describe these readings: wherever it is placed, half of the "
         f"poses are more than {how} off; {causes}{_tried(problem).words}"
     )
-    return (ColumnFault(names, words, known(left.size), None, True, "wrong-machine"),)
+    return (ColumnFault(names, words, finite(left.size), None, True, "wrong-machine", left.unit),)
 
 
 def _same_shape(problem: Problem) -> bool:

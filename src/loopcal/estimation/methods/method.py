@@ -6,20 +6,22 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress
+from loopcal.estimation.solve.status import MOST_ITERATIONS
 
 
 class Solve(Protocol):
-    """Estimate the parameters of a problem from its start."""
+    """Estimate the parameters of a problem from its start, weighted as the problem says."""
 
     def __call__(
         self,
         problem: Problem,
         *,
         loss: Loss | None = None,
-        max_iterations: int = 100,
+        max_iterations: int = MOST_ITERATIONS,
         tolerance: float | None = None,
         progress: Progress | None = None,
     ) -> Solution:
@@ -32,26 +34,29 @@ class Method:
     """One way to estimate the parameters of a mechanism.
 
     name: as users state it; label: for the summary; description: for the report; solve: the fit.
-    exact: takes every reading as exact, so it uses neither noise nor prior, and the residuals
-    scale its covariance; at_readings: linearises the loops at the readings, not where they were
-    corrected to; likelihood: minimises one function of the parameters, whose profile is an
-    interval; robust: accepts a loss other than the gaussian one; streamable: needs only sums over
-    the poses, so they may come in chunks; damped: the method with the same optimum whose steps are
-    damped, None where its own are; choice: the methods that it chooses among by poses not used,
-    none where it is one by itself.
+    weighting: what the loops count; likelihood: minimises one function of the parameters, whose
+    profile is an interval; robust: accepts a loss other than the gaussian one; streamable: needs
+    only sums over the poses, so they may come in chunks; damped: the method with the same optimum
+    whose steps are damped, None where its own are; choice: the methods that it chooses among by
+    poses not used, none where it is one by itself.
     """
 
     name: str
     label: str
     description: str
     solve: Solve
-    exact: bool = False
-    at_readings: bool = False
+    weighting: Weighting = Weighting.CORRECTED
     likelihood: bool = True
     robust: bool = False
     streamable: bool = False
     damped: Method | None = None
     choice: tuple[Method, ...] = ()
+
+    @property
+    def exact(self) -> bool:
+        """Whether it takes every reading as exact: it uses neither noise nor prior, and the
+        residuals scale its covariance."""
+        return self.weighting is Weighting.ALIKE
 
     @property
     def safe(self) -> Method:

@@ -1,6 +1,7 @@
 """Reweighted least squares: the open loops, weighted by the noise of their readings."""
 
 from loopcal.estimation.methods.method import Method
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.solve.reweighted import solve_reweighted
 
 METHOD = Method(
@@ -9,7 +10,7 @@ METHOD = Method(
     description="Reweighted least squares: the open loops, weighted by the noise that the "
     "readings bring into them.",
     solve=solve_reweighted,
-    at_readings=True,
+    weighting=Weighting.READ,
     likelihood=False,
     robust=True,
 )

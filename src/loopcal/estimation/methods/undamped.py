@@ -9,13 +9,14 @@ from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.seed_iteration import iterate_undamped
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress
+from loopcal.estimation.solve.status import MOST_ITERATIONS
 
 
 def _solve(
     problem: Problem,
     *,
     loss: Loss | None = None,
-    max_iterations: int = 100,
+    max_iterations: int = MOST_ITERATIONS,
     tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> Solution:

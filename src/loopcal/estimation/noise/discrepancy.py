@@ -22,8 +22,9 @@ def model_discrepancy(problem: Problem, solution: Solution) -> float | None:
     """The sd [unit of the outputs] of an isotropic error at the end point, beside the sensors.
 
     Restricted maximum likelihood of one further variance component at the loops as linearised by
-    the fit, which is not repeated: an indication, where chi-squared is too large. None where the
-    mechanism has no outputs or such an error already, or for more poses than are worth it.
+    the fit. The fit is not repeated: it is an indication, where chi-squared is too large. None
+    where the mechanism has no outputs or such an error already, or for more poses than are worth
+    it.
     """
     mechanism = problem.mechanism
     names = disturbances(mechanism)
@@ -31,13 +32,16 @@ def model_discrepancy(problem: Problem, solution: Solution) -> float | None:
     if len(units) != 1 or mechanism.disturbances or len(problem.poses) > _MOST_POSES:
         return None
     rows = np.zeros((len(names), len(problem.poses)))
-    own = problem.uncertainty
-    sd = np.vstack([own.sd, np.full((len(names), own.sd.shape[1]), _START)])
+    uncertainty = problem.uncertainty
+    # A unit only: what is learnt is the ratio to it.
+    sd = np.vstack([uncertainty.sd, np.full((len(names), uncertainty.sd.shape[1]), _START)])
     disturbed = replace(
-        problem,
+        problem.where_closed,
         mechanism=with_model_error(mechanism),
         readings=np.vstack([problem.readings, rows]),
-        uncertainty=ReadingUncertainty(sd, own.blocks, (*own.sources, *("given",) * len(names))),
+        uncertainty=ReadingUncertainty(
+            sd, uncertainty.blocks, (*uncertainty.sources, *("given",) * len(names))
+        ),
     )
     positions = range(len(problem.readings), len(problem.readings) + len(names))
     corrections = np.vstack([solution.corrections, rows])

@@ -31,6 +31,7 @@ from loopcal.estimation.noise.variances import (
     with_scales,
 )
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.solve.solution import Solution
 from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
@@ -48,6 +49,7 @@ class Fitting(Protocol):
         """tolerance: the step [sds] that counts as converged, None is the method's own."""
 
 
+# docs/decisions/0020 for the second: it concerns the logarithms.
 _MOST, _SETTLED, _BETTER = 60, 1e-5, 1e-6
 """Rounds; what logarithms of ratios still change by, and the criterion, where a search has ended:
 near enough that searches which come to the same end do not seem better than each other."""
@@ -95,7 +97,7 @@ class NoiseEstimate:
     """The fit at the estimated sds, and what was learnt of these.
 
     problem: at these sds, those of its terms included; began: at the stated ones; variances: what
-    the last linearisation says; at_readings: whether the fit weighs the readings where they are.
+    the last linearisation says.
     """
 
     problem: Problem
@@ -104,7 +106,6 @@ class NoiseEstimate:
     began: Problem
     variances: Variances
     settled: bool
-    at_readings: bool = False
 
     @cached_property
     def model(self) -> LinearModel:
@@ -114,18 +115,17 @@ class NoiseEstimate:
             self.solution.parameters,
             self.solution.corrections,
             [component.quantities for component in self.stated],
-            at_readings=self.at_readings,
         )
 
     @property
     def ratios(self) -> Array:
         """(c,) of the sensor components, where one is not common to all noise: at these the loops
         were whitened last."""
-        known = self.variances.sensors
-        return self.variances.ratios if known is None else known.ratios
+        sensors = self.variances.sensors
+        return self.variances.ratios if sensors is None else sensors.ratios
 
     @cached_property
-    def found(self) -> Estimate:
+    def sensor_estimate(self) -> Estimate:
         """The same with their likelihood and what is known of them."""
         assert not self.variances.by_sums
         if self.variances.sensors is not None:
@@ -142,10 +142,10 @@ class NoiseEstimate:
         are linearised elsewhere.
         """
         if self.variances.terms is None:
-            return self.found.criterion
+            return self.sensor_estimate.criterion
         at = fit_at(self.model, self.variances.ratios)
         assert at is not None
-        return at.criterion + self.variances.terms.own_criterion
+        return at.criterion + self.variances.terms.prior_criterion
 
     @cached_property
     def terms(self) -> tuple[EstimatedTerm, ...]:
@@ -181,7 +181,7 @@ class NoiseEstimate:
         if self.variances.by_sums:
             return ()
         names = [component.name for component in self.stated]
-        return tuple((names[j], names[i]) for j, i in self.found.alike)
+        return tuple((names[j], names[i]) for j, i in self.sensor_estimate.alike)
 
     @cached_property
     def components(self) -> tuple[EstimatedSd, ...]:
@@ -198,7 +198,7 @@ class NoiseEstimate:
             return self._by_sums()
         unsure = {name for pair in self.alike for name in pair}
         return tuple(
-            judged(self.model, self.found, i, component, component.name in unsure)
+            judged(self.model, self.sensor_estimate, i, component, component.name in unsure)
             for i, component in enumerate(self.stated)
         )
 
@@ -208,18 +208,16 @@ def estimate_noise(
     components: Sequence[Component],
     fit: Fitting,
     *,
-    at_readings: bool = False,
     begin: Mapping[str, float] | None = None,
 ) -> NoiseEstimate:
     """Fit and sds together: those of sensors, and those of the terms of the mechanism.
 
     fit: the method, to its own tolerance or to one given in sds, which is all that early rounds
-    with terms need; at_readings: whether it weighs the readings where they are (reweighted);
-    begin: `NoiseEstimate.factors` of nearly the same readings, from which the sds settle in a few
-    rounds; by default the search begins at the sds that the problem states. The sds of terms begin
-    at the prior sds of their parameters.
+    with terms need; begin: `NoiseEstimate.factors` of nearly the same readings, from which the
+    sds settle in a few rounds; by default the search begins at the sds that the problem states.
+    The sds of terms begin at the prior sds of their parameters.
     """
-    search = _Search(problem, [component.quantities for component in components], fit, at_readings)
+    search = _Search(problem, [component.quantities for component in components], fit)
     if begin is not None:
         best = search.run(
             np.square([begin.get(component.name, 1.0) for component in components]), near=True
@@ -240,9 +238,8 @@ def estimate_noise(
         replace(best.solution, status=status),
         tuple(components),
         problem,
-        best.found,
+        best.variances,
         best.settled,
-        at_readings,
     )
 
 
@@ -252,7 +249,7 @@ class _Round:
 
     present: Problem
     solution: Solution
-    found: Variances
+    variances: Variances
     settled: bool
     iterations: int
 
@@ -265,7 +262,7 @@ class _Round:
         """Whether its likelihood is greater; any fit that converged beats one that did not."""
         if self.fitted != other.fitted:
             return self.fitted
-        return self.fitted and self.found.criterion < other.found.criterion - _BETTER
+        return self.fitted and self.variances.criterion < other.variances.criterion - _BETTER
 
 
 @dataclass(frozen=True)
@@ -273,7 +270,11 @@ class _Search:
     stated: Problem
     positions: Sequence[Sequence[int]]
     fit: Fitting
-    at_readings: bool
+
+    @property
+    def as_read(self) -> bool:
+        """Whether the sums of the fit are those of loops linearised at the readings."""
+        return self.stated.weighting is Weighting.READ
 
     @cached_property
     def common(self) -> bool:
@@ -285,19 +286,19 @@ class _Search:
         """Whether the sums over all poses say everything: sensors have one factor, or none."""
         learnt = len(self.positions)
         alone = not learnt or (learnt == 1 and self.common)
-        return bool(self.stated.mechanism.learnt_terms) and alone and not self.at_readings
+        return bool(self.stated.mechanism.learnt_terms) and alone and not self.as_read
 
     def doubtful(self, end: _Round) -> Iterator[Array]:
         """Other ratios to begin from, where the end is far from what was stated.
 
         At sds that are wrong by much the first fit may blame the wrong sensor and never get away
-        from it: each sensor that ended far from its stated sd gets a second chance there.
+        from it. Each sensor that ended far from its stated sd gets a second chance there.
         """
         if self.by_sums or _hopeless(end.solution):
             return
-        for i, ratio in enumerate(end.found.ratios):
+        for i, ratio in enumerate(end.variances.ratios):
             if not 1.0 / _FAR < ratio < _FAR:
-                other = end.found.ratios.copy()
+                other = end.variances.ratios.copy()
                 other[i] = 1.0
                 if not np.array_equal(other, np.ones(len(other))):  # where the search began
                     yield other
@@ -305,47 +306,47 @@ class _Search:
     def run(self, ratios: Array, *, near: bool = False) -> _Round:
         """Fit and variances in turn, from these ratios, until neither moves.
 
-        near: they are roughly right. Fits that do not converge end the search: sds learnt where
-        the loops were left mean nothing, and a second fit from there is the last attempt.
+        near: they are roughly right. Fits that do not converge end the search, because sds learnt
+        where the loops were left mean nothing. A second fit from there is the last attempt.
         """
         start, before, vanish, iterations, failed = self.stated.start, math.inf, near, 0, 0
-        scales, corrections = scales_of(self.stated), self.stated.found
+        scales, corrections = scales_of(self.stated), self.stated.first_corrections
         rough, last = ROUGH if len(scales) and not near else None, math.inf
         for number in range(_MOST):
             present = scaled(begun_with(self.stated, scales), self.positions, ratios)
-            begun = replace(present, start=start, found=corrections)
+            begun = replace(present, start=start, first_corrections=corrections)
             solution = self.fit(begun) if rough is None else self.fit(begun, tolerance=rough)
             start, iterations = solution.parameters, iterations + solution.status.iterations
             corrections = solution.corrections
             failed = 0 if solution.status.converged else failed + 1
             present = replace(present, start=start)
             lowest = np.zeros(len(ratios)) if vanish else ratios / _SLOWLY
-            found = self._variances(present, solution, ratios, lowest)
-            change = _change(ratios, found.ratios)
-            falling = np.zeros(len(ratios), dtype=bool) if vanish else found.ratios <= lowest
-            others = _change(ratios[~falling], found.ratios[~falling])
-            if found.terms is not None:
-                by_terms = _change(np.square(scales), np.square(found.terms.scales))
+            variances = self._variances(present, solution, ratios, lowest)
+            change = _change(ratios, variances.ratios)
+            falling = np.zeros(len(ratios), dtype=bool) if vanish else variances.ratios <= lowest
+            others = _change(ratios[~falling], variances.ratios[~falling])
+            if variances.terms is not None:
+                by_terms = _change(np.square(scales), np.square(variances.terms.scales))
                 change, others = max(change, by_terms), max(others, by_terms)
             enough = _SETTLED
-            if found.terms is not None:
+            if variances.terms is not None:
                 enough = NEARBY if near or number >= _MOST // 2 else NEAR
             # what does not change the criterion, such as a component near zero, is of no account
-            ended = change <= enough or abs(before - found.criterion) <= _BETTER
+            ended = change <= enough or abs(before - variances.criterion) <= _BETTER
             if ended and vanish and not failed and (near or rough is None):
-                return _Round(present, solution, found, found.converged, iterations)
+                return _Round(present, solution, variances, variances.converged, iterations)
             if failed > _FAILURES or _hopeless(solution):
                 break
             # No component may vanish before the others are roughly right.
             vanish = vanish or ended or others <= _ROUGHLY or number >= _MOST // 2
-            ratios, before = found.ratios, found.criterion
-            if found.terms is not None:
+            ratios, before = variances.ratios, variances.criterion
+            if variances.terms is not None:
                 if not near:
                     rough = None if ended else min(rough or ROUGH, _SHARE * change)
                 elif change > 0.5 * last:  # the end of the fit itself keeps them from settling
                     rough = _SHARE * min(rough or ROUGH, change)
-                scales, last = found.terms.scales, change
-        return _Round(present, solution, found, False, iterations)
+                scales, last = variances.terms.scales, change
+        return _Round(present, solution, variances, False, iterations)
 
     def _variances(
         self, present: Problem, solution: Solution, ratios: Array, lowest: Array
@@ -353,14 +354,14 @@ class _Search:
         """What the loops say where a fit at these ratios has ended."""
         if self.by_sums:
             return by_common_factor(present, solution, float(ratios[0]) if len(ratios) else None)
+        # Ratios are to the stated sds of sensors, so only the prior sds are the present ones.
         model = linear_model(
             replace(self.stated, prior_sd=present.prior_sd),
             solution.parameters,
             solution.corrections,
             self.positions,
-            at_readings=self.at_readings,
         )
-        end = None if self.at_readings else solution
+        end = None if self.as_read else solution
         return in_turn(present, model, ratios, lowest, common=self.common, end=end)
 
 
@@ -369,11 +370,13 @@ def scaled(problem: Problem, components: Sequence[Sequence[int]], ratios: Array)
     factor = np.ones(len(problem.readings))
     for positions, ratio in zip(components, ratios, strict=True):
         factor[list(positions)] = math.sqrt(ratio)
-    own = problem.uncertainty
+    uncertainty = problem.uncertainty
     # inf times zero: what is not measured stays so
-    sd = np.where(np.isinf(own.sd), own.sd, own.sd * factor[:, None])
-    blocks = tuple(CovarianceBlock(b.indices, b.factor * factor[b.indices[0]]) for b in own.blocks)
-    return replace(problem, uncertainty=ReadingUncertainty(sd, blocks, own.sources))
+    sd = np.where(np.isinf(uncertainty.sd), uncertainty.sd, uncertainty.sd * factor[:, None])
+    blocks = tuple(
+        CovarianceBlock(b.indices, b.factor * factor[b.indices[0]]) for b in uncertainty.blocks
+    )
+    return replace(problem, uncertainty=ReadingUncertainty(sd, blocks, uncertainty.sources))
 
 
 def _hopeless(solution: Solution) -> bool:
@@ -389,18 +392,18 @@ def _change(before: Array, after: Array) -> float:
 
 
 def judged(
-    model: LinearModel, found: Estimate, which: int, component: Component, unsure: bool
+    model: LinearModel, estimate: Estimate, which: int, component: Component, unsure: bool
 ) -> EstimatedSd:
     """What a model says of one component. unsure: whether it is hardly told apart from another."""
     from scipy.special import chdtrc
 
-    ratio, sd = math.sqrt(float(found.ratios[which])), found.sd_of_root(which)
+    ratio, sd = math.sqrt(float(estimate.ratios[which])), estimate.sd_of_root(which)
     upper = None
     if unsure or sd is None or sd > _UNCERTAIN * ratio:
-        bound = upper_bound(model, found, which)
+        bound = upper_bound(model, estimate, which)
         upper = None if bound is None else math.sqrt(bound)
-    without = None if len(found.ratios) == 1 else without_component(model, found, which)
-    rise = None if without is None else max(without - found.criterion, 0.0)
+    without = None if len(estimate.ratios) == 1 else without_component(model, estimate, which)
+    rise = None if without is None else max(without - estimate.criterion, 0.0)
     # at the boundary the rise is zero in half of all cases (Self and Liang 1987)
     p_value = None if rise is None else 0.5 * float(chdtrc(1, rise)) if rise > 0.0 else 1.0
     return EstimatedSd(component.name, component.quantities, ratio, sd, upper, rise, p_value)

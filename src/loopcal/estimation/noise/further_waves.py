@@ -33,7 +33,7 @@ from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
 from loopcal.mechanisms.structure.smooth import Smooth
-from loopcal.mechanisms.structure.structured import DISCREPANCY, structure_of
+from loopcal.mechanisms.structure.structured import DISCREPANCY
 
 Array = NDArray[np.float64]
 _MOST = 60
@@ -48,7 +48,8 @@ def shared(
     equations: of the poses where the fit ended; root: (n, k), dp = root z. None without a
     discrepancy or equations, where a loop joins two poses, and where no such waves are seen.
     """
-    smooth = structure_of(problem.mechanism).smooth
+    structure = problem.mechanism.structure
+    smooth = None if structure is None else structure.smooth
     if smooth is None or any(v.first is not None for v in problem.mechanism.variables):
         return None
     following = smooth.following(_MOST)
@@ -56,8 +57,8 @@ def shared(
     if not following.harmonics or not rows or not equations:
         return None
     names = problem.mechanism.tape.quantities
-    here = {q: problem.readings[i] + corrections[i] for i, q in enumerate(names)}
-    known, further = (np.array(waves.features(here)) for waves in (smooth, following))
+    readings = {q: problem.readings[i] + corrections[i] for i, q in enumerate(names)}
+    included, further = (np.array(waves.features(readings)) for waves in (smooth, following))
     N, k = len(problem.poses), root.shape[1]
     y, A, M = (
         np.zeros((N, len(rows))),
@@ -66,7 +67,7 @@ def shared(
     )
     square, count = 0.0, 0
     for block in equations:
-        F = known[:, block.poses].T
+        F = included[:, block.poses].T
         # what a shift of the body does: the squares of the known features sum to 1 in every pose
         X = np.stack([np.einsum("brf,bf->br", block.D[:, :, row], F) for row in rows], axis=1)
         y[block.poses] = np.einsum("bqr,br->bq", X, block.E)
@@ -122,5 +123,6 @@ def _gained(sums: _Sums, H: Array, square: float, count: int) -> Array | None:
     white, waves = np.linalg.solve(system, moments)
     if not (waves > 0.0 and white > 0.0):
         return None
-    found: Array = waves * (B @ B.T) + (white - 1.0) * H
-    return found
+    # P + H = 1 holds H at variance 1 already, so only the difference is gained.
+    gain: Array = waves * (B @ B.T) + (white - 1.0) * H
+    return gain

@@ -51,8 +51,10 @@ Array = NDArray[np.float64]
 _WIDEST = 3.0
 """Sd of a ratio, at most, in units of the one that would explain all noise."""
 _RIDGE = 1e-6
+# docs/decisions/0049.
 ELSEWHERE = 0.5
 """Sd of the natural logarithm by which the sd of a term differs from one region to another."""
+# Satterthwaite (1946): 2 / share^2 degrees of freedom, here 2,200.
 _CERTAIN = 0.03
 """A change of the variances by less than this share leaves thousands of degrees of freedom."""
 
@@ -109,11 +111,11 @@ class LearntParameters:
         R = rows_times(S, self.root)
         turned = np.swapaxes(R, -1, -2)
         plain = R @ turned
-        parts = [rows_times(R, own) @ turned for own in self.sensors]
+        parts = [rows_times(R, sensor) @ turned for sensor in self.sensors]
         for loading in self.loadings:
             T = rows_times(R, loading.T)
             parts.append(T @ np.swapaxes(T, -1, -2))
-        slopes = np.tensordot(self.errors.T, np.array(parts).reshape(-1, *plain.shape), 1)
+        slopes = np.tensordot(self.errors.T, np.array(parts).reshape(len(parts), *plain.shape), 1)
         added = rows_times(R, self.gained) @ turned
         return LearntCovariance(plain + added, plain, slopes)
 
@@ -149,9 +151,10 @@ def learnt_parameters(
     Over the directions that data and prior determine; with what neighbouring poses share, where the
     equations of the poses are given.
     """
-    own, stated = owners(estimate.problem), estimate.problem.mechanism.learnt_terms
+    owner, stated = owners(estimate.problem), estimate.problem.mechanism.learnt_terms
+    # A log variance has twice the sd of a log sd: precision 1 / (2 spread)^2.
     terms = [
-        _Term(np.flatnonzero(own == i), 0.25 / term.spread**2) for i, term in enumerate(stated)
+        _Term(np.flatnonzero(owner == i), 0.25 / term.spread**2) for i, term in enumerate(stated)
     ]
     prior = 1.0 / estimate.problem.prior_sd
     learnt = estimate.variances
@@ -164,7 +167,9 @@ def learnt_parameters(
     errors, along = errors[:, matters], along[matters]
     c, W = len(sensors.ratios), errors @ errors.T
     added = sensors.second(W[:c, :c])
+    # The prior rows of a term are in no other term, and V_j = V there: Q_jj = Z_j, Q_jk = 0.
     added += np.tensordot(np.diag(W)[c:], first[c:], 1)
+    # W = errors errors^T turns sum_jk W_jk Z_j Z_k into a sum of squares along the errors.
     flat = along.reshape(-1, len(added))
     added -= flat.T @ flat
     shares = shared(estimate.problem, estimate.solution.corrections, equations, sensors.root)
@@ -180,6 +185,7 @@ def _by_sums(estimate: NoiseEstimate, prior: Array) -> _Sensors:
     share = np.eye(root.shape[1]) - informed.T @ informed
     each = 1.0 / ratios
     first = np.multiply.outer(each, share)
+    # tr (1 - D D^T)^2 with share = D^T D: the information on the log variance is half of it.
     count = estimate.solution.equations - 2.0 * np.trace(share) + np.square(share).sum()
     information = 0.5 * count * np.outer(each, each)
     return _Sensors(root, first, ratios, information, lambda W: float(each @ W @ each) * share)
@@ -209,8 +215,10 @@ def _errors(sensors: _Sensors, first: Array, terms: Sequence[_Term]) -> Array:
     information = 0.5 * flat @ flat.T
     information[:c, :c] = sensors.information
     for j, term in enumerate(terms, c):
-        own = 0.5 * (len(term.index) - 2.0 * np.trace(first[j]))
-        information[j, j] += own + term.precision
+        # tr (1 - Z)^2 = len - 2 tr Z + tr Z^2; the products above hold the last part already.
+        term_information = 0.5 * (len(term.index) - 2.0 * np.trace(first[j]))
+        information[j, j] += term_information + term.precision
+        # 1 / information[j, j] grows by (2 ELSEWHERE)^2, the variance of a log variance.
         alike = 1.0 / math.hypot(1.0, 2.0 * ELSEWHERE * math.sqrt(max(information[j, j], 0.0)))
         information[j] *= alike
         information[:, j] *= alike

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from loopcal.document.fit import NoiseCovarianceEntry, NoiseEntry
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.standing import standing
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -43,6 +44,7 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
     from loopcal.estimation.noise.variance_components import Component
 
     quantities = problem.mechanism.tape.quantities
+    still = standing(problem.mechanism, problem.readings)
     owner: dict[int, str] = {}
     for key, how in noise.estimate.items():
         names = key if isinstance(key, tuple) else problem.mechanism.quantity_group(key)
@@ -50,22 +52,25 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
         for name in names:
             alone = how == "each" and key != MODEL  # the model's error is isotropic
             owner[quantities.index(name)] = name if alone else label
+    for position in still:  # exact there: no reading shows what its sd is
+        if not problem.uncertainty.sd[position].any():
+            owner.pop(position, None)
     for position in owner:
         _check_start(problem, position)
-    found = [
+    learnt_components = [
         Component(label, tuple(i for i in owner if owner[i] == label))
         for label in dict.fromkeys(owner.values())
     ]
     for block in problem.uncertainty.blocks:
-        touched = [c.name for c in found if set(c.quantities) & set(block.indices)]
-        if touched and not any(set(block.indices) <= set(c.quantities) for c in found):
+        touched = [c.name for c in learnt_components if set(c.quantities) & set(block.indices)]
+        if touched and not any(set(block.indices) <= set(c.quantities) for c in learnt_components):
             shared = ", ".join(quantities[i] for i in block.indices)
             raise InputError(
                 f"{shared} share a covariance, so their sds can only be scaled together",
                 code="invalid-covariance",
                 remedy=f'estimate them together: estimate = "group" for {shared}',
             )
-    return tuple(found)
+    return tuple(learnt_components)
 
 
 def _check_start(problem: Problem, position: int) -> None:
@@ -95,7 +100,7 @@ def entries(
     owner = {i: j for j, component in enumerate(learnt) for i in component.quantities}
     quantities = problem.mechanism.tape.quantities
     groups: dict[tuple[int, float], list[str]] = {}
-    found: list[tuple[NoiseEntry, list[str]]] = []
+    named_entries: list[tuple[NoiseEntry, list[str]]] = []
     for i, quantity in enumerate(quantities):
         sd = typical_sd(problem, i)
         if sd is None:
@@ -119,8 +124,8 @@ def entries(
             if errors is not None and entry.sd > 0.0:
                 relative = errors[owner[i]] / learnt[owner[i]].ratio ** 2
                 entry = replace(entry, slopes=tuple(relative.tolist()))
-        found.append((entry, names))
-    return tuple(replace(entry, quantities=tuple(names)) for entry, names in found)
+        named_entries.append((entry, names))
+    return tuple(replace(entry, quantities=tuple(names)) for entry, names in named_entries)
 
 
 def typical_sd(problem: Problem, position: int) -> float | None:
@@ -150,13 +155,13 @@ def learnt_entry(entry: NoiseEntry, component: EstimatedSd, begun: float) -> Noi
 def joint_covariances(problem: Problem) -> tuple[NoiseCovarianceEntry, ...]:
     """The covariances of quantities whose errors are not independent."""
     quantities = problem.mechanism.tape.quantities
-    found = []
+    covariances = []
     for block in problem.uncertainty.blocks:
         matrix = block.factor @ np.swapaxes(block.factor, -1, -2)
         mean = matrix.reshape(-1, *matrix.shape[-2:]).mean(axis=0)
         names = tuple(quantities[i] for i in block.indices)
-        found.append(NoiseCovarianceEntry(names, tuple(map(tuple, mean.tolist()))))
-    return tuple(found)
+        covariances.append(NoiseCovarianceEntry(names, tuple(map(tuple, mean.tolist()))))
+    return tuple(covariances)
 
 
 def words(

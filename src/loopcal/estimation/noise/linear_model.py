@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.products import rows_times, rows_times_upper
 from loopcal.estimation.solve.kernel import eliminate, loadings
 from loopcal.estimation.solve.reduction import WELL_CONDITIONED, inverse_of_upper
@@ -82,25 +83,20 @@ def linear_model(
     parameters: Array,
     corrections: Array,
     components: Sequence[Sequence[int]],
-    *,
-    at_readings: bool = False,
 ) -> LinearModel:
     """The linearised model with one variance component for each list of quantity positions.
 
-    at_readings: take J_p where the readings stand instead of where they were corrected to, as
-    the reweighted fit does.
+    The reweighted fit has J_p where the readings stand, all others where they were corrected to.
     """
     sweeper = Sweeper(problem)
-    sweeper.at(parameters)
     blocks = []
-    for pattern, block in sweeper.blocks(corrections):
-        noise, engine = block.noise, sweeper.engine(pattern)
-        values = engine.evaluate(block.corrected, block.known)
+    for pattern, block in sweeper.blocks(parameters, corrections):
+        noise, values = block.noise, sweeper.loop_values(pattern, block)
         unmeasured, measured = list(noise.unmeasured), list(noise.measured)
         f, J, D = values.f.copy(), values.by_quantity[measured], values.by_parameter.copy()
         columns = values.by_quantity[unmeasured]
-        if at_readings:
-            D = engine.evaluate(block.read, block.known).by_parameter.copy()
+        if problem.weighting is Weighting.READ:
+            D = sweeper.loop_values(pattern, block.read).by_parameter.copy()
         skip = len(unmeasured)
         if skip:
             reflections = eliminate(columns)
@@ -108,14 +104,14 @@ def linear_model(
         e = np.einsum("kmb,kb->mb", J[:, skip:], block.corrections[measured]) - f[skip:]
         G = loadings(J[:, skip:], noise).transpose(2, 0, 1)
         rows = [[measured.index(i) for i in c if i in noise.measured] for c in components]
-        own = [i for c in rows for i in c]
-        rest = G[:, :, [i for i in range(len(measured)) if i not in own]]
+        members = [i for c in rows for i in c]
+        rest = G[:, :, [i for i in range(len(measured)) if i not in members]]
         blocks.append(
             ModelBlock(
                 np.ascontiguousarray(e.T),
                 np.ascontiguousarray(D[:, skip:].transpose(2, 1, 0)),
                 rest @ rest.transpose(0, 2, 1),
-                np.ascontiguousarray(G[:, :, own]),
+                np.ascontiguousarray(G[:, :, members]),
                 np.array([j for j, c in enumerate(rows) for _ in c], dtype=np.intp),
             )
         )
@@ -231,8 +227,8 @@ class _Solved:
 
 def _solved(model: LinearModel, joined: Joined) -> _Solved:
     """The whitened columns with the prior, solved for the parameters."""
-    found = _by_products(model, joined)
-    return _by_rows(model, joined) if found is None else found
+    by_products = _by_products(model, joined)
+    return _by_rows(model, joined) if by_products is None else by_products
 
 
 def _by_products(model: LinearModel, joined: Joined) -> _Solved | None:
@@ -246,12 +242,14 @@ def _by_products(model: LinearModel, joined: Joined) -> _Solved | None:
         return None
     n = len(R) - 1
     inverse = inverse_of_upper(R[:n, :n])
+    # In Frobenius' norm the product is no less than the condition number.
     if not np.linalg.norm(R[:n, :n]) * np.linalg.norm(inverse) <= WELL_CONDITIONED:
         return None
-    own, size = scale[:n], 1.0 / scale[n]
-    log_volume = 2.0 * float(np.log(np.diag(R)[:n]).sum() - np.log(own).sum())
+    column_scale, size = scale[:n], 1.0 / scale[n]
+    log_volume = 2.0 * float(np.log(np.diag(R)[:n]).sum() - np.log(column_scale).sum())
+    # The last pivot of the triangle of [J e] is the length of what J leaves of e.
     residual = float(R[n, n] * size) ** 2
-    return _Solved(own[:, None] * inverse, R[:n, n] * size, residual, log_volume, True)
+    return _Solved(column_scale[:, None] * inverse, R[:n, n] * size, residual, log_volume, True)
 
 
 def _by_rows(model: LinearModel, joined: Joined) -> _Solved:
@@ -289,6 +287,7 @@ def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Jo
         except np.linalg.LinAlgError:
             return None
         log_V += 2.0 * float(np.log(np.einsum("brr->br", L)).sum())
+        # NumPy solves no stacks of triangles: an inverse and a product serve the whole block.
         whitened = np.linalg.inv(L) @ block.columns
         rows.append(np.ascontiguousarray(whitened[:, :, : n + 1]))
         W.append(whitened[:, :, n + 1 :])
@@ -305,10 +304,11 @@ def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected
         Y = _taken_up(rows, W, solved)
         C, Q = turned @ W, Y @ Y.transpose(0, 2, 1)
         members = np.equal.outer(np.arange(count), block.owner).astype(float)  # (c, K)
+        # |C - Q|^2 = C C - 2 C Q + Q Q; the last part joins all pairs of poses, hence `first`.
         pairs += members @ np.einsum("bkl,bkl->kl", C, C - 2.0 * Q) @ members.T
         for j in range(count):
-            own = Y[:, columns(block.owner, j)].reshape(-1, rank)
-            first[j] += own.T @ own
+            Y_j = Y[:, columns(block.owner, j)]
+            first[j] += np.tensordot(Y_j, Y_j, ((0, 1), (0, 1)))
         every.append(Y)
     flat = first.reshape(count, rank * rank)
     owners = tuple(block.owner for block in model.blocks)

@@ -23,9 +23,10 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.expressions.engine import LoopValues, engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
+from loopcal.mechanisms.structure.parts import Structure
 from loopcal.mechanisms.structure.sag import BASE, Column, Sag
 from loopcal.mechanisms.structure.smooth import Smooth
-from loopcal.mechanisms.structure.structured import DISCREPANCY, ORDERS, structure_of
+from loopcal.mechanisms.structure.structured import DISCREPANCY, ORDERS
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import enumerated, with_unit
 
@@ -73,7 +74,7 @@ def term_parts(
     parameters: (n_all,); corrections: (k, N); covariance: (n, n) of the estimated parameters [SI].
     """
     mechanism = problem.mechanism
-    structure = structure_of(mechanism)
+    structure = mechanism.structure or Structure()
     read = dict(zip(mechanism.tape.quantities, problem.readings + corrections, strict=True))
     at = _Fitted(
         dict(zip(mechanism.parameters.names, parameters.tolist(), strict=True)),
@@ -82,19 +83,23 @@ def term_parts(
         read,
         problem.poses,
     )
-    found: dict[str, list[TermPart]] = {}
+    parts_by_term: dict[str, list[TermPart]] = {}
     if structure.sag is not None:
-        for name, own in (("sag", True), ("sag_across", False)):
-            found[name] = _given(at, structure.sag, [c for c in structure.columns if c.own == own])
-    found["harmonics"] = [_out_of_round(at, joint) for joint in structure.joints]
+        for name, about in (("sag", True), ("sag_across", False)):
+            parts_by_term[name] = _under_gravity(
+                at, structure.sag, [c for c in structure.columns if c.about_joint == about]
+            )
+    parts_by_term["harmonics"] = [_out_of_round(at, joint) for joint in structure.joints]
     if structure.smooth is not None:
         for name, unit in _TERMS.items():
-            found[name] = _remaining(at, structure.smooth, unit)
-    order = {name: sorted(parts, key=lambda part: -part.size) for name, parts in found.items()}
+            parts_by_term[name] = _remaining(at, structure.smooth, unit)
+    order = {
+        name: sorted(parts, key=lambda part: -part.size) for name, parts in parts_by_term.items()
+    }
     return {name: tuple(parts) for name, parts in order.items() if parts}
 
 
-def _given(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[TermPart]:
+def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[TermPart]:
     """By how much base and joints give way under gravity."""
     joints = [j for j in arm.names if any(c.joint == j for c in columns)]
     read = tuple(dict.fromkeys(step.joint for step in arm.chain if step.joint))
@@ -102,19 +107,19 @@ def _given(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[TermPart]:
         return []
 
     def turns(x: Any, p: Any) -> list[Any]:
-        given = arm.given(columns, x, p)
+        link_turns = arm.link_turns(columns, x, p)
         # a tape needs a reading in every row, and some of these are zero in every pose
-        return [component + x[read[0]] for j in joints for component in given[j]]
+        return [component + x[read[0]] for j in joints for component in link_turns[j]]
 
     def along(x: Any, p: Any) -> list[Any]:
-        given = arm.given(columns, x, p)
-        return [sum(given[j] @ np.array([x[name] for name in ways[j]]) for j in joints)]
+        link_turns = arm.link_turns(columns, x, p)
+        return [sum(link_turns[j] @ np.array([x[name] for name in ways[j]]) for j in joints)]
 
     x = np.array([at.readings[q] for q in read])
     ways = {j: tuple(f"{j} along {axis}" for axis in "xyz") for j in joints}
     values = np.array(list(at.values.values()))
-    given = _evaluated(trace(turns, quantities=read, parameters=tuple(at.values)), values, x).f
-    turned = (given - x[0]).reshape(len(joints), 3, -1)
+    link_turns = _evaluated(trace(turns, quantities=read, parameters=tuple(at.values)), values, x).f
+    turned = (link_turns - x[0]).reshape(len(joints), 3, -1)
     sizes = np.nan_to_num(np.linalg.norm(turned, axis=1))
     poses = sizes.argmax(axis=1)
     largest = sizes.max(axis=1)
@@ -123,34 +128,35 @@ def _given(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[TermPart]:
     for i in np.flatnonzero(largest > _NOTHING).tolist():
         ahead[i, :, i] = turned[i, :, poses[i]] / largest[i]
     names = tuple(name for j in joints for name in ways[j])
-    tape = trace(along, quantities=read, known=names, parameters=tuple(at.values))
-    known: Array = ahead.reshape(len(names), -1)
-    slopes = _evaluated(tape, values, x[:, poses], known, at.names).by_parameter[:, 0]
-    found = []
+    tape = trace(along, quantities=read, pose_constants=names, parameters=tuple(at.values))
+    directions: Array = ahead.reshape(len(names), -1)
+    slopes = _evaluated(tape, values, x[:, poses], directions, at.names).by_parameter[:, 0]
+    parts = []
     for i, joint in enumerate(joints):
         size, pose = float(largest[i]), int(poses[i])
         if not size > _NOTHING:
             continue
         sd = at.sd(dict(zip(at.names, slopes[:, i].tolist(), strict=True)))
         who = "the base" if joint == BASE else joint
-        way = "about its axis" if columns[0].own else "across its axis"
+        way = "about its axis" if columns[0].about_joint else "across its axis"
         way = "" if joint == BASE else f" {way}"
         words = f"under gravity {who} gives way{way} by up to {_turn(size, sd, at.poses[pose])}"
-        found.append(TermPart((joint,), "rad", size, sd, at.poses[pose], words))
-    return found
+        parts.append(TermPart((joint,), "rad", size, sd, at.poses[pose], words))
+    return parts
 
 
 def _evaluated(
     tape: Tape,
     values: Array,
     x: Array,
-    known: Array | None = None,
+    pose_constants: Array | None = None,
     names: tuple[str, ...] = (),
 ) -> LoopValues:
     """A tape at readings x (k, N) and known constants (c, N), with derivatives by parameters."""
     engine = engine_for(tape, names, x.shape[1], ())
-    engine.at(values)
-    return engine.evaluate(x, np.empty((0, x.shape[1])) if known is None else known)
+    return engine.evaluate(
+        values, x, np.empty((0, x.shape[1])) if pose_constants is None else pose_constants
+    )
 
 
 def _out_of_round(at: _Fitted, joint: str) -> TermPart:
@@ -196,15 +202,16 @@ def _depends_on(at: _Fitted, smooth: Smooth, c: Array) -> tuple[str, ...]:
     """The joints of which a smooth function c F(q) is a function, by Sobol's total indices.
 
     T_d = E |f(q) - f(q')|^2 / (2 var f), q' as q with the reading of joint d from another pose
-    (Jansen 1999): the share of the variance that goes where the other joints are known.
+    (Jansen 1999). It is the share of the variance that goes where the other joints are known.
     """
     q = {joint: at.readings[joint] for joint in smooth.joints}
     f = c @ np.array(smooth.features(q))
     spread = float(f.var(axis=1).sum())
+    # One permutation for all joints: shares then differ by joint, not by draw.
     other = np.random.default_rng(0).permutation(f.shape[1])
     share = {}
-    for joint, own in q.items():
-        off = f - c @ np.array(smooth.features(q | {joint: own[other]}))
+    for joint, reading in q.items():
+        off = f - c @ np.array(smooth.features(q | {joint: reading[other]}))
         share[joint] = float(np.square(off).sum(axis=0).mean()) / (2.0 * spread)
     counts = [joint for joint in smooth.joints if share[joint] >= _COUNTS]
     return tuple(counts) or smooth.joints

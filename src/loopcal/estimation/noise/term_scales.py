@@ -115,7 +115,7 @@ def term_system(
     """
     flat = np.isinf(prior_sd)
     order = np.concatenate([np.flatnonzero(flat), np.flatnonzero(~flat)])
-    n, known = int(flat.sum()), ~flat
+    n, informed = int(flat.sum()), ~flat
     which = np.append(order, len(prior_sd))
     rows = sums.total[:, which] if sums.triangular else sums.total[np.ix_(which, which)]
     if sums.triangular:
@@ -134,6 +134,7 @@ def term_system(
         kept = values > SUMMED_TOLERANCE * values.max(initial=0.0)
         along = (vectors[:, kept] / values[kept]).T @ (scale[:, None] * rows[:n, n:])
         products = rows[n:, n:] - along.T @ along
+    # log|A| of the block as scaled, less what scaling its rows and columns has added.
     volume = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())
     return TermSystem(
         products[:-1, :-1],
@@ -141,9 +142,9 @@ def term_system(
         max(float(products[-1, -1]), 0.0),
         sums.equations - int(kept.sum()),
         volume,
-        prior_sd[known],
-        offset[known],
-        owner[known],
+        prior_sd[informed],
+        offset[informed],
+        owner[informed],
         tuple(terms),
     )
 
@@ -166,9 +167,9 @@ def evaluate(system: TermSystem, x: Array) -> TermFit:
     """The criterion and its derivatives at x = (log phi, log sd^2 of each term)."""
     from scipy.linalg import lapack
 
-    phi, own = float(np.exp(x[0])), system.owner
+    phi, owner = float(np.exp(x[0])), system.owner
     T = (
-        np.where(own >= 0, np.exp(0.5 * x[1:])[own], system.prior_sd)
+        np.where(owner >= 0, np.exp(0.5 * x[1:])[owner], system.prior_sd)
         if len(x) > 1
         else (system.prior_sd)
     )
@@ -209,6 +210,7 @@ def evaluate(system: TermSystem, x: Array) -> TermFit:
     penalties = np.square(away) * weight
     criterion = system.count * float(x[0]) + system.volume + log_K + residual
     criterion += float(squares.sum() + penalties.sum())
+    # tr (1 - B_bb): a parameter that only its prior determines has B = 1 and counts nothing.
     freedom = members.sum(axis=1) - traces
     return TermFit(x, criterion, penalties, gradient, hessian, freedom)
 
@@ -229,6 +231,7 @@ def learn_scales(system: TermSystem, start: Start) -> TermFit:
         length = min(1.0, _FARTHEST / float(np.abs(step).max()))
         for _ in range(_HALVINGS):
             trial = evaluate(system, current.x + length * step)
+            # Sufficient decrease (Armijo 1966) with the 1e-4 of Nocedal and Wright (2006), 3.1.
             if trial.criterion < current.criterion + 1e-4 * length * slope:
                 break
             length /= 2

@@ -10,6 +10,7 @@ import numpy as np
 
 from loopcal.document.terms import TermEntry
 from loopcal.estimation.noise.term_scales import Start, TermFit, TermSystem, learn_scales
+from loopcal.mechanisms.parameters import BEYOND
 from loopcal.presentation.shown import with_unit
 
 if TYPE_CHECKING:
@@ -44,13 +45,14 @@ class EstimatedTerm:
     gain: float
 
 
-def judged_terms(found: TermVariances) -> tuple[EstimatedTerm, ...]:
+def judged_terms(learnt: TermVariances) -> tuple[EstimatedTerm, ...]:
     """What the last linearisation says of each term."""
-    system, at, sds = found.system, found.at, curvature_sds(found)
+    system, at, sds = learnt.system, learnt.at, curvature_sds(learnt)
     judged = []
     present = learn_scales(system, Start(at.x, np.ones(len(at.x), dtype=bool)))
     for i, term in enumerate(system.terms):
         columns = int((system.owner == i).sum())
+        # The sds are those of log sd^2, twice those of log sd.
         scale, spread = float(at.scales[i]), math.exp(0.5 * _QUANTILE * sds[1 + i])
         freedom, gain = max(float(at.freedom[i]), 0.0), _gain(system, present, i)
         judged.append(
@@ -76,12 +78,12 @@ def term_entries(
     mechanism: Mechanism, estimated: tuple[EstimatedTerm, ...]
 ) -> tuple[TermEntry, ...]:
     """As a document holds them."""
-    found = []
+    entries = []
     for one in estimated:
         unit = mechanism.parameters[one.term.parameters[0]].unit
         scale = with_unit(one.scale, unit, 2, fine=True)
         words = one.term.words or f"{one.term.name} deviate from nominal by {{scale}} (sd)"
-        found.append(
+        entries.append(
             TermEntry(
                 one.term.name,
                 unit,
@@ -92,15 +94,15 @@ def term_entries(
                 one.effective,
                 one.gain,
                 words.replace("{scale}", scale),
-                tuple(n for n in one.term.parameters if mechanism.kinds.get(n) == "effect"),
+                tuple(n for n in one.term.parameters if mechanism.roles.get(n) in BEYOND),
             )
         )
-    return tuple(found)
+    return tuple(entries)
 
 
-def curvature_sds(found: TermVariances) -> NDArray[np.float64]:
+def curvature_sds(learnt: TermVariances) -> NDArray[np.float64]:
     """Sds of (log of the common factor, log sd^2 of each term), 0 where held."""
-    at, free = found.at, found.free
+    at, free = learnt.at, learnt.free
     sds = np.zeros(len(at.x))
     index = np.flatnonzero(free)
     values, vectors = np.linalg.eigh(at.hessian[np.ix_(index, index)])

@@ -22,6 +22,7 @@ _MOST = 60
 _ENOUGH, _SHARE, _ROUGHLY = 1e-6, 1e-7, 1e-3
 """A profile ends where its next step promises less than this, or than this share of the rise; on
 the way to a bound than the third, which leaves its logarithm right to some 1e-4."""
+# docs/decisions/0020.
 _KEPT = 0.5
 """Where a step brings less than this of what it promised, or more than its inverse, the information
 matrix it came from does not serve any more."""
@@ -62,42 +63,43 @@ class _Profile:
         """
         ratios = self.last.ratios.copy()
         ratios[self.which] = ratio
-        here = self._measured(ratios, self.last.at.information)
-        if here is None:
+        place = self._measured(ratios, self.last.at.information)
+        if place is None:
             return None
         lowest, right, fresh = np.zeros(len(ratios)), not informed, False
         for _ in range(_MOST):
-            step = scoring_step(here.at, here.ratios, lowest, self.free)
-            promised = _promised(here.at, step)
-            rise = here.at.criterion - self.estimate.criterion
+            step = scoring_step(place.at, place.ratios, lowest, self.free)
+            promised = _promised(place.at, step)
+            rise = place.at.criterion - self.estimate.criterion
             ended = promised <= (_ROUGHLY if informed else max(_ENOUGH, _SHARE * rise))
-            if not fresh and (not right or (ended and here.ratios is ratios)):
-                known = fit(self.model, here.ratios)
-                if known is None:
+            if not fresh and (not right or (ended and place.ratios is ratios)):
+                fresh_fit = fit(self.model, place.ratios)
+                if fresh_fit is None:
                     return None
-                here, fresh, right = replace(here, at=known), True, True
+                place, fresh, right = replace(place, at=fresh_fit), True, True
                 continue
             if ended:
                 break
-            moved = self._lower(here, step)
+            moved = self._lower(place, step)
             if moved is None:
                 if fresh:
                     break
                 right = False
                 continue
-            kept = (here.at.criterion - moved.at.criterion) / promised
-            here, right, fresh = moved, 1.0 / _KEPT > kept > _KEPT, False
-        self.last = here
-        return replace(here, at=replace(here.at, criterion=here.at.criterion - promised))
+            kept = (place.at.criterion - moved.at.criterion) / promised
+            place, right, fresh = moved, 1.0 / _KEPT > kept > _KEPT, False
+        self.last = place
+        # The last step, which is not made, would gain this to second order.
+        return replace(place, at=replace(place.at, criterion=place.at.criterion - promised))
 
-    def _lower(self, here: _Place, step: Array) -> _Place | None:
+    def _lower(self, place: _Place, step: Array) -> _Place | None:
         """The longest of the halved steps that lowers the criterion; None if none does."""
         length = 1.0
         for _ in range(_HALVINGS):
-            ratios = np.maximum(here.ratios + length * step, 0.0)
-            found = self._measured(ratios, here.at.information)
-            if found is not None and found.at.criterion < here.at.criterion:
-                return found
+            ratios = np.maximum(place.ratios + length * step, 0.0)
+            trial = self._measured(ratios, place.at.information)
+            if trial is not None and trial.at.criterion < place.at.criterion:
+                return trial
             length /= 2
         return None
 
@@ -105,8 +107,8 @@ class _Profile:
         joined = whitened(self.model, ratios)
         if joined is None:
             return None
-        here = slope(self.model, joined)
-        return _Place(ratios, MixedFit(here.criterion, here.score, information))
+        local_slope = slope(self.model, joined)
+        return _Place(ratios, MixedFit(local_slope.criterion, local_slope.score, information))
 
 
 def _promised(at: MixedFit, step: Array) -> float:
@@ -118,8 +120,8 @@ def without_component(model: LinearModel, estimate: Estimate, which: int) -> flo
 
     None where the loops could not close without it.
     """
-    found = _Profile(model, estimate, which).at(0.0, informed=False)
-    return None if found is None else found.at.criterion
+    place = _Profile(model, estimate, which).at(0.0, informed=False)
+    return None if place is None else place.at.criterion
 
 
 def upper_bound(
@@ -129,8 +131,8 @@ def upper_bound(
 
     Where the criterion, least over all other components, has risen as far as `_rise` says. The
     others must give way: held where they are, they would leave no room for what is hidden in
-    them. It is the upper end of a two-sided interval, because a bound is asked for only where the
-    estimate came out low, which is half of all draws: so it holds in `level` of these.
+    them. It is the upper end of a two-sided interval: a bound is asked for only where the estimate
+    came out low, which is half of all draws. So it holds in `level` of these.
 
     Found by Newton's steps in the logarithm, between what is below and what is above.
     """
@@ -140,48 +142,51 @@ def upper_bound(
         return None
     beyond, profile = 0.5 * (1.0 - level), _Profile(model, estimate, which)
     low, high = math.log(max(present, 1e-12)), math.inf
-    here = math.log(present + 1.0 / math.sqrt(information))
-    farthest = here + _FARTHEST
+    log_ratio = math.log(present + 1.0 / math.sqrt(information))
+    farthest = log_ratio + _FARTHEST
     before: tuple[float, float] | None = None
     for _ in range(_MOST):
-        ratio = math.exp(here)
-        found = profile.at(ratio, informed=True)
-        if found is None:
+        ratio = math.exp(log_ratio)
+        place = profile.at(ratio, informed=True)
+        if place is None:
             return None
-        needed = _rise(2.0 * ratio * ratio * _left(found, which), beyond)
-        excess = found.at.criterion - estimate.criterion - needed
-        rising = -2.0 * ratio * float(found.at.score[which])
-        if before is not None and before[0] != here:
-            rising -= (needed - before[1]) / (here - before[0])
-        before = here, needed
+        # docs/decisions/0020: a variance from m squares has the information m / (2 ratio^2).
+        needed = _rise(2.0 * ratio * ratio * _left(place, which), beyond)
+        excess = place.at.criterion - estimate.criterion - needed
+        # The criterion is -2 log L, and d ratio / d log ratio = ratio.
+        rising = -2.0 * ratio * float(place.at.score[which])
+        if before is not None and before[0] != log_ratio:
+            # The rise that is needed changes along the way too, here by its last chord.
+            rising -= (needed - before[1]) / (log_ratio - before[0])
+        before = log_ratio, needed
         if excess < 0.0:
-            low = here
+            low = log_ratio
         else:
-            high = here
+            high = log_ratio
         step = -excess / rising if rising > 0.0 else math.inf
         if abs(step) <= _NEARLY:
-            return math.exp(here + step)
+            return math.exp(log_ratio + step)
         if math.isinf(high):
-            if here > farthest:
+            if log_ratio > farthest:
                 return None
-            here += min(max(step, _NEARLY), _STRIDE)
-        elif low < here + step < high:
-            here += step
+            log_ratio += min(max(step, _NEARLY), _STRIDE)
+        elif low < log_ratio + step < high:
+            log_ratio += step
         else:
-            here = 0.5 * (low + high)
+            log_ratio = 0.5 * (low + high)
         if high - low <= _NEARLY:
-            return math.exp(here)
+            return math.exp(log_ratio)
     return None
 
 
-def _left(found: _Place, which: int) -> float:
+def _left(place: _Place, which: int) -> float:
     """The information on the held ratio that estimating the others leaves."""
-    free = found.ratios > 0.0
+    free = place.ratios > 0.0
     free[which] = False
-    information = found.at.information
-    own, cross = float(information[which, which]), information[which, free]
+    information = place.at.information
+    diagonal, cross = float(information[which, which]), information[which, free]
     shared = np.linalg.lstsq(information[np.ix_(free, free)], cross, rcond=1e-12)[0]
-    return max(own - float(cross @ shared), 1e-9 * own)
+    return max(diagonal - float(cross @ shared), 1e-9 * diagonal)
 
 
 def _rise(freedom: float, beyond: float) -> float:

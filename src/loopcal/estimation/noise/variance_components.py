@@ -159,12 +159,14 @@ def scoring_step(current: MixedFit, ratios: Array, lowest: Array, free: NDArray[
     if not index.size:
         return step
     scale = 1.0 / np.sqrt(diagonal[index])
-    own = current.information[np.ix_(index, index)] * np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(own)
+    information = current.information[np.ix_(index, index)] * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(information)
     root = np.sqrt(np.maximum(values, _RIDGE))
+    # A^T b = score + information above: the slope, at u = 0, of what the step makes greatest.
     A = root[:, None] * vectors.T
     above = (ratios - lowest)[index] / scale
     b = A @ above + (vectors.T @ (current.score[index] * scale)) / root
+    # u - above may round to just below -above, which would leave a ratio below its bound.
     step[index] = np.maximum(_least_above_zero(A, b) - above, -above) * scale
     return step
 
@@ -188,9 +190,9 @@ def _improved(
     length = 1.0
     for _ in range(_HALVINGS):
         trial = np.maximum(ratios + length * step, 0.0)
-        found = fit(model, trial)
-        if found is not None and found.criterion < current.criterion:
-            return trial, found
+        trial_fit = fit(model, trial)
+        if trial_fit is not None and trial_fit.criterion < current.criterion:
+            return trial, trial_fit
         length /= 2
     return None
 

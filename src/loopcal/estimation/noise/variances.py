@@ -59,10 +59,10 @@ class TermVariances:
         return self.at.scales
 
     @property
-    def own_criterion(self) -> float:
+    def prior_criterion(self) -> float:
         """What the priors of the terms' parameters and of their scales add to -2 log likelihood."""
-        own = self.system.owner
-        volume = 2.0 * float(np.log(self.scales)[own[own >= 0]].sum())
+        owner = self.system.owner
+        volume = 2.0 * float(np.log(self.scales)[owner[owner >= 0]].sum())
         return volume + float(self.at.penalties.sum())
 
 
@@ -98,16 +98,16 @@ def owners(problem: Problem) -> NDArray[np.intp]:
 
 def scales_of(problem: Problem) -> Array:
     """The present sd of each learnt term [SI], which all its parameters share."""
-    _, first = np.unique(own := owners(problem), return_index=True)
-    return problem.prior_sd[first[own[first] >= 0]]
+    _, first = np.unique(owner := owners(problem), return_index=True)
+    return problem.prior_sd[first[owner[first] >= 0]]
 
 
 def begun_with(problem: Problem, scales: Array) -> Problem:
     """The problem with these sds of its terms."""
-    own = owners(problem)
+    owner = owners(problem)
     if not len(scales):
         return problem
-    return replace(problem, prior_sd=np.where(own >= 0, scales[own], problem.prior_sd))
+    return replace(problem, prior_sd=np.where(owner >= 0, scales[owner], problem.prior_sd))
 
 
 def with_scales(problem: Problem) -> Problem:
@@ -143,6 +143,7 @@ def by_common_factor(problem: Problem, end: End[Any], ratio: float | None) -> Va
     learnt = TermVariances(system, at, start.free)
     if ratio is None:
         return Variances(np.zeros(0), at.criterion, True, learnt)
+    # The sums are whitened at the present sds, so log|V| lacks log ratio for each equation.
     volume = end.equations * float(np.log(ratio))
     return Variances(np.array([ratio * at.factor]), at.criterion + volume, True, learnt)
 
@@ -184,32 +185,33 @@ def in_turn(
     ratios are the best ones at once. Raises NoTrustworthyResult where the loops have no noise.
     """
     if not problem.mechanism.learnt_terms:
-        found = estimate_ratios(linear, ratios, lowest=lowest)
-        return Variances(found.ratios, found.criterion, found.converged, None, found)
-    known = end is not None and not end.data.triangular
-    joined = whitened(linear, ratios, end.data.total if end and known else None)
+        estimate = estimate_ratios(linear, ratios, lowest=lowest)
+        return Variances(estimate.ratios, estimate.criterion, estimate.converged, None, estimate)
+    summed = end is not None and not end.data.triangular
+    joined = whitened(linear, ratios, end.data.total if end and summed else None)
     if joined is None:
         raise NoTrustworthyResult(
             "the sds cannot be estimated: the loops have no usable noise model where the fit ended",
             remedy="calibrate with stated sds first and check that the fit converges",
         )
-    own, terms = owners(problem), problem.mechanism.learnt_terms
+    owner, terms = owners(problem), problem.mechanism.learnt_terms
     sums = Sums(joined.total, False, sum(block.e.size for block in linear.blocks))
-    system = term_system(sums, problem.prior_sd, linear.offset, own, terms)
+    system = term_system(sums, problem.prior_sd, linear.offset, owner, terms)
     start = begun(scales_of(problem), common=common)
     at = learn_scales(system, start)
     learnt = TermVariances(system, at, start.free)
-    prior_sd = np.where(own >= 0, at.scales[own], problem.prior_sd)
+    prior_sd = np.where(owner >= 0, at.scales[owner], problem.prior_sd)
     linear = replace(linear, precision=1.0 / np.square(prior_sd))
     if (ratios <= lowest).all():
-        here = slope(linear, joined)
-        if (here.score <= 0.0).all():  # no information lets them rise
-            criterion = here.criterion + learnt.own_criterion
+        local_slope = slope(linear, joined)
+        if (local_slope.score <= 0.0).all():  # no information lets them rise
+            criterion = local_slope.criterion + learnt.prior_criterion
             return Variances(ratios, criterion, True, learnt, resting=True)
     present = mixed_fit(linear, joined)
     step = scoring_step(present, ratios, lowest, np.ones(len(ratios), dtype=bool))
+    # No multiple leads away from a ratio of 0: it may rise to the stated variance.
     stepped = np.clip(ratios + step, lowest, _FARTHEST * ratios + (ratios == 0.0))
-    criterion = present.criterion + learnt.own_criterion
+    criterion = present.criterion + learnt.prior_criterion
     return Variances(stepped, criterion, True, learnt, Estimate(ratios, present, True))
 
 

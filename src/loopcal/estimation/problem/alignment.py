@@ -19,8 +19,10 @@ from loopcal.mechanisms.outputs import POLAR, point_outputs, points
 Array = NDArray[np.float64]
 ASIDE = 10.0
 """Where a station that reads angles is thought to stand until it is placed [m]."""
+# docs/decisions/0023.
 TURNED = math.pi / 4.0
 """From a placement in the plane that is off by more [rad], fits may end at negative lengths."""
+# docs/decisions/0058 for the first.
 _GROSS, _ROUNDS = 10.0, 10
 """Points so many times as far off as the middle one say nothing of where an instrument stands."""
 
@@ -40,7 +42,7 @@ def align(points: Array, targets: Array) -> RigidMotion:
     Least squares by singular values; columns with NaN are left out. Source: Kabsch (1976),
     Umeyama (1991). Raises InputError if fewer than d points are left, or they coincide.
     """
-    return _aligned(*_known(points, targets))
+    return _aligned(*_complete(points, targets))
 
 
 def _aligned(P: Array, T: Array) -> RigidMotion:
@@ -53,6 +55,7 @@ def _aligned(P: Array, T: Array) -> RigidMotion:
             remedy=f"measure at least {d} points, or start from the nominal placement",
         )
     R, shift, s = _nearest(P, T)
+    # d - 1 directions are enough: det = 1 gives the last axis of a rotation.
     if s[d - 2] <= 1e-9 * max(float(s[0]), 1e-300):
         raise InputError(
             "the measured points coincide or lie on a line, so they do not determine the "
@@ -69,7 +72,7 @@ def align_most(points: Array, targets: Array) -> RigidMotion:
 
     They are found by repetition, as one of them may turn and shift all others.
     """
-    P, T = _known(points, targets)
+    P, T = _complete(points, targets)
     for _ in range(_ROUNDS):
         if P.shape[1] < len(points):
             break
@@ -82,7 +85,7 @@ def align_most(points: Array, targets: Array) -> RigidMotion:
     return _aligned(P, T)
 
 
-def _known(points: Array, targets: Array) -> tuple[Array, Array]:
+def _complete(points: Array, targets: Array) -> tuple[Array, Array]:
     """Both without the columns in which a number is missing."""
     good = np.isfinite(points).all(axis=0) & np.isfinite(targets).all(axis=0)
     return points[:, good], targets[:, good]
@@ -101,16 +104,16 @@ def _nearest(P: Array, T: Array) -> tuple[Array, Array, Array]:
 def can_be_placed(mechanism: Mechanism) -> bool:
     """Whether the start may be moved: all placement parameters are free and have flat priors."""
     placements = [placement for _, placement in _stations(mechanism)]
-    its = [mechanism.parameters[name] for p in placements for name in p.parameters]
-    return bool(its) and all(not p.fixed and np.isinf(p.prior_sd) for p in its)
+    parameters = [mechanism.parameters[name] for p in placements for name in p.parameters]
+    return bool(parameters) and all(not p.fixed and np.isinf(p.prior_sd) for p in parameters)
 
 
 def begun(problem: Problem, start: str | Mapping[str, float]) -> Mechanism:
     """The machine where a fit with this start begins: as stated, or placed.
 
     "auto" places a machine whose placement is free: one that instruments look at, or an own loop
-    in space. One in the plane stays where it was stated, unless it is turned so far away that a
-    fit from there would end at the mirrored machine, with negative lengths.
+    in space. One in the plane stays where it was stated, unless it is turned far away: a fit from
+    there would end at the mirrored machine, with negative lengths.
     """
     mechanism = problem.mechanism
     if start == "align":
@@ -120,10 +123,11 @@ def begun(problem: Problem, start: str | Mapping[str, float]) -> Mechanism:
     if mechanism.families or len(mechanism.outputs) == 3:
         return placed(problem)[0]
     try:
-        there, motion = placed(problem)
+        machine, motion = placed(problem)
     except InputError:  # too few points: not known to be turned
         return mechanism
-    return there if np.trace(motion.rotation) < 2.0 * math.cos(TURNED) else mechanism
+    # A rotation of the plane by an angle a has the trace 2 cos a.
+    return machine if np.trace(motion.rotation) < 2.0 * math.cos(TURNED) else mechanism
 
 
 def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
@@ -160,7 +164,7 @@ def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
         names: (np.hstack([s[0] for s in seen]), np.hstack([s[1] for s in seen]))
         for names, seen in alike.items()
     }
-    read = {names: seen for names, seen in together.items() if _known(*seen)[0].size}
+    read = {names: seen for names, seen in together.items() if _complete(*seen)[0].size}
     for names, (computed, measured) in (read or together).items():
         motion = align_most(computed, measured)
         values = alike[names][0][2].moved(values, motion.rotation, motion.shift)
@@ -170,8 +174,8 @@ def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
 
 def _lost(computed: Array, measured: Array) -> bool:
     """Whether the loops give no more than a few of the points (d, N) that were measured."""
-    there, found = (np.isfinite(p).all(axis=0).sum() for p in (measured, computed))
-    return bool(found < len(computed) <= there)
+    read, closed = (np.isfinite(p).all(axis=0).sum() for p in (measured, computed))
+    return bool(closed < len(computed) <= read)
 
 
 def seen_points(problem: Problem, parameters: Array) -> list[tuple[Family, Array, Array]]:
@@ -182,13 +186,13 @@ def seen_points(problem: Problem, parameters: Array) -> list[tuple[Family, Array
     if not stations:
         return []
     differences = output_differences(problem, parameters)
-    found = []
+    by_family = []
     for family, _ in stations:
         outputs = point_outputs(mechanism, family)
         measured = problem.readings[[mechanism.tape.quantities.index(q) for q in outputs]]
         computed = measured + differences[[mechanism.outputs.index(q) for q in outputs]]
-        found.append((family, points(family, computed), points(family, measured)))
-    return found
+        by_family.append((family, points(family, computed), points(family, measured)))
+    return by_family
 
 
 def _stations(mechanism: Mechanism) -> list[tuple[Family, Placement]]:
@@ -197,8 +201,8 @@ def _stations(mechanism: Mechanism) -> list[tuple[Family, Placement]]:
         if mechanism.placement is None or len(mechanism.outputs) not in (2, 3):
             return []
         return [(Family("", mechanism.tape.loops, mechanism.outputs), mechanism.placement)]
-    found = [(family, _placement(mechanism, family)) for family in mechanism.families]
-    return [(f, p) for f, p in found if p is not None and point_outputs(mechanism, f)]
+    placements = [(family, _placement(mechanism, family)) for family in mechanism.families]
+    return [(f, p) for f, p in placements if p is not None and point_outputs(mechanism, f)]
 
 
 def _placement(mechanism: Mechanism, family: Family) -> Placement | None:

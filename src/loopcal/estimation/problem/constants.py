@@ -37,10 +37,10 @@ def with_latest(mechanism: Mechanism, data: Dataset) -> Dataset:
         for name, value in mechanism.latest.items()
         if name not in data.readings
     }
-    return data.with_readings(absent, units={n: mechanism.known[n] for n in absent})
+    return data.with_readings(absent, units={n: mechanism.pose_constants[n] for n in absent})
 
 
-def known_constants(mechanism: Mechanism, data: Dataset) -> Array:
+def constants_by_pose(mechanism: Mechanism, data: Dataset) -> Array:
     """The constants (c, N) [SI] of every pose; where an orientation was not measured, any one.
 
     Raises InputError for a constant that is missing, for numbers that are no orientation, and for
@@ -50,7 +50,7 @@ def known_constants(mechanism: Mechanism, data: Dataset) -> Array:
     for orientation in mechanism.orientations:
         filled |= _orientation(orientation, data)
     rows = []
-    for name in mechanism.tape.known:
+    for name in mechanism.tape.pose_constants:
         values = filled.get(name, data.readings.get(name))
         if values is None or np.isnan(values).any():
             which = (
@@ -84,12 +84,12 @@ def _refuse_other_directions(data: Dataset, name: str) -> None:
 
 
 def _orientation(orientation: Orientation, data: Dataset) -> dict[str, Array]:
-    given = {n: data.readings[n] for n in orientation.columns if n in data.readings}
-    if len(given) < len(orientation.columns):
+    columns = {n: data.readings[n] for n in orientation.columns if n in data.readings}
+    if len(columns) < len(orientation.columns):
         return {}  # whoever needs it says so
     lost = _lost(orientation, data)
     anywhere = orientation.written(np.array([[1.0], [0.0], [0.0], [0.0]]))
-    filled = {name: np.where(lost, anywhere[name], values) for name, values in given.items()}
+    filled = {name: np.where(lost, anywhere[name], values) for name, values in columns.items()}
     for i in orientation.senseless(filled)[:1]:
         raise InputError(
             f"the quaternion {', '.join(orientation.columns)} is 0, which is no orientation",

@@ -19,6 +19,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 
 def refuse_too_few(equations: int, poses: int, unknowns: Unknowns) -> None:
     """Raises InputError where fewer parameters can be determined than are estimated."""
+    # A finite prior is one more equation.
     needed = len(unknowns.free) - int(np.isfinite(unknowns.prior_sd).sum())
     if equations < needed:
         raise InputError(

@@ -26,8 +26,8 @@ def refuse_parallel_axes(mechanism: Mechanism) -> None:
 
     Only of revolute joints that follow each other without fixed motions, both "dh" or both "mdh".
     """
-    known = {p.name: p for p in mechanism.parameters}
-    size = max((abs(p.nominal) for p in known.values() if p.unit == "m"), default=0.0)
+    by_name = {p.name: p for p in mechanism.parameters}
+    size = max((abs(p.nominal) for p in by_name.values() if p.unit == "m"), default=0.0)
     joints = (mechanism.description or {}).get("joints", [])
     for number, (one, two) in enumerate(pairwise(joints), 1):
         if not (isinstance(one, Joint) and isinstance(two, Joint)) or one.after or two.before:
@@ -36,9 +36,10 @@ def refuse_parallel_axes(mechanism: Mechanism) -> None:
             continue
         if "prismatic" in (one.kind, two.kind):
             continue
+        # "mdh" turns by alpha before its joint: the alpha between the two is that of the second.
         between = number if one.form == "dh" else number + 1
-        alpha = known.get(parameter_name(one.form, "alpha", between))
-        slides = [known.get(parameter_name(one.form, "d", i)) for i in (number, number + 1)]
+        alpha = by_name.get(parameter_name(one.form, "alpha", between))
+        slides = [by_name.get(parameter_name(one.form, "d", i)) for i in (number, number + 1)]
         if alpha is None or alpha.fixed or abs(math.sin(alpha.nominal)) > _PARALLEL:
             continue
         if all(d is not None and _is_free(d, _WEAK * size) for d in slides):

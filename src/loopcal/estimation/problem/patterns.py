@@ -53,8 +53,8 @@ def patterns_of(
     """
     codes = np.concatenate([unmeasured, unmeasured if blind is None else blind])
     if (codes == codes[:, :1]).all():
-        found = _pattern(mechanism, codes[:, 0])
-        return (found,) if found.loops else ()
+        common = _pattern(mechanism, codes[:, 0])
+        return (common,) if common.loops else ()
     unique, inverse = np.unique(codes.T, axis=0, return_inverse=True)
     alike: dict[tuple[tuple[int, ...], ...], list[int]] = {}
     patterns = [_pattern(mechanism, code) for code in unique]

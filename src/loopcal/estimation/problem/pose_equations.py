@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
@@ -35,30 +36,24 @@ class PoseEquations:
 
 
 def pose_equations(
-    problem: Problem,
-    parameters: Array,
-    corrections: Array,
-    *,
-    exact: bool = False,
-    at_readings: bool = False,
+    problem: Problem, parameters: Array, corrections: Array
 ) -> tuple[PoseEquations, ...]:
     """The equations at parameters (n_all,) and corrections (k, N) that close the loops there.
 
-    exact: not whitened, the basic method's loop values; at_readings: take D where the readings
-    stand, as the reweighted fit does.
+    Whitened as the problem weighs them: loop values as they are where all count alike, D where the
+    readings stand for the reweighted fit.
     """
-    sweeper = Sweeper(problem, exact=exact)
-    sweeper.at(parameters)
+    sweeper, as_read = Sweeper(problem), problem.weighting is Weighting.READ
     everything = np.arange(len(problem.poses))
-    found = []
-    for pattern, block in sweeper.blocks(corrections):
-        engine, known = sweeper.engine(pattern), block.known
-        J_p = engine.evaluate(block.read, known).by_parameter.copy() if at_readings else None
-        values = engine.evaluate(block.corrected, known)
+    equations = []
+    for pattern, block in sweeper.blocks(parameters, corrections):
+        J_p = sweeper.loop_values(pattern, block.read).by_parameter.copy() if as_read else None
+        values = sweeper.loop_values(pattern, block)
+        # The kernel whitens what stands as derivatives: of the identity it makes T itself.
         identity = np.repeat(np.eye(len(pattern.loops))[:, :, None], block.count, axis=2)
         whitened = sweeper.reduce(replace(values, by_parameter=identity), block)
         T = whitened.D
-        found.append(
+        equations.append(
             PoseEquations(
                 everything[block.poses],
                 whitened.E.T.copy(),
@@ -66,7 +61,7 @@ def pose_equations(
                 np.einsum("crb,kcb->brk", T, values.by_quantity),
             )
         )
-    return tuple(found)
+    return tuple(equations)
 
 
 def rounding_left(problem: Problem, equations: Sequence[PoseEquations]) -> float:

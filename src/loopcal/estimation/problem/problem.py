@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.problem.constants import known_constants, with_implied
+from loopcal.estimation.problem.constants import constants_by_pose, with_implied
 from loopcal.estimation.problem.enough import refuse_too_few, refuse_without_redundancy
 from loopcal.estimation.problem.patterns import Pattern, Poses, held_loops, patterns_of
 from loopcal.estimation.problem.size import refuse_without_length
 from loopcal.estimation.problem.standing import standing_exact
 from loopcal.estimation.problem.unknowns import Unknowns
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.expressions.tape import Tape
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
@@ -31,15 +32,16 @@ BLOCK = 4096
 class Problem:
     """Everything a fit needs, in SI units and the orders of the tape.
 
-    readings: (k, N), a start value where unmeasured; known: (c, N); uncertainty: of every
+    readings: (k, N), a start value where unmeasured; pose_constants: (c, N); uncertainty: of every
     reading; start: (n_all,) all parameters; free: positions of the n estimated ones; nominal,
-    prior_sd: (n,) of these; poses: the ids; found: (k, N) corrections from which the search for
-    unmeasured quantities begins, where a fit of nearly the same problem found them.
+    prior_sd: (n,) of these; poses: the ids; weighting: what its loops count.
+    first_corrections: (k, N) those from which the search for unmeasured quantities begins, where a
+    fit of nearly the same problem ended with them.
     """
 
     mechanism: Mechanism
     readings: Array
-    known: Array
+    pose_constants: Array
     uncertainty: ReadingUncertainty
     start: Array
     free: NDArray[np.intp]
@@ -47,7 +49,8 @@ class Problem:
     prior_sd: Array
     poses: tuple[str, ...]
     patterns: tuple[Pattern, ...] = field(default=())
-    found: Array | None = None
+    first_corrections: Array | None = None
+    weighting: Weighting = Weighting.CORRECTED
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -58,7 +61,28 @@ class Problem:
     @property
     def unknowns(self) -> Unknowns:
         """What is estimated, apart from the poses."""
-        return Unknowns(self.start, self.free, self.names, self.nominal, self.prior_sd)
+        stated = Unknowns(self.start, self.free, self.names, self.nominal, self.prior_sd)
+        return stated.without_prior() if self.loops_alike else stated
+
+    @property
+    def loops_alike(self) -> bool:
+        """Whether the readings are taken as exact, so that neither sds nor prior count."""
+        return self.weighting is Weighting.ALIKE
+
+    @property
+    def precision(self) -> Array:
+        """(n,) 1 / prior variance of the estimated parameters."""
+        precision: Array = 1.0 / np.square(self.unknowns.prior_sd)
+        return precision
+
+    def weighted(self, weighting: Weighting) -> Problem:
+        """The same readings with loops that count otherwise."""
+        return self if weighting is self.weighting else replace(self, weighting=weighting)
+
+    @property
+    def where_closed(self) -> Problem:
+        """The same, linearised where its loops close."""
+        return self if self.loops_alike else self.weighted(Weighting.CORRECTED)
 
     @cached_property
     def units(self) -> tuple[str, ...]:
@@ -123,20 +147,21 @@ def build_problem(
     noise: None takes every reading as exact, as the basic method does; start: parameter values
     [SI] to begin from, where not the nominal ones; whole: these are all poses, not a chunk of them.
 
-    Raises InputError where readings or sds are missing, a unit does not fit, there are fewer
-    equations than parameters, or nothing says how large the machine is.
+    Raises InputError where readings or sds are missing, or a unit does not fit. Also where there
+    are fewer equations than parameters, or nothing says how large the machine is.
     """
     quantities = mechanism.tape.quantities
     dataset = with_implied(mechanism, dataset)
     _check_units(mechanism, dataset)
-    stated = dataset if noise is not None else replace(dataset, sds={})
-    noise = noise or _exact(mechanism, dataset)
-    uncertainty = resolve_noise(noise, stated, quantities, mechanism.quantity_group)
+    stated = noise is not None
+    if noise is None:
+        noise, dataset = _exact(mechanism, dataset), replace(dataset, sds={})
+    uncertainty = resolve_noise(noise, dataset, quantities, mechanism.quantity_group)
     missing = np.full(len(dataset), np.nan)
     raw = np.array([dataset.readings.get(q, missing) for q in quantities])
     if whole:  # a chunk may stand still where the others move
         uncertainty = standing_exact(mechanism, raw, uncertainty)
-    known = known_constants(mechanism, dataset)
+    constants = constants_by_pose(mechanism, dataset)
     parameters = mechanism.parameters
     values = {p.name: p.nominal for p in parameters} | dict(start or {})
     free = np.array([i for i, p in enumerate(parameters) if not p.fixed], dtype=np.intp)
@@ -150,7 +175,7 @@ def build_problem(
     problem = Problem(
         mechanism,
         _filled(raw, [mechanism.home.get(q, 0.0) for q in quantities]),
-        known,
+        constants,
         uncertainty,
         np.array([values[n] for n in parameters.names]),
         free,
@@ -162,8 +187,8 @@ def build_problem(
     refuse_without_redundancy(mechanism, problem.patterns, problem.poses)
     if whole:
         refuse_too_few(problem.equations, problem.count, problem.unknowns)
-    refuse_without_length(mechanism, problem.readings, known, uncertainty.sd)
-    return problem
+    refuse_without_length(mechanism, problem.readings, constants, uncertainty.sd)
+    return problem if stated else problem.weighted(Weighting.ALIKE)
 
 
 def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
@@ -172,11 +197,13 @@ def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
     return replace(
         problem,
         readings=problem.readings[:, index],
-        known=problem.known[:, index],
+        pose_constants=problem.pose_constants[:, index],
         uncertainty=uncertainty,
         poses=tuple(problem.poses[i] for i in index),
         patterns=patterns_of(problem.mechanism, np.isinf(uncertainty.sd)),
-        found=None if problem.found is None else problem.found[:, index],
+        first_corrections=None
+        if problem.first_corrections is None
+        else problem.first_corrections[:, index],
     )
 
 
@@ -199,7 +226,7 @@ def _exact(mechanism: Mechanism, dataset: Dataset) -> Noise:
     names = mechanism.tape.quantities
     unread = {q for q in names if not np.isfinite(dataset.readings.get(q, np.nan)).any()}
     instruments = [f.readings for f in mechanism.families if unread.issuperset(f.readings)]
-    unmeasured = unread & {*mechanism.home, *(q for its in instruments for q in its)}
+    unmeasured = unread & {*mechanism.home, *(q for readings in instruments for q in readings)}
     for name in names:
         if name in unread - unmeasured:
             raise InputError(
@@ -212,11 +239,11 @@ def _exact(mechanism: Mechanism, dataset: Dataset) -> Noise:
 
 
 def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
-    for name, unit in {**mechanism.quantities, **mechanism.known}.items():
-        given = dataset.units.get(name)
-        if given is not None and given != unit:
+    for name, unit in {**mechanism.quantities, **mechanism.pose_constants}.items():
+        unit_of_data = dataset.units.get(name)
+        if unit_of_data is not None and unit_of_data != unit:
             raise InputError(
-                f"the readings of {name!r} are in {given}, but the mechanism needs {unit}",
+                f"the readings of {name!r} are in {unit_of_data}, but the mechanism needs {unit}",
                 code="wrong-unit",
                 remedy=f"state a unit for column {name!r} that converts to {unit}",
             )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.expressions.engine import engine_for
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.parameters import GEOMETRY, Parameter
 
 Array = NDArray[np.float64]
 _NOISE = 6.0
@@ -24,11 +24,13 @@ _NOISE = 6.0
 _SAMPLE, _MADE_UP = 200, 1e-6
 
 
-def refuse_without_length(mechanism: Mechanism, readings: Array, known: Array, sd: Array) -> None:
+def refuse_without_length(
+    mechanism: Mechanism, readings: Array, pose_constants: Array, sd: Array
+) -> None:
     """InputError where the only lengths read are gaps of 0, and none that tells size is held.
 
-    readings: (k, N); known: (c, N); sd: (k, N) or (k, 1), all [SI] in the orders of the tape. A
-    gap within its noise of 0 says no more than one of 0.
+    readings: (k, N); pose_constants: (c, N); sd: (k, N) or (k, 1), all [SI] in the orders of the
+    tape. A gap within its noise of 0 says no more than one of 0.
     """
     if not mechanism.implied:  # no gap is read
         return
@@ -40,20 +42,21 @@ def refuse_without_length(mechanism: Mechanism, readings: Array, known: Array, s
         return
     if (np.abs(readings[lengths]) > _NOISE * sd[lengths]).any():
         return
-    own = [p for p in mechanism.parameters if p.unit == "m" and p.nominal]
-    held = [p for p in own if p.fixed or math.isfinite(p.prior_sd)]
+    stated_lengths = [p for p in mechanism.parameters if p.unit == "m" and p.nominal]
+    held = [p for p in stated_lengths if p.fixed or math.isfinite(p.prior_sd)]
     whole = len(read) == len(names) and np.isfinite(readings).all()
-    if not own or (held and (not whole or _tell_size(mechanism, held, readings, known))):
+    if not stated_lengths or (
+        held and (not whole or _tell_size(mechanism, held, readings, pose_constants))
+    ):
         return
-    seen = tuple(f"{family.name}_" for family in mechanism.families)
-    links = [p for p in own if not p.name.startswith(seen)] or own
+    links = [p for p in stated_lengths if p.role in GEOMETRY] or stated_lengths
     longest = max(links, key=lambda p: abs(p.nominal)).name
     listed = ", ".join(names[i] for i in lengths)
     raise _unknown_size(f"{listed} read 0 by construction", longest)
 
 
 def refuse_collapse(
-    mechanism: Mechanism, readings: Array, known: Array, sd: Array, *, priors: bool
+    mechanism: Mechanism, readings: Array, pose_constants: Array, sd: Array, *, priors: bool
 ) -> None:
     """InputError where only angles are read, so that loop values vanish with all lengths.
 
@@ -62,21 +65,27 @@ def refuse_collapse(
     """
     names, units = mechanism.tape.quantities, mechanism.quantities
     read = np.flatnonzero(np.any(np.isfinite(sd), axis=1)).tolist()
-    own = [p for p in mechanism.parameters if p.unit == "m" and p.nominal]
-    held = any(p.fixed or (priors and math.isfinite(p.prior_sd)) for p in own)
-    if not own or held or any(units[names[i]] == "m" for i in read):
+    stated_lengths = [p for p in mechanism.parameters if p.unit == "m" and p.nominal]
+    held = any(p.fixed or (priors and math.isfinite(p.prior_sd)) for p in stated_lengths)
+    if not stated_lengths or held or any(units[names[i]] == "m" for i in read):
         return
     some = slice(None, None, max(1, readings.shape[1] // _SAMPLE))
     x = readings[:, some] + np.random.default_rng(0).uniform(-0.5, 0.5, readings[:, some].shape)
-    engine = engine_for(mechanism.tape, tuple(p.name for p in own), x.shape[1])
-    engine.at(np.array([p.nominal for p in mechanism.parameters]))
-    at = engine.evaluate(x, known[:, some])
-    lengths = np.array([p.nominal for p in own])
+    engine = engine_for(mechanism.tape, tuple(p.name for p in stated_lengths), x.shape[1])
+    at = engine.evaluate(_nominal(mechanism), x, pose_constants[:, some])
+    lengths = np.array([p.nominal for p in stated_lengths])
+    # Euler: loops of first degree in the lengths p have J p = f, and vanish with them.
     scaled = np.einsum("nmb,n->mb", at.by_parameter, lengths)
     by_length = np.abs(at.by_parameter).max(axis=(0, 2)) > 0.0
     left = np.abs(scaled - at.f)[by_length]
     if left.size and left.max() <= _MADE_UP * max(float(np.abs(at.f).max()), 1e-300):
-        raise _unknown_size("all readings are angles", max(own, key=lambda p: abs(p.nominal)).name)
+        raise _unknown_size(
+            "all readings are angles", max(stated_lengths, key=lambda p: abs(p.nominal)).name
+        )
+
+
+def _nominal(mechanism: Mechanism) -> Array:
+    return np.array([p.nominal for p in mechanism.parameters])
 
 
 def _unknown_size(why: str, longest: str) -> InputError:
@@ -90,15 +99,15 @@ def _unknown_size(why: str, longest: str) -> InputError:
 
 
 def _tell_size(
-    mechanism: Mechanism, held: Sequence[Parameter], readings: Array, known: Array
+    mechanism: Mechanism, held: Sequence[Parameter], readings: Array, pose_constants: Array
 ) -> bool:
     """Whether scaling the lengths that are held cannot be made up for by parameters that are free.
 
-    Loops are of first degree in lengths, so with J_h p_h in the range of J_free, wherever the
+    Loops are of first degree in lengths. So where J_h p_h is in the range of J_free, wherever the
     joints stand, the rest of the machine scales without them.
     """
     some = slice(None, None, max(1, readings.shape[1] // _SAMPLE))
-    x, constants = readings[:, some].copy(), known[:, some]
+    x, constants = readings[:, some].copy(), pose_constants[:, some]
     # beside the poses: where loops close, whatever is held is trivially made up for by the rest
     turned = [
         i for i, q in enumerate(mechanism.tape.quantities) if mechanism.quantities[q] == "rad"
@@ -107,8 +116,7 @@ def _tell_size(
     names = [p.name for p in held]
     free = [n for n in mechanism.parameters.free if n not in names]
     engine = engine_for(mechanism.tape, (*names, *free), x.shape[1])
-    engine.at(np.array([p.nominal for p in mechanism.parameters]))
-    J = engine.evaluate(x, constants).by_parameter
+    J = engine.evaluate(_nominal(mechanism), x, constants).by_parameter
     J = J.reshape(len(J), -1).T
     if not np.isfinite(J).all():
         return True

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from loopcal.measurements.noise import ReadingUncertainty
 from loopcal.mechanisms.mechanism import Mechanism
 
+# docs/decisions/0058.
 FEWEST = 3
 """Poses from which equal readings are no chance."""
 

@@ -36,7 +36,6 @@ _SAMPLE = 32
 def start_corrections(sweeper: Sweeper, parameters: Array) -> Array:
     """Corrections (k, N) [SI] to begin from, zero but for unmeasured quantities."""
     problem = sweeper.problem
-    sweeper.at(parameters)
     units, names = problem.mechanism.quantities, problem.mechanism.tape.quantities
     best = np.zeros(problem.readings.shape)  # no memory yet, where nothing is unmeasured
     for pattern in problem.patterns:
@@ -44,8 +43,12 @@ def start_corrections(sweeper: Sweeper, parameters: Array) -> Array:
         if not angles and not any(names[i] in problem.mechanism.home for i in pattern.unmeasured):
             continue  # lengths are found from anywhere
         poses = np.arange(len(problem.poses))[pattern.poses]
-        near = None if problem.found is None else _unread(pattern, problem.found[:, poses])
-        home = _Found.of(sweeper, pattern, poses, near)
+        near = (
+            None
+            if problem.first_corrections is None
+            else _unread(pattern, problem.first_corrections[:, poses])
+        )
+        home = _Searched.of(sweeper, pattern, poses, parameters, near)
         best[:, poses] = home.corrections
         if not angles or near is not None:
             continue
@@ -67,43 +70,57 @@ def start_corrections(sweeper: Sweeper, parameters: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Searched:
     """Some poses (b,) of a pattern, corrections (k, b) of theirs, and the misfit left (b,)."""
 
     pattern: Pattern
     poses: NDArray[np.intp]
+    parameters: Array
     corrections: Array
     misfit: Array
 
     @classmethod
     def of(
-        cls, sweeper: Sweeper, pattern: Pattern, poses: NDArray[np.intp], start: Array | None = None
-    ) -> _Found:
+        cls,
+        sweeper: Sweeper,
+        pattern: Pattern,
+        poses: NDArray[np.intp],
+        parameters: Array,
+        start: Array | None = None,
+    ) -> _Searched:
         """What the loops say from a start (k, b), by default the readings' place holders."""
         corrections = np.zeros((len(sweeper.problem.readings), len(poses)))
         misfit = np.empty(len(poses))
         for part in _parts(np.arange(len(poses)), sweeper.problem.block):
             begun = corrections[:, part] if start is None else start[:, part]
-            block = sweeper.searched(pattern, sweeper.block(pattern, poses[part], begun))
+            block = sweeper.searched(
+                pattern, sweeper.block(pattern, poses[part], parameters, begun)
+            )
             corrections[:, part] = block.corrections
             misfit[part] = sweeper.misfit(pattern, block)
-        return cls(pattern, poses, corrections, misfit)
+        return cls(pattern, poses, parameters, corrections, misfit)
 
-    def taken(self, index: NDArray[np.intp]) -> _Found:
+    def taken(self, index: NDArray[np.intp]) -> _Searched:
         """Those at these positions."""
-        return _Found(
-            self.pattern, self.poses[index], self.corrections[:, index], self.misfit[index]
+        return replace(
+            self,
+            poses=self.poses[index],
+            corrections=self.corrections[:, index],
+            misfit=self.misfit[index],
         )
 
-    def from_elsewhere(self, sweeper: Sweeper, angles: list[int], turns: list[Array]) -> _Found:
+    def from_elsewhere(self, sweeper: Sweeper, angles: list[int], turns: list[Array]) -> _Searched:
         """The same poses searched from turned angles too; the first start keeps its right."""
         b, all_turns = len(self.poses), np.array(turns)
         start = np.zeros((len(self.corrections), len(turns) * b))
         start[angles] = np.repeat(all_turns.T, b, axis=1)
-        tried = _Found.of(sweeper, self.pattern, np.tile(self.poses, len(turns)), start)
+        tried = _Searched.of(
+            sweeper, self.pattern, np.tile(self.poses, len(turns)), self.parameters, start
+        )
         misfits = tried.misfit.reshape(len(turns), b)
         best = misfits.argmin(axis=0)
         least = misfits[best, np.arange(b)]
+        # The 1e-9 keeps a pose that closes already where it is, whatever rounding says.
         better = least < _FAR_BETTER * self.misfit - 1e-9
         return replace(
             self,
@@ -131,6 +148,7 @@ def _offsets(angles: int, most: int) -> list[Array]:
     if angles == 1:
         return [np.array([2 * np.pi * i / _ROUND]) for i in range(_ROUND)]
     # Points of an additive recurrence (Roberts 2018) fill the torus evenly in any dimension.
+    # `root` solves x^(angles + 1) = x + 1, the golden ratio for one angle.
     root = 1.5
     for _ in range(30):
         root = (1.0 + root) ** (1.0 / (angles + 1))

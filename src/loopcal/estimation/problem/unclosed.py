@@ -28,19 +28,18 @@ def open_loops(problem: Problem) -> InputError | None:
     for pattern in problem.patterns:
         loops = tuple(i for i in pattern.loops if names[i] not in seen)
         present = frozenset().union(*(inputs[i] for i in loops))
-        own = tuple(i for i in pattern.unmeasured if mechanism.tape.quantities[i] in present)
-        if not loops or len(own) != len(loops):
+        unread = tuple(i for i in pattern.unmeasured if mechanism.tape.quantities[i] in present)
+        if not loops or len(unread) != len(loops):
             continue
-        alone = replace(pattern, loops=loops, unmeasured=own)
+        alone = replace(pattern, loops=loops, unmeasured=unread)
         sweeper = Sweeper(replace(problem, patterns=(alone,)))
-        sweeper.at(problem.start)
         index = np.arange(len(problem.poses))[pattern.poses]
         for begin in range(0, len(index), problem.block):
             some = index[begin : begin + problem.block]
             start = np.zeros((len(problem.readings), len(some)))
-            block = sweeper.searched(alone, sweeper.block(alone, some, start))
-            found = sweeper.engine(alone).evaluate(block.corrected, block.known, Stage.VALUES)
-            f = np.abs(found.f)
+            block = sweeper.searched(alone, sweeper.block(alone, some, problem.start, start))
+            values = sweeper.loop_values(alone, block, Stage.VALUES)
+            f = np.abs(values.f)
             gap = f.max(axis=0)
             poses += int((gap > _OPEN).sum())
             most = int(gap.argmax())

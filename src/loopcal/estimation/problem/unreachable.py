@@ -16,6 +16,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.presentation.rounding import significant
 
 Array = NDArray[np.float64]
+# docs/decisions/0058 for the first.
 _FAR, _LONG, _FEW, _NAMED = 30.0, 10.0, 0.1, 5
 
 
@@ -23,20 +24,21 @@ def refuse_unreachable(problem: Problem, parameters: Array) -> None:
     """Raise InputError for points measured where the machine cannot be.
 
     That is 30 times as far from the computed point, in some coordinate, as half of all points are
-    from the instrument's origin. Where this holds of more than a tenth of the poses, it is the
-    machine or a unit that is wrong, which others tell better. parameters: (n_all,) where the
-    machine stands as measured, at least roughly.
+    from the instrument's origin. Where this holds of more than a tenth of the poses, the machine
+    or a unit is wrong, which others report better.
+
+    parameters: (n_all,) where the machine stands as measured, at least roughly.
     """
     if not _long(problem):
         return
     for family, computed, measured in seen_points(problem, parameters):
-        known = np.isfinite(computed).all(axis=0) & np.isfinite(measured).all(axis=0)
-        if not known.any():
+        complete = np.isfinite(computed).all(axis=0) & np.isfinite(measured).all(axis=0)
+        if not complete.any():
             continue
-        size = float(np.median(np.abs(measured[:, known]).max(axis=0)))
-        off = np.where(known, np.abs(computed - measured).max(axis=0), 0.0)
+        size = float(np.median(np.abs(measured[:, complete]).max(axis=0)))
+        off = np.where(complete, np.abs(computed - measured).max(axis=0), 0.0)
         far = np.flatnonzero(off > _FAR * size)
-        if not 0 < len(far) <= _FEW * known.sum():
+        if not 0 < len(far) <= _FEW * complete.sum():
             continue
         names = [q for q in family.readings if q in problem.mechanism.outputs]
         words = [

@@ -17,12 +17,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.solve.reduction import Spectrum
+from loopcal.estimation.solve.reduction import Spectrum, overflowing
 
 Array = NDArray[np.float64]
+# docs/decisions/0002.
 MOST = 4
 """Steps that are remembered: so many directions may converge slowly."""
-_LONGEST = 10.0
+_LONGEST = 100.0
 """An accelerated step is at most so many times as long as the step itself."""
 
 
@@ -32,6 +33,7 @@ def remembered(recent: Array | None, step: Array, move: Array) -> Array:
     return last if recent is None else np.concatenate([recent, last])[-MOST:]
 
 
+@overflowing
 def accelerated(recent: Array, system: Spectrum) -> Array | None:
     """The step (n,) [SI] that the last ones suggest; None where they say nothing.
 
@@ -42,10 +44,11 @@ def accelerated(recent: Array, system: Spectrum) -> Array | None:
     steps = np.column_stack([*recent[:, 0], step]) / scale
     changes, moves = np.diff(steps), recent[:, 1].T / scale
     turned = system.equations.times(changes)
+    # The products square the condition: 1e-8 drops changes below 1e-4 of the largest one.
     gamma = np.linalg.lstsq(changes.T @ turned, turned.T @ steps[:, -1], rcond=1e-8)[0]
-    found = steps[:, -1] - (moves + changes) @ gamma
-    length = float(found @ system.equations.times(found))
+    scaled_step = steps[:, -1] - (moves + changes) @ gamma
+    length = float(scaled_step @ system.equations.times(scaled_step))
     if not length <= _LONGEST**2 * system.decrement:
         return None
-    result: Array = system.scale * found
+    result: Array = system.scale * scaled_step
     return result

@@ -49,13 +49,15 @@ class BlockNoise:
 class Block:
     """b poses in which the same loops hold.
 
-    poses: their positions among all; readings, corrections: (k, b) [SI]; known: (c, b) [SI].
+    poses: their positions among all; parameters: (n_all,) [SI], at which the loops are evaluated;
+    readings, corrections: (k, b) [SI]; pose_constants: (c, b) [SI].
     """
 
     poses: Poses
+    parameters: Array
     readings: Array
     corrections: Array
-    known: Array
+    pose_constants: Array
     noise: BlockNoise
 
     @property
@@ -70,23 +72,27 @@ class Block:
         return x
 
     @property
-    def read(self) -> Array:
-        """Readings (k, b) as they are, with corrections for unmeasured quantities only."""
-        x, rows = self.readings.copy(), list(self.noise.unmeasured)
-        x[rows] += self.corrections[rows]
-        return x
+    def read(self) -> Block:
+        """At the readings as they are, with corrections for unmeasured quantities only."""
+        corrections, rows = np.zeros(self.readings.shape), list(self.noise.unmeasured)
+        corrections[rows] = self.corrections[rows]
+        return self.at(corrections)
 
-    def at(self, corrections: Array) -> Block:
-        """The same poses with other corrections (k, b)."""
-        return Block(self.poses, self.readings, corrections, self.known, self.noise)
+    def at(self, corrections: Array, parameters: Array | None = None) -> Block:
+        """The same poses with other corrections (k, b), and other parameters (n_all,)."""
+        parameters = self.parameters if parameters is None else parameters
+        return Block(
+            self.poses, parameters, self.readings, corrections, self.pose_constants, self.noise
+        )
 
     def of(self, chosen: NDArray[np.intp] | slice) -> Block:
         """Some of the poses, by their positions in the block."""
         return Block(
             self.positions(chosen),
+            self.parameters,
             self.readings[:, chosen],
             self.corrections[:, chosen],
-            self.known[:, chosen],
+            self.pose_constants[:, chosen],
             self.noise.of(chosen),
         )
 

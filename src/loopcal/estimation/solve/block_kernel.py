@@ -27,7 +27,7 @@ Reduce = Callable[[LoopValues, Block], Whitened]
 
 
 class BlockKernel(Protocol):
-    """Reduces blocks of poses in which the same loops hold, at the parameters of its engine."""
+    """Reduces blocks of poses in which the same loops hold."""
 
     @property
     def block(self) -> int:
@@ -64,21 +64,23 @@ class NumpyKernel:
         return self._reduced(block, Stage.BY_QUANTITY)
 
     def equations(self, block: Block, *, summed: bool, into: Array | None = None) -> Reduced:
-        found = self._reduced(block, Stage.BY_PARAMETER)
+        reduced = self._reduced(block, Stage.BY_PARAMETER)
         if into is not None:
-            into[:] = found.correction
+            into[:] = reduced.correction
         if not summed:
-            return found
-        assert found.rows is not None
-        rows = found.rows.reshape(len(found.rows), -1)
-        return Reduced(found.correction, found.step, found.singular, total=rows @ rows.T)
+            return reduced
+        assert reduced.rows is not None
+        rows = reduced.rows.reshape(len(reduced.rows), -1)
+        return Reduced(reduced.correction, reduced.step, reduced.singular, total=rows @ rows.T)
 
     def close(self, block: Block, tolerance: float, contraction: float) -> Closed:
         return close_by_gauss_newton(self.corrected, block, tolerance, contraction)
 
     def rounding(self, block: Block) -> Array:
         x = block.corrected
-        slopes = self.engine.evaluate(x, block.known, Stage.BY_QUANTITY).by_quantity
+        slopes = self.engine.evaluate(
+            block.parameters, x, block.pose_constants, Stage.BY_QUANTITY
+        ).by_quantity
         sizes = np.einsum("kmb,kb->mb", np.abs(slopes), 1.0 + np.abs(block.readings))
         part = LoopValues(np.finfo(float).eps * sizes, slopes, np.empty((0, *slopes.shape[1:])))
         return self.reduce(part, block.at(np.zeros_like(x))).E
@@ -88,17 +90,19 @@ class NumpyKernel:
 
     def _reduced(self, block: Block, stage: Stage) -> Reduced:
         x = np.add(block.readings, block.corrections, out=scratch("x", *block.readings.shape))
-        whitened = self.reduce(self.engine.evaluate(x, block.known, stage), block)
+        whitened = self.reduce(
+            self.engine.evaluate(block.parameters, x, block.pose_constants, stage), block
+        )
         step = step_in_sds(whitened.correction - block.corrections, block.noise)
         return Reduced(whitened.correction, step, whitened.singular, whitened.rows)
 
 
 @dataclass(frozen=True)
 class CompiledKernel:
-    """The compiled engine's own kernel; exact: of the basic method."""
+    """The compiled engine's own kernel; alike: loops count alike and nothing is whitened."""
 
     engine: CompiledEngine
-    exact: bool
+    alike: bool
     block: int = 32768  # enough for threads to share
 
     def corrected(self, block: Block) -> Reduced:
@@ -116,9 +120,9 @@ class CompiledKernel:
         corrections, count = np.empty(block.readings.shape), block.count
         sizes = np.empty((2, count))  # of last steps, and their ratios to the ones before
         rounds, late = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.bool_)
-        self.engine.native.close(
+        self.engine.native(block.parameters).close(
             *_native(block),
-            self.exact,
+            self.alike,
             tolerance,
             contraction,
             corrections,
@@ -136,7 +140,7 @@ class CompiledKernel:
 
     def search(self, block: Block) -> Array:
         change = np.empty((len(block.noise.unmeasured), block.count))
-        self.engine.native.search(*_native(block), change)
+        self.engine.native(block.parameters).search(*_native(block), change)
         return change
 
     def _misclosure(self, block: Block) -> Array:
@@ -156,9 +160,9 @@ class CompiledKernel:
         correction = np.empty(block.readings.shape) if into is None else into
         step = np.empty(block.count)
         singular = np.empty(block.count, dtype=np.uint8)
-        self.engine.native.reduce(
+        self.engine.native(block.parameters).reduce(
             *_native(block),
-            self.exact,
+            self.alike,
             by_parameter,
             rounding,
             correction,
@@ -175,15 +179,15 @@ def _native(block: Block) -> tuple[Array, Array, Array, Any]:
     return (
         side_by_side(block.readings),
         side_by_side(block.corrections),
-        side_by_side(block.known),
+        side_by_side(block.pose_constants),
         block.noise.native,
     )
 
 
-def kernel_for(engine: Engine, reduce: Reduce, *, exact: bool) -> BlockKernel:
+def kernel_for(engine: Engine, reduce: Reduce, *, alike: bool) -> BlockKernel:
     """The kernel that goes with an engine; reduce: what it does, written in NumPy."""
     if isinstance(engine, CompiledEngine):
-        return CompiledKernel(engine, exact)
+        return CompiledKernel(engine, alike)
     return NumpyKernel(engine, reduce)
 
 

@@ -13,7 +13,7 @@ from loopcal.estimation.solve.merit import Evaluation, State
 from loopcal.estimation.solve.reduction import Spectrum
 
 Array = NDArray[np.float64]
-_PLACES, _ARRAYS = ("first", "current", "lowest"), ("effects", "last_step", "recent")
+_PLACES, _ARRAYS = ("first", "current", "lowest"), ("effects", "recent")
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Point(Generic[State]):
     """A trial: parameters, evaluation, merit and parameter system; closed: how well loops are."""
 
     parameters: Array
-    found: Evaluation[State]
+    evaluation: Evaluation[State]
     merit: float
     spectrum: Spectrum | None
     closed: float | None
@@ -39,7 +39,7 @@ class Point(Generic[State]):
     @property
     def place(self) -> Place[State]:
         """What it takes to evaluate the point again."""
-        return Place(self.parameters, self.found.state, self.found.closing, self.merit)
+        return Place(self.parameters, self.evaluation.state, self.evaluation.closing, self.merit)
 
 
 @dataclass(frozen=True)
@@ -47,25 +47,22 @@ class Checkpoint(Generic[State]):
     """What the solver keeps at the beginning of an iteration: all it needs to go on exactly.
 
     first, current, lowest: where the search began, is, and was lowest; effects: (n,) lengths of the
-    parameters' columns at the beginning; last_step: (n,) [SI], None where there is none; recent:
-    (h, 2, n) [SI], the steps and moves that led here, as `Course` keeps them; before: the decrement
-    one iteration ago; floor: the decrement that rounding hides; away: iterations since the lowest
-    point; descend: whether the merit must fall at every step; triangular: whether the parameter
-    system is kept as a triangle; iterations, evaluations: done so far; stage, earlier: of a robust
-    fit, which of its fits this is, and the iterations before it.
+    parameters' columns at the beginning; recent: (h, 2, n) [SI], the steps and moves that led here,
+    as `Course` keeps them; before: the decrement one iteration ago; floor: the decrement that
+    rounding hides; noted: the merit when progress was last looked at; triangular: whether the
+    parameter system is kept as a triangle; iterations, evaluations: done so far; stage, earlier: of
+    a robust fit, which fit of several this is, and the iterations before it.
     """
 
     first: Place[State]
     current: Place[State]
     lowest: Place[State]
     effects: Array
-    last_step: Array | None
     recent: Array | None
     damping: float
     before: float
     floor: float
-    away: int
-    descend: bool
+    noted: float
     triangular: bool
     iterations: int
     evaluations: int
@@ -74,12 +71,12 @@ class Checkpoint(Generic[State]):
 
     def document(self) -> dict[str, Any]:
         """The checkpoint in plain lists, numbers and names; the state must be such itself."""
-        found = asdict(self)
-        for place in (found[name] for name in _PLACES):
+        fields = asdict(self)
+        for place in (fields[name] for name in _PLACES):
             place["parameters"] = place["parameters"].tolist()
         for name in _ARRAYS:
-            found[name] = None if found[name] is None else found[name].tolist()
-        return found
+            fields[name] = None if fields[name] is None else fields[name].tolist()
+        return fields
 
     @classmethod
     def read(cls, document: Mapping[str, Any]) -> Checkpoint[Any]:

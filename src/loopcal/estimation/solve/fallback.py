@@ -22,18 +22,24 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem, taken
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.solve.seed_iteration import iterate_undamped
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import solve
+from loopcal.estimation.solve.status import MOST_ITERATIONS
 from loopcal.presentation.rounding import significant
 
 Array = NDArray[np.float64]
 _POSES = 200
 """Starts are sought on so many of the poses at most."""
+_MOST = 100
+"""Iterations of a search for a start."""
+# Three radii with eight draws are the 24 starts of docs/decisions/0023.
 _RADII, _DRAWS, _SEARCH, _GLANCE = (0.1, 0.3, 1.0), 8, 50, 3
 """Several starts: so many at each radius, as shares of half a turn, of the largest length and of
 other parameters themselves; each is searched for so many iterations, after a misfit for few."""
 _HIGHER = 1e-6
+# docs/decisions/0023.
 _MISFIT = 10.0
 """Chi-squared for each degree of freedom from which another optimum is sought."""
 
@@ -41,35 +47,35 @@ _MISFIT = 10.0
 def solve_or_fall_back(
     problem: Problem,
     fit: Callable[[Problem], Solution],
-    max_iterations: int = 100,
+    max_iterations: int = MOST_ITERATIONS,
     *,
     judged: bool = False,
 ) -> Solution:
     """The fit from the problem's start, or from others if it does not converge.
 
-    The status says what was tried; max_iterations: of each search for a start; judged: whether
-    chi-squared shows how well the fit agrees with the sds, so that a misfit is tried again too.
-    Raises InputError as the fit does.
+    The status says what was tried; max_iterations: of each search for a start, at most; judged:
+    whether chi-squared shows how well the fit agrees with the sds, so that a misfit is tried again
+    too. Raises InputError as the fit does.
     """
-    first = fit(problem)
+    first, most = fit(problem), min(max_iterations, _MOST)
     if first.status.converged:
         freedom = max(first.equations - len(problem.free), 1)
         misfits = judged and first.chi_squared > _MISFIT * freedom
-        return _or_lower(problem, fit, first, max_iterations) if misfits else first
+        return _or_lower(problem, fit, first, most) if misfits else first
     if first.status.reason == "runaway":
         return first  # elsewhere a model that invites parameters to infinity has false optima
     tried: list[str] = []
-    rank = solve(problem, exact=True, max_iterations=0).spectrum.rank
-    for name, start in _starts(problem, max_iterations):
+    rank = solve(problem.weighted(Weighting.ALIKE), max_iterations=0).spectrum.rank
+    for name, start in _starts(problem, most):
         tried.append(name)
         try:
-            found = fit(replace(problem, start=start))
+            refit = fit(replace(problem, start=start))
         except InputError:  # the loops have no value there
             continue
-        lower = found.chi_squared <= first.chi_squared * (1 + _HIGHER)
-        if found.status.converged and lower and found.spectrum.rank >= rank:
+        lower = refit.chi_squared <= first.chi_squared * (1 + _HIGHER)
+        if refit.status.converged and lower and refit.spectrum.rank >= rank:
             note = f"Started from {name}: from the stated start it ended {first.status.reason}."
-            return _with_note(found, note)
+            return _with_note(refit, note)
     words = ", ".join(tried)
     return _with_note(first, f"Starting from {words} did not help." if words else "")
 
@@ -79,29 +85,29 @@ def _or_lower(
 ) -> Solution:
     """A fit that converged, or one from elsewhere that ends lower with no direction lost."""
     some = _some(problem)
-    here = _merit(some, first.parameters)
+    merit = _merit(some, first.parameters)
     for name, start in _lower_starts(some, most):
         try:
-            if not _merit(some, start) < here:
+            if not _merit(some, start) < merit:
                 continue
-            found = fit(replace(problem, start=start))
+            refit = fit(replace(problem, start=start))
         except InputError:  # the loops have no value there
             continue
-        lower = found.chi_squared < first.chi_squared * (1 - _HIGHER)
-        if found.status.converged and lower and found.spectrum.rank >= first.spectrum.rank:
-            times = significant(first.chi_squared / max(found.chi_squared, 1e-300), 2)
+        lower = refit.chi_squared < first.chi_squared * (1 - _HIGHER)
+        if refit.status.converged and lower and refit.spectrum.rank >= first.spectrum.rank:
+            times = significant(first.chi_squared / max(refit.chi_squared, 1e-300), 2)
             note = f"Started from {name}: from the stated start chi-squared is {times} times this."
-            return _with_note(found, note)
+            return _with_note(refit, note)
     return first
 
 
 def _merit(problem: Problem, parameters: Array) -> float:
     """Chi-squared at these parameters, infinite where the loops do not close."""
     try:
-        found = solve(replace(problem, start=parameters), max_iterations=0)
+        solution = solve(replace(problem, start=parameters), max_iterations=0)
     except InputError:
         return np.inf
-    return np.inf if found.status.reason == "cannot_close" else found.chi_squared
+    return np.inf if solution.status.reason == "cannot_close" else solution.chi_squared
 
 
 def _lower_starts(some: Problem, most: int) -> Iterator[tuple[str, Array]]:
@@ -125,7 +131,8 @@ def _best(some: Problem, iterations: int) -> Array | None:
 def _least_squares(some: Problem, start: Array, most: int) -> Solution | None:
     """The fit with the readings taken as exact; None where the loops have no value."""
     try:
-        return solve(replace(some, start=start), exact=True, max_iterations=most)
+        begun = replace(some, start=start, weighting=Weighting.ALIKE)
+        return solve(begun, max_iterations=most)
     except InputError:
         return None
 
@@ -144,16 +151,19 @@ def _with_note(solution: Solution, note: str) -> Solution:
 def _starts(problem: Problem, most: int) -> Iterator[tuple[str, Array]]:
     some = _some(problem)
     searches: dict[str, Callable[[], Solution]] = {
-        "least squares": lambda: solve(some, exact=True, max_iterations=most),
-        "the iteration of the thesis": lambda: iterate_undamped(some, max_iterations=most),
+        "least squares": lambda: solve(some.weighted(Weighting.ALIKE), max_iterations=most),
     }
+    if not some.loops_alike:
+        searches["the iteration of the thesis"] = lambda: iterate_undamped(
+            some, max_iterations=most
+        )
     for name, search in searches.items():
         try:
-            found = search().parameters
+            parameters = search().parameters
         except InputError:
             continue
-        if np.isfinite(found).all():
-            yield name, found
+        if np.isfinite(parameters).all():
+            yield name, parameters
     if (best := _best(some, min(most, _SEARCH))) is not None:
         yield "the best of several starts", best
 

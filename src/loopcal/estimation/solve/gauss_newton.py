@@ -39,8 +39,8 @@ def close_by_gauss_newton(
     last = ratio = 0.0
     evaluations = 0
     for _ in range(MOST_CLOSINGS):
-        found = corrected(part.at(at))
-        correction, size = found.correction, found.step
+        reduced = corrected(part.at(at))
+        correction, size = reduced.correction, reduced.step
         evaluations += part.count
         # A step larger than the one before, or one that is no number, overshot: halve it.
         allowed = np.maximum(2.0 * expected, max(tolerance, NEGLIGIBLE))
@@ -49,6 +49,7 @@ def close_by_gauss_newton(
         ratios = np.where(first, contraction, size / expected)
         ratio = max(ratio, float(np.fmax.reduce(ratios[~first], initial=0.0)))
         stuck = (expected <= NEGLIGIBLE) & (size > 0.25 * expected)  # by rounding
+        # What is left to correct after this step is about size * ratio.
         finished = ~overshot & ((size * ratios <= tolerance) | stuck)
         last = max(last, float(size[finished].max(initial=0.0)))
         done[:, active[finished]] = correction[:, finished]

@@ -21,8 +21,7 @@ class InMemory:
 
     def __init__(self, sweeper: Sweeper) -> None:
         self.sweeper = sweeper
-        own = sweeper.problem.unknowns
-        self.unknowns = own.without_prior() if sweeper.exact else own
+        self.unknowns = sweeper.problem.unknowns
         self.evaluate, self.nearer = sweeper.sweep, sweeper.nearer
 
     @property
@@ -39,14 +38,14 @@ class InMemory:
         problem = self.sweeper.problem
         corrections = start_corrections(self.sweeper, parameters)
         closing = NEAR if any(pattern.unmeasured for pattern in problem.patterns) else None
-        if problem.found is not None:
+        if problem.first_corrections is not None:
             closing = NEGLIGIBLE
-        found = self.evaluate(parameters, corrections, closing=closing)
-        if not found.finite:
+        evaluation = self.evaluate(parameters, corrections, closing=closing)
+        if not evaluation.finite:
             raise outside_domain(problem, parameters)
-        if found.singular:
-            raise cannot_close(found.singular)
-        return found
+        if evaluation.singular:
+            raise cannot_close(evaluation.singular)
+        return evaluation
 
     def close(
         self, parameters: Array, state: Array, tolerance: float, contraction: float
@@ -60,7 +59,7 @@ def outside_domain(problem: Problem, parameters: Array) -> InputError:
     """What to report of loops that have no value at the readings."""
     tape, remedies = problem.mechanism.tape, problem.mechanism.remedies
     return explain_domain(
-        tape, problem.readings, problem.known, parameters, problem.poses, remedies
+        tape, problem.readings, problem.pose_constants, parameters, problem.poses, remedies
     )
 
 

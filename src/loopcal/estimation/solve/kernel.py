@@ -98,6 +98,7 @@ def whiten(values: LoopValues, block: Block) -> Whitened:
         remainder = f[:skip] + np.einsum("kmb,kb->mb", J[:, :skip], new - now)
         measured, new = new, correction.copy()
         new[list(noise.measured)] = measured
+        # The eliminated rows say f + J (new - now) + R du = 0, R the triangle of `reflections`.
         new[list(noise.unmeasured)] -= reflections.solve(remainder)
     return Whitened(rows, G, new, singular)
 
@@ -117,17 +118,17 @@ def without_rounding(turned: Array, D: Array) -> Array:
 def combined(turned: Array, rows: Array, name: str) -> Array:
     """sum_c rows[n, c] turned[c], (n, r, b), from rows (n, m, b) and columns turned (m, r, b).
 
-    A parameter or reading of a machine with many loops is in one of them or few: loops in which
+    A parameter or reading of a machine with many loops is in one of them or few. Loops in which
     a derivative is zero in all poses cost nothing. Overwritten by the next call for `name`.
     """
     out = scratch(name, len(rows), *turned.shape[1:])
-    there: NDArray[np.bool_] = np.any(rows, axis=2)
-    for row, occurs, own in zip(rows, there, out, strict=True):
+    occurrences: NDArray[np.bool_] = np.any(rows, axis=2)
+    for row, occurs, combination in zip(rows, occurrences, out, strict=True):
         loops = np.flatnonzero(occurs)
         if len(loops) == 1:
-            np.multiply(turned[loops[0]], row[loops[0]], out=own)
+            np.multiply(turned[loops[0]], row[loops[0]], out=combination)
         else:
-            np.einsum("cjb,cb->jb", turned[loops], row[loops], out=own)
+            np.einsum("cjb,cb->jb", turned[loops], row[loops], out=combination)
     return out
 
 
@@ -199,6 +200,7 @@ def orthonormalise(G: Array) -> tuple[Array, NDArray[np.bool_]]:
     for i, row in enumerate(G):
         _project(row, G[:i], L[i])
         length = np.einsum("kb,kb->b", row, row, out=L[i, i])
+        # Pythagoras: what is left and the overlaps make up the row as it was.
         before = length + np.einsum("jb,jb->b", L[i, :i], L[i, :i]) if i else length
         if not np.all(length > REORTHOGONAL**2 * before):
             again = scratch("again", i, G.shape[2])
@@ -207,6 +209,7 @@ def orthonormalise(G: Array) -> tuple[Array, NDArray[np.bool_]]:
             np.einsum("kb,kb->b", row, row, out=length)
             bad = ~(length > SINGULAR**2 * before)
             singular |= bad
+            # Dividing by 1 keeps NaN out of the sums over all poses; the pose is marked singular.
             length[bad] = 1.0
         np.sqrt(length, out=length)
         np.multiply(row, 1.0 / length, out=row)
@@ -298,6 +301,7 @@ def eliminate(columns: Array) -> Elimination:
     for j in range(u):
         v = A[j, j:].copy()
         length = np.sqrt(np.einsum("mb,mb->b", v, v))
+        # The other sign would cancel digits where the column is nearly along the first axis.
         v[0] += np.copysign(length, v[0])
         square = np.einsum("mb,mb->b", v, v)
         scale = np.where(square > 0.0, 2.0 / np.where(square > 0.0, square, 1.0), 0.0)

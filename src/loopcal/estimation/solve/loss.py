@@ -59,6 +59,7 @@ class Huber:
 
     def bend(self, s: Array, r: int) -> Array:
         k = huber_constant(r)
+        # w = k s^(-1/2) beyond k, so s dw/ds = -w / 2.
         return np.where(s <= k * k, 0.0, -0.5 * self.weight(s, r))
 
 
@@ -101,6 +102,7 @@ def huber_constant(r: int) -> float:
     psi = min(1, k / u) E; it rises with k. Hampel and others, Robust Statistics (1986), 4.3.
     """
     low, high = 0.1, 10.0
+    # 60 halvings of an interval of 10 end below the spacing of doubles.
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if huber_efficiency(middle, r) < EFFICIENCY else (low, middle)

@@ -84,9 +84,9 @@ class Evaluation(Generic[State]):
         return math.isfinite(total.sum()) or bool(np.isfinite(total).all())
 
 
-def without_state(found: Evaluation[Any]) -> Evaluation[None]:
+def without_state(evaluation: Evaluation[Any]) -> Evaluation[None]:
     """The evaluation without what is kept of each pose."""
-    return replace(found, state=None, proposal=None)
+    return replace(evaluation, state=None, proposal=None)
 
 
 class Merit(Protocol[State]):
@@ -114,12 +114,14 @@ class Merit(Protocol[State]):
         triangular: bool = False,
         closing: float | None = None,
         contraction: float = 1.0,
+        trial: bool = False,
     ) -> Evaluation[State]:
         """The evaluation at parameters (n_all,), beginning from a state.
 
         triangular: keep a QR triangle, which has twice the digits; closing: correct the readings
         until the next step is at most this many sds; None: linearise where the state stands.
-        contraction: of steps, as far as known.
+        contraction: of steps, as far as known. trial: of use only where all loops close, so the
+        others may be left where one stays open.
         """
 
     def close(

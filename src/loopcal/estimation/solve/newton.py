@@ -27,32 +27,42 @@ from loopcal.expressions.engine import Engine, Stage, engine_for
 from loopcal.expressions.tape import Tape
 
 Array = NDArray[np.float64]
-_MOST, _HALVINGS = 60, 25
-_SHORTEST = 0.75 * 0.5 ** (_HALVINGS - 1)
+_MOST, _BLOCK = 60, 256
+_LENGTHS = tuple(0.5 ** np.arange(*some) for some in ((0, 1), (1, 5), (5, 25)))
+"""Shares of a step that are tried, those of a group at once: evaluations cost by their number."""
+_SHORTEST = 0.75 * 0.5**24
 """A length below has been halved as often as allowed."""
 
 
 def close_by_newton(
-    tape: Tape, parameters: Array, block: Block, tolerance: float, estimated: tuple[str, ...] = ()
+    tape: Tape,
+    block: Block,
+    tolerance: float,
+    estimated: tuple[str, ...] = (),
+    *,
+    together: bool = False,
 ) -> Closed:
     """The nearest closed points of a block's poses, until steps are at most so many sds.
 
     estimated: parameters by which an engine of these loops has derivatives already: it serves here.
+    together: closed poses are of use only together, so all are left where one cannot be closed.
     """
-    first = engine_for(tape, estimated, 256)
-    second = engine_for(lagrangian_gradient(tape), (), 256)
-    first.at(parameters)
-    second.at(parameters)
+    first = engine_for(tape, estimated, _BLOCK)
+    second = engine_for(lagrangian_gradient(tape), (), _BLOCK)
     costs = np.ones(len(block.readings))
     costs[list(block.noise.unmeasured)] = 0.0
     done, late = block.corrections.copy(), np.zeros(block.count, dtype=bool)
-    for begin in range(0, block.count, 256):
-        some = slice(begin, begin + 256)
+    for begin in range(0, block.count, _BLOCK):
+        some = slice(begin, begin + _BLOCK)
         part = block.of(some)
         scaling = _scaling(part.noise)
         T = np.broadcast_to(scaling, (part.count, *scaling.shape[1:]))
-        problem = _Poses(first, second, part.readings, part.known, T, costs)
-        done[:, some], late[some] = problem.run(part.corrections, tolerance)
+        problem = _Poses(
+            first, second, part.parameters, part.readings, part.pose_constants, T, costs
+        )
+        done[:, some], late[some] = problem.run(part.corrections, tolerance, together)
+        if together and late[some].any():
+            break
     return Closed(done, late)
 
 
@@ -97,30 +107,40 @@ class _Poses:
 
     first: Engine
     second: Engine
+    parameters: Array
     readings: Array
-    known: Array
+    pose_constants: Array
     T: Array
     costs: Array
 
     def of(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> _Poses:
         """Some of these poses."""
-        readings, known = self.readings[:, chosen], self.known[:, chosen]
-        return replace(self, readings=readings, known=known, T=self.T[chosen])
+        readings, constants = self.readings[:, chosen], self.pose_constants[:, chosen]
+        return replace(self, readings=readings, pose_constants=constants, T=self.T[chosen])
 
-    def run(self, corrections: Array, tolerance: float) -> tuple[Array, NDArray[np.bool_]]:
-        """Corrections (k, b), and the poses (b,) that stay open; closed poses are left alone."""
+    def run(
+        self, corrections: Array, tolerance: float, together: bool
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Corrections (k, b), and the poses (b,) that stay open; closed poses are left alone.
+
+        together: stop where one cannot be closed.
+        """
+        # A reading with sd 0 has a column of zeros in T, which then has no inverse.
         y = (np.linalg.pinv(self.T) @ corrections.T[:, :, None])[:, :, 0]
         active, poses = np.arange(len(y)), self
         open_ = np.ones(len(y), dtype=bool)
         for _ in range(_MOST):
             at = y[active]
-            here = poses._linearise(at)
-            step, multipliers = poses._step(at, here)
-            length = poses._length(at, here, step, multipliers)
+            local = poses._linearise(at)
+            step, multipliers = poses._step(at, local)
+            length = poses._length(at, local, step, multipliers)
             y[active] = at + length[:, None] * step
             done = np.abs(step).max(axis=1) <= tolerance
             open_[active[done]] = False
-            rest = ~done & (length >= _SHORTEST)  # where no part of a step helps, none will
+            lost = ~done & (length < _SHORTEST)  # where no part of a step helps, none will
+            if together and lost.any():
+                break
+            rest = ~done & ~lost
             if not rest.all():
                 active, poses = active[rest], poses.of(rest)
             if not len(active):
@@ -133,31 +153,39 @@ class _Poses:
 
     def _values(self, y: Array) -> Array:
         x = self.readings + self._corrections(y)
-        return self.first.evaluate(x, self.known, Stage.VALUES).f.T.copy()
+        parts = [slice(begin, begin + _BLOCK) for begin in range(0, len(y), _BLOCK)]
+        evaluate, p = self.first.evaluate, self.parameters
+        values = [
+            evaluate(p, x[:, some], self.pose_constants[:, some], Stage.VALUES).f.T.copy()
+            for some in parts
+        ]
+        return np.concatenate(values)
 
     def _linearise(self, y: Array) -> _Local:
         x = self.readings + self._corrections(y)
-        values = self.first.evaluate(x, self.known, Stage.BY_QUANTITY)
-        with np.errstate(invalid="ignore", over="ignore"):  # such poses are set aside below
-            A = values.by_quantity.transpose(2, 1, 0) @ self.T
+        values = self.first.evaluate(self.parameters, x, self.pose_constants, Stage.BY_QUANTITY)
+        A = values.by_quantity.transpose(2, 1, 0) @ self.T
         f = values.f.T.copy()
         good = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(f).all(axis=1)
+        # NumPy raises LinAlgError for a stack with one NaN: the search would end for all poses.
         A[~good] = 0.0
         U, s, Vt = np.linalg.svd(A)
         return _Local(f, U, s, Vt)
 
-    def _step(self, y: Array, here: _Local) -> tuple[Array, Array]:
+    def _step(self, y: Array, local: _Local) -> tuple[Array, Array]:
         """Normal plus tangential step, (b, k), and the scaled multipliers (b, m)."""
-        m = here.f.shape[1]
-        rows, null = here.Vt[:, :m], here.Vt[:, m:]
+        m = local.f.shape[1]
+        rows, null = local.Vt[:, :m], local.Vt[:, m:]
         gradient = self.costs * y
         scaled = -np.einsum("bik,bk->bi", rows, gradient)  # U^T-turned, times singular values
-        safe = np.where(here.s > 1e-13, here.s, np.inf)
-        multipliers = np.einsum("bmi,bi->bm", here.U, scaled / safe)
+        safe = np.where(local.s > 1e-13, local.s, np.inf)
+        # Least-squares multipliers: A^T lambda = -gradient with A = U s V^T.
+        multipliers = np.einsum("bmi,bi->bm", local.U, scaled / safe)
         H = np.diag(self.costs) + self._curvature(y, multipliers)
-        normal = -np.einsum("bik,bi->bk", rows, here.closure(here.f))
+        normal = -np.einsum("bik,bi->bk", rows, local.closure(local.f))
         reduced = null @ H @ np.swapaxes(null, 1, 2)
         values, vectors = np.linalg.eigh(reduced)
+        # A negative one would lead up to a maximum, one near zero without end.
         values = np.maximum(np.abs(values), 1e-8)
         right = np.einsum("bik,bk->bi", null, gradient + np.einsum("bij,bj->bi", H, normal))
         inner = np.einsum("bij,bi->bj", vectors, right) / values
@@ -166,30 +194,35 @@ class _Poses:
 
     def _curvature(self, y: Array, multipliers: Array) -> Array:
         x = self.readings + self._corrections(y)
-        known = np.vstack([self.known, multipliers.T])
-        hessian = self.second.evaluate(x, known).by_quantity.transpose(2, 1, 0)
+        constants = np.vstack([self.pose_constants, multipliers.T])
+        hessian = self.second.evaluate(self.parameters, x, constants).by_quantity.transpose(2, 1, 0)
         hessian = np.where(np.isfinite(hessian), hessian, 0.0)
         curvature: Array = np.swapaxes(self.T, 1, 2) @ hessian @ self.T
         return curvature
 
-    def _length(self, y: Array, here: _Local, step: Array, scaled: Array) -> Array:
+    def _length(self, y: Array, local: _Local, step: Array, scaled: Array) -> Array:
         """The longest of the halved steps (b,) that lowers |M y|^2 / 2 + weight |closure|."""
+        # The penalty |closure| is exact if its weight exceeds every multiplier (Nocedal and Wright
+        # 2006, chapter 17).
         weight = 2.0 * np.abs(scaled).max(axis=1) + 1.0
-        before = self._merit(y, here, weight)
-        length = np.ones(len(y))
-        worse, poses = np.arange(len(y)), self
-        for _ in range(_HALVINGS):
-            at = y[worse] + length[worse, None] * step[worse]
-            merit = poses._merit(at, here.of(worse), weight[worse])
-            still = ~(merit <= before[worse] * (1 + 1e-12) + 1e-12)
-            if not still.all():
-                worse, poses = worse[still], poses.of(still)
+        before = self._merit(y, local, weight)
+        length = np.full(len(y), 0.5 * _LENGTHS[-1][-1])
+        worse = np.arange(len(y))
+        for lengths in _LENGTHS:
+            count = len(lengths)
+            each = np.repeat(worse, count)
+            at = y[each] + np.tile(lengths, len(worse))[:, None] * step[each]
+            merit = self.of(each)._merit(at, local.of(each), weight[each]).reshape(-1, count)
+            # Near the end a step changes the merit by less than rounding, which must do as well.
+            good = merit <= (before[worse] * (1 + 1e-12) + 1e-12)[:, None]
+            better = good.any(axis=1)
+            length[worse[better]] = lengths[good.argmax(axis=1)[better]]
+            worse = worse[~better]
             if not len(worse):
                 break
-            length[worse] /= 2
         return length
 
-    def _merit(self, y: Array, here: _Local, weight: Array) -> Array:
-        closure = np.abs(here.closure(self._values(y))).sum(axis=1)
+    def _merit(self, y: Array, local: _Local, weight: Array) -> Array:
+        closure = np.abs(local.closure(self._values(y))).sum(axis=1)
         merit: Array = 0.5 * (self.costs * y * y).sum(axis=1) + weight * closure
         return merit

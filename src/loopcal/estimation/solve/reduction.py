@@ -17,11 +17,15 @@ from numpy.typing import NDArray
 from loopcal.lazy import cached_property
 
 Array = NDArray[np.float64]
+# Eigenvalues of a matrix with unit diagonal are right to some n eps, singular values
+# thus to its root: 1.5e-7 for n = 100.
 RANK_TOLERANCE, SUMMED_TOLERANCE = 1e-10, 1e-6
 """Directions with a singular value this much below the largest are not determined; from normal
 equations, whose rounding hides singular values up to the root of n eps, it shows only so far."""
 ROUNDING = 2e-15
 """A column this short beside others in its unit is what cancelled terms leave: no effect at all."""
+SQUARED = 1e-150
+"""The square of a smaller singular value is no number any more."""
 WEAK = 1e-6
 """Directions with a singular value this far below the largest are determined, but hardly."""
 _VANISHED, _LOOSE = 1e-4, 1e-2
@@ -29,8 +33,13 @@ _VANISHED, _LOOSE = 1e-4, 1e-2
 data and prior still determine it."""
 LARGE = 100
 """From so many parameters on SciPy's linear algebra makes up for loading it."""
+# Normal equations square it: 1e8 leaves about eight of the sixteen digits of a double
+# (docs/decisions/0002).
 WELL_CONDITIONED = 1e4
 """Up to this scaled condition number normal equations lose nothing that iterating cannot mend."""
+overflowing = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+"""Of what is evaluated at trial points: where these are far off no number is left, and who
+evaluates sets the pose aside or declines the step."""
 
 
 class Accumulator:
@@ -101,17 +110,19 @@ class Summed:
 
     def times(self, z: Array) -> Array:
         """The matrix of the normal equations times scaled steps, (n,) or (n, h)."""
-        found: Array = self.matrix @ z
-        return found
+        product: Array = self.matrix @ z
+        return product
 
     def directions(self) -> Directions:
         """By an eigendecomposition."""
         values, vectors = np.linalg.eigh(self.matrix)
+        # They are squares of singular values, but rounding may leave the smallest below zero.
         s = np.sqrt(np.maximum(values, 0.0))
         kept = _kept(s, SUMMED_TOLERANCE)
         components = np.divide(vectors.T @ self.gradient, s, out=np.zeros(len(s)), where=kept)
         return Directions(vectors, s, components, kept)
 
+    @overflowing
     def solution(self) -> Array | None:
         """The full step (n,), if the matrix is well conditioned; costs a fifth of `directions`.
 
@@ -133,14 +144,17 @@ class Summed:
         factor, failed = dpotrf(self.matrix.T, lower=1)  # the other half is zero
         if failed:
             return None
-        found = np.asarray(dpotrs(factor, self.gradient, lower=1)[0], dtype=np.float64)
+        solution = np.asarray(dpotrs(factor, self.gradient, lower=1)[0], dtype=np.float64)
         half = dpotri(factor, lower=1, overwrite_c=1)[0]
-        back, own = half.T.ravel(), np.diag(half)
-        return found if self._well(float(2.0 * (back @ back) - own @ own)) else None
+        back, diagonal = half.T.ravel(), np.diag(half)
+        # An entry beside the diagonal is in one half only, so its square counts twice.
+        return solution if self._well(float(2.0 * (back @ back) - diagonal @ diagonal)) else None
 
     def _well(self, inverse: float) -> bool:
         """Whether the matrix is well conditioned; inverse: squares of its inverse, summed."""
         flat = self.matrix.ravel()
+        # The matrix is R^T R, whose condition is that of R squared; these norms are squared once
+        # more.
         return bool((flat @ flat) * inverse <= WELL_CONDITIONED**4)
 
 
@@ -162,8 +176,8 @@ class Stacked:
 
     def times(self, z: Array) -> Array:
         """The matrix of the normal equations times scaled steps, (n,) or (n, h)."""
-        found: Array = self.matrix.T @ (self.matrix @ z)
-        return found
+        product: Array = self.matrix.T @ (self.matrix @ z)
+        return product
 
     def directions(self) -> Directions:
         """By a singular value decomposition, which has twice the digits."""
@@ -192,7 +206,7 @@ class Spectrum:
     equations: Summed | Stacked
 
     @cached_property
-    def _found(self) -> Directions:
+    def _directions(self) -> Directions:
         return self.equations.directions()
 
     @cached_property
@@ -202,22 +216,22 @@ class Spectrum:
     @property
     def directions(self) -> Array:
         """Directions of scaled parameters, the columns of (n, n)."""
-        return self._found.vectors
+        return self._directions.vectors
 
     @property
     def singular_values(self) -> Array:
         """Of the column-scaled system, (n,)."""
-        return self._found.singular_values
+        return self._directions.singular_values
 
     @property
     def components(self) -> Array:
         """The right-hand side along the directions, (n,)."""
-        return self._found.components
+        return self._directions.components
 
     @property
     def kept(self) -> NDArray[np.bool_]:
         """Which directions data and prior determine, (n,)."""
-        return self._found.kept
+        return self._directions.kept
 
     @property
     def rank(self) -> int:
@@ -242,14 +256,21 @@ class Spectrum:
             return float(self._solution @ self.equations.gradient)
         return float(self.components @ self.components)
 
-    def step(self, damping: float = 0.0) -> Array:
-        """The step dp [SI] damped as Levenberg and Marquardt do; undetermined directions rest."""
+    def step(self, damping: float = 0.0, after: Array | None = None) -> Array:
+        """The step dp [SI] damped as Levenberg and Marquardt do; undetermined directions rest.
+
+        after: the steps (n,) [SI] that led here; their sum with this one is what is damped.
+        """
         if not damping and self._solution is not None:
             full: Array = self.scale * self._solution
             return full
         s = self.singular_values
+        right = s * self.components
+        if after is not None:
+            # From |s z - c|^2 + damping |after + z|^2: (s^2 + damping) z = s c - damping after.
+            right = right - damping * (self.directions.T @ (after / self.scale))
         z = np.zeros(len(s))
-        np.divide(s * self.components, s * s + damping, out=z, where=self.kept)
+        np.divide(right, s * s + damping, out=z, where=self.kept)
         result: Array = self.scale * (self.directions @ z)
         return result
 
@@ -258,6 +279,7 @@ class Spectrum:
         if not damping:
             return self.decrement
         s2 = np.square(self.singular_values)
+        # c^2 - (c - s z)^2 with z = s c / (s^2 + damping), along each direction.
         share = 1.0 - np.square(damping / np.maximum(s2 + damping, 1e-300))
         return float(share @ np.square(self.components))
 
@@ -268,6 +290,7 @@ class Spectrum:
         along: Array = self.scale[:, None] * self.directions[:, kept]
         return along / self.singular_values[kept]
 
+    @overflowing
     def covariance(self) -> Array:
         """(sum D^T D + prior)^-1 over the determined directions, (n, n) [SI]; symmetric."""
         result: Array = self.root @ self.root.T
@@ -278,21 +301,21 @@ def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
     """The spectrum of data and prior: offset = nominal - current value, prior_sd may be inf."""
     n, precision = len(prior_sd), 1.0 / prior_sd
     stated = bool(precision.any())
-    known = np.where(precision, offset, 0.0) * precision if stated else precision
+    prior_misfit = np.where(precision, offset, 0.0) * precision if stated else precision
     if data.triangular:
-        R = _triangle(data.total, np.column_stack([np.diag(precision), known]))
+        R = _triangle(data.total, np.column_stack([np.diag(precision), prior_misfit]))
         scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)), data.units)
         return Spectrum(scale, Stacked(R[:n, :n] * scale, R[:n, n]))
     H, g = data.total[:n, :n], data.total[:n, n]
     if stated:
-        H, g = H.copy(), g + known * precision
+        H, g = H.copy(), g + prior_misfit * precision
         H.reshape(-1)[:: n + 1] += np.square(precision)  # a view of its diagonal
     scale = _scale(np.sqrt(H.diagonal()), data.units)
     return Spectrum(scale, Summed(H * scale * scale[:, None], scale * g))
 
 
 def _kept(s: Array, tolerance: float) -> NDArray[np.bool_]:
-    kept: NDArray[np.bool_] = s > tolerance * max(float(s.max(initial=0.0)), 1e-300)
+    kept: NDArray[np.bool_] = s > max(tolerance * float(s.max(initial=0.0)), SQUARED)
     return kept
 
 
@@ -307,6 +330,8 @@ def _scale(lengths: Array, units: tuple[str, ...]) -> Array:
     Of a parameter without effect rounding leaves a column where terms should cancel. It is known
     by the columns of other parameters in the same unit, and stays as short beside them.
     """
+    # Columns of unit length: within a factor root n of the least condition that any scaling of
+    # columns reaches (van der Sluis 1969).
     if lengths.min(initial=np.inf) > ROUNDING * lengths.max(initial=0.0):
         return np.asarray(1.0 / lengths)
     most = np.where(_alike(units, len(lengths)), lengths, 0.0).max(axis=1)

@@ -30,16 +30,18 @@ from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.kernel import Whitened
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import without_state
+from loopcal.estimation.solve.reduction import overflowing
 from loopcal.estimation.solve.scratch import one_blas_thread, scratch
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress, solve_with
-from loopcal.estimation.solve.status import Status
+from loopcal.estimation.solve.status import MOST_ITERATIONS, Status
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.expressions.engine import Engine, LoopValues, Stage
 
 Array = NDArray[np.float64]
 _STEP = 1e-7
 """Converged when a round moves no parameter by more sds, unless the user says otherwise."""
+# These and _LOOSE: docs/decisions/0006.
 _NO_LONGER, _ROUNDING = 0.5, 1e-5
 """A round that moves by this share of the one before, and by so few sds, is moved by rounding."""
 _LOOSE = 1e-2
@@ -71,7 +73,7 @@ def solve_reweighted(
     problem: Problem,
     *,
     loss: Loss | None = None,
-    max_iterations: int = 100,
+    max_iterations: int = MOST_ITERATIONS,
     tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> Solution:
@@ -95,28 +97,30 @@ def solve_reweighted(
             weights = _weights(likelihood, parameters, corrections)
             held = _held(problem, parameters, corrections)
             inner = InMemory(_Reweighted(held, weights, likelihood.rounding, loss))
-            found = solve_with(
+            inner_end = solve_with(
                 inner,
                 max_iterations=max_iterations,
                 tolerance=max(_LOOSE * min(moved, 1.0), 0.1 * least),
                 progress=progress,
             )
-            iterations += found.status.iterations
-            step = found.parameters - parameters
-            parameters = found.parameters
+            iterations += inner_end.status.iterations
+            step = inner_end.parameters - parameters
+            parameters = inner_end.parameters
             corrections = likelihood.close(parameters, corrections, NEGLIGIBLE, 1.0).corrections
-            sds = np.sqrt(np.maximum(np.diag(found.spectrum.covariance()), 1e-300))
+            sds = np.sqrt(np.maximum(np.diag(inner_end.spectrum.covariance()), 1e-300))
             before, moved = moved, float(np.abs(step[problem.free] / sds).max())
             stuck = _NO_LONGER * before <= moved <= _ROUNDING
-            if not found.status.converged or moved <= least or stuck:
+            if not inner_end.status.converged or moved <= least or stuck:
                 break
         end = likelihood.sweep(parameters, corrections)
-        reason = found.status.reason
-        if found.status.converged and moved > least and not stuck:
+        reason = inner_end.status.reason
+        if inner_end.status.converged and moved > least and not stuck:
             reason = "max_iterations"
         status = Status.of(reason, iterations, likelihood.evaluations / len(problem.poses))
         prior = problem.unknowns.prior_square(parameters)
-        return Solution(parameters, corrections, without_state(end), found.spectrum, prior, status)
+        return Solution(
+            parameters, corrections, without_state(end), inner_end.spectrum, prior, status
+        )
 
 
 def _held(problem: Problem, parameters: Array, corrections: Array) -> Problem:
@@ -130,20 +134,21 @@ def _held(problem: Problem, parameters: Array, corrections: Array) -> Problem:
     return replace(problem, readings=readings, start=parameters)
 
 
+@overflowing
 def _weights(sweeper: Sweeper, parameters: Array, corrections: Array) -> Weights:
     problem = sweeper.problem
     m, N = len(problem.mechanism.tape.loops), len(problem.poses)
     T, c = np.zeros((m, m, N)), np.zeros((m, N))
-    sweeper.at(parameters)
-    for pattern, block in sweeper.blocks(corrections):
-        engine, held, poses = sweeper.engine(pattern), len(pattern.loops), block.poses
-        at_readings = engine.evaluate(block.read, block.known, Stage.VALUES).f.copy()
-        values = engine.evaluate(block.corrected, block.known, Stage.BY_QUANTITY)
+    for pattern, block in sweeper.blocks(parameters, corrections):
+        held, poses = len(pattern.loops), block.poses
+        as_read = sweeper.loop_values(pattern, block.read, Stage.VALUES).f.copy()
+        values = sweeper.loop_values(pattern, block, Stage.BY_QUANTITY)
         identity = np.repeat(np.eye(held)[:, :, None], block.count, axis=2)
         measured = list(block.noise.measured)
         start = block.corrections[measured]
         lever = np.einsum("kmb,kb->mb", values.by_quantity[measured], start)
-        c[:held, poses] = lever - values.f + at_readings
+        # c - f(reading) is then J correction - f(corrected), the misclosure of the likelihood.
+        c[:held, poses] = lever - values.f + as_read
         whitened = sweeper.reduce(replace(values, by_parameter=identity), block)
         r = whitened.rows.shape[1]
         for i in range(r):

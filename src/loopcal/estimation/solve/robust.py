@@ -25,6 +25,7 @@ from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import End, Solution
 from loopcal.estimation.solve.solver import Progress
+from loopcal.estimation.solve.status import MOST_ITERATIONS
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
 Array = NDArray[np.float64]
@@ -46,7 +47,7 @@ def solve_robust(
     loss: Loss,
     *,
     method: Method,
-    max_iterations: int = 100,
+    max_iterations: int = MOST_ITERATIONS,
     tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> Solution:
@@ -77,31 +78,32 @@ def solve_robust(
 def in_stages(
     fit: Callable[[Array, Loss | None, Stage], End[State]],
     start: Array,
-    loss: Loss,
+    loss: Loss | None,
     cost: Callable[[], float] | None,
     begin: Stage = FIRST_STAGE,
 ) -> End[State]:
-    """The parameters of least summed loss.
+    """The parameters of least summed loss; a gaussian loss (None) has but one stage.
 
     fit: from parameters (n_all,) under a loss; cost: the summed loss at the start, None for a
     method that minimises something else; begin: the stage that an interrupted run had reached.
     """
-    losses, found = [None, *dict.fromkeys([Huber(), loss])], None
+    losses, end = [None, *dict.fromkeys([Huber(), loss] if loss else [])], None
     earlier, at = begin.earlier, start
     for number in range(begin.number, len(losses)):
-        if found is not None:
-            earlier, at = earlier + found.status.iterations, found.parameters
-        found = fit(at, losses[number], Stage(number, earlier))
-    if found is None or (cost is not None and found.chi_squared > cost()):
-        found = fit(start, loss, Stage(len(losses), earlier))
-    iterations = earlier + found.status.iterations
-    return replace(found, status=replace(found.status, iterations=iterations))
+        if end is not None:
+            earlier, at = earlier + end.status.iterations, end.parameters
+        end = fit(at, losses[number], Stage(number, earlier))
+    higher = loss and cost is not None and end is not None and end.chi_squared > cost()
+    if end is None or higher:
+        end = fit(start, loss, Stage(len(losses), earlier))
+    iterations = earlier + end.status.iterations
+    return replace(end, status=replace(end.status, iterations=iterations))
 
 
-def summed(found: Evaluation[State], unknowns: Unknowns) -> float:
+def summed(evaluation: Evaluation[State], unknowns: Unknowns) -> float:
     """Loss and prior of an evaluation at the start, infinite where some loop does not close."""
-    bad = found.late or found.singular or not found.finite
-    return np.inf if bad else found.cost + unknowns.prior_square(unknowns.start)
+    bad = evaluation.late or evaluation.singular or not evaluation.finite
+    return np.inf if bad else evaluation.cost + unknowns.prior_square(unknowns.start)
 
 
 @dataclass(frozen=True)
@@ -115,14 +117,10 @@ class RobustSums:
     by_size: Mapping[int, tuple[float, float, float, float, Array]]
 
     @classmethod
-    def of(
-        cls, problem: Problem, solution: Solution, loss: Loss, *, at_readings: bool = False
-    ) -> RobustSums:
+    def of(cls, problem: Problem, solution: Solution, loss: Loss) -> RobustSums:
         """The sums of some poses at a solution."""
         whole = cls({})
-        for block in pose_equations(
-            problem, solution.parameters, solution.corrections, at_readings=at_readings
-        ):
+        for block in pose_equations(problem, solution.parameters, solution.corrections):
             r = block.E.shape[1]
             if not r:
                 continue
@@ -136,12 +134,12 @@ class RobustSums:
         return whole
 
     def __add__(self, other: RobustSums) -> RobustSums:
-        found = dict(self.by_size)
+        by_size = dict(self.by_size)
         for r, (count, slopes, squares, psi, M) in other.by_size.items():
-            own = found.get(r, (0.0, 0.0, 0.0, 0.0, np.zeros_like(M)))
-            sums = own[0] + count, own[1] + slopes, own[2] + squares, own[3] + psi, own[4] + M
-            found[r] = sums
-        return RobustSums(found)
+            left = by_size.get(r, (0.0, 0.0, 0.0, 0.0, np.zeros_like(M)))
+            sums = left[0] + count, left[1] + slopes, left[2] + squares, left[3] + psi, left[4] + M
+            by_size[r] = sums
+        return RobustSums(by_size)
 
     def covariance(self, spectrum: Spectrum, prior_sd: Array) -> Array:
         """A^-1 B A^-1, (n, n) [SI]: A = sum a D^T D + P, B = K^2 sum b D^T D + P, P the prior's.

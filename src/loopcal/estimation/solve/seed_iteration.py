@@ -10,9 +10,9 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.in_memory import outside_domain
 from loopcal.estimation.solve.kernel import unload
 from loopcal.estimation.solve.merit import without_state
-from loopcal.estimation.solve.reduction import Accumulator, spectrum
+from loopcal.estimation.solve.reduction import Accumulator, overflowing, spectrum
 from loopcal.estimation.solve.solution import Solution
-from loopcal.estimation.solve.status import Status
+from loopcal.estimation.solve.status import MOST_ITERATIONS, Status
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ TOLERANCE = 1e-10
 
 
 def iterate_undamped(
-    problem: Problem, *, max_iterations: int = 100, tolerance: float | None = None
+    problem: Problem, *, max_iterations: int = MOST_ITERATIONS, tolerance: float | None = None
 ) -> Solution:
     """Full steps in parameters and corrections together, as the seed writes them.
 
@@ -47,8 +47,7 @@ def iterate_undamped(
     while reason == "max_iterations" and iteration < max_iterations:
         iteration += 1
         offset = problem.nominal - parameters[problem.free]
-        with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate may overflow
-            data, steps, proposals = _linearised(sweeper, parameters, corrections)
+        data, steps, proposals = _linearised(sweeper, parameters, corrections)
         if not np.all(np.isfinite(data.total)):
             if iteration == 1:
                 raise outside_domain(problem, parameters)
@@ -76,17 +75,17 @@ def iterate_undamped(
     return Solution(parameters, corrections, without_state(sweep), end, prior, status)
 
 
+@overflowing
 def _linearised(
     sweeper: Sweeper, parameters: Array, corrections: Array
 ) -> tuple[Accumulator, Array, Array]:
     """The parameter system; S Q D, (n, k, N), which turns dq into corrections; and S Q E."""
     problem = sweeper.problem
-    sweeper.at(parameters)
     data = Accumulator(len(problem.free), True, problem.units)
     steps = np.zeros((len(problem.free), *corrections.shape))
     proposals = np.zeros_like(corrections)
-    for pattern, block in sweeper.blocks(corrections):
-        values = sweeper.engine(pattern).evaluate(block.corrected, block.known)
+    for pattern, block in sweeper.blocks(parameters, corrections):
+        values = sweeper.loop_values(pattern, block)
         sweeper.evaluations += block.count
         whitened = sweeper.reduce(values, block)
         data.add(whitened.rows)

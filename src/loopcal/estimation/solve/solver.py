@@ -3,9 +3,14 @@
 It minimises a merit Phi(p) (`loopcal.estimation.solve.merit`), whose gradient is
 -2 (sum D^T E - prior), exact where the loops are closed. A step is tried in full. It is damped
 only if Phi does not fall as predicted, so that near the solution this is the iteration of the
-thesis, (3.24) to (3.30). Where a step may raise Phi (`loopcal.estimation.solve.course`), the lowest
-point is kept. The search returns to it if it finds no lower one in time, so Phi never ends higher
-than it began.
+thesis, (3.24) to (3.30). The lowest point is kept, so Phi never ends higher than it began.
+
+Where poses are alike, Phi has long, narrow, curved valleys. A damped step s along one leaves its
+floor, and Phi rises although the floor falls. Such a step is corrected before it is rejected: what
+it should have been minimises Phi(p + s) + damping |s|^2, whose floor does not leave the valley
+(the proximal point of Martinet 1970), and each correction is one step of Gauss and Newton towards
+it, made where the last one ended. The first is the geodesic acceleration of Transtrum and Sethna
+(2012), without their derivatives.
 
 Far from the solution, a trial is linearised where the readings stand, because closing the loops of
 every trial would be wasted work. Its loops are closed only when that estimate rejects the step.
@@ -37,16 +42,17 @@ from loopcal.estimation.solve.merit import (
     State,
     without_state,
 )
-from loopcal.estimation.solve.reduction import hardly_determined, spectrum, vanished
+from loopcal.estimation.solve.reduction import hardly_determined, overflowing, spectrum, vanished
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solution import End, Solution
-from loopcal.estimation.solve.status import Status, weakness
+from loopcal.estimation.solve.status import MOST_ITERATIONS, Status, weakness
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, float, float], None]
 """Called with iteration, chi-squared and the predicted decrease."""
 
+# This and _NEGLIGIBLE_STEP: docs/decisions/0002.
 RELATIVE_STEP = 1e-11
 """Converged when what the next step leaves is this small beside the sds that the residuals
 suggest: parameters then have ten digits. With large noise a step gains only two or three."""
@@ -59,8 +65,16 @@ _LAST_STEP = 0.1
 _SLOW, _NEARBY = 0.1, 1.0
 """Steps are accelerated where the decrement keeps so much from one to the next, and the step is so
 many sds."""
-_AWAY = 30
-"""After so many iterations above its lowest merit the search returns to that point."""
+# docs/decisions/0002: corrections of any length are faster on the left arm's grid, but two of
+# NIST's problems then end elsewhere.
+_CORRECTIONS, _SHRINK = 5, 0.75
+"""A step is corrected so often at most, as long as each correction has this share of the last."""
+_GAIN, _GAIN_CORRECTED = 1e-3, 0.5
+"""The merit must fall by this share of what is predicted; after a correction, which leads farther
+than the linearised loops are known to hold, by more."""
+# docs/decisions/0002: limits are by progress, MOST_ITERATIONS is only the cap.
+_PATIENCE, _PROGRESS = 100, 1e-9
+"""The search ends where so many iterations lower the merit by no more than this share of it."""
 _FAR, _EXPLAINED = 100.0, 0.9
 """Where whitened residuals are this large (mean square) and parameters explain this share of
 them, the loops need not be closed yet."""
@@ -74,16 +88,15 @@ _WIDE = 100
 def solve(
     problem: Problem,
     *,
-    exact: bool = False,
     loss: Loss | None = None,
-    max_iterations: int = 100,
+    max_iterations: int = MOST_ITERATIONS,
     tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> Solution:
     """The parameters of maximum likelihood, from the problem's start.
 
-    exact: sensors are exact, minimise the loop values instead (the basic method; the prior
-    takes no part). loss: None is the gaussian one. tolerance: converged when what the next step
+    Where the loops of the problem count alike, of the least squares of their values, and the prior
+    takes no part. loss: None is the gaussian one. tolerance: converged when what the next step
     leaves is this small beside the sds that the residuals suggest, RELATIVE_STEP if None. Never
     returns a point with a larger merit than the start's.
 
@@ -92,7 +105,7 @@ def solve(
     reuse_memory(8)
     with one_blas_thread():
         return solve_with(
-            InMemory(Sweeper(problem, exact=exact, loss=loss)),
+            InMemory(Sweeper(problem, loss=loss)),
             max_iterations=max_iterations,
             tolerance=tolerance,
             progress=progress,
@@ -102,7 +115,7 @@ def solve(
 def solve_with(
     merit: Merit[State],
     *,
-    max_iterations: int = 100,
+    max_iterations: int = MOST_ITERATIONS,
     tolerance: float | None = None,
     progress: Progress | None = None,
     reached: Callable[[Checkpoint[State]], None] | None = None,
@@ -135,7 +148,7 @@ class _Solver(Generic[State]):
         self.iterations = 0
         self.before = np.inf
         self.course = Course()
-        self.away = 0
+        self.noted = np.inf
 
     def run(self, max_iterations: int, resume: Checkpoint[State] | None) -> End[State]:
         current = self._resumed(resume) if resume else self._first()
@@ -143,22 +156,25 @@ class _Solver(Generic[State]):
             self.first, self.lowest, self.effects = resume.first, resume.lowest, resume.effects
         else:
             self.first = self.lowest = current.place
-            self.effects = current.found.data.lengths
+            self.effects = current.evaluation.data.lengths
         while True:
             assert current.spectrum is not None
+            # First, because all below judges the decrement, of which normal equations may lack
+            # digits.
             if not (self.triangular or current.spectrum.well_conditioned):
                 self.triangular = True
-                current = self._evaluate(current.parameters, current.found.state)
+                current = self._evaluate(current.parameters, current.evaluation.state)
                 continue
+            # Open loops may have a merit below that of any closed ones (docs/decisions/0002).
             if current.merit < self.lowest.merit and current.closed is not None:
-                self.lowest, self.away = current.place, 0
-            elif self._higher(current) and (self.away > _AWAY or self._settled(current)):
+                self.lowest = current.place
+            elif self._higher(current) and self._settled(current):
                 current = self._returned(current)
                 continue
             if self._settled(current):
-                if current.found.step <= NEGLIGIBLE or current.closed == _CLOSED:
+                if current.evaluation.step <= NEGLIGIBLE or current.closed == _CLOSED:
                     return self._converged(current)
-                current = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
+                current = self._evaluate(current.parameters, current.evaluation.proposal, _CLOSED)
                 if current.spectrum is None:
                     return self._give_up(current, "cannot_close")
                 if self._settled(current):
@@ -171,7 +187,6 @@ class _Solver(Generic[State]):
             self.iterations += 1
             if self.progress:
                 self.progress(self.iterations, current.merit, current.spectrum.decrement)
-            self.away += 1
             trial = self._advance(current)
             if trial is None and self._higher(current):
                 trial = self._returned(current)
@@ -179,6 +194,10 @@ class _Solver(Generic[State]):
                 return self._stalled(current)
             self.before = current.spectrum.decrement
             current = trial
+            if self.iterations % _PATIENCE == 0:
+                noted, self.noted = self.noted, self.lowest.merit
+                if not self.noted < (1 - _PROGRESS) * noted:
+                    return self._give_up(current, "stalled")
 
     def _higher(self, point: Point[State]) -> bool:
         """Whether the search has left its lowest point for one that is higher by more than what
@@ -186,25 +205,23 @@ class _Solver(Generic[State]):
         return point.merit > self.lowest.merit + self._limit(point, _LAST_STEP)
 
     def _returned(self, current: Point[State]) -> Point[State]:
-        """The lowest point, or the current one if that is lower once both have closed loops.
-
-        From there every step must descend.
-        """
-        self.course, self.away, self.before = self.course.returned(), 0, np.inf
+        """The lowest point, or the current one if that is lower once both have closed loops."""
+        self.course, self.before = self.course.returned(), np.inf
         lowest = self._evaluate(self.lowest.parameters, self.lowest.state, _NEAR)
         point = lowest if lowest.merit < current.merit else current
         self.lowest = point.place
         return point
 
+    @overflowing
     def _first(self) -> Point[State]:
         start = self.unknowns.start
-        found = self.merit.first(start)
+        evaluation = self.merit.first(start)
         # n directions, each with the square of what rounding does to whitened residuals
-        self.floor = len(self.unknowns.free) * found.rounding**2
-        point = self._point(start, found)
+        self.floor = len(self.unknowns.free) * evaluation.rounding**2
+        point = self._point(start, evaluation)
         assert point.spectrum is not None
         if point.closed is None and not self._far(point, point.spectrum.decrement):
-            point = self._evaluate(start, found.state, _NEAR)
+            point = self._evaluate(start, evaluation.state, _NEAR)
         return self._nearer(point) or point
 
     def _nearer(self, point: Point[State]) -> Point[State] | None:
@@ -212,9 +229,9 @@ class _Solver(Generic[State]):
 
         It is tried where the steps that closed the loops did not shrink.
         """
-        if point.closed is None or point.found.contraction < 1.0:
+        if point.closed is None or point.evaluation.contraction < 1.0:
             return None
-        state = self.merit.nearer(point.parameters, point.found.state)
+        state = self.merit.nearer(point.parameters, point.evaluation.state)
         if state is None:
             return None
         other = self._evaluate(point.parameters, state, _CLOSED)
@@ -226,52 +243,52 @@ class _Solver(Generic[State]):
             current.place,
             self.lowest,
             self.effects,
-            self.course.last_step,
             self.course.recent,
             self.course.damping,
             self.before,
             self.floor,
-            self.away,
-            self.course.descend,
+            self.noted,
             self.triangular,
             self.iterations,
             self.counted + self.merit.evaluations,
         )
 
     def _resumed(self, kept: Checkpoint[State]) -> Point[State]:
-        self.before, self.floor, self.away = kept.before, kept.floor, kept.away
-        self.course = Course(kept.damping, kept.last_step, kept.descend, recent=kept.recent)
+        self.before, self.floor, self.noted = kept.before, kept.floor, kept.noted
+        self.course = Course(kept.damping, recent=kept.recent)
         self.triangular, self.iterations = kept.triangular, kept.iterations
         place = kept.current
         point = self._evaluate(place.parameters, place.state, place.closing)
         self.counted = kept.evaluations - self.merit.evaluations
         return point
 
+    @overflowing
     def _evaluate(
         self,
         parameters: Array,
         state: State,
         closing: float | None = None,
         contraction: float = 1.0,
+        trial: bool = False,
     ) -> Point[State]:
-        with np.errstate(over="ignore", invalid="ignore"):  # a trial far off may overflow
-            found = self.merit.evaluate(
-                parameters,
-                state,
-                triangular=self.triangular,
-                closing=closing,
-                contraction=contraction,
-            )
-            return self._point(parameters, found)
+        evaluation = self.merit.evaluate(
+            parameters,
+            state,
+            triangular=self.triangular,
+            closing=closing,
+            contraction=contraction,
+            trial=trial,
+        )
+        return self._point(parameters, evaluation)
 
-    def _point(self, parameters: Array, found: Evaluation[State]) -> Point[State]:
-        merit = found.cost + self.unknowns.prior_square(parameters)
-        bad = not math.isfinite(merit) or bool(found.late) or bool(found.singular)
+    def _point(self, parameters: Array, evaluation: Evaluation[State]) -> Point[State]:
+        merit = evaluation.cost + self.unknowns.prior_square(parameters)
+        bad = not math.isfinite(merit) or bool(evaluation.late) or bool(evaluation.singular)
         system = None
-        if found.finite:
+        if evaluation.finite:
             offset = self.unknowns.offset(parameters)
-            system = spectrum(found.data, offset, self.unknowns.prior_sd)
-        return Point(parameters, found, np.inf if bad else merit, system, found.closing)
+            system = spectrum(evaluation.data, offset, self.unknowns.prior_sd)
+        return Point(parameters, evaluation, np.inf if bad else merit, system, evaluation.closing)
 
     def _advance(self, current: Point[State]) -> Point[State] | None:
         """The next accepted point; None where no step is accepted."""
@@ -281,16 +298,15 @@ class _Solver(Generic[State]):
             system = current.spectrum
             assert system is not None
             predicted = system.predicted(self.course.damping)
-            step = system.step(self.course.damping)
-            trial = self._try(current, step, predicted)
-            if trial is not None:
+            if (descent := self._try(current, predicted)) is not None:
+                trial, move = descent
                 gain = (current.merit - trial.merit) / predicted if predicted > 0 else 1.0
-                self.course = self.course.accepted(system, step, gain)
+                self.course = self.course.accepted(system, move, gain)
                 return trial
             # The merit of open loops is an estimate: close them as well as the trial's.
             closing = _CLOSED if self._last(current, predicted) else _NEAR
-            if current.closed is None or current.closed > closing:
-                closed = self._evaluate(current.parameters, current.found.proposal, closing)
+            if current.evaluation.step > closing and (current.closed or np.inf) > closing:
+                closed = self._evaluate(current.parameters, current.evaluation.proposal, closing)
                 if math.isfinite(closed.merit) and closed.spectrum is not None:
                     current = closed
                     continue
@@ -314,34 +330,48 @@ class _Solver(Generic[State]):
             parameters = self.unknowns.moved(current.parameters, step)
             last = self._last(current, system.decrement)
             closing = _CLOSED if last or self._wide else _ONCE
-            start, contraction = current.found.proposal, current.found.contraction
-            trial = self._evaluate(parameters, start, closing, contraction)
+            start, contraction = current.evaluation.proposal, current.evaluation.contraction
+            trial = self._evaluate(parameters, start, closing, contraction, trial=True)
             if self._worth(current, trial, system.decrement):
+                # A gain below zero is rounding here, no reason to raise the damping.
                 gain = (current.merit - trial.merit) / system.decrement
                 self.course = self.course.accepted(system, step, max(gain, 0.0))
                 return trial
         self.course = self.course.unaccelerated()
         return None
 
-    def _try(self, current: Point[State], step: Array, predicted: float) -> Point[State] | None:
-        """The point after a step if its merit falls as it should, or may rise; else None."""
+    def _try(self, current: Point[State], predicted: float) -> tuple[Point[State], Array] | None:
+        """The point after a step, corrected or not, if its merit falls as it should, and the move
+        (n,) [SI] that led there; else None."""
         assert current.spectrum is not None
-        parameters = self.unknowns.moved(current.parameters, step)
-        far = self._far(current, predicted)
-        last = self._last(current, predicted)
-        start = current.found.state if far else current.found.proposal
+        damping, scale = self.course.damping, current.spectrum.scale
+        move = step = current.spectrum.step(damping)
+        far, last = self._far(current, predicted), self._last(current, predicted)
         closings = [None, _NEAR] if far else [_CLOSED] if last or self._wide else [_ONCE, _NEAR]
-        for closing in closings:
-            trial = self._evaluate(parameters, start, closing, current.found.contraction)
-            if self._worth(current, trial, predicted):
-                return trial
-        share = self.course.may_rise(current.spectrum.scale, step)
-        rises = not far and trial.spectrum is not None and share < 1.0
-        return trial if rises and share * trial.merit <= current.merit else None
+        at, least = current, _GAIN
+        state = current.evaluation.state if far else current.evaluation.proposal
+        for _ in range(1 if far else 1 + _CORRECTIONS):
+            parameters = self.unknowns.moved(current.parameters, move)
+            for closing in closings:
+                trial = self._evaluate(
+                    parameters, state, closing, at.evaluation.contraction, trial=True
+                )
+                if self._worth(current, trial, predicted, least):
+                    return trial, move
+                if trial.evaluation.late or trial.evaluation.step <= _CLOSED:
+                    break  # what is still open cannot close, or nothing is
+            if trial.spectrum is None or not math.isfinite(trial.merit):
+                return None
+            before, step = step, trial.spectrum.step(damping, after=move)
+            if not np.linalg.norm(step / scale) <= _SHRINK * np.linalg.norm(before / scale):
+                return None
+            at, state, move = trial, trial.evaluation.proposal, move + step
+            least = _GAIN_CORRECTED
+        return None
 
     def _far(self, point: Point[State], predicted: float) -> bool:
         """Whether parameters explain nearly all of a large misclosure: then readings can wait."""
-        return predicted > max(_EXPLAINED * point.merit, _FAR * point.found.equations)
+        return predicted > max(_EXPLAINED * point.merit, _FAR * point.evaluation.equations)
 
     @property
     def _wide(self) -> bool:
@@ -352,14 +382,17 @@ class _Solver(Generic[State]):
         """Whether the step from a point is so small that the next point should be final."""
         return predicted <= self._limit(point, _LAST_STEP)
 
-    def _worth(self, current: Point[State], trial: Point[State], predicted: float) -> bool:
+    def _worth(
+        self, current: Point[State], trial: Point[State], predicted: float, least: float = _GAIN
+    ) -> bool:
         if not math.isfinite(trial.merit) or trial.spectrum is None:
             return False
         # Each of many residuals E carries a rounding d, so the merit wavers by about 2 |E| |d|.
         wavering = 4 * math.sqrt(current.merit * self.floor) + 1e-13 * current.merit
+        # The merit cannot show so small a fall: then the next decrement must not have doubled.
         if predicted <= wavering:
             return trial.spectrum.decrement <= 2 * predicted
-        return bool(current.merit - trial.merit >= 1e-3 * predicted - wavering)
+        return bool(current.merit - trial.merit >= least * predicted - wavering)
 
     def _settled(self, point: Point[State]) -> bool:
         """Whether the next step leaves nothing beside the sds that the residuals suggest."""
@@ -367,6 +400,7 @@ class _Solver(Generic[State]):
         decrement = point.spectrum.decrement
         if not self._negligible(point):
             return False
+        # Linear convergence: the next step leaves a decrement of rate * decrement.
         rate = min(decrement / self.before, 1.0) if math.isfinite(self.before) else 1.0
         stuck = math.isfinite(self.before) and rate > _NO_LONGER
         return stuck or rate * decrement <= self._limit(point, self.tolerance)
@@ -381,7 +415,8 @@ class _Solver(Generic[State]):
     def _limit(self, point: Point[State], step: float) -> float:
         """The decrement of a step of so many sds in each of the n directions."""
         n = len(self.unknowns.free)
-        variance = point.merit / max(point.found.equations - n, 1)
+        # A step of one sd in each of n independent directions changes chi-squared by n variances.
+        variance = point.merit / max(point.evaluation.equations - n, 1)
         return max(step**2 * n * variance, self.floor)
 
     def _converged(self, point: Point[State]) -> End[State]:
@@ -391,9 +426,9 @@ class _Solver(Generic[State]):
         """
         assert point.spectrum is not None
         parameters = self.unknowns.moved(point.parameters, point.spectrum.step())
-        start, contraction = point.found.proposal, point.found.contraction
+        start, contraction = point.evaluation.proposal, point.evaluation.contraction
         closed = self.merit.close(parameters, start, RELATIVE_STEP, contraction)
-        gone = vanished(point.spectrum, point.found.data.lengths, self.effects)
+        gone = vanished(point.spectrum, point.evaluation.data.lengths, self.effects)
         reason = "runaway" if gone.any() else "converged"
         if closed is None:
             return self._solution(point, reason)
@@ -401,12 +436,12 @@ class _Solver(Generic[State]):
 
     def _stalled(self, current: Point[State]) -> End[State]:
         """The end where no step lowers the merit: given up, unless only rounding is in the way."""
-        end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
+        end = self._evaluate(current.parameters, current.evaluation.proposal, _CLOSED)
         return self._converged(end) if self._negligible(end) else self._give_up(current, "stalled")
 
     def _give_up(self, current: Point[State], reason: str) -> End[State]:
-        end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
-        late = end.found.late
+        end = self._evaluate(current.parameters, current.evaluation.proposal, _CLOSED)
+        late = end.evaluation.late
         if late or end.spectrum is None:
             # the merit of open loops is no merit: any point with closed loops is a better end
             end, reason = replace(current, merit=np.inf, closed=None), "cannot_close"
@@ -431,18 +466,18 @@ class _Solver(Generic[State]):
             detail = f"Poses: {', '.join(late.poses)}."
         assert end.spectrum is not None
         if reason == "runaway":
-            gone = np.flatnonzero(vanished(end.spectrum, end.found.data.lengths, self.effects))
+            gone = np.flatnonzero(vanished(end.spectrum, end.evaluation.data.lengths, self.effects))
             detail = f"Parameters: {', '.join(self.unknowns.names[i] for i in gone)}."
         if reason in ("max_iterations", "stalled"):
             detail = weakness(hardly_determined(end.spectrum, self.unknowns.names))
-        evaluations = (self.counted + self.merit.evaluations) / end.found.poses
+        evaluations = (self.counted + self.merit.evaluations) / end.evaluation.poses
         if closed is None:
-            near = end.found.step <= 1.0  # a longer step may lead anywhere
-            closed = end.found.proposal if near else end.found.state
+            near = end.evaluation.step <= 1.0  # a longer step may lead anywhere
+            closed = end.evaluation.proposal if near else end.evaluation.state
         return End(
             end.parameters,
             closed,
-            without_state(end.found),
+            without_state(end.evaluation),
             end.spectrum,
             self.unknowns.prior_square(end.parameters),
             Status.of(reason, self.iterations, evaluations, detail),

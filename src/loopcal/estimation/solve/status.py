@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+MOST_ITERATIONS = 1000
+"""Iterations that a fit may take, unless the user says otherwise."""
 REASONS = {
     "converged": "The gradient of the Lagrangian is zero to rounding and every loop closes.",
     "max_iterations": (
@@ -14,7 +16,7 @@ REASONS = {
         "The file is at fault, so the fit ended early. Correct what is named and calibrate again."
     ),
     "stalled": (
-        "No step lowers chi-squared any further although its gradient is not small. Check the "
+        "Steps no longer lower chi-squared although its gradient is not small. Check the "
         "nominal values and units, scale sds that differ by many orders of magnitude, or give "
         "weakly determined parameters a prior sd."
     ),

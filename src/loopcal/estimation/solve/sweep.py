@@ -24,8 +24,8 @@ from loopcal.estimation.solve.kernel import unweighted, whiten
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import NAMED, NONE_FAILED, Evaluation, Failed
 from loopcal.estimation.solve.reduced import Closed, Reduced
-from loopcal.estimation.solve.reduction import Accumulator
-from loopcal.expressions.engine import Engine, engine_for
+from loopcal.estimation.solve.reduction import Accumulator, overflowing
+from loopcal.expressions.engine import Engine, LoopValues, Stage, engine_for
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
@@ -33,6 +33,7 @@ NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""
 _SEARCHED = 1024
 """Poses in a block when unmeasured quantities are searched."""
+# docs/decisions/0023: poses of a stretched arm, whose loops close at several points.
 _ASTRAY, _ANEW, _NEARER = 25.0, 256, 0.999
 """A pose whose corrections cost so many times those of the middle pose may close nearer; so many of
 a block are tried; one does if it then costs at most this share."""
@@ -41,9 +42,9 @@ _SAMPLE = 64
 
 
 class Sweeper:
-    """Sweeps over the poses of one problem, with one of the two reductions.
+    """Sweeps over the poses of one problem, reduced as its weighting asks.
 
-    exact: treat the sensors as exact (the basic method); loss: None is the gaussian one; rounding:
+    loss: None is the gaussian one; rounding:
     what rounding of the loop values does to whitened residuals, their length by pose, by default
     as the first sweep shows it.
     """
@@ -52,34 +53,33 @@ class Sweeper:
         self,
         problem: Problem,
         *,
-        exact: bool = False,
         loss: Loss | None = None,
         rounding: float | None = None,
     ) -> None:
         self.problem = problem
         self.loss = loss
-        self.reduce: Reduce = unweighted if exact else whiten
+        self.alike = problem.loops_alike
+        self.reduce: Reduce = unweighted if self.alike else whiten
         self._engines = {
             pattern.loops: engine_for(problem.tape(pattern), problem.names, problem.block)
             for pattern in problem.patterns
         }
-        self.exact = exact
         self._by_pose = problem.uncertainty.by_pose
         self._noises: dict[tuple[tuple[int, ...], tuple[int, ...]], BlockNoise] = {}
         self._units = problem.units
         self._kernels = {loops: self._made(engine) for loops, engine in self._engines.items()}
         self._block = min((kernel.block for kernel in self._kernels.values()), default=BLOCK)
         # The basic method corrects nothing; only unmeasured quantities have to be found.
-        self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
+        self.corrects = not self.alike or any(p.unmeasured for p in problem.patterns)
         alike = [isinstance(pattern.poses, slice) for pattern in problem.patterns]
         self._alike = alike == [True]
         # What the only block brings is all corrections, which need not be copied.
         self._whole = self._alike and problem.count <= self._block
         self._only: Block | None = None
-        self.parameters = problem.start
         self.evaluations = 0
         self.rounding = rounding
 
+    @overflowing
     def sweep(
         self,
         parameters: Array,
@@ -88,15 +88,16 @@ class Sweeper:
         triangular: bool = False,
         closing: float | None = None,
         contraction: float = 1.0,
+        trial: bool = False,
     ) -> Evaluation[Array]:
         """One sweep at parameters (n_all,) from corrections (k, N).
 
         closing: first correct the readings until the next step will be at most this many sds;
         None: linearise where the corrections stand. contraction: of steps, as far as known.
+        trial: of use only where all loops close: others are left where one cannot.
         """
         problem, asked = self.problem, closing
         closing = closing if self.corrects else None
-        self.at(parameters)
         data = Accumulator(len(problem.free), triangular, self._units)
         whole = self._whole
         used = corrections if closing is None or whole else np.zeros(corrections.shape)
@@ -107,32 +108,32 @@ class Sweeper:
         late: list[NDArray[np.intp]] = []
         surplus = 0.0
         summed = not triangular and self.loss is None
-        for pattern, block in self.blocks(corrections, self._block):
+        for pattern, block in self.blocks(parameters, corrections, self._block):
             if self.rounding is None:
                 self.rounding = self._rounding(pattern, block)
             start = None
             if closing is not None:
-                start = self._close(pattern, block, closing, contraction)
+                start = self._close(pattern, block, closing, contraction, trial=trial)
                 block = block.at(start.corrections)
                 used = _with_part(used, start.corrections, block.poses)
             self.evaluations += block.count
             into = None if kept or not isinstance(block.poses, slice) else proposal[:, block.poses]
-            found = self.kernel(pattern).equations(block, summed=summed, into=into)
+            reduced = self.kernel(pattern).equations(block, summed=summed, into=into)
             if self.loss is not None:
                 held = len(pattern.loops) - len(pattern.unmeasured)
-                surplus += _weigh(found, self.loss, held)
-            if found.total is not None:
-                data.add_total(found.total)
-            elif found.rows is not None:
-                data.add(found.rows)
-            if found.singular.any():
-                singular.append(block.positions(np.flatnonzero(found.singular)))
+                surplus += _weigh(reduced, self.loss, held)
+            if reduced.total is not None:
+                data.add_total(reduced.total)
+            elif reduced.rows is not None:
+                data.add(reduced.rows)
+            if reduced.singular.any():
+                singular.append(block.positions(np.flatnonzero(reduced.singular)))
             if start is not None and start.failed:
                 late.append(block.positions(np.flatnonzero(start.open)))
             if self.corrects:
                 if into is None:
-                    proposal = _with_part(proposal, found.correction, block.poses)
-                steps.append(float(found.step.max()))
+                    proposal = _with_part(proposal, reduced.correction, block.poses)
+                steps.append(float(reduced.step.max()))
                 if start is not None:
                     last = steps[-1] / start.step if start.step > 0.0 else 0.0
                     ratios.append(min(max(last, start.contraction), 1.0))
@@ -151,6 +152,7 @@ class Sweeper:
             surplus,
         )
 
+    @overflowing
     def close(
         self, parameters: Array, corrections: Array, tolerance: float, contraction: float
     ) -> Closed:
@@ -160,52 +162,44 @@ class Sweeper:
         """
         if not self.corrects:
             return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
-        self.at(parameters)
         done = corrections if self._whole else np.zeros(corrections.shape)
         late = np.zeros(corrections.shape[1], dtype=bool)
-        for pattern, block in self.blocks(corrections, self._block):
+        for pattern, block in self.blocks(parameters, corrections, self._block):
             closed = self._close(pattern, block, tolerance, contraction)
             late[block.poses] = closed.open
             done = _with_part(done, closed.corrections, block.poses)
         return Closed(done, late)
 
+    @overflowing
     def nearer(self, parameters: Array, corrections: Array) -> Array | None:
         """Corrections (k, N) with the farthest poses closed by Newton's method from their readings.
 
         Loops of a stretched arm close at several points, and Gauss-Newton may stray to a far one.
         None where no pose closes nearer.
         """
-        if self.exact or not self.corrects:
+        if self.alike or not self.corrects:
             return None
-        self.at(parameters)
-        done, found = corrections.copy(), False
-        for pattern, block in self.blocks(corrections):
+        done, improved = corrections.copy(), False
+        for pattern, block in self.blocks(parameters, corrections):
             far = _far(block)
             if not far.size:
                 continue
-            part = block.of(far)
-            read = np.zeros(part.corrections.shape)
-            read[list(pattern.unmeasured)] = part.corrections[list(pattern.unmeasured)]
-            tape = self.problem.tape(pattern)
+            part, tape = block.of(far), self.problem.tape(pattern)
             from loopcal.estimation.solve.newton import close_by_newton
 
-            closed = close_by_newton(
-                tape, parameters, part.at(read), NEGLIGIBLE, self.problem.names
-            )
+            closed = close_by_newton(tape, part.read, NEGLIGIBLE, self.problem.names)
             before = self.misfit(pattern, part)
             after = self.misfit(pattern, part.at(closed.corrections))
             better = ~closed.open & (after < _NEARER * before)
-            own = block.corrections.copy()
-            own[:, far[better]] = closed.corrections[:, better]
-            done = _with_part(done, own, block.poses)
-            found |= bool(better.any())
-        return done if found else None
+            block_corrections = block.corrections.copy()
+            block_corrections[:, far[better]] = closed.corrections[:, better]
+            done = _with_part(done, block_corrections, block.poses)
+            improved |= bool(better.any())
+        return done if improved else None
 
+    @overflowing
     def searched(self, pattern: Pattern, block: Block) -> Block:
-        """The block with unmeasured quantities where they close the loops best.
-
-        At the parameters as they were set.
-        """
+        """The block with unmeasured quantities where they close the loops best."""
         rows, size = list(pattern.unmeasured), min(_SEARCHED, self.problem.block)
         corrections = block.corrections.copy()
         for begin in range(0, block.count, size):
@@ -213,38 +207,36 @@ class Sweeper:
             corrections[rows, some] += self.kernel(pattern).search(block.of(some))
         return block.at(corrections)
 
+    @overflowing
     def misfit(self, pattern: Pattern, block: Block) -> Array:
         """What loops linearised at the corrections of a block cost to close, |E|^2, (b,).
 
-        At the parameters as they were set; infinite where it is no number.
+        Infinite where it is no number.
         """
         self.evaluations += block.count
         cost = np.square(self.kernel(pattern).corrected(block).E).sum(axis=0)
         return np.where(np.isfinite(cost), cost, np.inf)
 
-    def at(self, parameters: Array) -> None:
-        """Set the parameters (n_all,) [SI] for the evaluations to come."""
-        self.parameters = parameters
-        for engine in self._engines.values():
-            engine.at(parameters)
-
-    def engine(self, pattern: Pattern) -> Engine:
-        """What evaluates the loops that hold in the poses of a pattern."""
-        return self._engines[pattern.loops]
+    def loop_values(
+        self, pattern: Pattern, block: Block, stage: Stage = Stage.BY_PARAMETER
+    ) -> LoopValues:
+        """The loops that hold in the poses of a pattern, at the corrected readings of a block."""
+        engine = self._engines[pattern.loops]
+        return engine.evaluate(block.parameters, block.corrected, block.pose_constants, stage)
 
     def kernel(self, pattern: Pattern) -> BlockKernel:
         """What reduces the poses of a pattern."""
         return self._kernels[pattern.loops]
 
-    def _failed(self, found: list[NDArray[np.intp]]) -> Failed:
+    def _failed(self, positions: list[NDArray[np.intp]]) -> Failed:
         """Poses by the positions that some blocks have found."""
-        if not found:
+        if not positions:
             return NONE_FAILED
-        some = np.concatenate(found)
+        some = np.concatenate(positions)
         return Failed(some.size, tuple(self.problem.pose(int(i)) for i in some[:NAMED]))
 
     def _made(self, engine: Engine) -> BlockKernel:
-        return kernel_for(engine, self.reduce, exact=self.exact)
+        return kernel_for(engine, self.reduce, alike=self.alike)
 
     def _rounding(self, pattern: Pattern, block: Block) -> float:
         """Root mean square of |L^-1 eps a|, a the size of the terms in a loop value."""
@@ -252,9 +244,16 @@ class Sweeper:
         return float(np.sqrt(np.square(E).sum() / E.shape[1]))
 
     def _close(
-        self, pattern: Pattern, block: Block, tolerance: float, contraction: float
+        self,
+        pattern: Pattern,
+        block: Block,
+        tolerance: float,
+        contraction: float,
+        *,
+        trial: bool = False,
     ) -> Closed:
         """Corrections that close the loops of a block, and the poses where that failed."""
+        # Steps do not shrink below the rounding of loop values; a finer tolerance is never reached.
         tolerance = max(tolerance, 8.0 * (self.rounding or 0.0))
         closed = self.kernel(pattern).close(block, tolerance, contraction)
         self.evaluations += closed.evaluations
@@ -264,29 +263,37 @@ class Sweeper:
 
         some = np.flatnonzero(closed.open)
         near, tape = block.at(closed.corrections).of(some), self.problem.tape(pattern)
-        found = close_by_newton(
-            tape, self.parameters, near, min(tolerance, 1e-3), self.problem.names
-        )
-        closed.corrections[:, some], closed.open[some] = found.corrections, found.open
+        tolerance = min(tolerance, 1e-3)
+        nearest = close_by_newton(tape, near, tolerance, self.problem.names, together=trial)
+        closed.corrections[:, some], closed.open[some] = nearest.corrections, nearest.open
+        # The ratios of Gauss-Newton steps do not hold for poses that Newton closed.
         return replace(closed, contraction=1.0)
 
-    def blocks(self, corrections: Array, most: int = BLOCK) -> Iterator[tuple[Pattern, Block]]:
-        """All poses in blocks with corrections (k, N); a pose without any loop is in none."""
+    def blocks(
+        self, parameters: Array, corrections: Array | None = None, most: int = BLOCK
+    ) -> Iterator[tuple[Pattern, Block]]:
+        """All poses in blocks at parameters (n_all,) and corrections (k, N), none if not given; a
+        pose without any loop is in none."""
+        if corrections is None:
+            corrections = np.broadcast_to(0.0, self.problem.readings.shape)
         whole = self._alike and self.problem.count <= most
         if whole and self._only is not None:  # cut once for all sweeps
-            yield self.problem.patterns[0], self._only.at(corrections)
+            yield (
+                self.problem.patterns[0],
+                self._only.at(corrections, parameters),
+            )
             return
         for pattern, poses in self.problem.blocks(most):
-            block = self.block(pattern, poses, corrections[:, poses])
+            block = self.block(pattern, poses, parameters, corrections[:, poses])
             if whole:
                 self._only = block
             yield pattern, block
 
-    def block(self, pattern: Pattern, poses: Poses, corrections: Array) -> Block:
+    def block(self, pattern: Pattern, poses: Poses, parameters: Array, corrections: Array) -> Block:
         """Some poses of a pattern with corrections (k, b) of theirs."""
-        problem = self.problem
+        readings, constants = self.problem.readings[:, poses], self.problem.pose_constants[:, poses]
         noise = self._noise(pattern, poses)
-        return Block(poses, problem.readings[:, poses], corrections, problem.known[:, poses], noise)
+        return Block(poses, parameters, readings, corrections, constants, noise)
 
     def _noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
         """The uncertainty of some poses; what is in none of their loops counts as exact."""
@@ -326,6 +333,8 @@ def _noise(uncertainty: ReadingUncertainty, pattern: Pattern) -> BlockNoise:
 
 def _weigh(block: Reduced, loss: Loss, equations: int) -> float:
     """Scale the rows of each pose by the root of its weight; what the loss is above them."""
+    if not equations:
+        return 0.0  # its loops find what is unmeasured, and say no more
     s = np.einsum("rb,rb->b", block.E, block.E)
     weight = loss.weight(s, equations)
     surplus = float((loss.rho(s, equations) - weight * s).sum())
@@ -341,6 +350,7 @@ def _without(block: CovarianceBlock, gone: Collection[int]) -> CovarianceBlock |
     if not keep:
         return None
     covariance = block.factor @ np.swapaxes(block.factor, -1, -2)
+    # Not by Cholesky, which fails where a covariance is only semidefinite.
     values, vectors = np.linalg.eigh(covariance[..., keep, :][..., keep])
     root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
     return CovarianceBlock(tuple(block.indices[i] for i in keep), root)

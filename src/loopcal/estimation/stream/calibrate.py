@@ -1,29 +1,23 @@
 """The result of a calibration from a stream: its parameters from all poses, its arrays from some.
 
-Parameters, covariance, chi-squared and accuracy are those of every pose; where sds of terms are
-learnt, accuracy alone (`loopcal.estimation.stream.learning`). The arrays of a result,
-one value per pose, are those of poses thinned evenly and of those that fit worst; the arrays of
-each chunk are handed out on the way.
+The steps are those of a calibration in memory (`loopcal.estimation.steps`), taken with the poses of
+the first chunk; the fit then adds up over all chunks. Where sds are learnt, they are from poses
+thinned evenly (`loopcal.estimation.stream.learning`). The arrays of a result, one value per pose,
+are those of such poses and of those that fit worst; the arrays of each chunk are handed out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.calibrate import FAULTY
-from loopcal.estimation.faults.search import UNREPAIRED, column_faults
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import names_where
-from loopcal.estimation.model_error import modelled
-from loopcal.estimation.noise.learning import with_model
-from loopcal.estimation.problem.alignment import begun
-from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.checkpoint import Checkpoint
@@ -33,12 +27,12 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import End
 from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.sweep import NEAR
-from loopcal.estimation.stream.chunks import Chunk, Disturbed, Stream
+from loopcal.estimation.steps import State, ended, examined, placed, prepared
+from loopcal.estimation.stream.chunks import Stream
 from loopcal.estimation.stream.last_pass import LastPass, Parts
-from loopcal.estimation.stream.learning import Learnt, Weighed, learn
-from loopcal.estimation.stream.merit import StreamMerit, Task, do
-from loopcal.execution.executor import Executor, InProcess
-from loopcal.measurements.noise import Noise
+from loopcal.estimation.stream.learning import AsFitted, learn
+from loopcal.estimation.stream.merit import Ratios, StreamMerit, Task, do
+from loopcal.execution.executor import Crew, Executor, InProcess
 from loopcal.mechanisms.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -70,96 +64,79 @@ def calibrate_stream(
     first, fit = stream.chunk(0), fit or Fit()
     fit = fit.changed(method=fit.among(first.data, first.noise)[0])
     refuse_unstreamable(fit)
-    _refuse_estimates(fit, first.noise)
-    made = modelled(fit, fit.with_prior(mechanism), stream.poses)
-    exact = fit.solver.exact
-    if made.learnt_terms and not exact:
-        with one_blas_thread():
-            return _learnt(fit, learn(mechanism, stream, fit, progress), stream, executor, parts)
-    mechanism = made
-    if not exact:
-        stream = Disturbed(stream, mechanism)
-        mechanism, data = with_model(mechanism, first.data, first.noise)
-        first = Chunk(data, first.noise)
+    search = _Search(progress, reached, resume)
     with one_blas_thread():
-        task = _task(mechanism, stream, exact=exact)
-        mechanism = begun(task.problem(first), fit.start)
-        task = _task(mechanism, stream, exact=exact)
-        problem = task.problem(first)
-        refuse_parallel_axes(mechanism)
-        task = _settled(task, problem)
-        faults = tuple(
-            fault
-            for fault in column_faults(problem, suspected=False)
-            if fault.code not in UNREPAIRED
-        )
-        if faults:  # no fit is of use: a short one, so that there is a result to say so
-            fit = fit.changed(max_iterations=min(fit.max_iterations, FAULTY))
+        state = prepared(State(fit, mechanism, first.data, first.noise, stream.poses, whole=False))
+        if not state.learns:
+            state = examined(placed(state))
+            task = _task(state.mechanism, AsFitted(stream, state.mechanism, fit), fit)
+            with (executor or InProcess()).crew(do, task) as crew:
+                end = search.fitted(state, task, crew, task.problem(task.stream.chunk(0)))
+                result = LastPass(task, fit, end, end.sums.sizes).result(crew, parts)
+            return replace(result, faults=ended(state, end).faults)
+        learnt = learn(mechanism, stream, fit, progress)
+        task = _task(learnt.mechanism, AsFitted(stream, learnt.mechanism, fit), fit, learnt.ratios)
         with (executor or InProcess()).crew(do, task) as crew:
-
-            def solved(start: Array, loss: Loss | None, stage: Stage) -> End[bool]:
-                def kept(checkpoint: Checkpoint[bool]) -> None:
-                    if reached:
-                        reached(replace(checkpoint, stage=stage.number, earlier=stage.earlier))
-
-                return solve_with(
-                    StreamMerit(task, crew, replace(problem, start=start), loss),
-                    max_iterations=fit.max_iterations,
-                    tolerance=fit.tolerance,
-                    progress=progress,
-                    reached=kept,
-                    resume=resume if resume and resume.stage == stage.number else None,
-                )
-
-            def cost() -> float:
-                merit = StreamMerit(task, crew, problem, fit.robust_loss)
-                at_start = merit.evaluate(problem.start, False, closing=NEAR)
-                return summed(at_start, merit.unknowns)
-
-            if (loss := fit.robust_loss) is None:
-                solution = solved(problem.start, None, FIRST_STAGE)
-            else:
-                begin = Stage(resume.stage, resume.earlier) if resume else FIRST_STAGE
-                solution = in_stages(solved, problem.start, loss, cost, begin)
-            last = LastPass(task, fit, solution, solution.sums.sizes)
-            return replace(last.result(crew, parts), faults=faults)
+            end, sizes = learnt.end, learnt.sizes
+            if not learnt.stands_for_all:
+                begun = replace(task.problem(task.stream.chunk(0)), start=end.parameters)
+                end = search.fitted(state, task, crew, begun)
+            return learnt.annotated(LastPass(task, fit, end, sizes).result(crew, parts))
 
 
-def _learnt(
-    fit: Fit, learnt: Learnt, stream: Stream, executor: Executor | None, parts: Parts[Any] | None
-) -> Result:
-    """The result of a fit to some poses. An interrupted run begins anew."""
-    machine = learnt.mechanism
-    stream = Disturbed(Weighed(stream, machine, fit, learnt.factors), machine)
-    task = _task(machine, stream, exact=False)
-    task = _settled(task, task.problem(stream.chunk(0)))
-    with (executor or InProcess()).crew(do, task) as crew:
-        last = LastPass(task, fit, learnt.end, learnt.sizes)
-        return learnt.told(last.result(crew, parts))
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Listeners of a fit, and where an interrupted one goes on."""
+
+    progress: Progress | None
+    reached: Callable[[Checkpoint[bool]], None] | None
+    resume: Checkpoint[bool] | None
+
+    def fitted(self, state: State, task: Task, crew: Crew, first: Problem) -> End[bool]:
+        """Where the fit of all chunks ends, from the start of the first one's problem."""
+
+        def solved(start: Array, loss: Loss | None, stage: Stage) -> End[bool]:
+            def kept(checkpoint: Checkpoint[bool]) -> None:
+                if self.reached:
+                    self.reached(replace(checkpoint, stage=stage.number, earlier=stage.earlier))
+
+            return solve_with(
+                StreamMerit(task, crew, replace(first, start=start), loss),
+                max_iterations=state.most_iterations,
+                tolerance=state.fit.tolerance,
+                progress=self.progress,
+                reached=kept,
+                resume=self.resume if self.resume and self.resume.stage == stage.number else None,
+            )
+
+        def cost() -> float:
+            merit = StreamMerit(task, crew, first, state.fit.robust_loss)
+            return summed(merit.evaluate(first.start, False, closing=NEAR), merit.unknowns)
+
+        begin = Stage(self.resume.stage, self.resume.earlier) if self.resume else FIRST_STAGE
+        end = in_stages(solved, first.start, state.fit.robust_loss, cost, begin)
+        return replace(end, status=end.status.ended_early()) if state.hopeless else end
 
 
-def _task(mechanism: Mechanism, stream: Stream, *, exact: bool) -> Task:
-    nominal = {p.name: p.nominal for p in mechanism.parameters}
-    return Task(mechanism, stream, nominal, exact)
-
-
-def _settled(task: Task, first: Problem) -> Task:
-    """The task with the rounding of loop values, from the first chunk in which a loop holds."""
-    task, number = task.settled(first), 1
-    while task.rounding is None and number < task.stream.count:
-        task, number = task.settled(task.problem(task.stream.chunk(number))), number + 1
+def _task(mechanism: Mechanism, stream: Stream, fit: Fit, ratios: Ratios = ()) -> Task:
+    """With the rounding of loop values, from the first chunk in which a loop holds."""
+    task = Task(mechanism, stream, fit.solver.weighting, ratios)
+    for number in range(stream.count):
+        task = task.settled(task.problem(stream.chunk(number)))
+        if task.rounding is not None:
+            break
     return task
 
 
 def refuse_unstreamable(fit: Fit) -> None:
     """Raise InputError for settings that need all poses in memory."""
     if not fit.method.streamable:
-        known = " or ".join(map(repr, names_where("streamable")))
+        streamable = " or ".join(map(repr, names_where("streamable")))
         raise InputError(
             f"the method {fit.method.name!r} needs all poses in memory, but they are read as a "
             f"stream",
             code="unsupported",
-            remedy=f"use {known}, or thin the poses (data.every) and set stream = false",
+            remedy=f"use {streamable}, or thin the poses (data.every) and set stream = false",
         )
     if not isinstance(fit.start, str):
         raise InputError(
@@ -167,14 +144,4 @@ def refuse_unstreamable(fit: Fit) -> None:
             "stream",
             code="unsupported",
             remedy="leave it out, or thin the poses (data.every) and set stream = false",
-        )
-
-
-def _refuse_estimates(fit: Fit, noise: Noise) -> None:
-    if noise.estimate and not fit.method.exact:
-        raise InputError(
-            "estimating sds needs all poses in memory, but they are read as a stream",
-            code="unsupported",
-            remedy="estimate them from thinned poses (data.every, stream = false) and state the "
-            "result here",
         )

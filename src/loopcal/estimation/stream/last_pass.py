@@ -83,25 +83,26 @@ class LastPass:
                 if ended.kept:
                     kept.append(ended.kept)
                 if ended.worst:
+                    # Cut after every chunk, so that memory does not grow with the number of chunks.
                     worst = _joined([worst, ended.worst] if worst else [ended.worst]).worst()
                 if parts:
                     parts.done(ended.part)
         sample = _joined(kept)
         # else a few poses make chi-squared what it is
         alike = bool(sample.square.mean() > _ALIKE * self.solution.cost / self.solution.poses)
-        found = self._shown(sample)
+        shown = self._shown(sample)
         words = "figures and residuals.csv show"
-        told = f"Calibrated from a stream of {poses} poses; {words} {len(found.dataset)} of them"
-        discrepancy = found.model_discrepancy if alike else None
+        note = f"Calibrated from a stream of {poses} poses; {words} {len(shown.dataset)} of them"
+        discrepancy = shown.model_discrepancy if alike else None
         if worst:
             # those that fit badly say nothing of all the others
-            found = self._shown(_joined([sample, worst]).in_order())
-            told += f", and {len(worst.number)} more that fit badly"
+            shown = self._shown(_joined([sample, worst]).in_order())
+            note += f", and {len(worst.number)} more that fit badly"
         before, after = (distance.accuracy() for distance in accuracies)
         return replace(
-            found,
+            shown,
             all_poses=AllPoses(poses, before, after, discrepancy, robust),
-            notes=(f"{told}.", NOT_SOUGHT) if stride > 1 else (NOT_SOUGHT,),
+            notes=(f"{note}.", NOT_SOUGHT) if stride > 1 else (NOT_SOUGHT,),
         )
 
     def _shown(self, shown: _Shown) -> Result:
@@ -154,9 +155,9 @@ class _EndPiece:
         # that the fit converged says nothing of a chunk alone
         solution = replace(self.solution, status=replace(self.solution.status, converged=False))
         result = _closed(task, self.fit, solution, problem, chunk.data)
-        found = AccuracyTally(), AccuracyTally()
-        found[0].add(result.deviations(result.differences_before))
-        found[1].add(result.deviations(result.differences_after))
+        tallies = AccuracyTally(), AccuracyTally()
+        tallies[0].add(result.deviations(result.differences_before))
+        tallies[1].add(result.deviations(result.differences_after))
         corrections = np.array(list(result.corrections.values()))
         square, misfit = _misfits(task, problem, self.solution.parameters, corrections, self.poses)
         number = np.arange(self.begin, self.begin + len(chunk.data))
@@ -167,7 +168,7 @@ class _EndPiece:
             self.part_of(result) if self.part_of else None,
             shown.take(index) if index.size else None,
             shown.take(bad).worst() if bad.size else None,
-            found,
+            tallies,
             result.robust_sums,
         )
 
@@ -218,17 +219,16 @@ def _misfits(
     method of exact sensors has no other.
     """
     sweeper = task.sweeper(problem)
-    sweeper.at(parameters)
     count = len(problem.poses)
     whole, ratio, middle = np.zeros(count), np.zeros(count), np.full(count, np.nan)
-    for pattern, block in sweeper.blocks(corrections):
+    for pattern, block in sweeper.blocks(parameters, corrections):
         some = block.poses
         freedom = len(pattern.loops) - len(pattern.unmeasured)
         if freedom > 0:
             whole[some] = sweeper.misfit(pattern, block)
             ratio[some] = whole[some] / quantile(1.0 / poses, freedom)
             middle[some] = whole[some] / quantile(0.5, freedom)
-    known = np.isfinite(middle)
-    scale = float(np.median(middle[known])) if known.any() else 0.0
-    scale = scale if task.exact else max(scale, 1.0)
+    finite = np.isfinite(middle)
+    scale = float(np.median(middle[finite])) if finite.any() else 0.0
+    scale = scale if problem.loops_alike else max(scale, 1.0)
     return whole, ratio / max(scale, 1e-300)

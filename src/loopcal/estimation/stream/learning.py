@@ -8,7 +8,6 @@ all poses, most of which took no part in the fit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,14 +15,17 @@ import numpy as np
 
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.model_error import noise_told, weighed
+from loopcal.estimation.model_error import used_noise, weighed
+from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.merit import without_state
 from loopcal.estimation.solve.solution import End
 from loopcal.estimation.solve.solver import Progress
-from loopcal.estimation.stream.chunks import Chunk, Derived, Stream, joined
+from loopcal.estimation.stream.chunks import Chunk, Stream, joined
+from loopcal.estimation.stream.merit import Ratios
 from loopcal.mechanisms.mechanism import Mechanism
 
+# docs/decisions/0016.
 ENOUGH = 5_000
 """Poses that take part in the fit, at most."""
 NEARLY = 1e-2
@@ -31,17 +33,28 @@ NEARLY = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed(Derived):
-    """A stream with the noise that a fit has learnt; factors: on its sds, by group."""
+class AsFitted:
+    """A stream with the noise and the readings that a fit of a mechanism uses."""
 
+    stream: Stream
+    mechanism: Mechanism
     fit: Fit
-    factors: Mapping[str, float]
+
+    @property
+    def poses(self) -> int:
+        return self.stream.poses
+
+    @property
+    def count(self) -> int:
+        return self.stream.count
 
     def chunk(self, number: int) -> Chunk:
         chunk = self.stream.chunk(number)
-        noise = noise_told(self.fit, self.mechanism, chunk.data, chunk.noise)
-        assert noise is not None
-        return Chunk(weighed(self.fit, chunk.data), noise.learnt_at(self.factors))
+        noise = used_noise(self.fit, self.mechanism, chunk.data, chunk.noise)
+        if noise is None:
+            return chunk
+        _, data = with_model(self.mechanism, weighed(self.fit, chunk.data), noise)
+        return Chunk(data, noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +74,19 @@ class Learnt:
         return self.part.mechanism
 
     @property
-    def factors(self) -> Mapping[str, float]:
-        """On the sds of sensors, by group."""
-        return {} if self.part.estimate is None else self.part.estimate.factors
+    def ratios(self) -> Ratios:
+        """On the variances of sensors."""
+        if (estimate := self.part.estimate) is None:
+            return ()
+        learnt = zip(estimate.stated, estimate.variances.ratios.tolist(), strict=True)
+        return tuple((component.quantities, ratio) for component, ratio in learnt)
+
+    @property
+    def stands_for_all(self) -> bool:
+        """Whether the fit of these poses stands for all: with terms, a pass over all costs much
+        more; and where it failed, that of all would."""
+        learns_terms = bool(self.mechanism.learnt_terms)
+        return learns_terms or bool(self.part.faults) or not self.part.status.converged
 
     @property
     def end(self) -> End[bool]:
@@ -71,14 +94,15 @@ class Learnt:
         end = self.part.solution.with_state(True)
         return replace(end, sums=without_state(end.sums))
 
-    def told(self, result: Result) -> Result:
+    def annotated(self, result: Result) -> Result:
         """The result of all poses, with what was learnt and from how many."""
         part, notes = self.part, result.notes
         if self.every > 1:
-            notes += (
-                f"The fit used {part.solution.poses} of these poses, one of every {self.every}. "
-                "The accuracy is that of all poses.",
-            )
+            share = f"{part.solution.poses} of these poses, one of every {self.every}. "
+            if self.stands_for_all:
+                notes += (f"The fit used {share}The accuracy is that of all poses.",)
+            else:
+                notes += (f"The sds were learnt from {share}The fit used all poses.",)
         return replace(
             result, stated=part.stated, estimate=part.estimate, faults=part.faults, notes=notes
         )
@@ -95,10 +119,11 @@ def learn(
     parts, sizes = list[Chunk](), list[int]()
     for number in range(stream.count):
         chunk = stream.chunk(number)
-        its = np.arange(-sum(sizes) % every, len(chunk.data), every)
+        # The stride goes on from chunk to chunk; otherwise each would bring its own first pose.
+        thinned = np.arange(-sum(sizes) % every, len(chunk.data), every)
         sizes.append(len(chunk.data))
-        if its.size:
-            parts.append(chunk.take(its))
+        if thinned.size:
+            parts.append(chunk.take(thinned))
     part = joined(parts)
     if every > 1:
         fit = fit.changed(tolerance=fit.tolerance or NEARLY)

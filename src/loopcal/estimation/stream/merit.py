@@ -9,17 +9,19 @@ readings, which costs an evaluation or two more and needs no memory.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.problem.enough import refuse_too_few
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.problem.unreachable import refuse_unreachable
+from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.solve.in_memory import cannot_close, outside_domain
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import Evaluation, Failed, without_state
@@ -31,30 +33,34 @@ from loopcal.execution.executor import Crew, in_order
 from loopcal.mechanisms.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+Ratios = Sequence[tuple[Sequence[int], float]]
+"""Positions of quantities, and by how much their variances are multiplied."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
     """What all pieces share.
 
-    start: nominal parameter values [SI]; exact: of the basic method; rounding: of loop values,
+    weighting: what the loops count; ratios:
+    learnt over stated variance of some quantities; rounding: of loop values,
     the same for all chunks (`Sweeper.rounding`).
     """
 
     mechanism: Mechanism
     stream: Stream
-    start: Mapping[str, float]
-    exact: bool
+    weighting: Weighting
+    ratios: Ratios = ()
     rounding: float | None = None
 
     def problem(self, chunk: Chunk) -> Problem:
         """The problem of one chunk, whose poses alone need not determine the parameters."""
-        noise = None if self.exact else chunk.noise
-        return build_problem(self.mechanism, chunk.data, noise, self.start, whole=False)
+        noise = None if self.weighting is Weighting.ALIKE else chunk.noise
+        problem = build_problem(self.mechanism, chunk.data, noise, whole=False)
+        return scaled(problem, [q for q, _ in self.ratios], np.array([r for _, r in self.ratios]))
 
     def sweeper(self, problem: Problem, loss: Loss | None = None) -> Sweeper:
         """What sweeps over the poses of one chunk."""
-        return Sweeper(problem, exact=self.exact, loss=loss, rounding=self.rounding)
+        return Sweeper(problem, loss=loss, rounding=self.rounding)
 
     def settled(self, problem: Problem) -> Task:
         """The same with the rounding that the first chunk shows, at the parameters it starts at."""
@@ -85,7 +91,7 @@ class StreamMerit:
     """
 
     def __init__(self, task: Task, crew: Crew, first: Problem, loss: Loss | None = None) -> None:
-        self.unknowns = first.unknowns.without_prior() if task.exact else first.unknowns
+        self.unknowns = first.unknowns
         self.task, self.crew, self.loss = task, crew, loss
         self.evaluations = 0
         self._units = first.units
@@ -96,11 +102,11 @@ class StreamMerit:
         Raises InputError where a loop has no value or cannot be corrected, and for too few
         equations.
         """
-        found = self._evaluated(parameters, triangular=False, closing=None, first=True)
-        if found.singular:
-            raise cannot_close(found.singular)
-        refuse_too_few(found.equations, found.poses, self.unknowns)
-        return found
+        evaluation = self._evaluated(parameters, triangular=False, closing=None, first=True)
+        if evaluation.singular:
+            raise cannot_close(evaluation.singular)
+        refuse_too_few(evaluation.equations, evaluation.poses, self.unknowns)
+        return evaluation
 
     def evaluate(
         self,
@@ -110,11 +116,14 @@ class StreamMerit:
         triangular: bool = False,
         closing: float | None = None,
         contraction: float = 1.0,
+        trial: bool = False,
     ) -> Evaluation[bool]:
         """The evaluation at parameters (n_all,), from the readings of every chunk.
 
-        contraction is not used: it says nothing of steps that begin anew.
+        contraction is not used: it says nothing of steps that begin anew. Nor is trial: chunks do
+        not know of one another.
         """
+        # Corrections are not kept, so loops that were closed have to be closed anew.
         closing = NEAR if closing is None and state else closing
         return self._evaluated(parameters, triangular=triangular, closing=closing)
 
@@ -139,16 +148,20 @@ class StreamMerit:
         step = contraction = rounding = surplus = 0.0
         equations, sizes, singular, late = 0, list[int](), Failed(), Failed()
         with contextlib.closing(self.crew(parts)) as outcomes:
+            # Sums are rounded: only one order gives the same last bit for every number of workers.
             for part in in_order(outcomes):
                 assert isinstance(part, _Swept)
-                found = part.found
-                data.add_other(found.data)
-                step, contraction = max(step, found.step), max(contraction, found.contraction)
-                rounding = found.rounding
-                singular, late = singular + found.singular, late + found.late
-                surplus += found.surplus
-                sizes.append(found.poses)
-                equations += found.equations
+                evaluation = part.evaluation
+                data.add_other(evaluation.data)
+                step, contraction = (
+                    max(step, evaluation.step),
+                    max(contraction, evaluation.contraction),
+                )
+                rounding = evaluation.rounding
+                singular, late = singular + evaluation.singular, late + evaluation.late
+                surplus += evaluation.surplus
+                sizes.append(evaluation.poses)
+                equations += evaluation.equations
                 self.evaluations += part.evaluations
         return Evaluation(
             data,
@@ -170,7 +183,7 @@ class StreamMerit:
 class _Swept:
     """What a sweep found in one chunk, and the loop evaluations it took."""
 
-    found: Evaluation[None]
+    evaluation: Evaluation[None]
     evaluations: int
 
 
@@ -197,7 +210,9 @@ class _SweepPiece:
         sweeper = task.sweeper(problem, self.loss)
         start = start_corrections(sweeper, self.parameters)
         wanted = NEAR if self.closing is None and start.any() else self.closing
-        found = sweeper.sweep(self.parameters, start, triangular=self.triangular, closing=wanted)
-        if self.first and not found.finite:
+        evaluation = sweeper.sweep(
+            self.parameters, start, triangular=self.triangular, closing=wanted
+        )
+        if self.first and not evaluation.finite:
             raise outside_domain(problem, self.parameters)
-        return _Swept(without_state(found), sweeper.evaluations)
+        return _Swept(without_state(evaluation), sweeper.evaluations)

@@ -8,13 +8,12 @@ from pathlib import Path
 
 from loopcal.document.exported import Exported
 
-VENDORS = ("kuka", "fanuc", "yaskawa", "abb")
-
 
 @dataclass(frozen=True)
 class ExportOptions:
     """source: the user's own file, where a format needs it; vendor: whose orientation convention
-    tables of frames follow; counts: joint -> encoder counts per degree or mm."""
+    tables of frames follow, a name of ORIENTATIONS; counts: joint -> encoder counts per degree or
+    mm."""
 
     source: Path | None = None
     vendor: str | None = None
@@ -33,16 +32,24 @@ class ExportFiles:
 class Format:
     """A format of an export.
 
-    label: what it is; write: its files; needs: "parameters" of any machine, "chain" of a serial
-    arm, "origins" of one described by joint origins, or "zeros", of an arm with a measured point;
+    label: what it is; user: who takes it; then: what that user does with its files; these three
+    make its row in docs/how-to/enter-into-the-controller.md. write: its files; needs: "parameters"
+    of any machine, "chain" of a serial arm, "origins" of one described by joint origins, or
+    "zeros", of an arm with a measured point;
     source: what --source names, empty where nothing; optional: whether it may be absent; nominal:
-    whether it is for a controller that keeps its nominal geometry.
+    whether it is for a controller that keeps its nominal geometry; described: whether the source is
+    the file that the machine was read from, taken from the project where --source is not stated;
+    options: "offsets", "vendor" or "counts", where it takes them.
     """
 
     name: str
     label: str
+    user: str
+    then: str
     write: Callable[[Exported, ExportOptions], ExportFiles]
     needs: str = "chain"
     source: str = ""
     optional: bool = False
     nominal: bool = False
+    described: bool = False
+    options: tuple[str, ...] = ()

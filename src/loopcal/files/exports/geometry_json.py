@@ -96,4 +96,13 @@ def _chain(chain: RestChain) -> dict[str, Any]:
     }
 
 
-FORMATS = (Format("json", "all of it (JSON) and the parameters (CSV)", geometry, "parameters"),)
+FORMATS = (
+    Format(
+        "json",
+        "all of it (JSON) and the parameters of any machine (CSV)",
+        "a parallel machine, or a program of your own",
+        "enter `parameters.csv` by name",
+        geometry,
+        "parameters",
+    ),
+)

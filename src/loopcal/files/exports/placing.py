@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from loopcal.errors import InputError
 from loopcal.files.atomic import write_files
 
 
@@ -20,36 +19,14 @@ class PlacedFiles:
     backups: tuple[str, ...]
 
 
-def place_files(
-    folder: str | Path, files: Mapping[str, str | bytes], *, force: bool
-) -> PlacedFiles:
-    """Write files into a folder, all or none.
+def place_files(folder: str | Path, files: Mapping[str, bytes]) -> PlacedFiles:
+    """Write files into a folder, all or none; a file that is there with the same content stays.
 
-    A file that is there with the same content stays. Another content is replaced only where `force`
-    says so, and kept as NAME.bak (NAME.bak2, ... where that exists). Raises InputError otherwise.
+    Raises InputError for a file with another content, unless the user asked to replace it.
     """
     folder = Path(folder)
-    contents = {n: c.encode() if isinstance(c, str) else c for n, c in files.items()}
-    there = {n: (folder / n).read_bytes() for n in contents if (folder / n).is_file()}
-    same = tuple(n for n, old in there.items() if old == contents[n])
-    replaced = [n for n in there if n not in same]
-    if replaced and not force:
-        raise InputError(
-            f"{replaced[0]!r} exists already, with another content",
-            code="unwritable-file",
-            place=str(folder / replaced[0]),
-            remedy="state --force to replace it (a backup is kept), or name another folder with "
-            "--out",
-        )
-    backups = {_free(folder, n): there[n] for n in replaced}
-    new = {n: c for n, c in contents.items() if n not in same}
-    if new:
-        write_files(folder, backups | new)
-    return PlacedFiles(folder, tuple(new), same, tuple(backups))
-
-
-def _free(folder: Path, name: str) -> str:
-    number = 1
-    while (folder / (free := f"{name}.bak{'' if number == 1 else number}")).exists():
-        number += 1
-    return free
+    present = {n for n in files if (folder / n).is_file()}
+    same = tuple(n for n in files if n in present and (folder / n).read_bytes() == files[n])
+    new = {n: c for n, c in files.items() if n not in same}
+    backups = write_files(folder, new) if new else ()
+    return PlacedFiles(folder, tuple(new), same, tuple(path.name for path in backups))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from loopcal.errors import InputError, nearest
-from loopcal.files.exports import geometry_json, simulators, tables, ur, urdf, xacro
+from loopcal.files.exports import geometry_json, simulators, tables, tf, ur, urdf, xacro
 from loopcal.files.exports.format import Format
 
 EXPORTS: dict[str, Format] = {
     one.name: one
-    for module in (urdf, xacro, ur, tables, simulators, geometry_json)
+    for module in (urdf, xacro, ur, tf, tables, simulators, geometry_json)
     for one in module.FORMATS
 }
 

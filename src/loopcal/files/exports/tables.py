@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from loopcal.document.exported import Exported, Placed
 from loopcal.errors import InputError, nearest
 from loopcal.files.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.files.exports.urdf import decimal
+from loopcal.measurements.poses import cell_text
 from loopcal.mechanisms.denavit import DenavitTable, dh_table, modified
 from loopcal.mechanisms.rest import quaternion, roll_pitch_yaw
 
@@ -23,7 +25,7 @@ Array = NDArray[np.float64]
 def csv_text(rows: Iterable[Sequence[str]]) -> str:
     """A table as CSV."""
     out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows(rows)
+    csv.writer(out, lineterminator="\n").writerows([map(cell_text, row) for row in rows])
     return out.getvalue()
 
 
@@ -51,11 +53,13 @@ def zeros(exported: Exported, options: ExportOptions) -> ExportFiles:
     for zero in exported.zeros:
         unit = "mm" if zero.unit == "m" else "deg"
         factor = 1e3 if zero.unit == "m" else math.degrees(1.0)
+        # Adding 0.0 makes 0.0 of -0.0.
         value = factor * zero.offset + 0.0
         half = "" if zero.u95 is None else f"{factor * zero.u95:.3g}"
         counts = options.counts.get(zero.joint)
-        told = "" if counts is None else f"{round(value * counts):d}"
-        cells = [_fixed(value), half, _fixed(-value), told]
+        pendant_counts = "" if counts is None else f"{round(value * counts):d}"
+        # The true angle is the reading plus the offset, so the reading at the true zero is -offset.
+        cells = [_fixed(value), half, _fixed(-value), pendant_counts]
         rows.append([zero.joint, unit, *cells, "yes" if zero.determined else "no"])
     return ExportFiles(
         {"zeros.csv": csv_text(rows), "accuracy.csv": accuracy_csv(exported)},
@@ -90,25 +94,34 @@ def _wxyz(R: Array) -> list[str]:
     return [f"{v:.9f}" for v in quaternion(R)]
 
 
-ORIENTATIONS: Mapping[str | None, tuple[tuple[str, ...], Callable[[Array], list[str]]]] = {
-    None: (("roll [deg]", "pitch [deg]", "yaw [deg]"), _rpy),
-    "kuka": (("A [deg]", "B [deg]", "C [deg]"), _zyx),
-    "fanuc": (("W [deg]", "P [deg]", "R [deg]"), _rpy),
-    "yaskawa": (("Rx [deg]", "Ry [deg]", "Rz [deg]"), _rpy),
-    "abb": (("q1", "q2", "q3", "q4"), _wxyz),
+class Orientation(NamedTuple):
+    """How a vendor writes an orientation: the columns, and their texts for a rotation (3, 3)."""
+
+    label: str
+    columns: tuple[str, ...]
+    texts: Callable[[Array], list[str]]
+
+
+_TURNS = ("roll [deg]", "pitch [deg]", "yaw [deg]")
+ORIENTATIONS = {
+    "": Orientation("roll, pitch, yaw", _TURNS, _rpy),
+    "kuka": Orientation("KUKA", ("A [deg]", "B [deg]", "C [deg]"), _zyx),
+    "fanuc": Orientation("FANUC", ("W [deg]", "P [deg]", "R [deg]"), _rpy),
+    "yaskawa": Orientation("Yaskawa", ("Rx [deg]", "Ry [deg]", "Rz [deg]"), _rpy),
+    "abb": Orientation("ABB", ("q1", "q2", "q3", "q4"), _wxyz),
 }
-"""By vendor the columns of an orientation. A, B, C turn about the moving z, y, x axes; W, P, R (Rx,
-Ry, Rz) about the fixed x, y, z axes, which is the same rotation read in the other order, as are
-roll, pitch and yaw; q1 ... q4 are the unit quaternion, the real part first."""
+"""By vendor. A, B, C turn about the moving z, y, x axes; W, P, R (Rx, Ry, Rz) about the fixed x, y,
+z axes, which is the same rotation read in the other order, as are roll, pitch and yaw; q1 ... q4
+are the unit quaternion, the real part first."""
 
 
 def frames(exported: Exported, options: ExportOptions) -> ExportFiles:
     """tcp.csv and base.csv: tools on the flange, and where base and instruments stand."""
-    own = [placed for placed in exported.frames if placed.seen_in == "flange"]
+    tools = [placed for placed in exported.frames if placed.seen_in == "flange"]
     rest = [placed for placed in exported.frames if placed.seen_in != "flange"]
     return ExportFiles(
         {
-            "tcp.csv": csv_text(_placed(own, options.vendor)),
+            "tcp.csv": csv_text(_placed(tools, options.vendor)),
             "base.csv": csv_text(_placed(rest, options.vendor)),
             "accuracy.csv": accuracy_csv(exported),
         }
@@ -116,7 +129,7 @@ def frames(exported: Exported, options: ExportOptions) -> ExportFiles:
 
 
 def _placed(frames: Sequence[Placed], vendor: str | None) -> list[list[str]]:
-    columns, turned = ORIENTATIONS[vendor]
+    _, columns, turned = ORIENTATIONS[vendor or ""]
     rows = [["for the model", "frame", "in the frame", "x [mm]", "y [mm]", "z [mm]", *columns]]
     for placed in frames:
         place = [_fixed(1e3 * v) for v in placed.T[:3, 3]]
@@ -145,6 +158,7 @@ def frames_csv(frames: Iterable[tuple[str, Array]]) -> str:
     return csv_text(rows)
 
 
+# d grows as 1 / sin of the angle between neighbouring axes.
 FAR = 10.0
 """d [m] from which a table is warned of."""
 
@@ -174,9 +188,30 @@ def _denavit(table: DenavitTable, form: str) -> ExportFiles:
     )
 
 
+_FIXED_MODEL = "KUKA, Fanuc, Yaskawa, ABB or another controller with a fixed model"
+_USER_MODEL = "your own controller or offline program"
+_TABLE = "enter the table, and the frames ahead of it and behind it"
 FORMATS = (
-    Format("zeros", "joint zeros for the pendant (CSV)", zeros, "zeros", nominal=True),
-    Format("frames", "tool and base in a vendor's convention (CSV)", frames, "zeros", nominal=True),
-    Format("dh", "Denavit-Hartenberg table (CSV)", dh),
-    Format("mdh", "modified Denavit-Hartenberg table (CSV)", mdh),
+    Format(
+        "zeros",
+        "joint zeros for the pendant (CSV)",
+        _FIXED_MODEL,
+        "type in the zeros, or correct the targets",
+        zeros,
+        "zeros",
+        nominal=True,
+        options=("counts",),
+    ),
+    Format(
+        "frames",
+        "tool and base in a vendor's convention (CSV)",
+        _FIXED_MODEL,
+        "type in tool and base",
+        frames,
+        "zeros",
+        nominal=True,
+        options=("vendor",),
+    ),
+    Format("dh", "Denavit-Hartenberg table (CSV)", _USER_MODEL, _TABLE, dh),
+    Format("mdh", "modified Denavit-Hartenberg table (CSV)", _USER_MODEL, _TABLE, mdh),
 )

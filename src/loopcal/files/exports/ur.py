@@ -32,7 +32,8 @@ from loopcal.mechanisms.universal_robots import (
 )
 
 MOST_BYTES = 100_000
-_HASH = re.compile(r"^\s*hash\s*:\s*['\"]?(calib_\d+)", re.MULTILINE)
+# Possessive: a file of blanks cannot make the search back out (docs/decisions/0137).
+_HASH = re.compile(r"^[ \t]*+hash[ \t]*+:\s*+['\"]?(calib_\d+)", re.MULTILINE)
 _REMEDY = (
     "copy calibration.conf from the controller and name it, or name the kinematics file of the "
     "robot; both state the hash"
@@ -43,7 +44,7 @@ def ur(exported: Exported, options: ExportOptions) -> ExportFiles:
     """kinematics.yaml, and kinematics_frames.csv with base and tool."""
     assert exported.chain is not None
     arm = ur_origins(exported.chain)
-    own = None if options.source is None else controller_hash(options.source, arm.model)
+    digest = None if options.source is None else controller_hash(options.source, arm.model)
     lines = [
         f"# Calibrated kinematics of a {arm.model}, for kinematics_params_file of ur_description.",
         "# It changes the model on the computer only: the controller moves (movel) by its own.",
@@ -51,15 +52,16 @@ def ur(exported: Exported, options: ExportOptions) -> ExportFiles:
         "kinematics:",
     ]
     for (link, L), N in zip(arm.origins.items(), nominal_origins(arm.model), strict=True):
+        # Of equivalent triples the one nearest to the drawing's shows what the calibration changed.
         near = roll_pitch_yaw(N[:3, :3])
         values = (*L[:3, 3].tolist(), *roll_pitch_yaw(L[:3, :3], near))
         lines.append(f"  {link}:")
         keys = ("x", "y", "z", "roll", "pitch", "yaw")
         lines += [f"    {k}: {decimal(v)}" for k, v in zip(keys, values, strict=True)]
-    lines += [f"  hash: {own}"] if own else []
+    lines += [f"  hash: {digest}"] if digest else []
     words = (
         ()
-        if own
+        if digest
         else (
             "The file has no hash, so the driver will report another calibration. Name "
             "calibration.conf of the controller with --source.",
@@ -146,12 +148,14 @@ def table_hash(table: UrTable) -> str:
     >>> table_hash(drawing("ur5e"))
     'calib_12788084448423163542'
     """
+    # A stream of C++ prints six significant digits, as %g does; other digits give another hash.
     numbers = zip(table.theta, table.d, table.a, table.alpha, strict=True)
     return f"calib_{_murmur(''.join(f'{v:g}' for row in numbers for v in row).encode())}"
 
 
 def _murmur(data: bytes, seed: int = 0xC70F6907) -> int:
     """MurmurHash64A."""
+    # Unsigned 64-bit products of C++ wrap, those of Python do not.
     factor, mask = 0xC6A4A7935BD1E995, (1 << 64) - 1
     whole = len(data) // 8 * 8
     h = (seed ^ (len(data) * factor)) & mask
@@ -168,6 +172,8 @@ FORMATS = (
     Format(
         "ur",
         "kinematics of Universal Robots for ur_description (YAML)",
+        "a robot of Universal Robots under ROS",
+        "name `kinematics.yaml` as `kinematics_params_file`",
         ur,
         source="calibration.conf of the controller, or a kinematics file with its hash",
         optional=True,

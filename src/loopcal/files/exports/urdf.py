@@ -26,8 +26,10 @@ from loopcal.mechanisms.calibrated_origins import CalibratedOrigin
 from loopcal.mechanisms.origins import LinkJoint
 from loopcal.mechanisms.rest import roll_pitch_yaw, rotation
 
+# 1 nm and 1 nrad: below what a calibration changes, above what writing decimals rounds.
 _SAME = 1e-9
 """[m, rad] by which the file's robot may differ from the one calibrated."""
+# A few units in the last place of entries up to 1 (2.2e-16).
 _ROUNDED = 1e-15
 """By which rotations differ that are one: what the decimals of rpy leave."""
 
@@ -45,7 +47,7 @@ def patched_urdf(path: str | Path, origins: Sequence[CalibratedOrigin]) -> Patch
     """The URDF of a robot with calibrated origins.
 
     Raises InputError with file and line if the file is not a URDF, or of another robot than the
-    one calibrated: a joint is absent, or its origin is neither the drawing's nor the new one.
+    one calibrated. Then a joint is absent, or its origin is neither the drawing's nor the new one.
     """
     root, place = read_xml(path, "robot", NO_URDF), shown(path)
     source = XmlText.of(content_of(path), root.getroottree().docinfo.encoding, place)
@@ -56,24 +58,24 @@ def patched_urdf(path: str | Path, origins: Sequence[CalibratedOrigin]) -> Patch
             strict=True,
         )
     )
-    its = joint_elements(root, place)
+    joints = joint_elements(root, place)
     edits: list[Edit] = []
     changed: list[str] = []
     rising: list[str] = []
     for one in origins:
         name = one.joint.name
-        if name not in its:
+        if name not in joints:
             raise InputError(
                 f"the robot has no joint {name!r}, which was calibrated",
                 code="unknown-name",
                 place=place,
-                remedy=f"name the URDF that was calibrated; {nearest(name, its)}",
+                remedy=f"name the URDF that was calibrated; {nearest(name, joints)}",
             )
-        element, joint = its[name]()
+        element, joint = joints[name]()
         _check_same(one, joint, place)
-        own = _edits(one, joint, element, tags)
-        edits += own
-        changed += [name] * bool(own)
+        joint_edits = _edits(one, joint, element, tags)
+        edits += joint_edits
+        changed += [name] * bool(joint_edits)
         rising += [name] * bool(children(element, "calibration"))
     return Patched(source.edited(edits), tuple(changed), _warnings(rising))
 
@@ -90,6 +92,7 @@ def _warnings(rising: list[str]) -> tuple[str, ...]:
 
 def _check_same(one: CalibratedOrigin, joint: LinkJoint, place: str) -> None:
     """Raise InputError for a joint that is neither as drawn nor as exported."""
+    # Limits are no part of the geometry; the origin is compared below, with a tolerance.
     drawn = replace(joint, xyz=one.joint.xyz, rpy=one.joint.rpy, limits=one.joint.limits)
     new_axis = replace(drawn, axis=one.joint.axis)
     if new_axis != one.joint:
@@ -100,6 +103,7 @@ def _check_same(one: CalibratedOrigin, joint: LinkJoint, place: str) -> None:
         words = "its axis is not the one calibrated"
     else:
         T = CalibratedOrigin(joint, one.T, one.axis).drawn
+        # The calibrated origin is accepted too, so that a file can be exported again.
         if min(np.abs(T - one.drawn).max(), np.abs(T - one.T).max()) <= _SAME:
             return
         words = "its origin is neither the nominal nor the calibrated one"
@@ -148,13 +152,13 @@ def _written(
         name = f"{prefix}:{tag}" if prefix else tag
         words = "".join(f' {key}="{value}"' for key, value in attributes.items())
         return [Edit(parent.after, parent.after, f"<{name}{words}/>")]
-    own = tags[element]
+    start_tag = tags[element]
     edits = []
     for key, value in attributes.items():
-        if key in own.values:
-            edits.append(Edit(*own.values[key], value))
+        if key in start_tag.values:
+            edits.append(Edit(*start_tag.values[key], value))
         else:
-            edits.append(Edit(own.end, own.end, f' {key}="{value}"'))
+            edits.append(Edit(start_tag.end, start_tag.end, f' {key}="{value}"'))
     return edits
 
 
@@ -180,6 +184,7 @@ def decimal(value: float) -> str:
     >>> decimal(0.1), decimal(-0.0), decimal(2.0)
     ('0.1', '0', '2')
     """
+    # repr gives the shortest digits that read back exactly; adding 0.0 makes 0.0 of -0.0.
     text = repr(float(value) + 0.0)
     return text.removesuffix(".0")
 
@@ -205,5 +210,15 @@ def offsets(exported: Exported) -> dict[str, bytes]:
 
 
 FORMATS = (
-    Format("urdf", "your own URDF, patched in place", urdf, "origins", "the URDF calibrated"),
+    Format(
+        "urdf",
+        "your own URDF, patched in place",
+        "ROS, Drake, Isaac, any program that loads your URDF",
+        "load the new file",
+        urdf,
+        "origins",
+        "the URDF calibrated",
+        described=True,
+        options=("offsets",),
+    ),
 )

@@ -47,5 +47,14 @@ def _quoted(name: str) -> str:
 
 
 FORMATS = (
-    Format("xacro", "origins for a xacro robot, with the lines that load them", xacro, "origins"),
+    Format(
+        "xacro",
+        "origins for a xacro robot, with the lines that load them",
+        "a robot written in xacro",
+        "include `calibration.xacro`, replace each `<origin .../>` by "
+        '`<xacro:calibrated_origin joint="NAME"/>`',
+        xacro,
+        "origins",
+        options=("offsets",),
+    ),
 )

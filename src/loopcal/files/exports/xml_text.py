@@ -14,12 +14,14 @@ from dataclasses import dataclass
 
 from loopcal.errors import InputError
 
+# Comments and CDATA come first: what looks like a tag inside them is none.
 _TOKEN = re.compile(
     r"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>|</[^>]*>"
     r"|<(?P<tag>[^\s/>!?]+)(?P<inside>(?:[^\"'>]|\"[^\"]*\"|'[^']*')*)>",
     re.DOTALL,
 )
 _ATTRIBUTE = re.compile(r"([^\s=/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')", re.DOTALL)
+# UTF-32 first: its little-endian mark begins with that of UTF-16.
 _MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32-le"),
     (codecs.BOM_UTF32_BE, "utf-32-be"),
@@ -83,21 +85,22 @@ class XmlText:
 
     def tags(self) -> Iterator[StartTag]:
         """Its start tags, in the order of the elements."""
-        for found in _TOKEN.finditer(self.text):
-            if found["tag"] is None:
+        for match in _TOKEN.finditer(self.text):
+            if match["tag"] is None:
                 continue
-            inside, begin = found["inside"], found.start("inside")
+            inside, begin = match["inside"], match.start("inside")
             end = begin + len(inside.removesuffix("/").rstrip())
             values = {
                 a[1]: tuple(begin + place for place in a.span(2 if a[2] is not None else 3))
                 for a in _ATTRIBUTE.finditer(inside)
             }
             spans = {name: (span[0], span[1]) for name, span in values.items()}
-            yield StartTag(found["tag"], end, found.end(), spans)
+            yield StartTag(match["tag"], end, match.end(), spans)
 
     def edited(self, edits: Sequence[Edit]) -> bytes:
         """The bytes with the edits made."""
         parts, at = [], 0
+        # Stable: attributes that are inserted at one place keep their order.
         for edit in sorted(edits, key=lambda e: e.begin):
             parts += [self.text[at : edit.begin], edit.text]
             at = edit.end

@@ -2,9 +2,8 @@
 
 An entry is a JSON document that needs no loopcal to read. It is named by its UTC time and its
 number, and holds the SHA-256 of its own content, written as JSON with sorted keys and no spaces.
-It is written under a temporary name, forced to the disk and then linked to its own name, which
-fails where that name is taken: whatever interrupts this, an entry is there whole or not at all,
-and no other is touched.
+It is linked to its own name, which fails where that name is taken: whatever interrupts this, an
+entry is there whole or not at all, and no other is touched.
 """
 
 from __future__ import annotations
@@ -13,21 +12,21 @@ import hashlib
 import json
 import os
 import re
-import secrets
-from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from loopcal.errors import InputError
-from loopcal.files.json_reader import MOST_BYTES
-from loopcal.files.tables.raw import bytes_of
+from loopcal.errors import InputError, short
+from loopcal.files.atomic import Data, clear_up, write_all
+from loopcal.files.json_reader import json_bytes
+from loopcal.units import unit
 
 SCHEMA = 1
+LARGEST = 1e100
 KINDS = ("calibration", "verification", "event")
-_NAME = re.compile(r"\d{8}T\d{6}Z-(\d{4,})\.json")
+_NAME = re.compile(r"\d{8}T\d{6}Z-(\d{4,12})\.json")
 
 
 @dataclass(frozen=True)
@@ -65,23 +64,56 @@ def append_entry(
 
     time: with a zone, by default now. Raises InputError where it cannot be written.
     """
+    return append_entries(folder, [(kind, content)], time=time).whole[-1]
+
+
+def append_entries(
+    folder: str | Path,
+    added: Sequence[tuple[str, Mapping[str, Any]]],
+    together: Callable[[Entries], Mapping[Path, Data]] = lambda _: {},
+    *,
+    remove: Iterable[Path] = (),
+    time: datetime | None = None,
+) -> Entries:
+    """Add entries (kind, content), and write or remove other files with them, all or none.
+
+    together: files to write, of all entries as they will be. Raises InputError where anything
+    cannot be written.
+    """
     folder = Path(folder)
     at = (time or datetime.now(UTC)).astimezone(UTC).replace(microsecond=0)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        number = 1 + max((_number(path.name) for path in folder.iterdir()), default=0)
-        while True:
-            entry = Entry(f"{at:%Y%m%dT%H%M%SZ}-{number:04d}.json", kind, at, number, content)
-            if _written(folder, entry):
-                return entry
-            number += 1  # another process was faster
-    except OSError as error:
+    while True:
+        if folder.is_dir():
+            clear_up(folder)  # before the entries are counted
+        earlier = read_entries(folder) if folder.exists() or not added else Entries(folder, (), ())
+        # Names alone decide: a damaged entry keeps its number.
+        last = max((_number(path.name) for path in _listed(folder)), default=0)
+        new = tuple(
+            Entry(f"{at:%Y%m%dT%H%M%SZ}-{number:04d}.json", kind, at, number, content)
+            for number, (kind, content) in enumerate(added, last + 1)
+        )
+        every = replace(earlier, whole=(*earlier.whole, *new))
+        files: dict[Path, Data] = {folder / entry.file: _text(entry) for entry in new}
+        try:
+            write_all({**together(every), **files}, remove=remove, new=files)
+        except FileExistsError:
+            continue  # another process was faster
+        return every
+
+
+def refuse_no_history(folder: str | Path) -> None:
+    """Raise InputError, before any work, where entries cannot be added to this path."""
+    if os.path.lexists(folder) and not Path(folder).is_dir():
         raise InputError(
-            f"the history cannot be written: {error.strerror or error}",
-            code="unwritable-file",
+            "this is no folder, and a history is one",
+            code="wrong-file-type",
             place=str(folder),
-            remedy="choose a folder with write permission",
-        ) from None
+            remedy="name the folder of the history; a new one is made",
+        )
+
+
+def _listed(folder: Path) -> Iterable[Path]:
+    return folder.iterdir() if folder.is_dir() else ()
 
 
 def is_history(folder: str | Path) -> bool:
@@ -113,8 +145,7 @@ def read_entries(folder: str | Path) -> Entries:
     return Entries(folder, tuple(whole), tuple(skipped))
 
 
-def _written(folder: Path, entry: Entry) -> bool:
-    """Whether the entry was written; no, where its name is taken."""
+def _text(entry: Entry) -> str:
     body = {
         "schema": SCHEMA,
         "kind": entry.kind,
@@ -122,39 +153,59 @@ def _written(folder: Path, entry: Entry) -> bool:
         "sequence": entry.sequence,
         "content": dict(entry.content),
     }
-    text = json.dumps({**body, "sha256": _sum(body)}, indent=1, allow_nan=False) + "\n"
-    temporary = folder / f".{entry.file}.{secrets.token_hex(6)}.part"
-    try:
-        with temporary.open("x", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        try:
-            os.link(temporary, folder / entry.file)
-        except FileExistsError:
-            return False
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
-    return True
+    return json.dumps({**body, "sha256": _sum(body)}, indent=1, allow_nan=False) + "\n"
 
 
 def _read(path: Path) -> Entry:
-    found = json.loads(bytes_of(path, MOST_BYTES))
-    if not isinstance(found, dict):
+    document = json.loads(json_bytes(path, "delete the file"))
+    if not isinstance(document, dict):
         raise ValueError("it is no JSON object")
-    stated = found.pop("sha256")
-    if stated != _sum(found):
+    stated = document.pop("sha256")
+    if stated != _sum(document):
         raise ValueError("its SHA-256 differs from its content")
-    if found["schema"] != SCHEMA or found["kind"] not in KINDS:
+    if document["schema"] != SCHEMA or document["kind"] not in KINDS:
         raise ValueError("its kind or schema is unknown")
-    time = datetime.fromisoformat(found["time"])
-    return Entry(path.name, found["kind"], time, int(found["sequence"]), found["content"])
+    time, number, content = (
+        datetime.fromisoformat(document["time"]),
+        document["sequence"],
+        document["content"],
+    )
+    if time.tzinfo is None or type(number) is not int or not 0 < number < 1 << 63:
+        raise ValueError("its time has no zone, or its number is none")
+    _check_content(document["kind"], content)
+    return Entry(path.name, document["kind"], time, number, content)
+
+
+def _check_content(kind: str, content: Any) -> None:
+    """Raise ValueError where the content of an entry is not what this kind has."""
+    if not isinstance(content, dict):
+        raise ValueError("its content is no JSON object")
+    _text_of(content, "words")
+    if content.get("rms") is not None:
+        _number_with_unit(content, "rms")
+    if kind == "calibration":
+        if not isinstance(content["parameters"], dict):
+            raise ValueError("its parameters are no JSON object")
+        for name, estimate in content["parameters"].items():
+            if not isinstance(estimate, dict):
+                raise ValueError(f"its parameter {short(name)!r} is no JSON object")
+            _number_with_unit(estimate, "value")
+            _number_with_unit(estimate, "sd")
+
+
+def _text_of(content: Mapping[str, Any], key: str) -> str:
+    text = content[key]
+    if not isinstance(text, str):
+        raise ValueError(f"its {key!r} is no text")
+    text.encode("utf-8")  # half a character is none
+    return text
+
+
+def _number_with_unit(content: Mapping[str, Any], key: str) -> None:
+    value = content[key]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+        raise ValueError(f"its {key!r} is no number below {LARGEST:g}")
+    unit(_text_of(content, "unit"))
 
 
 def _sum(body: Mapping[str, Any]) -> str:

@@ -2,76 +2,83 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from pydantic import Field
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
-from loopcal.files.machines.entries import built, table
-from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.machine_type import ChainModel, MachineType, looked_at
-from loopcal.files.machines.parameter_entries import in_si
+from loopcal.files.machines.attached import Instruments
+from loopcal.files.machines.machine_type import ChainTable, MachineType, looked_at
+from loopcal.files.machines.mechanism_writer import SOURCE
 from loopcal.files.machines.urdf import read_urdf
 from loopcal.files.paths import expanded
-from loopcal.files.toml.model import Finite, Model
-from loopcal.files.toml.place import Place
+from loopcal.files.toml.place import Place, Scope
+from loopcal.keys import Key
+from loopcal.mechanisms.axes import Triple
 from loopcal.mechanisms.exponentials import NAME, ScrewJoint, exponentials
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import LinkJoint, joint_chain
 
-Three = Annotated[list[Finite], Field(min_length=3, max_length=3)]
-if TYPE_CHECKING:
-    LinkJoints = list[Any]
-    ScrewJoints = list[Any]
-else:
-    LinkJoints = list[table(LinkJoint)]
-    ScrewJoints = list[table(ScrewJoint)]
 
-
-class Urdf(ChainModel):
+@dataclass(frozen=True)
+class Urdf(ChainTable):
     """The chain of joints between two links of a robot, from its URDF or listed here."""
 
-    type: Literal["urdf"]
-    name: str | None = None
-    file: str | None = Field(
-        default=None,
-        description="Path of the URDF, relative to this file; ${NAME} is replaced by the "
-        "environment variable NAME.",
-        examples=["robot.urdf"],
+    name: Annotated[str | None, Key("Name of the machine.")] = None
+    file: Annotated[
+        str | None,
+        Key(
+            "Path of the URDF, relative to this file; ${NAME} is replaced by the environment "
+            "variable NAME.",
+            example="robot.urdf",
+        ),
+    ] = None
+    base: Annotated[str | None, Key("Link that does not move.")] = None
+    tip: Annotated[str | None, Key("Link that carries what is measured.")] = None
+    joint: Annotated[tuple[LinkJoint, ...] | None, Key("The chain itself, in place of a file.")] = (
+        None
     )
-    base: str | None = Field(default=None, description="Link that does not move.")
-    tip: str | None = Field(default=None, description="Link that carries what is measured.")
-    joint: LinkJoints | None = Field(
-        default=None, description="The chain itself, in place of a file."
-    )
-    axes: bool = Field(
-        default=False,
-        description="Whether the joints' axes have parameters too, two tilts NAME_axis_rx, ...; "
-        "the origins alone hold every geometry.",
-    )
-    instrument: Instruments | None = None
+    source: Annotated[
+        str | None,
+        Key(
+            "Path of the URDF that listed joints were read from; `loopcal export` patches it.",
+            example="robot.urdf",
+        ),
+    ] = None
+    axes: Annotated[
+        bool,
+        Key(
+            "Whether the joints' axes have parameters too, two tilts NAME_axis_rx, ...; the "
+            "origins alone hold every geometry."
+        ),
+    ] = False
+    instrument: Annotated[Instruments | None, Key("What is read of the machine's body.")] = None
 
 
-class HomePose(Model):
+@dataclass(frozen=True)
+class HomePose:
     """The tool's frame in the base frame, all joints at zero."""
 
-    xyz: Three = Field(default=[0.0, 0.0, 0.0])
-    rpy: Three = Field(default=[0.0, 0.0, 0.0], description="Roll, pitch and yaw.")
+    xyz: Annotated[Triple, Key("Its origin.", unit="m")] = (0.0, 0.0, 0.0)
+    rpy: Annotated[Triple, Key("Roll, pitch and yaw.", unit="rad")] = (0.0, 0.0, 0.0)
 
 
-class Exponentials(ChainModel):
+@dataclass(frozen=True)
+class Exponentials(ChainTable):
     """A serial machine as a product of exponentials: exp([S_1] q_1) ... exp([S_n] q_n) M."""
 
-    type: Literal["exponentials"]
-    name: str = NAME
-    joint: ScrewJoints = Field(min_length=1, description="From the base to the tip.")
-    home: HomePose = HomePose()
-    instrument: Instruments | None = None
+    joint: Annotated[tuple[ScrewJoint, ...], Key("From the base to the tip.", least=1)] = field(
+        kw_only=True
+    )
+    name: Annotated[str, Key("Name of the machine.")] = NAME
+    home: Annotated[HomePose, Key("Where the tool is, all joints at zero.")] = field(
+        default_factory=HomePose
+    )
+    instrument: Annotated[Instruments | None, Key("What is read of the machine's body.")] = None
 
 
-def urdf(model: Urdf, units: Mapping[str, str], place: Place) -> Mechanism:
+def urdf(model: Urdf, entry: Any, scope: Scope, place: Place) -> Mechanism:
     """The robot of a table of the type "urdf".
 
     Raises InputError at the key, joint or line of the URDF that does not fit.
@@ -85,12 +92,16 @@ def urdf(model: Urdf, units: Mapping[str, str], place: Place) -> Mechanism:
             remedy='name the robot: file = "robot.urdf", with its links base and tip',
         )
     if model.joint is not None:
-        joints = _joints(LinkJoint, model.joint, units, place)
-        name = model.name or "robot"
+        _refuse_faulty(model.joint, entry, place)
+        joints, name, source = model.joint, model.name or "robot", model.source
     else:
         joints, name = _of_file(model, place)
+        source = model.file
     machine = joint_chain(joints, axes=model.axes, name=name)
-    return looked_at(machine, model.instrument, units, place)
+    if source is not None:
+        path = expanded(source, Path(place.file).parent, place.at("source")).absolute()
+        machine = replace(machine, description={**machine.description, SOURCE: str(path)})
+    return looked_at(machine, model.instrument, scope, place)
 
 
 def _of_file(model: Urdf, place: Place) -> Any:
@@ -110,51 +121,39 @@ def _of_file(model: Urdf, place: Place) -> Any:
     return joints, model.name or path.stem
 
 
-def exponential(model: Exponentials, units: Mapping[str, str], place: Place) -> Mechanism:
+def exponential(model: Exponentials, entry: Any, scope: Scope, place: Place) -> Mechanism:
     """The machine of a table of the type "exponentials".
 
     Raises InputError at the key or joint that does not fit.
     """
-    joints = _joints(ScrewJoint, model.joint, units, place)
-    xyz, rpy = model.home.xyz, model.home.rpy
-    home = (_three(xyz, "m", units, place), _three(rpy, "rad", units, place))
-    machine = exponentials(joints, home=home, name=model.name)
-    return looked_at(machine, model.instrument, units, place)
+    _refuse_faulty(model.joint, entry, place)
+    home = (model.home.xyz, model.home.rpy)
+    machine = exponentials(model.joint, home=home, name=model.name)
+    return looked_at(machine, model.instrument, scope, place)
 
 
-def _joints(make: Any, entries: Sequence[Any], units: Mapping[str, str], place: Place) -> list[Any]:
-    """The joints of a chain.
-
-    Raises InputError at the joint that does not fit.
-    """
-    joints = []
-    for i, entry in enumerate(entries):
-        here = place.at("joint", i)
-        if entry.kind != "fixed" and "axis" not in entry.model_fields_set:
+def _refuse_faulty(joints: Sequence[LinkJoint | ScrewJoint], entry: Any, place: Place) -> None:
+    """Raise InputError at a joint that moves without an axis, and at limits out of order."""
+    for i, (joint, stated) in enumerate(zip(joints, entry.joint, strict=True)):
+        joint_place = place.at("joint", i)
+        if joint.kind != "fixed" and "axis" not in stated.model_fields_set:
             raise InputError(
-                f"the joint {entry.name!r} has no axis",
+                f"the joint {joint.name!r} has no axis",
                 code="missing-key",
-                place=str(here),
+                place=str(joint_place),
                 remedy="give it in the joint's frame, as axis = [0, 0, 1]",
             )
-        joint = built(make, entry, units, here)
         if joint.limits is not None and not joint.limits[0] < joint.limits[1]:
-            low, high = (amount.value for amount in entry.limits)
+            low, high = (amount.value for amount in stated.limits)
             raise InputError(
                 f"the limits run from {low:g} to {high:g}",
                 code="invalid-value",
-                place=str(here.at("limits")),
+                place=str(joint_place.at("limits")),
                 remedy="give the lower one first",
             )
-        joints.append(joint)
-    return joints
 
 
-def _three(
-    values: Sequence[float], si: str, units: Mapping[str, str], place: Place
-) -> tuple[float, float, float]:
-    x, y, z = (in_si(float(v), None, si, place, units) for v in values)
-    return (x, y, z)
-
-
-TYPES = {"urdf": MachineType(Urdf, urdf), "exponentials": MachineType(Exponentials, exponential)}
+TYPES = {
+    "urdf": MachineType(Urdf, Urdf, urdf),
+    "exponentials": MachineType(Exponentials, Exponentials, exponential),
+}

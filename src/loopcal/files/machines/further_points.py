@@ -14,6 +14,8 @@ from loopcal.mechanisms.motoman import motoman_joints
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import Station
 
+_OF_POINT = ("base", "point", "tool", "before", "station")
+"""Keys of an arm's own point, which a listed instrument states otherwise."""
 Point = Sequence[float] | Sequence[str]
 """Coordinates [m] in the frame of the body, or the names of the parameters that hold them."""
 
@@ -23,8 +25,10 @@ def with_points(
 ) -> Mechanism:
     """The mechanism with outputs NAME_x, NAME_y, NAME_z [m] of points of its body alone.
 
-    Effects and the structured model error act on them as on what was measured; its parameters have
-    their names and values. station: of an instrument, whose frame the coordinates are in; None:
+    Effects and the structured model error act on them as on what was measured. Its parameters have
+    their names and values.
+
+    station: of an instrument, whose frame the coordinates are in; None:
     the first frame of the chain. Raises InputError for a machine that no file describes.
     """
     data = tomllib.loads(mechanism_to_toml(mechanism))
@@ -38,7 +42,7 @@ def with_points(
     if "instrument" not in data:
         data = _listed(data, mechanism)
     for name, point in points.items():
-        own = [f"{name}_{axis}" for axis in "xyz"]
+        readings = [f"{name}_{axis}" for axis in "xyz"]
         named = [v for v in point if isinstance(v, str)]
         numbers = [v for v in point if not isinstance(v, str)]
         target = named or [f"{name}:{axis}" for axis in "xyz"]
@@ -46,7 +50,7 @@ def with_points(
             {
                 "type": "point",
                 "name": name,
-                "readings": own,
+                "readings": readings,
                 "station": False if station is None else station,
                 "target": target,
             }
@@ -64,7 +68,7 @@ def with_points(
 def _listed(data: Mapping[str, Any], mechanism: Mechanism) -> dict[str, Any]:
     """The same arm with its one instrument listed, which its type has by itself."""
     (family,) = mechanism.families
-    kept = {k: v for k, v in data.items() if k not in ("base", "point", "tool", "before")}
+    kept = {k: v for k, v in data.items() if k not in _OF_POINT}
     if data["type"] == "motoman-ma1400":
         joints = motoman_joints()
         kept["joint"] = [{"name": j.name, "form": j.form, "direction": j.direction} for j in joints]

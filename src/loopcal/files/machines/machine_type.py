@@ -3,86 +3,104 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
-
-from pydantic import Field
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
-from loopcal.files.machines.effects import Effects
-from loopcal.files.machines.entries import table
-from loopcal.files.machines.instruments import instruments
-from loopcal.files.machines.mechanism_parts import ParameterEntries, Units
-from loopcal.files.toml.model import Finite, Model
-from loopcal.files.toml.place import Place
+from loopcal.files.machines.attached import Effects, instruments
+from loopcal.files.machines.parameter_entries import PARAMETERS, StatedParameter, Units
+from loopcal.files.toml.place import Place, Scope
+from loopcal.files.toml.tables import table
+from loopcal.keys import Key, Made
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import structured
 
-if TYPE_CHECKING:
-    Structure = Any
-else:
-    Structure = table(structured) | None
 
-
-class MechanismModel(Model):
+@dataclass(frozen=True)
+class MechanismTable:
     """What mechanisms of all types may say."""
 
-    units: Units = Units()
-    effect: Effects = Field(default=[])
-    parameters: ParameterEntries = Field(default={})
+    units: Annotated[Units, Key("Units of numbers that state none; without them m and rad.")] = (
+        field(default_factory=Units)
+    )
+    effect: Annotated[
+        Effects, Key("What geometry does not explain; zero parameters change nothing.")
+    ] = ()
+    parameters: Annotated[Mapping[str, StatedParameter], PARAMETERS] = field(default_factory=dict)
 
 
-class MachineModel(MechanismModel):
+@dataclass(frozen=True)
+class MachineTable(MechanismTable):
     """What machines of all types may say."""
 
-    structure: Structure = Field(
-        default=None, description="The model error that the machine has beyond geometry."
-    )
+    structure: Annotated[
+        Annotated[Mapping[str, Any], Made(structured, later=True)] | None,
+        Key("The model error that the machine has beyond geometry."),
+    ] = None
 
 
-class ArmModel(MachineModel):
+@dataclass(frozen=True)
+class ArmTable(MachineTable):
     """What arms of all types may say."""
 
-    gravity: Annotated[list[Finite], Field(min_length=3, max_length=3)] | None = Field(
-        default=None,
-        description="Direction in which gravity pulls, in the base of the machine. "
-        "Default: [0, 0, -1].",
-    )
+    gravity: Annotated[
+        tuple[float, float, float] | None,
+        Key("Direction in which gravity pulls, in the base of the machine. Default: [0, 0, -1]."),
+    ] = None
+    station: Annotated[
+        str | None,
+        Key(
+            "Name of the place from which an arm of transitions is looked at: six further "
+            "parameters NAME_x ... NAME_rx, which `loopcal update` estimates and writes."
+        ),
+    ] = None
 
 
-class ChainModel(ArmModel):
+@dataclass(frozen=True)
+class ChainTable(ArmTable):
     """What chains of all types may say."""
 
-    fix_redundant: bool = Field(
-        default=True,
-        description="Whether to fix parameters that are indistinguishable from others, chosen "
-        "from the geometry; `loopcal check` reports the reason for each.",
-    )
-    remarks: list[str] = Field(
-        default=[], description="What `loopcal check` reports, such as why a parameter is fixed."
-    )
+    fix_redundant: Annotated[
+        bool,
+        Key(
+            "Whether to fix parameters that are indistinguishable from others, chosen from the "
+            "geometry; `loopcal check` reports the reason for each."
+        ),
+    ] = True
+    remarks: Annotated[
+        tuple[str, ...],
+        Key("What `loopcal check` reports, such as why a parameter is fixed."),
+    ] = ()
 
 
-Build = Callable[[Any, Mapping[str, str], Place], Mechanism]
+Build = Callable[[Any, Any, Scope, Place], Mechanism]
 
 
 @dataclass(frozen=True)
 class MachineType:
-    """The table of a type, and what builds the mechanism of it without effects and parameters.
+    """The declarations of a type's table, and what builds the mechanism of it.
 
-    build(model, units, place): units: dimension -> unit of numbers that state none.
+    make: has the name of the type and its keys; common: the keys that it shares with others;
+    build(stated, entry, scope, place): without effects and parameters, stated being what is made of
+    the common keys.
     """
 
-    model: type[MechanismModel]
+    make: Callable[..., Any]
+    common: Callable[..., Any]
     build: Build
+
+    @property
+    def table(self) -> type[Any]:
+        """The model of the table."""
+        return table(self.make, "Machine", self.common)
 
 
 def looked_at(
     machine: Machine,
     entries: Any,
-    units: Mapping[str, str],
+    scope: Scope,
     place: Place,
     nominal: Mapping[str, float] | None = None,
 ) -> Mechanism:
@@ -90,9 +108,9 @@ def looked_at(
 
     Raises InputError at the instrument that does not fit.
     """
-    here = place.at("instrument")
-    looking = [point()] if entries is None else instruments(entries, machine, units, here)
+    at = place.at("instrument")
+    looking = [point()] if entries is None else instruments(entries, machine, scope, at)
     try:
         return assemble(machine, looking, nominal)
     except InputError as error:
-        raise error.at(str(here)) from None
+        raise error.at(str(at)) from None

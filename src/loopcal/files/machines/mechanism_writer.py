@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.files.toml.writer import inline, line, one_line, tables
-from loopcal.mechanisms.keys import plain
+from loopcal.keys import plain
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
-from loopcal.mechanisms.structure.structured import OWN_TERMS
+from loopcal.mechanisms.structure.structured import STRUCTURE_TERMS
+
+SOURCE = "source"
+"""Key of a description: path of the file that the machine was read from."""
 
 
-def mechanism_to_toml(mechanism: Mechanism) -> str:
+def mechanism_to_toml(mechanism: Mechanism, folder: str | Path | None = None) -> str:
     """The text of a mechanism file: SI, every digit, prior sds and fixed parameters included.
+
+    folder: in which it will stand; the path of a source is written as seen from it.
 
     Loops written as a Python function are declared without their code (type "function"): whoever
     reads the file names the function again.
     """
     described = mechanism.description or {"type": "function"}
+    if folder is not None and SOURCE in described:
+        described = {**described, SOURCE: _seen_from(folder, described[SOURCE])}
     head = [
         f"# {one_line(mechanism.name)}: a mechanism file of loopcal, made by it.",
         "# Lengths are in m, angles in rad, sds in the unit of their value.",
@@ -49,6 +58,19 @@ def mechanism_to_toml(mechanism: Mechanism) -> str:
     return "\n".join(parts) + "\n"
 
 
+def source_file(mechanism: Mechanism) -> Path | None:
+    """The file that a mechanism was read from, where it is known and still there."""
+    path = Path((mechanism.description or {}).get(SOURCE, ""))
+    return path if path.is_file() else None
+
+
+def _seen_from(folder: str | Path, path: str) -> str:
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # on another drive
+        return path
+
+
 _REMARKS = {
     "function": ("# The loops are a Python function: name it with --mechanism FILE.py:FUNCTION.",)
 }
@@ -64,7 +86,7 @@ def _structure(mechanism: Mechanism, described: Mapping[str, Any]) -> list[str]:
     if described["type"] == "function":
         stated = {
             "quantities": mechanism.quantities,
-            "known": mechanism.known,
+            "known": mechanism.pose_constants,
             "outputs": mechanism.outputs,
             "loops": mechanism.tape.loops,
         }
@@ -99,8 +121,10 @@ def _sd(mechanism: Mechanism, parameter: Parameter) -> dict[str, float]:
     """The prior sd, where it is not that which the reader gives the parameter."""
     structure = "structure" in (mechanism.description or {})
     if structure and any(
-        parameter.name in term.parameters for term in mechanism.terms if term.name in OWN_TERMS
+        parameter.name in term.parameters
+        for term in mechanism.terms
+        if term.name in STRUCTURE_TERMS
     ):
         return {}
-    mounted = structure and mechanism.kinds[parameter.name] == "mounting"
+    mounted = structure and parameter.role == "mounting"
     return {"sd": parameter.prior_sd} if mounted or math.isfinite(parameter.prior_sd) else {}

@@ -3,48 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field
-
-from loopcal.files.machines.entries import given, table
-from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.machine_type import MachineModel, MachineType, looked_at
-from loopcal.files.machines.mechanism_parts import Amount
+from loopcal.files.machines.attached import Instruments
+from loopcal.files.machines.machine_type import MachineTable, MachineType, looked_at
 from loopcal.files.machines.parameter_entries import in_si
-from loopcal.files.toml.place import Place
+from loopcal.files.toml.place import Place, Scope
+from loopcal.files.toml.tables import stated_arguments
+from loopcal.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.registry import PARALLEL
 
 
-class ParallelModel(MachineModel):
+@dataclass(frozen=True)
+class Amount:
+    """A number with its unit."""
+
+    value: Annotated[float, Key("The number.", alone=True)]
+    unit: Annotated[str | None, Key("Of the number.", is_unit=True)] = None
+
+
+@dataclass(frozen=True)
+class ParallelTable(MachineTable):
     """What all parallel machines have; their geometry is in their parameters."""
 
-    home: dict[str, Amount] = Field(
-        default={},
-        description="Usual values of unread quantities, at which the search for them begins.",
-        examples=[{"platform_z": {"value": 700, "unit": "mm"}}],
-    )
-    instrument: Instruments = Field(default=[])
+    home: Annotated[
+        Mapping[str, Amount],
+        Key(
+            "Usual values of unread quantities, at which the search for them begins.",
+            example={"platform_z": {"value": 700, "unit": "mm"}},
+        ),
+    ] = field(default_factory=dict)
+    instrument: Annotated[Instruments, Key("What is read of the machine's body.")] = ()
 
 
 def _parallel(
-    make: Callable[..., Machine], model: Any, units: Mapping[str, str], place: Place
+    make: Callable[..., Machine], stated: ParallelTable, entry: Any, scope: Scope, place: Place
 ) -> Mechanism:
-    options = given(make, model, units, place)
-    there = make(**options).quantities
+    options = stated_arguments(make, entry, scope, place)
+    quantities, at = make(**options).quantities, place.at("home")
     home = {
-        name: in_si(amount.value, amount.unit, there[name], place.at("home", name), units)
-        if name in there
+        name: in_si(amount.value, amount.unit, quantities[name], at.at(name), scope.units)
+        if name in quantities
         else amount.value
-        for name, amount in model.home.items()
+        for name, amount in stated.home.items()
     }
-    return looked_at(make(**options, home=home), model.instrument, units, place)
+    return looked_at(make(**options, home=home), stated.instrument, scope, place)
 
 
 TYPES = {
-    kind: MachineType(table(make, "Machine", ParallelModel), partial(_parallel, make))
+    kind: MachineType(make, ParallelTable, partial(_parallel, make))
     for kind, make in PARALLEL.items()
 }

@@ -3,18 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.files.toml.place import Place
+from loopcal.keys import Key
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters
+from loopcal.mechanisms.prior import ESTIMATES, check_estimate
+from loopcal.mechanisms.terms import stated_terms
 from loopcal.units import unit
 
-if TYPE_CHECKING:
-    from loopcal.files.machines.mechanism_parts import ParameterEntry
-
 NO_UNITS: Mapping[str, str] = {}
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of the numbers that state none; without them m and rad."""
+
+    length: Annotated[str | None, Key("Of lengths.", is_unit="length")] = None
+    angle: Annotated[str | None, Key("Of angles.", is_unit="angle")] = None
+
+
+def by_dimension(units: Units) -> dict[str, str]:
+    """Dimension -> name of its unit, for those stated."""
+    both = {"length": units.length, "angle": units.angle}
+    return {dimension: name for dimension, name in both.items() if name is not None}
+
+
+@dataclass(frozen=True)
+class StatedParameter:
+    """What is known of a parameter: nominal value, how well it is known, whether it is fixed."""
+
+    value: Annotated[float | None, Key("Nominal value.", alone=True)] = None
+    unit: Annotated[str | None, Key("Of the value and of the sd.", is_unit=True)] = None
+    sd: Annotated[
+        float | None, Key("Prior sd: how well the value is known; inf: not at all.", sd=True)
+    ] = None
+    fixed: Annotated[bool | None, Key("true: not estimated.")] = None
+
+
+PARAMETERS = Key(
+    "Parameters by name or glob; later lines win.",
+    example={"alpha_*": {"fixed": True}, "d_1": {"sd": 1.0, "unit": "mm"}},
+)
 
 
 def in_si(
@@ -28,27 +61,27 @@ def in_si(
 ) -> float:
     """A number in its stated unit, in the file's unit of that dimension, or in SI, as SI value.
 
-    si: the unit that is expected; units: dimension -> the file's unit; difference: the number is
+    si: the unit that is expected; units: dimension -> the file's unit. difference: the number is
     an sd, a step or a span, which has no zero. A number that is SI already comes back as it is,
     bit for bit. Raises InputError for a unit of another dimension.
     """
     expected = unit(si)
-    given = unit(stated or units.get(expected.dimension, si))
-    if given.dimension != expected.dimension:
+    stated_unit = unit(stated or units.get(expected.dimension, si))
+    if stated_unit.dimension != expected.dimension:
         raise InputError(
-            f"{given.name} is a unit of {given.dimension}, but this needs {expected.dimension} "
-            f"({expected.si})",
+            f"{stated_unit.name} is a unit of {stated_unit.dimension}, but this needs "
+            f"{expected.dimension} ({expected.si})",
             code="wrong-unit",
             place=str(place),
             remedy=f"give a unit of {expected.dimension}, or none for {expected.si}",
         )
-    value = number if given.factor == 1.0 else number * given.factor
-    return value if difference or not given.zero else value + given.zero
+    value = number if stated_unit.factor == 1.0 else number * stated_unit.factor
+    return value if difference or not stated_unit.zero else value + stated_unit.zero
 
 
 def changed(
     parameters: Parameters,
-    entries: Mapping[str, ParameterEntry],
+    entries: Mapping[str, StatedParameter],
     place: Place,
     units: Mapping[str, str] = NO_UNITS,
 ) -> Parameters:
@@ -58,9 +91,9 @@ def changed(
     """
     changes: dict[str, dict[str, Any]] = {name: {} for name in parameters.names}
     for key, entry in entries.items():
-        here = place.at(key)
-        for name in _matching(parameters, key, here):
-            si, at = parameters[name].unit, here.at("unit")
+        entry_place = place.at(key)
+        for name in _matching(parameters, key, entry_place):
+            si, at = parameters[name].unit, entry_place.at("unit")
             if entry.value is not None:
                 changes[name]["nominal"] = in_si(entry.value, entry.unit, si, at, units)
             if entry.sd is not None:
@@ -73,7 +106,7 @@ def changed(
                 raise InputError(
                     f"the sd of {name!r} is 0, which fixes it, but fixed = false frees it",
                     code="conflicting-keys",
-                    place=str(here),
+                    place=str(entry_place),
                     remedy="give a positive sd, or leave fixed = false out",
                 )
     return Parameters(tuple(replace(p, **changes[p.name]) for p in parameters))
@@ -86,13 +119,16 @@ def _matching(parameters: Parameters, key: str, place: Place) -> tuple[str, ...]
         raise error.at(str(place)) from None
 
 
-def declared_here(entries: Mapping[str, ParameterEntry], place: Place) -> dict[str, Parameter]:
+def declared_parameters(
+    entries: Mapping[str, StatedParameter], place: Place
+) -> dict[str, Parameter]:
     """Parameters that a file declares for a function: each plain name with value and unit.
 
     Raises InputError where a value or a unit is missing.
     """
-    found = {}
+    parameters = {}
     for name, entry in entries.items():
+        # A glob speaks of parameters that exist; it declares none.
         if any(c in name for c in "*?["):
             continue
         for key, example in (("value", "0.8"), ("unit", '"m", "rad" or "1"')):
@@ -106,5 +142,55 @@ def declared_here(entries: Mapping[str, ParameterEntry], place: Place) -> dict[s
         assert entry.value is not None
         assert entry.unit is not None
         si = unit(entry.unit).si
-        found[name] = Parameter(name, in_si(entry.value, entry.unit, si, place), si)
-    return found
+        parameters[name] = Parameter(name, in_si(entry.value, entry.unit, si, place), si)
+    return parameters
+
+
+PRIOR = Key(
+    "Prior sds of parameters by name or glob, inf: flat; later lines win.",
+    example={"d_*": {"sd": 1.0, "unit": "mm"}},
+)
+
+
+@dataclass(frozen=True)
+class StatedPrior:
+    """How well the nominal values are known."""
+
+    sd: Annotated[
+        float, Key("Prior sd; inf: the nominal value is no information.", sd=True, alone=True)
+    ]
+    unit: Annotated[str | None, Key("Of the sd.", is_unit=True)] = None
+    estimate: Annotated[
+        str | None,
+        Key(
+            "group: these parameters share one sd, which is learnt from the calibration; the sd "
+            "stated is its expected size, known to a factor of e.",
+            choices=ESTIMATES,
+        ),
+    ] = None
+
+
+def with_priors(mechanism: Mechanism, priors: Mapping[str, StatedPrior], place: Place) -> Mechanism:
+    """The mechanism with the prior sds of a file, and a term for each that is learnt.
+
+    Raises InputError for a name that stands for nothing, a unit that does not fit, and for an sd
+    to be learnt that is 0 or inf.
+    """
+    parameters = changed(mechanism.parameters, prior_sds(priors), place)
+    for key, prior in priors.items():
+        try:
+            if prior.estimate is not None:
+                check_estimate(key, prior.estimate, prior.sd)
+        except InputError as error:
+            raise error.at(str(place.at(key))) from None
+    learnt = {key: prior.estimate is not None for key, prior in priors.items()}
+    try:
+        terms = stated_terms(mechanism.terms, parameters, learnt)
+    except InputError as error:
+        raise error.at(str(place)) from None
+    return replace(mechanism, parameters=parameters, terms=terms)
+
+
+def prior_sds(priors: Mapping[str, StatedPrior]) -> dict[str, StatedParameter]:
+    """Prior sds as statements about parameters."""
+    return {key: StatedParameter(sd=prior.sd, unit=prior.unit) for key, prior in priors.items()}

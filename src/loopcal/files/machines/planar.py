@@ -2,32 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Literal
+from dataclasses import dataclass
+from typing import Annotated, Any
 
-from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.machine_type import MachineModel, MachineType, looked_at
-from loopcal.files.toml.place import Place
+from loopcal.files.machines.attached import Instruments
+from loopcal.files.machines.machine_type import MachineTable, MachineType, looked_at
+from loopcal.files.toml.place import Place, Scope
+from loopcal.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import NAME, planar_machine, planar_two_link
 
 
-class PlanarTwoLink(MachineModel):
+@dataclass(frozen=True)
+class PlanarTable(MachineTable):
     """The planar two-link arm: xA, yA, l2, l3, phi20, phi30; reads xP, yP, phi2, phi3.
 
     With instruments of its own it is the links alone, l2, l3, phi20, phi30, and reads phi2, phi3.
     """
 
-    type: Literal["planar-two-link"]
-    name: str = NAME
-    instrument: Instruments | None = None
+    name: Annotated[str, Key("Name of the machine.")] = NAME
+    instrument: Annotated[Instruments | None, Key("What is read of the machine's body.")] = None
 
 
-def planar(model: PlanarTwoLink, units: Mapping[str, str], place: Place) -> Mechanism:
+def planar(stated: PlanarTable, _: Any, scope: Scope, place: Place) -> Mechanism:
     """The arm of a table of the type "planar-two-link"."""
-    if model.instrument is None:
-        return planar_two_link(name=model.name)
-    return looked_at(planar_machine(name=model.name), model.instrument, units, place)
+    if stated.instrument is None:
+        return planar_two_link(name=stated.name)
+    return looked_at(planar_machine(name=stated.name), stated.instrument, scope, place)
 
 
-TYPES = {"planar-two-link": MachineType(PlanarTwoLink, planar)}
+TYPES = {"planar-two-link": MachineType(planar_two_link, PlanarTable, planar)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -22,9 +22,9 @@ def load_function(named: str) -> Loops | Mechanism:
     """What FILE.py:NAME stands for: loops f(x, p), a Mechanism, or what a NAME() without
     arguments returns.
 
-    The file is run, as naming it asks for, with its folder importable as `python FILE.py` has
-    it. Raises InputError, with file and line, where it cannot be run or has no such name; the
-    function returned does so when it fails.
+    The file is run, as naming it asks for, and may import others of its folder, but none by the
+    name of an installed module. Raises InputError, with file and line, where it cannot be run or
+    has no such name; the function returned does so when it fails.
     """
     file, colon, name = named.rpartition(":")
     if not colon or not file or not name.isidentifier():
@@ -33,43 +33,47 @@ def load_function(named: str) -> Loops | Mechanism:
             code="unknown-name",
             remedy="write FILE.py:FUNCTION, as arm.py:loops",
         )
-    path = existing_file(file)
+    path = existing_file(file, anywhere=True)  # the user named it
     namespace = _run(path)
     if name not in namespace:
-        own = [key for key, value in namespace.items() if callable(value) and key[0] != "_"]
+        callables = [str(key) for key, value in namespace.items() if callable(value)]
         raise InputError(
             f"the file defines no {name!r}",
             code="unknown-name",
             place=str(path),
-            remedy=nearest(name, own),
+            remedy=nearest(name, [key for key in callables if key[:1] != "_"]),
         )
-    found = namespace[name]
-    if callable(found):
-        found = _explained(found, path)
-        if not inspect.signature(found).parameters:
-            found = found()
-    if not callable(found) and not isinstance(found, Mechanism):
+    definition = namespace[name]
+    if callable(definition):
+        definition = _explained(definition, path)
+        if not _parameters(definition):
+            definition = definition()
+    if not callable(definition) and not isinstance(definition, Mechanism):
         raise InputError(
-            f"{name!r} is {type(found).__name__}, neither loops f(x, p) nor a Mechanism",
+            f"{name!r} is {type(definition).__name__}, neither loops f(x, p) nor a Mechanism",
             code="wrong-file-type",
             place=str(path),
             remedy="name a function of x and p that returns the values of the loop equations",
         )
-    result: Loops | Mechanism = found
+    result: Loops | Mechanism = definition
     return result
 
 
 def _run(path: Path) -> dict[str, Any]:
     namespace: dict[str, Any] = {"__name__": path.stem, "__file__": str(path)}
-    sys.path.insert(0, str(path.resolve().parent))
+    folder = str(path.resolve().parent)
+    sys.path.append(folder)  # last: what lies there stands for no installed module
     try:
         exec(compile(path.read_bytes(), str(path), "exec"), namespace)
     except LoopcalError as error:
         raise error.at(str(path)) from None
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # sys.exit() too
         raise _failure(error, path) from None
     finally:
-        sys.path.pop(0)
+        # By identity: an equal entry of the caller stays.
+        sys.path[:] = [entry for entry in sys.path if entry is not folder]
     return namespace
 
 
@@ -79,25 +83,45 @@ def _explained(function: Loops, path: Path) -> Loops:
     @wraps(function)
     def explained(*arguments: Any) -> Any:
         try:
-            return function(*arguments)
-        except LoopcalError:
+            made = function(*arguments)
+            # A generator runs as it is read: its errors have to be raised within this try.
+            return tuple(made) if isinstance(made, Iterator) else made
+        except (LoopcalError, KeyboardInterrupt):
             raise
-        except Exception as error:
+        except BaseException as error:  # sys.exit() too
             raise _failure(error, path) from None
 
     return explained
 
 
-def _failure(error: Exception, path: Path) -> InputError:
+def _parameters(function: Loops) -> int:
+    """How many arguments it takes; some where that is not known."""
+    try:
+        return len(inspect.signature(function).parameters)
+    except (TypeError, ValueError):
+        return 1
+
+
+def _failure(error: BaseException, path: Path) -> InputError:
     """What went wrong in a user's file, at which of its lines."""
     line = error.lineno if isinstance(error, SyntaxError) else None
     for frame in traceback.extract_tb(error.__traceback__):
         if frame.filename == str(path):
             line = frame.lineno
-    what = error.msg if isinstance(error, SyntaxError) else str(error)
+    what = error.msg if isinstance(error, SyntaxError) else _said(error)
     return InputError(
         f"{type(error).__name__}: {what}",
         code="failing-function",
         place=f"{path}, line {line}" if line else str(path),
         remedy="correct the file",
     )
+
+
+def _said(error: BaseException) -> str:
+    """The text of an error, whose own code may fail too."""
+    try:
+        return str(error)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as other:
+        return f"its text cannot be made ({type(other).__name__})"

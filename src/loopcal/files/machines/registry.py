@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from loopcal.files.machines.machine_type import MachineType
+from loopcal.files.toml.tables import table
 
 _HOME = {
     "planar-two-link": "planar",
@@ -32,12 +33,12 @@ def machine_type(kind: str) -> MachineType:
 
 
 def table_of(kind: str) -> type[Any]:
-    """The table of a type; that of a function is built with the function, which no file holds.
+    """The model of a type's table; a function is built elsewhere, for no file holds it.
 
     Raises KeyError for what is no type.
     """
     if kind != "function":
-        return machine_type(kind).model
+        return machine_type(kind).table
     from loopcal.files.machines.declared_function import Function
 
-    return Function
+    return table(Function, "Machine")

@@ -2,153 +2,151 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from pydantic import Discriminator, Field, Tag
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
-from loopcal.files.machines.entries import given, table
-from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.machine_type import ChainModel, MachineType, looked_at
-from loopcal.files.machines.mechanism_parts import Amount, Value
-from loopcal.files.machines.parameter_entries import in_si
-from loopcal.files.toml.model import Model
-from loopcal.files.toml.place import Place
+from loopcal.files.machines.attached import Instruments
+from loopcal.files.machines.machine_type import ChainTable, MachineType, looked_at
+from loopcal.files.toml.place import Place, Scope
+from loopcal.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.serial import (
     NAME,
     Joint,
     base_names,
     parameter_keys,
+    parameter_name,
     serial_arm,
     serial_machine,
     tool_names,
 )
-from loopcal.mechanisms.serial import parameter_name as serial_name
+
+Length = Annotated[float | None, Key("Nominal length.", unit="m")]
+Angle = Annotated[float | None, Key("Nominal angle.", unit="rad")]
 
 
-class BasePlacement(Model):
-    """Where the instrument sees the base: Tx Ty Tz Rz Ry Rx, six parameters base_x ... base_rx."""
-
-    x: Amount | None = None
-    y: Amount | None = None
-    z: Amount | None = None
-    rz: Amount | None = None
-    ry: Amount | None = None
-    rx: Amount | None = None
-
-
-class ToolPoint(Model):
+@dataclass(frozen=True)
+class ToolPoint:
     """The measured point in the last joint's frame."""
 
-    x: Amount | None = None
-    y: Amount | None = None
-    z: Amount | None = None
+    x: Length = None
+    y: Length = None
+    z: Length = None
 
 
-class NominalJoint(Model):
+@dataclass(frozen=True)
+class BasePlacement(ToolPoint):
+    """Where the instrument sees the base: Tx Ty Tz Rz Ry Rx, six parameters base_x ... base_rx."""
+
+    rz: Angle = None
+    ry: Angle = None
+    rx: Angle = None
+
+
+@dataclass(frozen=True)
+class NominalJoint(Joint):
     """A joint, with the nominal values that its form has; absent ones are 0."""
 
-    a: Amount | None = None
-    d: Amount | None = None
-    alpha: Amount | None = None
-    beta: Amount | None = None
-    offset: Amount | None = None
-    x: Amount | None = None
-    y: Amount | None = None
-    z: Amount | None = None
-    phix: Amount | None = None
-    phiy: Amount | None = None
-    phiz: Amount | None = None
+    a: Length = None
+    d: Length = None
+    alpha: Angle = None
+    beta: Angle = None
+    offset: Angle = None
+    x: Length = None
+    y: Length = None
+    z: Length = None
+    phix: Angle = None
+    phiy: Angle = None
+    phiz: Angle = None
 
-    def nominal(self) -> dict[str, Value]:
-        """The nominal values given, by key."""
-        values = {key: getattr(self, key) for key in NominalJoint.model_fields}
-        return {key: value for key, value in values.items() if value is not None}
+    @property
+    def joint(self) -> Joint:
+        """The joint alone."""
+        return Joint(**{one.name: getattr(self, one.name) for one in fields(Joint)})
+
+    def nominal(self, number: int, place: Place) -> dict[str, float]:
+        """Nominal values by parameter of the joint of this number, from 1.
+
+        Raises InputError for a value that its form does not have.
+        """
+        keys, stated = parameter_keys(self.form), _stated(self)
+        for key in stated:
+            if key not in keys:
+                raise InputError(
+                    f"a joint of the form {self.form!r} has no {key!r}",
+                    code="missing-key",
+                    place=str(place.at(key)),
+                    remedy=f"its nominal values are {', '.join(keys)}",
+                )
+        return {parameter_name(self.form, key, number): value for key, value in stated.items()}
 
 
-def _base_form(value: Any) -> str:
-    return "flag" if isinstance(value, bool) else "placement"
-
-
-if TYPE_CHECKING:
-    Joints = list[Any]
-else:
-    Joints = list[table(Joint, base=NominalJoint)]
-
-
-class Serial(ChainModel):
+@dataclass(frozen=True)
+class Serial(ChainTable):
     """A serial arm: a chain of joints, its tool point measured in the instrument's frame."""
 
-    type: Literal["serial"]
-    name: str = NAME
-    base: (
-        Annotated[
-            Annotated[bool, Tag("flag")] | Annotated[BasePlacement, Tag("placement")],
-            Discriminator(_base_form),
-        ]
-        | None
-    ) = Field(
-        default=None,
-        description="Whether six parameters place the base in the instrument's frame, or their "
-        "nominal values; by default they do unless all joints are transitions.",
+    joint: Annotated[tuple[NominalJoint, ...], Key("From the base to the tip.", least=1)] = field(
+        kw_only=True
     )
-    tool: ToolPoint = ToolPoint()
-    point: Annotated[list[str], Field(min_length=3, max_length=3)] = Field(
-        default=["x", "y", "z"], description="Names of the measured coordinates."
+    name: Annotated[str, Key("Name of the machine.")] = NAME
+    base: Annotated[
+        bool | BasePlacement | None,
+        Key(
+            "Whether six parameters place the base in the instrument's frame, or their nominal "
+            "values; by default they do unless all joints are transitions."
+        ),
+    ] = None
+    tool: Annotated[ToolPoint, Key("The measured point in the last joint's frame.")] = field(
+        default_factory=ToolPoint
     )
-    joint: Joints = Field(min_length=1, description="From the base to the tip.")
-    fix_redundant: bool = Field(
-        default=False, description="As of a chain of joint origins, where it is asked for."
-    )
-    instrument: Instruments | None = None
+    point: Annotated[
+        tuple[str, str, str] | None, Key("Names of the measured coordinates. Default: x, y, z.")
+    ] = None
+    fix_redundant: Annotated[bool, Key("As of a chain of joint origins, where asked for.")] = False
+    instrument: Annotated[Instruments | None, Key("What is read of the machine's body.")] = None
 
 
-def serial(model: Serial, units: Mapping[str, str], place: Place) -> Mechanism:
+def serial(stated: Serial, _: Any, scope: Scope, place: Place) -> Mechanism:
     """The arm of a table of the type "serial".
 
     Raises InputError at the joint, key or value that does not fit.
     """
-    _refuse_repeated([joint.name for joint in model.joint], model.point, place)
-    joints, nominal = [], {}
-    for i, entry in enumerate(model.joint):
-        here = place.at("joint", i)
-        joints.append(Joint(**given(Joint, entry, units, here)))
-        keys = parameter_keys(entry.form)
-        for key, value in entry.nominal().items():
-            if key not in keys:
-                raise InputError(
-                    f"a joint of the form {entry.form!r} has no {key!r}",
-                    code="missing-key",
-                    place=str(here.at(key)),
-                    remedy=f"its nominal values are {', '.join(keys)}",
-                )
-            si = "rad" if key in ("alpha", "beta", "offset") or key.startswith("phi") else "m"
-            nominal[serial_name(entry.form, key, i + 1)] = _si(value, si, units, here.at(key))
+    point = stated.point or ("x", "y", "z")
+    _refuse_repeated([joint.name for joint in stated.joint], point, place)
+    joints = [joint.joint for joint in stated.joint]
+    nominal: dict[str, float] = {}
+    for i, joint in enumerate(stated.joint):
+        nominal |= joint.nominal(i + 1, place.at("joint", i))
     tool = dict(zip("xyz", tool_names(joints), strict=True))
-    for axis, name in tool.items():
-        stated = getattr(model.tool, axis)
-        if stated is not None:
-            nominal[name] = _si(stated, "m", units, place.at("tool", axis))
-    if model.instrument is not None:
-        _refuse_own_point(model, place)
-        machine = serial_machine(joints, name=model.name)
-        return looked_at(machine, model.instrument, units, place, nominal)
-    base = model.base if isinstance(model.base, bool | None) else True
-    if not isinstance(model.base, bool | None):
-        nominal |= _base(model.base, units, place.at("base"))
-    x, y, z = model.point
+    nominal |= {tool[axis]: value for axis, value in _stated(stated.tool).items()}
+    if stated.instrument is not None:
+        _refuse_base_and_point(stated, place)
+        machine = serial_machine(joints, name=stated.name)
+        return looked_at(machine, stated.instrument, scope, place, nominal)
+    base = stated.base
+    if isinstance(base, BasePlacement):
+        values = _stated(base)
+        names = {name: name.removeprefix("base_") for name in base_names()}
+        nominal |= {name: values[key] for name, key in names.items() if key in values}
+        base = True
     try:
-        return serial_arm(joints, nominal, base=base, point=(x, y, z), name=model.name)
+        return serial_arm(joints, nominal, base=base, point=point, name=stated.name)
     except InputError as error:
         raise error.at(str(place)) from None
 
 
-def _refuse_own_point(model: Serial, place: Place) -> None:
+def _stated(value: NominalJoint | ToolPoint) -> dict[str, float]:
+    """The nominal values that are stated, by key."""
+    inherited = {one.name for one in fields(Joint)}
+    keys = [one.name for one in fields(value) if one.name not in inherited]
+    return {key: getattr(value, key) for key in keys if getattr(value, key) is not None}
+
+
+def _refuse_base_and_point(stated: Serial, place: Place) -> None:
     for key in ("base", "point"):
-        if key in model.model_fields_set:
+        if getattr(stated, key) is not None:
             raise InputError(
                 f"{key!r} is only for a file without [[instrument]]",
                 code="conflicting-keys",
@@ -158,39 +156,18 @@ def _refuse_own_point(model: Serial, place: Place) -> None:
             )
 
 
-def _base(given: BasePlacement, units: Mapping[str, str], place: Place) -> dict[str, float]:
-    found = {}
-    for name in base_names():
-        key = name.removeprefix("base_")
-        value = getattr(given, key)
-        if value is not None:
-            found[name] = _si(value, "rad" if key.startswith("r") else "m", units, place.at(key))
-    return found
-
-
-def _si(value: Value, si: str, units: Mapping[str, str], place: Place) -> float:
-    number = in_si(value.value, value.unit, si, place, units)
-    if not math.isfinite(number):
-        raise InputError(
-            f"{value.value!r} is given", code="invalid-value", place=str(place), remedy="give less"
-        )
-    return number
-
-
-def _refuse_repeated(joints: list[str], point: list[str], place: Place) -> None:
+def _refuse_repeated(joints: Sequence[str], point: Sequence[str], place: Place) -> None:
     seen: set[str] = set()
     for i, name in enumerate([*joints, *point]):
         if name in seen:
-            here = place.at("joint", i, "name") if i < len(joints) else place.at("point")
+            name_place = place.at("joint", i, "name") if i < len(joints) else place.at("point")
             raise InputError(
                 f"two quantities are named {name!r}",
                 code="duplicate-name",
-                place=str(here),
+                place=str(name_place),
                 remedy="give each a unique name",
             )
         seen.add(name)
 
 
-TYPES = {
-    "serial": MachineType(Serial, serial),
-}
+TYPES = {"serial": MachineType(Serial, Serial, serial)}

@@ -12,14 +12,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from loopcal.errors import InputError, listed, nearest
 from loopcal.files.machines.safe_xml import at, children, local, read_xml
 from loopcal.files.toml.reader import shown
-from loopcal.mechanisms.chain import refuse_long_chain
+from loopcal.mechanisms.axes import fixed_frame
+from loopcal.mechanisms.chain import product, refuse_long_chain
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.origins import KINDS, LinkJoint, Mimic, joint_chain
 
 NO_URDF = "name a URDF file, as written by xacro or a CAD exporter (convert SDF or MJCF first)"
+MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _EXPAND = "expand it first (xacro robot.urdf.xacro > robot.urdf) and name the result"
 
 
@@ -56,20 +61,24 @@ def branches(path: str | Path) -> tuple[Branch, ...]:
     robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
     roots = [link for link in robot.links if link not in robot.above]
     parents = {robot._link(element, "parent") for element in robot.joints.values()}
-    found = []
+    below: dict[str, list[str]] = {}
+    for tip in robot.links:
+        below.setdefault(robot.top(tip), []).append(tip)
+    moving_branches = []
     for base in roots:
-        for tip in robot.links:
-            if tip == base or not robot.is_below(tip, base):
+        for tip in below[base]:
+            if tip == base:
                 continue
             elements = robot.chain(base, tip)
+            # Floating and planar joints have several coordinates; a branch may begin behind them.
             if any(element.get("type") not in KINDS for element in elements):
                 continue
             reads = [joint.reads for joint in map(robot.joint, elements)]
             moving = dict.fromkeys(read[0] for read in reads if read)
             beyond = next((i for i, read in enumerate(reversed(reads)) if read), 0)
             if moving:
-                found.append(Branch(base, tip, tuple(moving), tip not in parents, beyond))
-    return tuple(found)
+                moving_branches.append(Branch(base, tip, tuple(moving), tip not in parents, beyond))
+    return tuple(moving_branches)
 
 
 def urdf_machine(
@@ -91,12 +100,45 @@ def urdf_machine(
     return joint_chain(joints, axes=axes, name=name or Path(path).stem)
 
 
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    """What a link weighs: mass [kg]; T (4, 4): its centre and axes in the link's frame; moments:
+    ixx, iyy, izz, ixy, ixz, iyz [kg m^2] about the centre, along those axes.
+    """
+
+    mass: float
+    T: NDArray[np.float64]
+    moments: tuple[float, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether a body can have it: principal moments > 0, none above the sum of the others."""
+        xx, yy, zz, xy, xz, yz = self.moments
+        moments = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+        return bool(self.mass > 0.0 and moments[0] > 0.0 and moments[2] <= moments[0] + moments[1])
+
+
+def read_inertials(path: str | Path) -> dict[str, Inertial]:
+    """By joint of a URDF what the link behind it weighs, where the file states what can be.
+
+    Raises InputError with file and line if the file is not a URDF, or a number is none.
+    """
+    robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
+    inertials = {}
+    for name, element in robot.joints.items():
+        link = robot.links[robot._link(element, "child")]
+        for stated in children(link, "inertial")[:1]:
+            inertials[name] = robot.inertial(stated)
+    return {name: one for name, one in inertials.items() if one.sound}
+
+
 def joint_elements(root: Any, file: str) -> dict[str, Callable[[], tuple[Any, LinkJoint]]]:
     """By joint of a URDF, what gives its XML element and the joint read from it.
 
     Raises InputError, also as a joint is read, as `read_urdf` does.
     """
     robot = _Robot.of(root, file)
+    # Read on demand: joints off the chain may be of a kind that cannot be calibrated.
     return {name: partial(_read_joint, robot, element) for name, element in robot.joints.items()}
 
 
@@ -144,13 +186,13 @@ class _Robot:
                     met.add(link)
                     waiting.append(link)
 
-    def is_below(self, tip: str, base: str) -> bool:
-        """Whether a link hangs on another one; False where the links form a cycle."""
+    def top(self, tip: str) -> str:
+        """The link on which another one hangs in the end; one of a cycle where that has none."""
         met: set[str] = set()
-        while tip != base and tip not in met and self.above.get(tip):
+        while tip not in met and self.above.get(tip):
             met.add(tip)
             tip = self._link(self.above[tip][0], "parent")
-        return tip == base
+        return tip
 
     def chain(self, base: str, tip: str) -> list[Any]:
         """The joints from a link to another one below it."""
@@ -162,7 +204,7 @@ class _Robot:
                     place=self.file,
                     remedy=nearest(link, self.links),
                 )
-        found: list[Any] = []
+        elements: list[Any] = []
         passed, link = {tip: None}, tip
         while link != base:
             above = self.above.get(link, ())
@@ -181,7 +223,7 @@ class _Robot:
                     f"the link {link!r} has two parent joints, {names}; a URDF is a tree",
                     "describe closed loops as a machine of their own type, or delete one joint",
                 )
-            found.append(above[0])
+            elements.append(above[0])
             link = self._link(above[0], "parent")
             if link in passed:
                 _refuse(
@@ -192,15 +234,15 @@ class _Robot:
                 )
             passed[link] = None
         self._refuse_circle(base)
-        if not found:
+        if not elements:
             raise InputError(
                 f"base and tip are the same link {base!r}",
                 code="conflicting-keys",
                 place=self.file,
                 remedy="name a tip with moving joints between the two",
             )
-        refuse_long_chain(len(found))
-        return found[::-1]
+        refuse_long_chain(len(elements))
+        return elements[::-1]
 
     def joint(self, element: Any) -> LinkJoint:
         """Read one joint."""
@@ -220,6 +262,20 @@ class _Robot:
         except InputError as error:
             raise error.at(at(element, self.file)) from None
 
+    def inertial(self, element: Any) -> Inertial:
+        """Read what a link weighs."""
+        xyz = rpy = (0.0, 0.0, 0.0)
+        for origin in children(element, "origin")[:1]:
+            xyz = self._numbers(origin, "xyz", xyz)
+            rpy = self._numbers(origin, "rpy", rpy)
+        mass, moments = 0.0, (0.0,) * len(MOMENTS)
+        for stated in children(element, "mass")[:1]:
+            mass = self._numbers(stated, "value", (0.0,), 1)[0]
+        for stated in children(element, "inertia")[:1]:
+            moments = tuple(self._numbers(stated, key, (0.0,), 1)[0] for key in MOMENTS)
+        T = product(fixed_frame(xyz, rpy), {}, {})
+        return Inertial(mass, T, moments)
+
     def _kind(self, element: Any) -> str:
         kind = element.get("type")
         if kind not in KINDS:
@@ -234,23 +290,23 @@ class _Robot:
         return str(kind)
 
     def _link(self, element: Any, tag: str) -> str:
-        found = [child.get("link") for child in children(element, tag)]
-        if len(found) != 1 or not found[0]:
+        link_names = [child.get("link") for child in children(element, tag)]
+        if len(link_names) != 1 or not link_names[0]:
             _refuse(
                 element,
                 self.file,
                 f"the joint {element.get('name')!r} names no {tag} link",
                 f'give it one <{tag} link="..."/>',
             )
-        if found[0] not in self.links:
+        if link_names[0] not in self.links:
             _refuse(
                 element,
                 self.file,
-                f"the joint {element.get('name')!r} has the {tag} link {found[0]!r}, which does "
-                f"not exist",
-                nearest(found[0], self.links),
+                f"the joint {element.get('name')!r} has the {tag} link {link_names[0]!r}, which "
+                f"does not exist",
+                nearest(link_names[0], self.links),
             )
-        return str(found[0])
+        return str(link_names[0])
 
     def _mimic(self, element: Any, met: tuple[str, ...]) -> Mimic | None:
         """The independent joint that a joint mimics, directly or through other mimic joints."""
@@ -283,6 +339,7 @@ class _Robot:
             )
         multiplier = self._numbers(stated[0], "multiplier", (1.0,), 1)[0]
         offset = self._numbers(stated[0], "offset", (0.0,), 1)[0]
+        # Of a chain of mimics q = m (m' q'' + o') + o.
         inner = self._mimic(target, (*met, followed))
         if inner is None:
             return Mimic(followed, multiplier, offset, kind)
@@ -295,6 +352,7 @@ class _Robot:
         for stated in children(element, "limit"):
             lower = self._numbers(stated, "lower", (0.0,), 1)[0]
             upper = self._numbers(stated, "upper", (0.0,), 1)[0]
+            # 0 and 0 are the defaults of URDF: then no limits are stated.
             return (lower, upper) if lower < upper else None
         return None
 
@@ -325,20 +383,20 @@ def _floats(text: str) -> tuple[float, ...]:
 
 
 def _named(elements: Iterable[Any], file: str) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    by_name: dict[str, Any] = {}
     for element in elements:
         name, what = element.get("name"), local(element)
         if not name:
             _refuse(element, file, f"a {what} has no name", f'give it one: <{what} name="...">')
-        if name in found:
+        if name in by_name:
             _refuse(
                 element,
                 file,
-                f"two {what}s are called {name!r}, the first in line {found[name].sourceline}",
+                f"two {what}s are called {name!r}, the first in line {by_name[name].sourceline}",
                 "give each a unique name",
             )
-        found[name] = element
-    return found
+        by_name[name] = element
+    return by_name
 
 
 def _refuse(element: Any, file: str, words: str, remedy: str) -> None:

@@ -11,13 +11,14 @@ from collections.abc import Sequence
 
 from loopcal.files.programs.program import Move, Place, Program, Rows, Span, line_end, replaced
 
+# Without a bound, many moves on one endless line cost the square of its length.
 _LONGEST = 1000
 """Characters of a line, at most."""
 NOT_ALONE = "the move does not stand on lines of its own"
 NOT_NEXT = "other instructions stand between this move and the one before"
 
 
-def own_lines(code: str, span: Span) -> Span | None:
+def whole_lines(code: str, span: Span) -> Span | None:
     """The whole lines around a part of the code, without the last line end; None where more than
     blanks stands on them. code: comments blanked."""
     before = re.split(r"[\r\n]", code[max(span.start - _LONGEST, 0) : span.start])[-1]
@@ -27,15 +28,17 @@ def own_lines(code: str, span: Span) -> Span | None:
     return Span(span.start - len(before), span.end + len(after))
 
 
-def movable(code: str, last: Span | None, own: Span, harmless: re.Pattern[str]) -> tuple[Span, str]:
+def movable(
+    code: str, last: Span | None, span: Span, harmless: re.Pattern[str]
+) -> tuple[Span, str]:
     """The lines of a move, and why nothing can be inserted ahead of it, if so.
 
     last: the move before, None where it is not known; harmless: all that may stand in between.
     """
-    lines = own_lines(code, own)
+    lines = whole_lines(code, span)
     if lines is None:
-        return own, NOT_ALONE
-    between = None if last is None else code[last.end : own.start]
+        return span, NOT_ALONE
+    between = None if last is None else code[last.end : span.start]
     if between is None or not harmless.fullmatch(between):
         return lines, NOT_NEXT
     return lines, ""
@@ -66,8 +69,8 @@ def inserted(program: Program, ahead: Rows) -> Sequence[Place]:
 def literal(program: Program, move: Move, row: Sequence[str], count: int) -> str:
     """The literal of a move's target with other numbers; count: of a target with a label."""
     target = program.targets[move.target]
-    own = [Place(Span(n.start, n.end), t) for n, t in zip(target.numbers, row, strict=True)]
+    places = [Place(Span(n.start, n.end), t) for n, t in zip(target.numbers, row, strict=True)]
     if target.label is not None:
         label = target.label
-        own.append(Place(Span(label.start, label.end), f"{label.text}-{count}"))
-    return replaced(program.text, target.literal, own)
+        places.append(Place(Span(label.start, label.end), f"{label.text}-{count}"))
+    return replaced(program.text, target.literal, places)

@@ -8,11 +8,13 @@ not used, and the turns of axes 1, 4 and 6: 0 for -180 to 180 degrees.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.files.programs.copying import NOT_ALONE, NOT_NEXT, literal
+from loopcal.files.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.program import (
     NUMBER,
@@ -25,9 +27,12 @@ from loopcal.files.programs.program import (
     ProgramTarget,
     Rows,
     Span,
+    handled,
     line_end,
+    once,
     refuse_redundant,
     replaced,
+    whole,
 )
 from loopcal.files.programs.turned import Turned
 
@@ -38,51 +43,54 @@ _FIELD = re.compile(rf"\b([XYZWPR]|J[1-9])\s*=\s*({NUMBER.pattern})\s*(mm|deg)\b
 _CONFIG = re.compile(r"CONFIG\s*:\s*'[^',]*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 _FRAME = re.compile(r"\bUF\s*:\s*(\d+|F)")
 _MOVE = re.compile(r"^[ \t]*\d+:[ \t]*([JLCAS])[ \t]+([^\r\n;]*)", re.MULTILINE)
+_CIRCLE = re.compile(r"^[ \t]*\d+:[ \t]*[CA][ \t]+([^;/]*)", re.MULTILINE)
 _ENDED = re.compile(r"[ \t]*;[ \t]*(?=[\r\n]|\Z)")
+_SHIFTED = re.compile(r"\b(?:Tool_)?Offset\b|\bINC\b|\bVOFFSET\b", re.IGNORECASE)
 _LINE_NUMBER = re.compile(r"^[ \t]*(\d+)(?=:)", re.MULTILINE)
 _LINE_COUNT = re.compile(r"^LINE_COUNT\s*=\s*(\d+)", re.MULTILINE)
+# Possessive: a long run of waits cannot make the match back out (docs/decisions/0137).
 _HARMLESS = re.compile(
     r"[ \t]*;[ \t]*[\r\n]++(?:[ \t]*+\d*:[ \t]*+(?:(?:!|//|WAIT\b|[DR]O\[)[^;\r\n]*+)?"
     r";?[ \t]*+[\r\n]++)*+"
 )
+# Turns in the order z, y, x of `Turned`.
 _POSE = ("X", "Y", "Z", "R", "P", "W")
 _DECIMALS = 3
+# [deg] At the edge of a turn the last digit of a joint must not decide.
 _EDGE = 1e-6
 
 
 def read_fanuc(text: str, name: str, axes: JointAxes) -> Program:
     """The positions of a listing. Raises InputError for an arm of more than six joints."""
     refuse_redundant(axes, name)
-    lines, own = Lines(text), Turned(axes, _POSE, "J", _DECIMALS)
+    lines, turned = Lines(text), Turned(axes, _POSE, "J", _DECIMALS)
     targets: list[ProgramTarget] = []
     noted: list[Noted] = []
     numbered: dict[str, int] = {}
     frames: set[str] = set()
-    whole = {m.start(): m for m in _POSITION.finditer(text)}
-    circular = {
-        p for m in _MOVE.finditer(text) if m[1] in "CA" for p in re.findall(r"P\[\s*(\d+)", m[2])
-    }
+    complete = {m.start(): m for m in _POSITION.finditer(text)}
+    circular = {p for m in _CIRCLE.finditer(text) for p in re.findall(r"P\[\s*(\d+)", m[1])}
     for begun in _BEGUN.finditer(text):
-        found, line = whole.get(begun.start()), lines.of(begun.start())
-        target = None if found is None else _target(found, line, own)
+        position, line = complete.get(begun.start()), lines.of(begun.start())
+        target = None if position is None else _target(position, line, turned)
         if target is None or begun[1] in circular:
             circle = begun[1] in circular
             words = "a point of a circle" if circle else "no whole position of group 1"
             noted.append(Noted(line, f"P[{begun[1]}]: {words}"))
             continue
-        assert found is not None
+        assert position is not None
         if target.cartesian:
-            frames |= {f for f in _FRAME.findall(_group(found[2])) if f != "0"}
+            frames |= {f for f in _FRAME.findall(_group(position[2])) if f != "0"}
         numbered[begun[1]] = len(targets)
         targets.append(target)
-    moves = _moves(text, lines, numbered, noted)
+    moves = _moves(text, lines, numbered, noted, targets)
     return Program(
         "Fanuc LS",
         name,
         text,
         tuple(targets),
-        tuple(sorted(noted, key=lambda n: n.line)),
-        own.write,
+        once(noted),
+        turned.write,
         _fits,
         moves=moves,
         insert=_inserted,
@@ -96,81 +104,88 @@ def _group(body: str) -> str:
     return body[: other.start()] if other else body
 
 
-def _target(found: re.Match[str], line: int, own: Turned) -> ProgramTarget | None:
-    body, start = _group(found[2]), found.start(2)
+def _target(position: re.Match[str], line: int, turned: Turned) -> ProgramTarget | None:
+    body, start = _group(position[2]), position.start(2)
     fields: dict[str, Number] = {}
     for m in _FIELD.finditer(body):
         if m[1] in fields:
             return None
         fields[m[1]] = Number(start + m.start(2), start + m.end(2), m[2])
     config = _CONFIG.search(body)
-    states = {} if config is None else {f"turn {k}": int(config[i]) for i, k in enumerate("146", 1)}
-    whole = Span(*found.span())
-    return own.target(f"P[{found[1]}]", line, fields, states, whole)
+    turns = () if config is None else (Number(*config.span(i), config[i]) for i in (1, 2, 3))
+    states = {f"turn {k}": whole(turn) for k, turn in zip("146", turns, strict=False)}
+    return turned.target(f"P[{position[1]}]", line, fields, states, Span(*position.span()))
 
 
-def _fits(target: ProgramTarget, joints: Array) -> bool:
+def _fits(target: ProgramTarget, joints: Array) -> NDArray[np.bool_]:
     """Whether axes 1, 4 and 6 are in the stated turns."""
-    degrees = np.degrees(joints)
+    degrees = np.moveaxis(np.degrees(joints), -1, 0)
+    fits = np.ones(joints.shape[:-1], dtype=bool)
     for axis in (1, 4, 6):
         turn = target.states.get(f"turn {axis}")
         if turn is not None and axis <= len(degrees):
-            middle = 360.0 * turn
-            if not abs(degrees[axis - 1] - middle) <= 180.0 + _EDGE:
-                return False
-    return True
+            fits &= np.abs(degrees[axis - 1] - 360.0 * turn) <= 180.0 + _EDGE
+    return fits
 
 
 def _moves(
-    text: str, lines: Lines, numbered: dict[str, int], noted: list[Noted]
+    text: str,
+    lines: Lines,
+    numbered: dict[str, int],
+    noted: list[Noted],
+    targets: Sequence[ProgramTarget],
 ) -> tuple[Move | None, ...]:
     moves: list[Move | None] = []
     last: Span | None = None
+    # Numbers of lines and positions are those of one program; two in a file would be mixed up.
     one = len(re.findall(r"^/(?:MN|POS)\b", text, re.MULTILINE)) == 2
-    for found in _MOVE.finditer(text):
-        line = lines.of(found.start(1))
-        plain = re.match(r"P\[\s*(\d+)\s*(?::[^\]\r\n]*)?\]", found[2])
-        shifted = re.search(r"\b(?:Tool_)?Offset\b|\bINC\b|\bVOFFSET\b", found[2], re.IGNORECASE)
-        own = Span(*found.span())
-        before, last = last, own
-        if found[1] not in "JL" or shifted or plain is None or plain[1] not in numbered:
+    for match in _MOVE.finditer(text):
+        line = lines.of(match.start(1))
+        plain = re.match(r"P\[\s*(\d+)\s*(?::[^\]\r\n]*)?\]", match[2])
+        shifted = _SHIFTED.search(match[2], plain.end() if plain else 0)
+        span = Span(*match.span())
+        before, last = last, span
+        if match[1] not in "JL" or shifted or plain is None or plain[1] not in numbered:
             moves.append(None)
             why = "an offset" if shifted else "a circle, or no position of this file"
-            noted.append(Noted(line, f"{found[1]} {found[2][:30].strip()}: {why}"))
+            elsewhere = [targets[numbered[plain[1]]]] if plain and plain[1] in numbered else []
+            words = f"{match[1]} {match[2][:30].strip()}: {handled(why, elsewhere)}"
+            noted.append(Noted(line, words))
             continue
-        at = found.start(2)
+        at = match.start(2)
         called, target = Span(at, at + plain.end()), numbered[plain[1]]
-        between = None if before is None else text[before.end : own.start]
-        alone = _ENDED.match(text, own.end)
+        between = None if before is None else text[before.end : span.start]
+        alone = _ENDED.match(text, span.end)
         fixed = NOT_ALONE if not alone else "" if one else "the file holds several programs"
         if not fixed and (between is None or not _HARMLESS.fullmatch(between)):
             fixed = NOT_NEXT
-        whole = Span(own.start, alone.end()) if alone else own
-        moves.append(Move(target, line, found[1] == "L", whole, called, fixed))
+        all_of_it = Span(span.start, alone.end()) if alone else span
+        moves.append(Move(target, line, match[1] == "L", all_of_it, called, fixed))
     return tuple(moves)
 
 
 def _inserted(program: Program, ahead: Rows) -> list[Place]:
     """Lines ahead of moves with positions of their own, behind all others; lines are renumbered."""
     text, end = program.text, line_end(program.text)
+    # Above every number that occurs, so that no position is overwritten.
     free = max(int(n) for n in re.findall(r"\bP\[\s*(\d+)", text)) + 1
     places, positions, shift = list[Place](), list[str](), 0
     wanted = {move.lines.start: i for i in ahead if (move := program.moves[i]) is not None}
-    for found in _LINE_NUMBER.finditer(text, 0, _part(text, "/POS")):
-        number, width = int(found[1]), found.end(1) - found.start()
-        index = wanted.get(found.start())
+    for match in _LINE_NUMBER.finditer(text, 0, _part(text, "/POS")):
+        number, width = int(match[1]), match.end(1) - match.start()
+        index = wanted.get(match.start())
         for count, row in enumerate(ahead[index] if index is not None else (), 1):
             move = program.moves[index] if index is not None else None
             assert move is not None
             block = literal(program, move, row, count)
             positions.append(f"P[{free}]{block[block.index('{') :]};")
-            own = Place(Span(found.start(), found.end(1)), f"{number + shift:>{width}}")
-            copy = replaced(text, move.lines, [own, Place(move.called, f"P[{free}]")])
-            places.append(Place(Span(found.start(), found.start()), copy + end))
+            number_place = Place(Span(match.start(), match.end(1)), f"{number + shift:>{width}}")
+            copy = replaced(text, move.lines, [number_place, Place(move.called, f"P[{free}]")])
+            places.append(Place(Span(match.start(), match.start()), copy + end))
             free, shift = free + 1, shift + 1
-        places.append(Place(Span(found.start(), found.end(1)), f"{number + shift:>{width}}"))
-    for found in _LINE_COUNT.finditer(text):
-        places.append(Place(Span(*found.span(1)), str(int(found[1]) + shift)))
+        places.append(Place(Span(match.start(), match.end(1)), f"{number + shift:>{width}}"))
+    for match in _LINE_COUNT.finditer(text):
+        places.append(Place(Span(*match.span(1)), str(int(match[1]) + shift)))
     last = max(m.end() for m in _POSITION.finditer(text))
     closed = re.compile(r"[ \t]*;").match(text, last)
     last = closed.end() if closed else last
@@ -179,5 +194,33 @@ def _inserted(program: Program, ahead: Rows) -> list[Place]:
 
 def _part(text: str, name: str) -> int:
     """Where a part of the listing begins."""
-    found = re.search(rf"^{name}\b", text, re.MULTILINE)
-    return found.start() if found else len(text)
+    match = re.search(rf"^{name}\b", text, re.MULTILINE)
+    return match.start() if match else len(text)
+
+
+def _driving(stops: Stops) -> list[str]:
+    moves = [f"!{words[:32]}" for words in stops.words]
+    moves += ["UFRAME_NUM=0", "UTOOL_NUM=1"]
+    for i, one in enumerate(stops.ids, 1):
+        moves += [f"!pose {one[:26]}", f"J P[{i}] 10% FINE", f"WAIT {WAIT:.2f}(sec)"]
+    head = [f"/PROG  {stops.name.upper()}", "/ATTR", "OWNER\t\t= MNEDITOR;"]
+    head += ['COMMENT\t\t= "poses to measure";', f"LINE_COUNT\t= {len(moves)};"]
+    head += ["DEFAULT_GROUP\t= 1,*,*,*,*;", "/MN"]
+    lines = [f"{i:4d}:  {move} ;" for i, move in enumerate(moves, 1)]
+    lines.append("/POS")
+    for i, row in enumerate(stops.texts(3), 1):
+        pairs = zip(row, stops.units, strict=True)
+        axes = [f"\tJ{k}= {v:>9} {unit}" for k, (v, unit) in enumerate(pairs, 1)]
+        lines += [f"P[{i}]{{", "   GP1:", "\tUF : 0, UT : 1,"]
+        lines += [*(f"{axis}," for axis in axes[:-1]), axes[-1], "};"]
+    return [*head, *lines, "/END"]
+
+
+DIALECT = ProgramDialect(
+    "Fanuc LS",
+    "positions of group 1",
+    "turns of axes 1, 4 and 6",
+    (".ls",),
+    read_fanuc,
+    Drive(_driving, 36),
+)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.errors import InputError
 from loopcal.files.tables.columns import Column
 
 Array = NDArray[np.float64]
@@ -28,3 +29,16 @@ class JointAxes:
     def scale(self) -> Array:
         """(n,) SI per degree or millimetre."""
         return np.array([1e-3 if u == "m" else math.radians(1.0) for u in self.joints.values()])
+
+    def pulses_each(self, name: str) -> Array:
+        """(n,) pulses per degree or millimetre. Raises InputError, naming the program, where not
+        every joint has them."""
+        n, stated = len(self.joints), np.array(self.pulses, dtype=float)
+        if len(stated) != n or not np.isfinite(stated).all() or (stated == 0.0).any():
+            raise InputError(
+                f"positions are in pulses, and {len(stated)} numbers of pulses are stated",
+                code="missing-key",
+                place=name,
+                remedy=f"state those of all {n} joints, per degree: --pulses-per-degree N,N,...",
+            )
+        return stated

@@ -9,11 +9,13 @@ Source: KUKA System Software, Operating and Programming Instructions for System 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.files.programs.copying import movable
+from loopcal.files.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.program import (
     NUMBER,
@@ -25,7 +27,10 @@ from loopcal.files.programs.program import (
     ProgramTarget,
     Span,
     blanked,
+    handled,
+    once,
     refuse_redundant,
+    whole,
     within,
 )
 from loopcal.files.programs.turned import Turned
@@ -36,6 +41,13 @@ _BRACES = re.compile(r"\{([^{}\r\n]*)\}")
 _PART = re.compile(rf"\s*(\w+)\s+({NUMBER.pattern}|[BHbh]?'[^']*')\s*")
 _MOVE = re.compile(r"^[ \t]*(S?PTP|S?LIN|S?CIRC|S?LIN_REL|S?PTP_REL|SPL)\b([^\r\n]*)", re.I | re.M)
 _CHANGED = re.compile(r"^[ \t]*(\w+)\.(?:[XYZABCST]|[AE][1-6])\s*=", re.IGNORECASE | re.MULTILINE)
+_DECLARED = re.compile(r"\bE6(?:POS|AXIS)\s+(\w+)", re.IGNORECASE)
+_ASSIGNED = re.compile(r"(?<![\w$])([\w$]++)\s*+(?:\[[^\[\]]*+\]\s*+)?=\s*+\Z")
+_NO_TARGET = re.compile(r"_REL\b|\bS?CIRC\b", re.IGNORECASE)
+_TYPED = re.compile(r"\b(?:E6)?POS\b", re.IGNORECASE)
+_MOVED = re.compile(r"\b(?:S?PTP|S?LIN|S?CIRC|S?PTP_REL|S?LIN_REL)\s*+\Z", re.IGNORECASE)
+_NAMED = 200
+"""Characters before a literal in which its name stands."""
 _FRAME = re.compile(r"\$BASE\s*=\s*(?!\$NULLFRAME)([\w$\[\]]+)|\bBASE_NO\s+([1-9]\d*)", re.I)
 _HARMLESS = re.compile(
     r"(?:[ \t]*+(?:(?:WAIT\b|\$OUT\b|\$VEL|\$ACC|\$BWDSTART|[PLF]DAT_ACT\b"
@@ -43,6 +55,7 @@ _HARMLESS = re.compile(
     r"[^\r\n]*+)?[\r\n]++)*+[ \t]*+",
     re.IGNORECASE,
 )
+# Turns in the order z, y, x of `Turned`.
 _POSE = ("X", "Y", "Z", "A", "B", "C")
 _DECIMALS = 6
 _EDGE = 1e-6
@@ -59,21 +72,27 @@ def read_krl(text: str, name: str, axes: JointAxes) -> Program:
     at: dict[int, int] = {}
     named: dict[str, int] = {}
     noted: list[Noted] = []
+    untargeted, typed = ([m.start() for m in w.finditer(code)] for w in (_NO_TARGET, _TYPED))
     for braces in _BRACES.finditer(code):
-        start = max(code.rfind("\n", 0, braces.start()), code.rfind("\r", 0, braces.start())) + 1
-        before, line = code[start : braces.start()], lines.of(braces.start())
+        at_brace = braces.start()
+        line, start = lines.of(at_brace), lines.begin(at_brace)
+        before = code[max(start, at_brace - _NAMED) : at_brace]
         parts = _parts(braces)
-        own = re.search(r"([\w$]+)\s*(?:\[[^\]]*\])?\s*=\s*$", before)
-        label = own[1] if own else f"line {line}"
-        if not _positional(parts, before):
+        assigned = _ASSIGNED.search(before)
+        label = assigned[1] if assigned else f"line {line}"
+        moved = within(typed, start, at_brace) or _MOVED.search(before)
+        if not _positional(parts, bool(moved)):
             continue
-        relative = re.search(r"_REL\b|\bCIRC\b|\bSCIRC\b", before, re.I)
-        if relative or label.upper() in circular or label.startswith("$"):
+        if (
+            within(untargeted, start, at_brace)
+            or label.upper() in circular
+            or label.startswith("$")
+        ):
             words = "a system variable" if label.startswith("$") else "relative, or of a circle"
             noted.append(Noted(line, f"{label}: {words}"))
             continue
         bits = {key: parts.get(key) for key in "ST"}
-        states = {k: int(n.value) for k, n in bits.items() if n is not None and n.text.isdigit()}
+        states = {k: whole(n) for k, n in bits.items() if n is not None and n.text.isdigit()}
         target = turned.target(label, line, parts, states, Span(*braces.span()))
         if target is None:
             noted.append(Noted(line, f"{label}: not all axes or coordinates are numbers"))
@@ -84,17 +103,20 @@ def read_krl(text: str, name: str, axes: JointAxes) -> Program:
         Noted(lines.of(m.start(1)), f"{m[1]}: changed while the program runs")
         for m in _CHANGED.finditer(code)
     ]
-    for declared in re.finditer(r"\bE6(?:POS|AXIS)\s+(\w+)[^\r\n{]*=([^\r\n]*)", code, re.I):
-        if not _BRACES.search(declared[2]):
-            noted.append(Noted(lines.of(declared.start()), f"{declared[1]}: no whole literal"))
-    moves = _moves(code, lines, at, named, noted)
+    for row in re.finditer(r"[^\r\n]+", code):
+        stated, equals, value = row[0].partition("=")
+        declared = _DECLARED.search(stated) if equals and "{" not in stated else None
+        if declared and not _BRACES.search(value):
+            at_name = row.start() + declared.start()
+            noted.append(Noted(lines.of(at_name), f"{declared[1]}: no whole literal"))
+    moves = _moves(code, lines, at, named, noted, targets)
     frame = _FRAME.search(code)
     return Program(
         "KRL",
         name,
         text,
         tuple(targets),
-        tuple(sorted(noted, key=lambda n: n.line)),
+        once(noted),
         turned.write,
         _fits,
         _chosen,
@@ -105,46 +127,45 @@ def read_krl(text: str, name: str, axes: JointAxes) -> Program:
 
 def _parts(braces: re.Match[str]) -> dict[str, Number | None]:
     """Key -> number; None for a value that is none."""
-    found: dict[str, Number | None] = {}
+    numbers: dict[str, Number | None] = {}
     at = braces.start(1)
     for piece in braces[1].split(","):
         typed = re.match(r"\s*\w+\s*:", piece)
         skip = typed.end() if typed else 0
         part = _PART.fullmatch(piece, skip)
         if part:
+            # S and T may be binary literals ('B0101'): no decimal number, so they are not used.
             plain = NUMBER.fullmatch(part[2])
             number = Number(at + part.start(2), at + part.end(2), part[2]) if plain else None
-            found[part[1].upper()] = number
+            numbers[part[1].upper()] = number
         else:
             words = piece[skip:].split()
             if words:
-                found[words[0].upper()] = None
+                numbers[words[0].upper()] = None
         at += len(piece) + 1
-    return found
+    return numbers
 
 
-def _positional(parts: dict[str, Number | None], before: str) -> bool:
-    """Whether the aggregate is a target: joints, or a pose of a declared target or a move."""
+def _positional(parts: dict[str, Number | None], moved: bool) -> bool:
+    """Whether the aggregate is a target: joints, or a pose of a declared target or a move.
+
+    moved: whether the words before it are those of a target or a move.
+    """
     if "A1" in parts:
         return True
     if "X" not in parts and "A" not in parts:
         return False
-    stated = "S" in parts or "T" in parts
-    typed = re.search(r"\b(E6POS|POS)\b", before, re.I)
-    moved = re.search(r"\b(S?PTP|S?LIN|S?CIRC|S?PTP_REL|S?LIN_REL)\s*$", before, re.I)
-    return bool(stated or typed or moved)
+    return moved or "S" in parts or "T" in parts
 
 
-def _fits(target: ProgramTarget, joints: Array) -> bool:
+def _fits(target: ProgramTarget, joints: Array) -> NDArray[np.bool_]:
     """Whether the axes have the signs of T."""
     turn = target.states.get("T")
     if turn is None:
-        return True
-    degrees = np.degrees(joints)
-    signs = [bool(turn >> i & 1) for i in range(len(degrees))]
-    return all(
-        d <= _EDGE if negative else d >= -_EDGE for d, negative in zip(degrees, signs, strict=True)
-    )
+        return np.ones(joints.shape[:-1], dtype=bool)
+    # An axis at zero has either sign, so the edge counts as both.
+    signs = np.array([-1.0 if turn >> i & 1 else 1.0 for i in range(joints.shape[-1])])
+    return np.asarray((signs * np.degrees(joints) >= -_EDGE).all(axis=-1))
 
 
 def _chosen(target: ProgramTarget, several: list[Array]) -> list[Array]:
@@ -157,31 +178,60 @@ def _chosen(target: ProgramTarget, several: list[Array]) -> list[Array]:
 
 
 def _moves(
-    code: str, lines: Lines, at: dict[int, int], named: dict[str, int], noted: list[Noted]
+    code: str,
+    lines: Lines,
+    at: dict[int, int],
+    named: dict[str, int],
+    noted: list[Noted],
+    targets: Sequence[ProgramTarget],
 ) -> tuple[Move | None, ...]:
     moves: list[Move | None] = []
     starts = sorted(at)
     last: Span | None = None
-    for found in _MOVE.finditer(code):
-        kind, line = found[1].upper().removeprefix("S"), lines.of(found.start(1))
-        inside = within(starts, found.start(), found.end())
-        word = re.match(r"\s*(\w+)\s*(?::|$|\s|,)", found[2])
-        known = [named[word[1].upper()]] if word and word[1].upper() in named else []
-        shifted = word is not None and ":" in found[2]
-        own = Span(found.start(1), found.end())
-        before, last = last, own
-        if kind not in ("PTP", "LIN") or shifted or not (inside or known):
+    for match in _MOVE.finditer(code):
+        kind, line = match[1].upper().removeprefix("S"), lines.of(match.start(1))
+        inside = within(starts, match.start(), match.end())
+        word = re.match(r"\s*(\w+)\s*(?::|$|\s|,)", match[2])
+        by_name = [named[word[1].upper()]] if word and word[1].upper() in named else []
+        shifted = re.match(r"\s*(?:\w+|\{[^{}]*\})\s*:", match[2]) is not None
+        span = Span(match.start(1), match.end())
+        before, last = last, span
+        if kind not in ("PTP", "LIN", "PL") or shifted or not (inside or by_name):
             moves.append(None)
-            if not inside and (kind != "PTP" or word or found[2].strip()):
+            if match[2].strip():  # a word alone belongs to the pendant's form of a move
                 why = "shifted by a frame" if shifted else "no target of this file, or a circle"
-                noted.append(Noted(line, f"{found[1]}{found[2][:30].rstrip()}: {why}"))
+                elsewhere = [targets[i] for i in (*(at[k] for k in inside), *by_name)]
+                words = f"{match[1]}{match[2][:30].rstrip()}: {handled(why, elsewhere)}"
+                noted.append(Noted(line, words))
             continue
         if inside:
             called = Span(inside[0], code.index("}", inside[0]) + 1)
         else:
             assert word is not None
-            called = Span(found.start(2) + word.start(1), found.start(2) + word.end(1))
-        target = at[inside[0]] if inside else known[0]
-        lines_of, fixed = movable(code, before, own, _HARMLESS)
+            called = Span(match.start(2) + word.start(1), match.start(2) + word.end(1))
+        target = at[inside[0]] if inside else by_name[0]
+        lines_of, fixed = movable(code, before, span, _HARMLESS)
         moves.append(Move(target, line, kind == "LIN", lines_of, called, fixed))
     return tuple(moves)
+
+
+def _driving(stops: Stops) -> list[str]:
+    lines = [f"DEF {stops.name}( )", *(f"; {words}" for words in stops.words)]
+    # $VEL_AXIS is in percent of the largest speed.
+    lines += ["INT I", "BAS(#INITMOV,0)", "FOR I=1 TO 6", "$VEL_AXIS[I]=10", "ENDFOR"]
+    for one, row in zip(stops.ids, stops.texts(6), strict=True):
+        axes = ",".join(f"A{k} {v}" for k, v in enumerate(row, 1))
+        lines += [f"; pose {one}", f"PTP {{{axes}}}", f"WAIT SEC {WAIT:g}"]
+    return [*lines, "END"]
+
+
+DIALECT = ProgramDialect(
+    "KRL",
+    "KUKA: `E6AXIS`, `E6POS`, `AXIS`, `POS`",
+    "T; bit 1 of S",
+    (".src", ".dat"),
+    read_krl,
+    Drive(_driving, 24),
+    ";",
+    re.compile(r"^[ \t]*DEF(?:DAT)?\b[^\r\n]*(?:\r\n|\n|\r)", re.I | re.M),
+)

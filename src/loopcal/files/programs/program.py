@@ -15,13 +15,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, short
 from loopcal.files.programs.joint_axes import JointAxes
 
 Array = NDArray[np.float64]
-NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-LARGEST = 64_000_000
+NUMBER = re.compile(r"[+-]?(?:\d++\.?\d*+|\.\d++)(?:[eE][+-]?\d++)?", re.ASCII)
+LARGEST = 16_000_000
 """Bytes of a program, at most: a larger file is no program."""
+# A number of 19 digits may exceed 2^63 - 1.
+_STATE = 18
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,18 @@ class Noted:
     words: str
 
 
+def handled(why: str, targets: Sequence[ProgramTarget]) -> str:
+    """Why an instruction stays as it is, and where targets that it names are corrected."""
+    lines = ", ".join(str(target.line) for target in targets[:3])
+    return f"{why}; the target that it names is handled in line {lines}" if targets else why
+
+
+def once(noted: Sequence[Noted]) -> tuple[Noted, ...]:
+    """In the order of the lines; of formats with one instruction per line, the first of each."""
+    first = {note.line: note for note in reversed(noted)}
+    return tuple(first[line] for line in sorted(first))
+
+
 @dataclass(frozen=True)
 class Move:
     """A move in the order of the program: to which target (its index), and how.
@@ -118,8 +132,8 @@ class Program:
     """What a file asks for.
 
     text: Latin-1; write(target, joints, pose): new texts of its numbers; fits(target, joints):
-    whether joints have the configuration that the target states; chosen(target, several): those of
-    several fitting joints that it means; noted: what is left alone; moves:
+    whether joints (..., n) have the configuration that the target states; chosen(target, several):
+    those of several fitting joints that it means; noted: what is left alone; moves:
     in their order, None where a move in between is not understood; frame: what the poses are
     relative to, where it is not the base; insert: places of targets ahead of moves, where copies of
     their lines do not do.
@@ -131,7 +145,9 @@ class Program:
     targets: tuple[ProgramTarget, ...]
     noted: tuple[Noted, ...]
     write: Callable[[ProgramTarget, Array, Array], list[str]]
-    fits: Callable[[ProgramTarget, Array], bool] = lambda target, joints: True
+    fits: Callable[[ProgramTarget, Array], NDArray[np.bool_]] = lambda target, joints: np.ones(
+        joints.shape[:-1], dtype=bool
+    )
     chosen: Callable[[ProgramTarget, list[Array]], list[Array]] = lambda target, several: several
     moves: tuple[Move | None, ...] = ()
     frame: str | None = None
@@ -188,7 +204,7 @@ def text_of(data: bytes, name: str) -> str:
 
 def blanked(text: str, pattern: re.Pattern[str]) -> str:
     """The text with what matches (comments, strings) as blanks, every place kept."""
-    return pattern.sub(lambda found: re.sub(r"[^\r\n]", " ", found[0]), text)
+    return pattern.sub(lambda match: re.sub(r"[^\r\n]", " ", match[0]), text)
 
 
 def refuse_redundant(axes: JointAxes, name: str) -> None:
@@ -212,6 +228,17 @@ def numbers_of(text: str, at: int) -> tuple[Number, ...]:
     return tuple(Number(at + m.start(), at + m.end(), m[0]) for m in NUMBER.finditer(text))
 
 
+def whole(number: Number) -> int:
+    """A state of the configuration. Raises InputError for one of more digits than any has."""
+    if len(number.text) > _STATE:
+        raise InputError(
+            f"{short(number.text)} has more than {_STATE} digits, too many for a configuration",
+            code="invalid-number",
+            remedy="correct the number",
+        )
+    return int(number.text)
+
+
 class Lines:
     """Numbers of lines by the position in a text; LF, CRLF and CR alone end a line."""
 
@@ -221,6 +248,11 @@ class Lines:
     def of(self, position: int) -> int:
         """The line, counted from 1."""
         return int(np.searchsorted(self._ends, position, side="right")) + 1
+
+    def begin(self, position: int) -> int:
+        """Where that line begins."""
+        before = self.of(position) - 1
+        return int(self._ends[before - 1]) if before else 0
 
 
 def written(value: float, decimals: int) -> str:

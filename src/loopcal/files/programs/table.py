@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
+from loopcal.files.programs.dialect import ProgramDialect
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.poses_text import (
     pose_of_quaternion,
@@ -30,7 +31,6 @@ from loopcal.units import unit
 Array = NDArray[np.float64]
 _TURNS = ("tcp_x", "tcp_y", "tcp_z", "tcp_rz", "tcp_ry", "tcp_rx")
 _QUATERNION = (*_TURNS[:3], "tcp_qw", "tcp_qx", "tcp_qy", "tcp_qz")
-_HEADING = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
 _FINE = 1e-9
 """Last digits that are written at least [SI]."""
 _MOST_TURNS = 4
@@ -84,18 +84,19 @@ def read_table(text: str, name: str, axes: JointAxes) -> Program:
     move = next((i for i, n in enumerate(dialect.names) if n.strip().lower() == "move"), None)
     ids = dialect.names.index(str(axes.pose)) if str(axes.pose) in dialect.names else None
     reading = _Reading(dialect, axes, joints, places, quaternion, move, ids, name)
-    found = [reading.target(row, at[row.number]) for row in rows if row.number > dialect.header_row]
+    moved = [reading.target(row, at[row.number]) for row in rows if row.number > dialect.header_row]
     moves = [
         Move(i, target.line, straight, target.literal, target.literal)
-        for i, (target, straight) in enumerate(found)
+        for i, (target, straight) in enumerate(moved)
     ]
-    targets = tuple(target for target, _ in found)
+    targets = tuple(target for target, _ in moved)
     return Program("table", name, text, targets, (), reading.write, moves=tuple(moves))
 
 
 def _rows(text: str) -> list[tuple[int, int, str]]:
     """Number, start and line of each; LF, CRLF or CR end a line."""
     out, start = [], 0
+    # The mark of UTF-8 as Latin-1 shows it: bytes are characters in a program.
     bom = 3 if text.startswith("\xef\xbb\xbf") else 0
     for n, line in enumerate(re.split(r"(\r\n|\n|\r)", text)[::2], 1):
         skip = bom if n == 1 else 0
@@ -106,21 +107,29 @@ def _rows(text: str) -> list[tuple[int, int, str]]:
     return out
 
 
+def _heading(name: str) -> tuple[str, str | None]:
+    """The text and the unit of "TEXT [UNIT]"; None without a unit."""
+    text, bracket, unit_name = name.strip().removesuffix("]").partition("[")
+    if not bracket or not name.rstrip().endswith("]"):
+        return name.strip(), None
+    return text.strip(), unit_name.strip()
+
+
 def _joints(dialect: Dialect, axes: JointAxes, name: str) -> dict[str, _Cell]:
     """The columns of the joints that are there."""
-    found: dict[str, _Cell] = {}
-    headings = [_HEADING.fullmatch(n) for n in dialect.names]
+    cells: dict[str, _Cell] = {}
+    headings = [_heading(n) for n in dialect.names]
     for joint, si in axes.joints.items():
         column = axes.columns.get(joint)
         if column is not None and isinstance(column.column, int) and column.column > 0:
-            found[joint] = _Cell(column.column - 1, column.unit or si)
+            cells[joint] = _Cell(column.column - 1, column.unit or si)
         elif column is not None and column.column in dialect.names:
-            found[joint] = _Cell(dialect.names.index(str(column.column)), column.unit or si)
+            cells[joint] = _Cell(dialect.names.index(str(column.column)), column.unit or si)
         else:
-            for i, heading in enumerate(headings):
-                if heading and heading[1] == joint:
-                    found[joint] = _Cell(i, heading[2] or si)
-    for joint, cell in found.items():
+            for i, (text, stated) in enumerate(headings):
+                if text == joint:
+                    cells[joint] = _Cell(i, stated or si)
+    for joint, cell in cells.items():
         if unit(cell.unit).si != axes.joints[joint]:
             raise InputError(
                 f"the joint {joint!r} is stated in {cell.unit!r}",
@@ -128,18 +137,18 @@ def _joints(dialect: Dialect, axes: JointAxes, name: str) -> dict[str, _Cell]:
                 place=name,
                 remedy=f"give a unit of {axes.joints[joint]}",
             )
-    return found
+    return cells
 
 
 def _pose_columns(dialect: Dialect, name: str) -> tuple[list[_Cell], bool]:
     """The columns of the pose in their order, and whether it is a quaternion; empty: none."""
-    headings = [_HEADING.fullmatch(n) for n in dialect.names]
-    there = {h[1].lower(): (i, h[2]) for i, h in enumerate(headings) if h}
-    if not any(n in there for n in _TURNS):
+    headings = [_heading(n) for n in dialect.names]
+    by_heading = {text.lower(): (i, stated) for i, (text, stated) in enumerate(headings)}
+    if not any(n in by_heading for n in _TURNS):
         return [], False
-    quaternion = "tcp_qw" in there
+    quaternion = "tcp_qw" in by_heading
     names = _QUATERNION if quaternion else _TURNS
-    missing = [n for n in names if n not in there]
+    missing = [n for n in names if n not in by_heading]
     if missing:
         raise InputError(
             f"the pose lacks the columns {listed(missing)}",
@@ -149,7 +158,7 @@ def _pose_columns(dialect: Dialect, name: str) -> tuple[list[_Cell], bool]:
         )
     cells = []
     for n in names:
-        i, stated = there[n]
+        i, stated = by_heading[n]
         if stated is None and n not in _QUATERNION[3:]:
             raise InputError(
                 f"the column {n!r} states no unit",
@@ -162,8 +171,8 @@ def _pose_columns(dialect: Dialect, name: str) -> tuple[list[_Cell], bool]:
 
 
 def _wanted(axes: JointAxes) -> str:
-    own = [axes.columns[j].column if j in axes.columns else j for j in axes.joints]
-    return ", ".join(repr(n) for n in own)
+    joint_columns = [axes.columns[j].column if j in axes.columns else j for j in axes.joints]
+    return ", ".join(repr(n) for n in joint_columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,10 +215,10 @@ class _Reading:
                 )
             return Number(start + begin, start + end, text)
 
-        own = [self.joints[j] for j in self.axes.joints if j in self.joints]
-        seeds = [at(cell) for cell in own]
-        q = np.array([n.value * c.factor for n, c in zip(seeds, own, strict=True)])
-        self._plausible(seeds, own, f"{self.name}, line {row.number}")
+        joint_cells = [self.joints[j] for j in self.axes.joints if j in self.joints]
+        seeds = [at(cell) for cell in joint_cells]
+        q = np.array([n.value * c.factor for n, c in zip(seeds, joint_cells, strict=True)])
+        self._plausible(seeds, joint_cells, f"{self.name}, line {row.number}")
         places = [at(cell) for cell in self.places]
         straight = False
         if self.move is not None:
@@ -226,13 +235,13 @@ class _Reading:
         if self.ids is not None:
             begin, end = cells[self.ids]
             label = Number(start + begin, start + end, row.line[begin:end])
-        numbers, used = (places, self.places) if places else (seeds, own)
+        numbers, used = (places, self.places) if places else (seeds, joint_cells)
         target = ProgramTarget(
             label.text if label and label.text else f"row {row.number}",
             row.number,
             bool(places),
             tuple(numbers),
-            q if len(own) == len(self.axes.joints) else None,
+            q if len(joint_cells) == len(self.axes.joints) else None,
             self._pose(places, f"{self.name}, line {row.number}") if places else None,
             self._steps(numbers, used),
             literal=Span(start, start + len(row.line)),
@@ -240,10 +249,11 @@ class _Reading:
         )
         return target, straight
 
-    def _plausible(self, seeds: Sequence[Number], own: Sequence[_Cell], place: str) -> None:
+    def _plausible(self, seeds: Sequence[Number], joint_cells: Sequence[_Cell], place: str) -> None:
         """Refuse degrees in a column of radians: no joint turns so often."""
-        there = [joint for joint in self.axes.joints if joint in self.joints]
-        for joint, seed, cell in zip(there, seeds, own, strict=True):
+        # 90 deg read as rad are 14 turns; a zero or a small angle shows nothing.
+        joints = [joint for joint in self.axes.joints if joint in self.joints]
+        for joint, seed, cell in zip(joints, seeds, joint_cells, strict=True):
             turns = abs(seed.value) / (2.0 * np.pi)
             if cell.unit == "rad" and turns > _MOST_TURNS:
                 raise InputError(
@@ -262,6 +272,7 @@ class _Reading:
     def _steps(self, numbers: Sequence[Number], cells: Sequence[_Cell]) -> Array:
         steps = [10.0 ** -_decimals(n, c) * c.factor for n, c in zip(numbers, cells, strict=True)]
         if self.places and self.quaternion:
+            # A change dq of a unit quaternion turns by 2 |dq|.
             steps = [*steps[:3], *[2.0 * max(steps[3:])] * 3]
         return np.array(steps)
 
@@ -273,12 +284,12 @@ class _Reading:
         else:
             cells = list(self.places)
             if self.quaternion:
-                own = quaternion_of_pose(pose, [n.value for n in target.numbers])
-                values = [1e-3 * v / c.factor for v, c in zip(own[:3], cells[:3], strict=True)]
-                values += own[3:]
+                parts = quaternion_of_pose(pose, [n.value for n in target.numbers])
+                values = [1e-3 * v / c.factor for v, c in zip(parts[:3], cells[:3], strict=True)]
+                values += parts[3:]
             else:
-                own = turns_of_pose(pose)
-                si = [*(1e-3 * v for v in own[:3]), *np.radians(own[3:])]
+                parts = turns_of_pose(pose)
+                si = [*(1e-3 * v for v in parts[:3]), *np.radians(parts[3:])]
                 values = [v / c.factor for v, c in zip(si, cells, strict=True)]
         texts = [
             written(v, _decimals(n, c))
@@ -297,16 +308,17 @@ def _spans(line: str, delimiter: str) -> Iterator[tuple[int, int]]:
     """Where the cells of a row begin and end, without blanks around them and quotes."""
     if delimiter == WHITESPACE:
         pattern = r'"[^"]*"|[^\s"]+'
-        found = [(m.start(), m.end()) for m in re.finditer(pattern, line)]
+        spans = [(m.start(), m.end()) for m in re.finditer(pattern, line)]
     else:
-        own = re.escape(delimiter)
-        pattern = rf'((?:"[^"]*"|[^{own}"])*)(?:{own}|$)'
-        found = []
+        escaped = re.escape(delimiter)
+        # Possessive: a row of quotes cannot make the match back out (docs/decisions/0137).
+        pattern = rf'((?:"[^"]*+(?:"|$)|[^{escaped}"])*+)(?:{escaped}|$)'
+        spans = []
         for m in re.finditer(pattern, line):
-            found.append((m.start(1), m.end(1)))
+            spans.append((m.start(1), m.end(1)))
             if m.end() == len(line) and not line.endswith(delimiter):
                 break
-    for start, end in found:
+    for start, end in spans:
         while start < end and line[start] in ' \t"':
             start += 1
         while start < end and line[end - 1] in ' \t"':
@@ -315,3 +327,8 @@ def _spans(line: str, delimiter: str) -> Iterator[tuple[int, int]]:
 
 
 Read = Callable[[str, str, JointAxes], Program]
+
+
+DIALECT = ProgramDialect(
+    "table", "joints, or poses", "seed columns", (".csv", ".tsv", ".txt"), read_table
+)

@@ -52,6 +52,7 @@ class Turned:
             q = values * self.axes.scale
             step = step * self.axes.scale
             return ProgramTarget(name, line, False, numbers, q, None, step, literal=literal)
+        # Reversed: numbers turn about z, y, x, the steps of a pose are about x, y, z.
         step = np.concatenate([1e-3 * step[:3], np.radians(step[:2:-1])])
         pose = pose_of_turns(values.tolist())
         return ProgramTarget(name, line, True, numbers, None, pose, step, states, literal)

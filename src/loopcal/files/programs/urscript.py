@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.files.programs.copying import NOT_ALONE, movable
+from loopcal.files.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.program import (
     NUMBER,
@@ -31,7 +32,10 @@ Array = NDArray[np.float64]
 _ASIDE = re.compile(r'"[^"\r\n]*"|#[^\r\n]*')
 _NUMBER = NUMBER.pattern
 _JOINTS = rf"\[\s*({_NUMBER}(?:\s*,\s*{_NUMBER})*)\s*\]"
-_MOVE = re.compile(rf"\b(move[jlpc]|servo[jc])[ \t]*\(\s*(?:{_JOINTS}|([A-Za-z_]\w*)(?=\s*[,)])|)")
+_MOVE = re.compile(
+    rf"\b(move[jlpc]|servo[jc])[ \t]*\(\s*(?:(?:q|pose)\s*=\s*)?"
+    rf"(?:{_JOINTS}|([A-Za-z_]\w*)(?=\s*[,)])|)"
+)
 _ASSIGNED = re.compile(
     rf"^[ \t]*(?:global[ \t]+|local[ \t]+)?([A-Za-z_]\w*)[ \t]*=[ \t]*(?:{_JOINTS}[ \t]*$)?",
     re.MULTILINE,
@@ -39,6 +43,7 @@ _ASSIGNED = re.compile(
 _HARMLESS = re.compile(
     r"(?:[ \t]*+(?:(?:sleep|sync|textmsg|set_\w*digital_out)\b[^\r\n]*+)?[\r\n]++)*+[ \t]*+"
 )
+_REST = re.compile(r"[^\r\n]*+")
 _UNDERSTOOD = ("movej", "movel", "movep")
 _DECIMALS = 9
 
@@ -47,44 +52,52 @@ def read_urscript(text: str, name: str, axes: JointAxes) -> Program:
     """The joint targets of a script. Raises InputError for an arm of more than six joints."""
     refuse_redundant(axes, name)
     lines, code = Lines(text), blanked(text, _ASIDE)
-    found = list(_MOVE.finditer(code))
-    called = {m[3] for m in found if m[3] and m[1] in _UNDERSTOOD}
-    circular = {m[3] for m in found if m[3] and m[1] not in _UNDERSTOOD}
-    given: dict[str, list[re.Match[str]]] = {}
+    calls = list(_MOVE.finditer(code))
+    called = {m[3] for m in calls if m[3] and m[1] in _UNDERSTOOD}
+    circular = {
+        word
+        for m in calls
+        if m[1] not in _UNDERSTOOD
+        for word in re.findall(r"[A-Za-z_]\w*", code[m.end(1) : code.find(")", m.end(1)) + 1])
+    }
+    assigned: dict[str, list[re.Match[str]]] = {}
     for m in _ASSIGNED.finditer(code):
-        given.setdefault(m[1], []).append(m)
+        assigned.setdefault(m[1], []).append(m)
     targets: list[ProgramTarget] = []
     noted: list[Noted] = []
     named: dict[str, int] = {}
-    for own in sorted(called - circular):
-        several = given.get(own, [])
-        target = _target(several[0], 2, own, lines, axes) if len(several) == 1 else None
+    for variable in sorted(called - circular):
+        several = assigned.get(variable, [])
+        # Of a name that is assigned twice it is not certain which value a move takes.
+        target = _target(several[0], 2, variable, lines, axes) if len(several) == 1 else None
         if target is not None:
-            named[own] = len(targets)
+            named[variable] = len(targets)
             targets.append(target)
     moves: list[Move | None] = []
     last: Span | None = None
-    for m in found:
-        line, kind, own = lines.of(m.start()), m[1], m[3]
+    for m, behind in zip(calls, (*calls[1:], None), strict=False):
+        line, kind, variable = lines.of(m.start()), m[1], m[3]
         inline = _target(m, 2, f"line {line}", lines, axes) if kind in _UNDERSTOOD else None
-        end = re.compile(r"[^\r\n]*").match(code, m.end())
+        stop = len(code) if behind is None else behind.start()
+        end = _REST.match(code, m.end(), stop)  # a second move on the line begins another
         statement = Span(m.start(), m.end() if end is None else end.end())
         whole, fixed = movable(code, last, statement, _HARMLESS)
         last = statement
+        # A call over several lines: a copy of its first line alone would be no statement.
         if code.count("(", *statement) != code.count(")", *statement):
             fixed = NOT_ALONE
         if inline is not None:
             moves.append(Move(len(targets), line, kind != "movej", whole, inline.literal, fixed))
             targets.append(inline)
-        elif kind in _UNDERSTOOD and own in named:
+        elif kind in _UNDERSTOOD and variable in named:
             at = Span(*m.span(3))
-            moves.append(Move(named[own], line, kind != "movej", whole, at, fixed))
+            moves.append(Move(named[variable], line, kind != "movej", whole, at, fixed))
         else:
             moves.append(None)
             why = "its target is no list of the arm's joints, assigned once"
             if kind not in _UNDERSTOOD:
                 why = "a circle, or joints that are followed"
-            noted.append(Noted(line, f"{kind}({own or ''}: {why}"))
+            noted.append(Noted(line, f"{kind}({variable or ''}: {why}"))
     return Program(
         "URScript",
         name,
@@ -97,20 +110,20 @@ def read_urscript(text: str, name: str, axes: JointAxes) -> Program:
 
 
 def _target(
-    found: re.Match[str], group: int, name: str, lines: Lines, axes: JointAxes
+    match: re.Match[str], group: int, name: str, lines: Lines, axes: JointAxes
 ) -> ProgramTarget | None:
     """The target of a list of joints; None where there is none, or not of every joint."""
-    if found[group] is None:
+    if match[group] is None:
         return None
-    numbers = numbers_of(found[group], found.start(group))
+    numbers = numbers_of(match[group], match.start(group))
     if len(numbers) != len(axes.joints):
         return None
     q = np.array([number.value for number in numbers])
     step = np.array([10.0 ** -max(number.decimals, _DECIMALS) for number in numbers])
     # with its brackets
-    start = found.string.rindex("[", 0, found.start(group))
-    literal = Span(start, found.string.index("]", found.end(group)) + 1)
-    line = lines.of(found.start(group))
+    start = match.string.rindex("[", 0, match.start(group))
+    literal = Span(start, match.string.index("]", match.end(group)) + 1)
+    line = lines.of(match.start(group))
     return ProgramTarget(name, line, False, numbers, q, None, step, literal=literal)
 
 
@@ -119,3 +132,27 @@ def _write(target: ProgramTarget, joints: Array) -> list[str]:
         written(v, max(n.decimals, _DECIMALS))
         for v, n in zip(joints.tolist(), target.numbers, strict=True)
     ]
+
+
+def _driving(stops: Stops) -> list[str]:
+    lines = [f"def {stops.name}():", *(f"  # {words}" for words in stops.words)]
+    for one, row in zip(stops.ids, stops.texts(9), strict=True):
+        # a [rad/s^2] and v [rad/s] of the leading axis.
+        lines += [
+            f"  # pose {one}",
+            f"  movej([{','.join(row)}],a=0.5,v=0.3)",
+            f"  sleep({WAIT:g})",
+        ]
+    return [*lines, "end"]
+
+
+DIALECT = ProgramDialect(
+    "URScript",
+    "joints in `movej`, `movel` or `movep`, or assigned to their name once",
+    "",
+    (".script",),
+    read_urscript,
+    Drive(_driving, 64, si=True, ended="\n"),
+    "#",
+    re.compile(r"\A"),
+)

@@ -11,7 +11,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
+from loopcal.files.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.program import (
     Lines,
@@ -19,21 +19,23 @@ from loopcal.files.programs.program import (
     Noted,
     Program,
     ProgramTarget,
+    handled,
     numbers_of,
     refuse_redundant,
 )
 
 Array = NDArray[np.float64]
 _LINE = re.compile(r"[^\r\n]+")
-_POSITION = re.compile(r"[ \t]*((?:B|E)?[CP]\d+)[ \t]*=[ \t]*([^\r\n]*?)[ \t]*")
-_MOVE = re.compile(r"[ \t]*(MOV[JLCS]|IMOV)\b([^\r\n]*)")
+_POSITION = re.compile(r"[ \t]*((?:B|E)?[CP]\d+)[ \t]*=([^\r\n]*)")
+_MOVE = re.compile(r"[ \t]*(\+?[ES]?I?MOV[JLCS]?|REFP)\b([^\r\n]*)")
+# docs/decisions/0081: positions are numbered by their moves, so no line can be copied.
 _FIXED = "a job numbers its positions; insert them on the pendant, and correct again"
 
 
 def read_yaskawa(text: str, name: str, axes: JointAxes) -> Program:
     """The positions of a job. Raises InputError without the pulses of every joint."""
     refuse_redundant(axes, name)
-    scale = axes.scale / pulses_of(axes, name)
+    scale = axes.scale / axes.pulses_each(name)
     lines = Lines(text)
     targets: list[ProgramTarget] = []
     noted: list[Noted] = []
@@ -41,31 +43,33 @@ def read_yaskawa(text: str, name: str, axes: JointAxes) -> Program:
     moves: list[Move | None] = []
     pulse = False
     circular = set(re.findall(r"MOVC\s+(C\d+)", text))
-    for found in _LINE.finditer(text):
-        line = lines.of(found.start())
-        if found[0].startswith("///"):
-            if re.match(r"///(PULSE|RECTAN|POSTYPE)\b", found[0]):
-                pulse = found[0].startswith("///PULSE") or "POSTYPE PULSE" in found[0]
+    for row in _LINE.finditer(text):
+        line = lines.of(row.start())
+        if row[0].startswith("///"):
+            if re.match(r"///(PULSE|RECTAN|POSTYPE)\b", row[0]):
+                pulse = row[0].startswith("///PULSE") or "POSTYPE PULSE" in row[0]
             continue
-        position = _POSITION.fullmatch(found[0])
+        position = _POSITION.fullmatch(row[0])
         if position is not None:
             target = None
             if pulse and re.fullmatch(r"C\d+", position[1]) and position[1] not in circular:
-                target = _target(position, found.start(), line, scale)
+                target = _target(position, row.start(), line, scale)
             if target is None:
                 noted.append(Noted(line, f"{position[1]}: no whole pulses of the robot's axes"))
                 continue
             named[position[1]] = len(targets)
             targets.append(target)
             continue
-        move = _MOVE.match(found[0])
+        move = _MOVE.match(row[0])
         if move is not None:
             word = re.match(r"\s+(C\d+)\b", move[2])
-            if word and word[1] in named and move[1] in ("MOVJ", "MOVL"):
-                moves.append(Move(named[word[1]], line, move[1] == "MOVL", fixed=_FIXED))
+            if word and word[1] in named and move[1] in ("MOVJ", "MOVL", "SMOVL", "MOVS"):
+                moves.append(Move(named[word[1]], line, move[1].endswith("MOVL"), fixed=_FIXED))
                 continue
             moves.append(None)
-            noted.append(Noted(line, f"{found[0].strip()[:40]}: a circle, shift or variable"))
+            called = [targets[named[c]] for c in re.findall(r"\bC\d+", move[2]) if c in named]
+            why = handled("a circle, shift or variable", called)
+            noted.append(Noted(line, f"{row[0].strip()[:40]}: {why}"))
     return Program(
         "Yaskawa JBI",
         name,
@@ -77,19 +81,6 @@ def read_yaskawa(text: str, name: str, axes: JointAxes) -> Program:
     )
 
 
-def pulses_of(axes: JointAxes, name: str) -> Array:
-    """(n,) pulses per degree or millimetre. Raises InputError where not every joint has them."""
-    n, stated = len(axes.joints), np.array(axes.pulses, dtype=float)
-    if len(stated) != n or not np.isfinite(stated).all() or (stated == 0.0).any():
-        raise InputError(
-            f"positions are in pulses, and {len(stated)} numbers of pulses are stated",
-            code="missing-key",
-            place=name,
-            remedy=f"state the pulses per degree of all {n} joints: --pulses-per-degree N,N,...",
-        )
-    return stated
-
-
 def _target(position: re.Match[str], start: int, line: int, scale: Array) -> ProgramTarget | None:
     """The target of a line; None where it has not the whole numbers of an arm."""
     pieces = position[2].split(",")
@@ -98,3 +89,27 @@ def _target(position: re.Match[str], start: int, line: int, scale: Array) -> Pro
     numbers = numbers_of(position[2], start + position.start(2))[: len(scale)]
     q = np.array([number.value for number in numbers]) * scale
     return ProgramTarget(position[1], line, False, numbers, q, None, np.abs(scale))
+
+
+def _driving(stops: Stops) -> list[str]:
+    lines = ["/JOB", f"//NAME {stops.name.upper()}", "//POS", f"///NPOS {len(stops.ids)},0,0,0,0,0"]
+    lines += ["///TOOL 0", "///POSTYPE PULSE", "///PULSE"]
+    lines += [f"C{i:05d}={','.join(row)}" for i, row in enumerate(stops.texts(0))]
+    lines += ["//INST", "///DATE 2000/01/01 00:00", "///ATTR SC,RW", "///GROUP1 RB1", "NOP"]
+    lines += [f"'{words[:32]}" for words in stops.words]
+    # VJ is in percent of the largest speed.
+    for i, one in enumerate(stops.ids):
+        lines += [f"'pose {one[:26]}", f"MOVJ C{i:05d} VJ=10.00", f"TIMER T={WAIT:.2f}"]
+    return [*lines, "END"]
+
+
+DIALECT = ProgramDialect(
+    "Yaskawa JBI",
+    "pulses (`///PULSE`), with `--pulses-per-degree`",
+    "",
+    (".jbi",),
+    read_yaskawa,
+    Drive(_driving, 32, pulses=True),
+    "'",
+    re.compile(r"^NOP[ \t]*(?:\r\n|\n|\r)", re.M),
+)

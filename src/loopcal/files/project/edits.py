@@ -61,11 +61,11 @@ def _with_effect(text: str, effect: Mapping[str, Any]) -> str:
     document = _parsed(text)
     mechanism = document.setdefault("mechanism", _tomlkit().table())
     effects = mechanism.get("effect")
-    for known in effects or ():
-        same = known.get("type") == effect["type"]
-        if same and list(known.get("changing", ())) == list(effect["changing"]):
+    for entry in effects or ():
+        same = entry.get("type") == effect["type"]
+        if same and list(entry.get("changing", ())) == list(effect["changing"]):
             if "at" in effect:
-                known["at"] = sorted({*map(float, known["at"]), *map(float, effect["at"])})
+                entry["at"] = sorted({*map(float, entry["at"]), *map(float, effect["at"])})
             return str(document.as_string())
     made = _tomlkit().table()
     made.update(effect)

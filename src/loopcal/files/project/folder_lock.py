@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from loopcal.errors import InputError
+from loopcal.files.paths import leads_into
 
 NAME = ".loopcal-app.lock"
 _PLACE = 1 << 30
@@ -22,7 +23,15 @@ class FolderLock:
 
     def __init__(self, folder: Path, address: str) -> None:
         path = folder / NAME
+        if not leads_into(path, folder):
+            raise InputError(
+                "leads out of the folder",
+                code="unwritable-file",
+                place=str(path),
+                remedy="remove this link",
+            )
         try:
+            # Not truncated: a file that another app has locked states its address.
             self._file: BinaryIO = path.open("r+b" if path.exists() else "w+b")
         except OSError as error:
             raise InputError(

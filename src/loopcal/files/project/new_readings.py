@@ -10,16 +10,15 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from loopcal.files.project.data_entries import DataSpec, named_columns
-from loopcal.files.project.project_file import data_spec
+from loopcal.errors import InputError
+from loopcal.files.project.data_table import DataColumn, DataTable, data_files, named_columns
+from loopcal.files.project.noise_table import noises
 from loopcal.files.tables.columns import Column
 from loopcal.files.tables.readers import column_labels, read_dataset
-from loopcal.files.toml.model import validated
 from loopcal.files.toml.place import Place
+from loopcal.measurements.checks import refuse_implausible
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
-
-_FORMAT = ("sheet", "header", "delimiter", "decimal", "encoding", "variable")
 
 
 def read_new_readings(
@@ -32,55 +31,82 @@ def read_new_readings(
     their columns. Raises InputError as `read_dataset` does.
     """
     spec = _spec(inputs, mechanism)
-    how: dict[str, Any] = {key: spec.options.get(key) for key in _FORMAT}
+    how = spec.layout
+    # Standard input can be read once only, and its columns are looked at first.
     content = sys.stdin.buffer.read() if str(path) == "-" else None
 
     def source() -> str | Path | BinaryIO:
         return path if content is None else BytesIO(content)
 
-    there = column_labels(source(), **how)
-    stated = {q for part in (spec, *spec.joins) for q in part.columns}
-    parts = [named_columns(p, there, mechanism, stated) for p in (spec, *spec.joins)]
+    labels = column_labels(source(), **how)
+    stated = {q for part in spec.parts for q in part.columns}
+    parts = [named_columns(p, labels, mechanism, stated) for p in spec.parts]
     needless = set() if whole else {*mechanism.outputs, *mechanism.predicting().unused}
     columns = {
-        quantity: _without_absent_sd(column, there)
+        quantity: _without_absent_sd(column, labels)
         for part in parts
         for quantity, column in part.columns.items()
         if quantity not in needless
+        # readings without the constant that dates the last change are of the machine as it is now
+        and not (quantity in mechanism.latest and _absent(column.column, labels))
     }
-    pose = spec.options.get("pose", "pose")
-    pose_column = pose if pose in there or isinstance(pose, int) else None
-    return read_dataset(source(), columns, pose=pose_column, **how)
+    pose_column = spec.pose if spec.pose in labels or isinstance(spec.pose, int) else None
+    dataset = read_dataset(source(), columns, pose=pose_column, **how)
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    for quantity in [q for q, column in columns.items() if column.unit is None]:
+        try:
+            refuse_implausible(dataset, {quantity: units[quantity]})
+        except InputError as error:
+            if "mechanism" in inputs:
+                raise
+            raise InputError(
+                error.message,
+                code=error.code,
+                place=error.place,
+                remedy="the result does not know the units of this file: give units="
+                f'{{"{quantity}": ...}} in Python, or calibrate again from readings with units',
+            ) from None
+    return dataset
 
 
-def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataSpec:
+def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataTable:
     if "data" not in inputs:
-        names = [*mechanism.quantities, *mechanism.known]
-        return DataSpec("", {q: Column(q) for q in names if q not in mechanism.latest})
-    from loopcal.files.project.project_schema import ProjectModel
+        names = [*mechanism.quantities, *mechanism.pose_constants]
+        columns = {q: DataColumn(q) for q in names if q not in mechanism.latest}
+        return DataTable("", pose="pose", columns=columns)
+    from loopcal.files.project.names import scope_of
+    from loopcal.files.project.project_schema import ProjectTables
+    from loopcal.files.toml.tables import read_tables
 
     kept = {key: _infinite(inputs[key]) for key in ("data", "noise") if key in inputs}
     place = Place("result.json").at("inputs")
+    # The constants that date the last change may have no column, like implied quantities.
     undated = replace(mechanism, implied={**mechanism.implied, **mechanism.latest})
-    spec = data_spec(validated(ProjectModel, {"schema": 1, **kept}, place), undated, place)
-    assert spec is not None
-    return spec
+    tables = read_tables(ProjectTables, {"schema": 1, **kept}, place)
+    noise = noises(tables.made("noise"), undated, place.at("noise"))
+    data = tables.made("data", scope_of(undated))
+    read = data_files(data, undated, noise, place.at("data"))
+    assert read is not None
+    return read
 
 
 def result_columns(inputs: Mapping[str, Any], mechanism: Mechanism) -> dict[str, Column]:
     """Quantity -> its column and unit in the project of a result; see `read_new_readings`."""
     spec = _spec(inputs, mechanism)
-    return {q: column for part in (spec, *spec.joins) for q, column in part.columns.items()}
+    return {q: column for part in spec.parts for q, column in part.columns.items()}
 
 
 def result_pose_column(inputs: Mapping[str, Any], mechanism: Mechanism) -> str | int:
     """The column of pose ids in the project of a result; "pose" without one."""
-    found: str | int = _spec(inputs, mechanism).options.get("pose") or "pose"
-    return found
+    return _spec(inputs, mechanism).pose or "pose"
 
 
-def _without_absent_sd(column: Column, there: tuple[str, ...]) -> Column:
-    if isinstance(column.sd_column, str) and column.sd_column not in there:
+def _absent(column: str | int | None, labels: tuple[str, ...]) -> bool:
+    return isinstance(column, str) and column not in labels
+
+
+def _without_absent_sd(column: Column, labels: tuple[str, ...]) -> Column:
+    if _absent(column.sd_column, labels):
         return replace(column, sd_column=None, sd_unit=None, coverage=None)
     return column
 

@@ -11,8 +11,15 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.files.paths import expanded
-from loopcal.files.project.data_entries import DataSpec, implied_by, named_columns, refuse_unread
-from loopcal.files.project.noise_entries import CovarianceColumns
+from loopcal.files.project.data_table import (
+    DataTable,
+    FileTable,
+    JoinTable,
+    implied_by,
+    named_columns,
+    refuse_unread,
+)
+from loopcal.files.project.noise_table import CovarianceColumns
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.columns import Column
 from loopcal.files.tables.readers import column_labels, read_dataset, read_poses
@@ -23,7 +30,6 @@ from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.outputs import measured_points
 
 Array = NDArray[np.float64]
-LEFT_OUT = ("exclude", "every")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +59,11 @@ def load_dataset(project: Project) -> LoadedData:
             place=project.name,
             remedy='add [data] with file = "poses.csv"',
         )
-    read, told = _read(project, spec, place, columns_aside(project))
+    read, join_warnings = _read(project, spec, place, columns_aside(project))
     loaded = loaded_from(project, read)
-    own = {**project.mechanism.quantities, **project.mechanism.known}
-    odd = check_dataset(loaded.dataset, own, points=measured_points(project.mechanism))
-    return replace(loaded, warnings=(*told, *odd))
+    units = {**project.mechanism.quantities, **project.mechanism.pose_constants}
+    odd = check_dataset(loaded.dataset, units, points=measured_points(project.mechanism))
+    return replace(loaded, warnings=(*join_warnings, *odd))
 
 
 def columns_aside(project: Project) -> dict[str, Column]:
@@ -71,11 +77,11 @@ def columns_aside(project: Project) -> dict[str, Column]:
 
 def loaded_from(project: Project, read: Dataset) -> LoadedData:
     """The readings of a project out of its columns, read with those aside; nothing is checked."""
-    own = {**project.mechanism.quantities, **project.mechanism.known}
+    units = {**project.mechanism.quantities, **project.mechanism.pose_constants}
     dataset = replace(
         read,
-        readings={q: v for q, v in read.readings.items() if q in own},
-        units={q: u for q, u in read.units.items() if q in own},
+        readings={q: v for q, v in read.readings.items() if q in units},
+        units={q: u for q, u in read.units.items() if q in units},
     )
     covariances = {
         block.quantities: _covariance(
@@ -87,7 +93,7 @@ def loaded_from(project: Project, read: Dataset) -> LoadedData:
 
 
 def _read(
-    project: Project, spec: DataSpec, place: Place, aside: Mapping[str, Column]
+    project: Project, spec: DataTable, place: Place, aside: Mapping[str, Column]
 ) -> tuple[Dataset, tuple[DataWarning, ...]]:
     """The readings of all files, with columns read aside where a file has them."""
     path = expanded(spec.file, project.folder, place.at("file"))
@@ -98,7 +104,7 @@ def _read(
             place=str(place.at("file")),
             remedy=f"create it: loopcal simulate {project.path or '-'} --out {path} --seed 1",
         )
-    if not spec.joins:
+    if not spec.join:
         try:
             return believed(spec, read_dataset(path, {**spec.columns, **aside}, **spec.options)), ()
         except InputError as error:
@@ -106,40 +112,38 @@ def _read(
                 _refuse_unnamed(project, spec, path, place)
             raise
     parts = [_part(project, spec, path, aside)]
-    for i, other in enumerate(spec.joins):
+    for i, other in enumerate(spec.join):
         where = place.at("join", i, "file")
         part = _part(project, other, expanded(other.file, project.folder, where), aside)
-        implied = [q for n in other.instruments for q in implied_by(project.mechanism, n)]
+        implied = [q for n in other.instrument for q in implied_by(project.mechanism, n)]
         zeros = {q: np.full(len(part), project.mechanism.implied[q]) for q in implied}
         parts.append(part.with_readings(zeros))
     instruments = {q for f in project.mechanism.families if f.form != "closure" for q in f.readings}
-    its_own = set(project.mechanism.quantities) - instruments
+    machine_quantities = set(project.mechanism.quantities) - instruments
     from loopcal.measurements.joining import join
 
-    joined = join(parts, [not its_own.isdisjoint(part.readings) for part in parts])
+    joined = join(parts, [not machine_quantities.isdisjoint(part.readings) for part in parts])
     refuse_unread(
         set(joined.dataset.readings), project.mechanism, project.noise, place.at("columns")
     )
-    dataset = joined.dataset.thin(spec.options["every"]).exclude(spec.options["exclude"])
+    dataset = joined.dataset.thin(spec.every).exclude(spec.exclude)
     return dataset, tuple(_left_out(name, ids) for name, ids in joined.left_out)
 
 
-def _refuse_unnamed(project: Project, spec: DataSpec, path: Path, place: Place) -> None:
-    """InputError for a quantity that has no column of its own name, and none that is stated."""
-    how = {key: spec.options[key] for key in spec.options if key not in ("pose", *LEFT_OUT)}
-    there = column_labels(path, **how)
-    read = {*project.inputs["data"].get("columns", ()), *there}
-    refuse_unread(read, project.mechanism, project.noise, place.at("columns"), there)
+def _refuse_unnamed(project: Project, spec: FileTable, path: Path, place: Place) -> None:
+    """InputError for a quantity without a column of the same name or a stated one."""
+    labels = column_labels(path, **spec.layout)
+    read = {*project.inputs["data"].get("columns", ()), *labels}
+    refuse_unread(read, project.mechanism, project.noise, place.at("columns"), labels)
 
 
-def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Column]) -> Dataset:
+def _part(project: Project, spec: FileTable, path: Path, aside: Mapping[str, Column]) -> Dataset:
     """One of several files."""
-    how = {key: spec.options[key] for key in spec.options if key not in ("pose", *LEFT_OUT)}
-    there = column_labels(path, **how)
+    labels = column_labels(path, **spec.layout)
     assert project.data is not None
-    stated = {q for part in (project.data, *project.data.joins) for q in part.columns}
-    spec = named_columns(spec, there, project.mechanism, stated)
-    pose = spec.options["pose"]
+    stated = {q for part in project.data.parts for q in part.columns}
+    spec = named_columns(spec, labels, project.mechanism, stated)
+    pose = spec.pose
     if pose is None:
         raise InputError(
             "joining several files needs pose ids",
@@ -148,8 +152,9 @@ def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Colu
             remedy='name the column of the ids: pose = "..."; or state pose = 0 for each file, '
             "to join them row by row",
         )
-    columns = {**spec.columns, **{k: c for k, c in aside.items() if c.column in there}}
-    if not columns and not spec.instruments:
+    columns = {**spec.columns, **{k: c for k, c in aside.items() if c.column in labels}}
+    silent = isinstance(spec, JoinTable) and bool(spec.instrument)
+    if not columns and not silent:
         raise InputError(
             "no column of this file is a quantity of the mechanism",
             code="missing-column",
@@ -157,13 +162,15 @@ def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Colu
             remedy="name its columns: columns = { x = ... }",
         )
     if not columns:  # ids alone: the poses in which an instrument without readings was used
-        return read_poses(path, pose, **how)
-    return believed(spec, read_dataset(path, columns, pose=pose, **how))
+        return read_poses(path, pose, **spec.layout)
+    return believed(spec, read_dataset(path, columns, pose=pose, **spec.layout))
 
 
-def believed(spec: DataSpec, read: Dataset) -> Dataset:
+def believed(spec: FileTable, read: Dataset) -> Dataset:
     """The readings with sds no smaller than the project believes."""
-    sds = {q: np.fmax(v, spec.sd_at_least.get(q, 0.0)) for q, v in read.sds.items()}
+    least = {q: column.sd_at_least or 0.0 for q, column in spec.columns.items()}
+    # fmax: a missing sd becomes the smallest one that is believed.
+    sds = {q: np.fmax(v, least.get(q, 0.0)) for q, v in read.sds.items()}
     return replace(read, sds=sds)
 
 
@@ -183,6 +190,7 @@ def _covariance_columns(number: int, block: CovarianceColumns) -> dict[str, Colu
 def _covariance(block: CovarianceColumns, values: Array, dataset: Dataset) -> Array:
     """(N, b, b) [SI squared]; any will do for what was not read."""
     missing = np.isnan([dataset[q] for q in block.quantities]).T
+    # The unit matrix for gaps: any positive definite one passes, and none is used.
     either = missing[:, :, None] | missing[:, None, :]
     matrices = np.where(either, np.eye(missing.shape[1]), block.matrices(values))
     gaps = np.isnan(matrices).any(axis=(1, 2))

@@ -9,30 +9,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError
-from loopcal.files.machines.identifiable import Told
-from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
-from loopcal.files.machines.parameter_entries import changed
+from loopcal.files.machines.mechanism_file import (
+    ParameterChange,
+    mechanism_from_data,
+    read_mechanism,
+)
+from loopcal.files.machines.parameter_entries import changed, prior_sds, with_priors
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.paths import expanded
-from loopcal.files.project.compare_entries import compare_spec
-from loopcal.files.project.data_entries import DataSpec, data_files
-from loopcal.files.project.fit_entries import FitSpec, fit_spec
-from loopcal.files.project.noise_entries import NoiseSpec, noise_spec
-from loopcal.files.project.plan_entries import plan_settings
-from loopcal.files.project.verdict_entries import VerdictSpec, verdict_spec
+from loopcal.files.project.data_table import DataTable, data_files
+from loopcal.files.project.fit_table import FitTable
+from loopcal.files.project.noise_table import Noises, noises
+from loopcal.files.project.verdict_table import VerdictTable
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
 from loopcal.measurements.plan_settings import PlanSettings
 from loopcal.mechanisms.effects.model import Model
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameters
-from loopcal.mechanisms.prior import check_estimate
-from loopcal.mechanisms.terms import stated_terms
 
 if TYPE_CHECKING:
-    from loopcal.files.project.project_schema import PriorEntry, ProjectModel
-    from loopcal.files.project.simulation_entries import SimulationSpec
-    from loopcal.files.study.study_schema import StudyModel
+    from loopcal.files.project.simulation_table import SimulationSettings
+    from loopcal.files.toml.tables import Tables
 
 
 @dataclass(frozen=True)
@@ -49,12 +47,12 @@ class Project:
     path: Path | None
     folder: Path
     mechanism: Mechanism
-    data: DataSpec | None
-    noise: NoiseSpec
-    fit: FitSpec
-    verdict: VerdictSpec
+    data: DataTable | None
+    noise: Noises
+    fit: FitTable
+    verdict: VerdictTable
     plan: PlanSettings
-    simulation: SimulationSpec | None
+    simulation: SimulationSettings | None
     inputs: Mapping[str, Any]
     compare: Mapping[str, Model]
 
@@ -77,90 +75,82 @@ def read_project(
 
     Raises InputError, naming file and key, for all that cannot be read or does not fit.
     """
-    from loopcal.files.project.project_schema import ProjectModel
-    from loopcal.files.toml.model import validated
+    from loopcal.files.project.names import scope_of
+    from loopcal.files.project.project_schema import ProjectTables
+    from loopcal.files.toml.tables import read_tables
 
     place = Place(shown(path))
     data = read_toml(path) if text is None else toml_data(text, place.file)
     checked_schema(data, place)
-    model = validated(ProjectModel, data, place)
+    if "type" in data and "mechanism" not in data:
+        raise InputError(
+            "this is a mechanism file, not a project file",
+            code="wrong-file-type",
+            place=place.file,
+            remedy=f'name a project with [mechanism] file = "{Path(place.file).name}"',
+        )
+    tables = read_tables(ProjectTables, data, place)
     real = None if str(path) == "-" else Path(path)
     folder = Path() if real is None else real.parent
-    machine = _mechanism(model, data, folder, mechanism, place)
-    noise = noise_spec(model.noise, machine.quantities, machine.quantity_group, place.at("noise"))
-    simulation = _simulation(model, machine, noise, place.at("simulation"))
-    verdict = verdict_spec(model.verdict, machine, simulation, place.at("verdict"))
+    machine = _mechanism(tables, data, folder, mechanism)
+    scope = scope_of(machine)
+    noise = noises(tables.made("noise"), machine, place.at("noise"))
+    verdict, simulation = tables.made("verdict", scope), tables.made("simulation", scope)
+    if simulation is not None:
+        simulation = simulation.settings(machine, noise, place.at("simulation"))
+        # A simulated machine works where it was driven, unless the project states otherwise.
+        if not verdict.region:
+            verdict = replace(verdict, region={n: r.span for n, r in simulation.ranges.items()})
+    compared = tables.made("compare")
     return Project(
-        title=model.title or (real.stem if real else machine.name),
+        title=tables.made("title") or (real.stem if real else machine.name),
         path=real,
         folder=folder,
         mechanism=machine,
-        data=data_spec(model, machine, place),
+        data=data_files(tables.made("data", scope), machine, noise, place.at("data")),
         noise=noise,
-        fit=fit_spec(model.fit, machine, place.at("fit")),
+        fit=tables.made("fit", scope),
         verdict=verdict,
-        plan=plan_settings(model.plan, machine, verdict, place.at("plan")),
+        plan=tables.made("plan", scope).settings(machine, verdict.region),
         simulation=simulation,
         inputs=plain(data),
-        compare=compare_spec(model.compare, machine, place.at("compare")),
+        compare={} if compared is None else compared.models(machine, place.at("compare")),
     )
-
-
-def data_spec(model: ProjectModel, mechanism: Mechanism, place: Place) -> DataSpec | None:
-    """Where a project says the readings of this mechanism are; None where it does not."""
-    if model.data is None:
-        return None
-    noise = noise_spec(
-        model.noise, mechanism.quantities, mechanism.quantity_group, place.at("noise")
-    )
-    return data_files(model.data, mechanism, noise, place.at("data"))
-
-
-def _simulation(
-    model: ProjectModel, machine: Mechanism, noise: NoiseSpec, place: Place
-) -> SimulationSpec | None:
-    if model.simulation is None:
-        return None
-    from loopcal.files.project.simulation_entries import simulation_spec
-
-    return simulation_spec(model.simulation, machine, noise, place)
 
 
 def _mechanism(
-    model: ProjectModel,
-    data: Mapping[str, Any],
-    folder: Path,
-    given: Loops | Mechanism | None,
-    place: Place,
+    tables: Tables, data: Mapping[str, Any], folder: Path, definition: Loops | Mechanism | None
 ) -> Mechanism:
-    def told(parameters: Parameters) -> Parameters:
-        said = changed(parameters, model.parameters, place.at("parameters"))
-        return changed(said, _priors(model.prior), place.at("prior"))
+    parameters, priors, place = tables.made("parameters"), tables.made("prior"), tables.place
 
-    made = stated_mechanism(model, data, folder, given, place, told)
-    said = changed(made.parameters, model.parameters, place.at("parameters"))
-    return with_priors(made.with_parameters(said), model.prior, place.at("prior"))
+    def stated(before: Parameters) -> Parameters:
+        after = changed(before, parameters, place.at("parameters"))
+        return changed(after, prior_sds(priors), place.at("prior"))
+
+    made = stated_mechanism(tables, data, folder, definition, stated)
+    # Stated again: `stated` only chose which parameters of a chain are fixed.
+    made = made.with_parameters(changed(made.parameters, parameters, place.at("parameters")))
+    return with_priors(made, priors, place.at("prior"))
 
 
 def stated_mechanism(
-    model: ProjectModel | StudyModel,
+    tables: Tables,
     data: Mapping[str, Any],
     folder: Path,
-    given: Loops | Mechanism | None,
-    place: Place,
-    told: Told | None = None,
+    definition: Loops | Mechanism | None,
+    change: ParameterChange,
 ) -> Mechanism:
     """The mechanism of a project or study, without what these say of its parameters.
 
-    given: the loops of a mechanism of the type "function", or a whole mechanism for a file that
-    describes none; told: what will be said of the parameters. Raises InputError where there is
-    none, or one that cannot be read.
+    definition: the loops of a mechanism of the type "function", or a whole mechanism for a file
+    that describes none. change: what the file states of parameters. Raises InputError where there
+    is none, or one that cannot be read.
     """
-    stated = data.get("mechanism")
-    here = place.at("mechanism")
+    stated, place = data.get("mechanism"), tables.place
+    mechanism_place = place.at("mechanism")
     if stated is None:
-        if not isinstance(given, Mechanism):
-            words = "describes no mechanism" if given is None else "declares no quantities"
+        if not isinstance(definition, Mechanism):
+            words = "describes no mechanism" if definition is None else "declares no quantities"
             raise InputError(
                 f"the project {words}",
                 code="missing-key",
@@ -168,45 +158,20 @@ def stated_mechanism(
                 remedy='add [mechanism] with file = "..." or type = "serial", "planar-two-link", '
                 '"motoman-ma1400" or "function"',
             )
-        return given
+        return definition
     if "type" not in stated and "file" in stated:
-        path = expanded(stated["file"], folder, here.at("file"))
+        path = expanded(stated["file"], folder, mechanism_place.at("file"))
         return read_mechanism(
             path,
-            function=given,
+            function=definition,
             instruments=stated.get("instrument"),
             effects=stated.get("effect"),
-            told=told,
+            told=change,
         )
-    return mechanism_from_data(stated, here, function=given, parameters=model.parameters, told=told)
-
-
-def with_priors(mechanism: Mechanism, entries: Mapping[str, PriorEntry], place: Place) -> Mechanism:
-    """The mechanism with the prior sds of a file, and a term for each that is learnt.
-
-    Raises InputError for a name that stands for nothing, a unit that does not fit, and for an sd
-    to be learnt that is 0 or inf.
-    """
-    parameters = changed(mechanism.parameters, _priors(entries), place)
-    for key, entry in entries.items():
-        try:
-            if entry.estimate is not None:
-                check_estimate(key, entry.estimate, entry.sd)
-        except InputError as error:
-            raise error.at(str(place.at(key))) from None
-    keys = {key: entry.estimate is not None for key, entry in entries.items()}
-    try:
-        terms = stated_terms(mechanism.terms, parameters, keys)
-    except InputError as error:
-        raise error.at(str(place)) from None
-    return replace(mechanism, parameters=parameters, terms=terms)
-
-
-def _priors(entries: Mapping[str, PriorEntry]) -> dict[str, Any]:
-    """Prior sds as entries of parameters."""
-    from loopcal.files.machines.mechanism_parts import ParameterEntry
-
-    return {key: ParameterEntry(sd=entry.sd, unit=entry.unit) for key, entry in entries.items()}
+    parameters = tables.made("parameters")
+    return mechanism_from_data(
+        stated, mechanism_place, function=definition, parameters=parameters, change=change
+    )
 
 
 def plain(value: Any) -> Any:

@@ -19,25 +19,33 @@ from typing import Any, BinaryIO
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
+from loopcal.files.paths import leads_into
+from loopcal.files.programs.registry import BY_ENDING as PROGRAMS
+from loopcal.files.result.deployed import FOLDER as NOTES
+from loopcal.files.result.deployed import corrected_of, made_of
+from loopcal.files.tables.raw import sha256_of
+from loopcal.files.tables.registry import BY_ENDING as READERS
 
 LOG = "loopcal-log.jsonl"
 PROJECT = "project.toml"
 RESULT = "result.json"
 PLAN_DOCUMENT = "plan.json"
-PREVIEW = ".preview"
-"""Folder of exports that are only looked at."""
+RECORD = "record.html"
+TAKEN = {*READERS, *PROGRAMS, *(".urdf", ".xml", ".toml", ".conf", ".yaml", ".yml")}
+"""Endings of the files that are taken in: readings, programs, robots, projects and what an export
+patches. Nothing else is of use, and Python beside them could be run by other programs."""
 _APPENDING = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the log; number: from 1; at: UTC; told: what it says, by name."""
+    """One line of the log; number: from 1; at: UTC; record: what it says, by name."""
 
     number: int
     at: str
     kind: str
     what: str
-    told: Mapping[str, Any]
+    record: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -49,7 +57,8 @@ class Log:
 
     def edits(self) -> list[Entry]:
         """Changes of the project that are not undone, the last one last."""
-        undone = {entry.told.get("of") for entry in self.entries if entry.kind == "undo"}
+        # An undo names the edit by its line; no line is ever rewritten.
+        undone = {entry.record.get("of") for entry in self.entries if entry.kind == "undo"}
         return [e for e in self.entries if e.kind == "edit" and e.number not in undone]
 
     def unfinished(self) -> Entry | None:
@@ -77,10 +86,13 @@ class ProjectFolder:
     def project(self) -> Path:
         """The project file: project.toml, or the only TOML file that states a project."""
         named = self.path / PROJECT
-        if named.exists():
+        if os.path.lexists(named):
             return named
-        others = [p for p in sorted(self.path.glob("[!.-]*.toml")) if _is_project(p)]
+        others = [p for p in sorted(self.path.glob("[!.-]*.toml")) if self._is_project(p)]
         return others[0] if len(others) == 1 else named
+
+    def _is_project(self, path: Path) -> bool:
+        return "[mechanism]" in (self.content(path.name) or "")
 
     @property
     def result(self) -> Path:
@@ -104,25 +116,48 @@ class ProjectFolder:
         return sorted(path.parent for path in beside if path.parent != self.result)
 
     def listed(self) -> list[Listed]:
-        """The files in the folder, and in those of results, plan and export, by name; without
-        hidden ones, and names that a command line or a page would take for something else."""
-        found = []
+        """The files in the folder, and in those of results, plan and export, by name.
+
+        Left out are hidden ones, links that leave the folder, and names that a command line or a
+        page would take for something else.
+        """
+        files = []
         for folder in (self.path, self.result, self.plan, self.export, *self.tried):
-            if not folder.is_dir():
+            if not folder.is_dir() or not leads_into(folder, self.path):
                 continue
             for path in sorted(folder.iterdir()):
-                if path.name.isprintable() and path.name[0] not in ".-":
+                # A command line reads a leading hyphen as an option.
+                shown = path.name.isprintable() and path.name[0] not in ".-"
+                if shown and leads_into(path, self.path):
                     with suppress(FileNotFoundError):  # gone since
-                        known = path.stat()
+                        status = path.stat()
                         name = path.relative_to(self.path).as_posix()
-                        if S_ISREG(known.st_mode):
-                            found.append(Listed(name, known.st_size, known.st_mtime_ns))
-        return found
+                        if S_ISREG(status.st_mode):
+                            files.append(Listed(name, status.st_size, status.st_mtime_ns))
+        return files
+
+    def deployed(self) -> dict[str, bool]:
+        """Files for the robot and the record, and whether each is of the result as it stands."""
+        result = self.result / RESULT
+        names = [file.name for file in self.listed()]
+        if result.relative_to(self.path).as_posix() not in names:
+            return {}
+        result_sha256, export = sha256_of(result), self.export.relative_to(self.path).as_posix()
+        made, corrected = made_of(result), corrected_of(result)
+        up_to_date = {
+            name: sha256_of(self.path / name) in made
+            for name in names
+            if ".bak" not in name and (name.startswith(f"{export}/") or name in corrected)
+        }
+        record = f"{self.result.name}/{RECORD}"
+        if record in names:  # it prints the SHA-256 of what it was made of
+            up_to_date[record] = result_sha256 in (self.content(record) or "")
+        return up_to_date
 
     def text(self) -> str | None:
         """Of the project file; None where there is none."""
         try:
-            return self.project.read_text("utf-8")
+            return self.inside(self.project.name).read_text("utf-8")
         except (FileNotFoundError, IsADirectoryError):
             return None
         except (OSError, UnicodeDecodeError) as error:
@@ -133,11 +168,17 @@ class ProjectFolder:
                 remedy="check the file",
             ) from None
 
+    def noted_at(self) -> tuple[tuple[str, int], ...]:
+        """The notes of what was made of the result, and when each was written [ns]."""
+        notes = sorted((self.result / NOTES).glob("*.json"))
+        return tuple((path.name, path.stat().st_mtime_ns) for path in notes)
+
     def inside(self, name: str) -> Path:
         """The path of a file of the folder. Raises InputError for any other."""
         root = Path(os.path.realpath(self.path))
+        # realpath raises ValueError for a zero byte.
         path = root if "\0" in name else Path(os.path.realpath(root / name))
-        if path == root or not path.is_relative_to(root):
+        if path == root or not leads_into(path, root):
             raise InputError(
                 "the file is not in the project's folder",
                 code="missing-file",
@@ -147,9 +188,9 @@ class ProjectFolder:
         return path
 
     def file(self, name: str) -> Path:
-        """The path of a file of the folder that is there. Raises InputError for any other."""
+        """The path of a file that the folder lists. Raises InputError for any other."""
         path = self.inside(name)
-        if not path.is_file():
+        if name not in {file.name for file in self.listed()}:
             raise InputError(
                 "there is no such file in the project's folder",
                 code="missing-file",
@@ -161,13 +202,14 @@ class ProjectFolder:
     def inside_of(self, folder: str) -> list[str]:
         """Names of the files in a folder of this one, without backups."""
         paths = sorted(self.inside(folder).glob("*"))
-        return [p.name for p in paths if p.is_file() and ".bak" not in p.name]
+        files = [p for p in paths if p.is_file() and leads_into(p, self.path)]
+        return [p.name for p in files if ".bak" not in p.name]
 
     def content(self, name: str) -> str | None:
         """The text of a file of the folder; None where it is not there or is no text."""
         try:
             return self.inside(name).read_text("utf-8")
-        except (OSError, UnicodeDecodeError):
+        except (InputError, OSError, UnicodeDecodeError):
             return None
 
     def take(self, name: str, content: bytes) -> Path:
@@ -179,6 +221,13 @@ class ProjectFolder:
                 f"{name!r} is no name of a file",
                 code="invalid-value",
                 remedy="rename the file",
+            )
+        if Path(last).suffix.lower() not in TAKEN:
+            raise InputError(
+                f"the ending {Path(last).suffix!r} is that of no file that loopcal reads",
+                code="wrong-file-type",
+                place=last,
+                remedy=f"give a file that ends in {', '.join(sorted(TAKEN))}",
             )
         path = self.inside(last)
         if path.exists() and path.read_bytes() != content:
@@ -195,15 +244,15 @@ class ProjectFolder:
     def change(self, text: str, what: str, reason: str) -> None:
         """Write the project anew, and the change into the log."""
         before = self.text()
-        write_atomic(self.project, text)
+        write_atomic(self.project, text, anything=True)  # the log keeps the text before
         self.noted("edit", what, {"reason": reason, "before": before, "after": text})
 
     def remove(self, reason: str) -> None:
         """Remove the project file, and write that into the log; `undo` brings it back."""
         before = self.text()
         self.project.unlink(missing_ok=True)
-        told = {"reason": reason, "before": before, "after": None}
-        self.noted("edit", f"removed {self.project.name}", told)
+        record = {"reason": reason, "before": before, "after": None}
+        self.noted("edit", f"removed {self.project.name}", record)
 
     def undo(self) -> str:
         """Take the last change of the project back, and say which. Raises InputError where there
@@ -212,25 +261,28 @@ class ProjectFolder:
         if not edits:
             raise InputError("there is nothing to undo", code="no-data", remedy="go on")
         last = edits[-1]
-        if self.text() != last.told.get("after") or not isinstance(last.told.get("before"), str):
+        record = last.record
+        # Taking back a text that was edited elsewhere since would lose that edit.
+        if self.text() != record.get("after") or not isinstance(record.get("before"), str):
             raise InputError(
                 "the project was changed since, outside the app",
                 code="conflicting-keys",
                 place=self.project.name,
                 remedy="change it there",
             )
-        write_atomic(self.project, last.told["before"])
+        write_atomic(self.project, record["before"], anything=True)
         self.noted("undo", f"undid: {last.what}", {"of": last.number})
         return last.what
 
-    def noted(self, kind: str, what: str, told: Mapping[str, Any]) -> None:
+    def noted(self, kind: str, what: str, record: Mapping[str, Any]) -> None:
         """Add a line to the log: on the disk before this returns. Raises InputError where it
         cannot be written."""
         at = datetime.now(UTC).isoformat(timespec="seconds")
-        line = json.dumps({"at": at, "kind": kind, "what": what, **told}, ensure_ascii=True)
-        path = self.path / LOG
+        line = json.dumps({"at": at, "kind": kind, "what": what, **record}, ensure_ascii=True)
+        path = self.inside(LOG)
         try:
             with _APPENDING, path.open("ab+") as file:
+                # A run that died mid-line would otherwise spoil the next entry too.
                 broken = file.tell() > 0 and not _ends_a_line(file)
                 file.write(b"\n" * broken + line.encode() + b"\n")
                 file.flush()
@@ -246,15 +298,15 @@ class ProjectFolder:
     def log(self) -> Log:
         """What was done in the folder."""
         try:
-            lines = (self.path / LOG).read_bytes().splitlines()
-        except FileNotFoundError:
+            lines = self.inside(LOG).read_bytes().splitlines()
+        except (FileNotFoundError, InputError):  # a link out of the folder is no log of it
             return Log(())
         entries, broken = [], []
         for number, line in enumerate(lines, 1):
             try:
-                told = json.loads(line)
+                entry = json.loads(line)
                 entries.append(
-                    Entry(number, str(told["at"]), str(told["kind"]), str(told["what"]), told)
+                    Entry(number, str(entry["at"]), str(entry["kind"]), str(entry["what"]), entry)
                 )
             except (ValueError, KeyError, TypeError):
                 broken.append(number)
@@ -267,18 +319,11 @@ def _ends_a_line(file: BinaryIO) -> bool:
     return file.read(1) == b"\n"
 
 
-def _is_project(path: Path) -> bool:
-    try:
-        return "[mechanism]" in path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError):
-        return False
-
-
 def existing_folder(path: str | Path) -> Path:
     """The path of a folder. Raises InputError where it is none."""
-    found = Path(path).resolve()
-    if not found.is_dir():
+    folder = Path(path).resolve()
+    if not folder.is_dir():
         raise InputError(
             "there is no such folder", code="missing-file", place=str(path), remedy="make it first"
         )
-    return found
+    return folder

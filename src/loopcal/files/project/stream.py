@@ -27,7 +27,7 @@ from loopcal.files.project.project_data import (
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.columns import Column, refuse_doubles, specified, wanted
 from loopcal.files.tables.parquet import (
-    ENDINGS,
+    READER,
     ParquetFile,
     begins_of,
     mark_of,
@@ -37,6 +37,7 @@ from loopcal.files.tables.parquet import (
 )
 from loopcal.files.tables.raw import sha256_of
 from loopcal.files.tables.readers import dataset_of
+from loopcal.files.tables.registry import reader_of
 from loopcal.files.tables.table import ROW, Table, find_column
 from loopcal.files.toml.place import Place
 from loopcal.lazy import cached_property
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
 
 LARGE = 2_000_000
 """Rows from which on a file is read in chunks unless the project says otherwise."""
+# The last bits of all sums depend on it: a resumed run needs the same (docs/decisions/0016).
 CHUNK = 65_536
 
 
@@ -78,10 +80,10 @@ class ParquetStream:
     @cached_property
     def sha256(self) -> str:
         """Of the file, or of the list of all files' own."""
-        return sha256_of_all(self._own)
+        return sha256_of_all(self._sha256s)
 
     @cached_property
-    def _own(self) -> tuple[str, ...]:
+    def _sha256s(self) -> tuple[str, ...]:
         """SHA-256 of each file."""
         return tuple(sha256_of(file.path) for file in self.files)
 
@@ -89,6 +91,7 @@ class ParquetStream:
     def poses(self) -> int:
         """How many there are after thinning and exclusion."""
         every, gone = self._every, self._excluded
+        # The negated floor is the ceiling: row 0 is kept, and each `every`-th after it.
         thinned = -(-sum(file.rows for file in self.files) // every)
         return thinned - sum(row % every == 0 for row in gone)
 
@@ -100,15 +103,15 @@ class ParquetStream:
         """
         loaded = self._loaded(self._parts[0])
         mechanism = self.project.mechanism
-        own = {**mechanism.quantities, **mechanism.known}
-        odd = check_dataset(loaded.dataset, own, points=measured_points(mechanism))
+        units = {**mechanism.quantities, **mechanism.pose_constants}
+        odd = check_dataset(loaded.dataset, units, points=measured_points(mechanism))
         return (*odd, *self._repeated_files(), *self._folders_inside())
 
     def _repeated_files(self) -> Iterator[DataWarning]:
         seen: dict[str, str] = {}
-        for file, own in zip(self.files, self._own, strict=True):
+        for file, file_sha256 in zip(self.files, self._sha256s, strict=True):
             name = file.path.name
-            first = seen.setdefault(own, name)
+            first = seen.setdefault(file_sha256, name)
             if first != name:
                 yield DataWarning(
                     None,
@@ -120,7 +123,7 @@ class ParquetStream:
         if self.files[0].path.name == self.name:  # a file was asked for, not its folder
             return
         folder = self.files[0].path.parent
-        inside = sorted(p for e in ENDINGS for p in folder.glob(f"*/*{e}"))
+        inside = sorted(p for e in READER.endings for p in folder.glob(f"*/*{e}"))
         if inside:
             yield DataWarning(
                 None,
@@ -160,7 +163,7 @@ class ParquetStream:
         spec = self.project.data
         assert spec is not None
         columns = specified({**spec.columns, **columns_aside(self.project)}, {})
-        pose = spec.options["pose"]
+        pose = spec.pose
         table = _rows(part, columns, pose)
         refuse_doubles(table, columns)
         source = Source(
@@ -168,7 +171,7 @@ class ParquetStream:
             part.file.path.name if len(self.files) > 1 else None,
             sha256=self.sha256,
             rows_read=sum(f.rows for f in self.files),
-            excluded=tuple(map(pose_id, spec.options["exclude"])),
+            excluded=tuple(map(pose_id, spec.exclude)),
             every=self._every,
         )
         ids = _ids(part, table, pose)
@@ -178,28 +181,28 @@ class ParquetStream:
     @property
     def _every(self) -> int:
         assert self.project.data is not None
-        return checked_every(self.project.data.options["every"])
+        return checked_every(self.project.data.every)
 
     @cached_property
     def _excluded(self) -> frozenset[int]:
         """Row numbers over all files of the poses to leave out, each of which must be there."""
         assert self.project.data is not None
-        asked = {pose_id(pose) for pose in self.project.data.options["exclude"]}
+        asked = {pose_id(pose) for pose in self.project.data.exclude}
         if not asked:
             return frozenset()
-        pose = self.project.data.options["pose"]
-        found: dict[str, int] = {}
+        pose = self.project.data.pose
+        row_numbers: dict[str, int] = {}
         for part in _parts(self.files):
             ids = _ids(part, None if pose in (None, ROW) else _rows(part, {}, pose), pose)
-            found |= {p: part.begin + i for i, p in enumerate(ids) if p in asked}
-        for missing in sorted(asked - set(found)):
+            row_numbers |= {p: part.begin + i for i, p in enumerate(ids) if p in asked}
+        for missing in sorted(asked - set(row_numbers)):
             raise InputError(
                 f"there is no pose {missing!r} to exclude",
                 code="unknown-name",
                 place=self.name,
                 remedy="ids must match exactly",
             )
-        return frozenset(found.values())
+        return frozenset(row_numbers.values())
 
 
 def project_stream(project: Project) -> ParquetStream | None:
@@ -214,8 +217,8 @@ def project_stream(project: Project) -> ParquetStream | None:
     place = Place(project.name).at("data")
     path = expanded(spec.file, project.folder, place.at("file"))
     several = path.is_dir()
-    if not several and (path.suffix.lower() not in ENDINGS or not path.is_file()):
-        if spec.stream and path.is_file():
+    if reader_of(path) is not READER or not path.exists():
+        if spec.stream and path.exists():
             raise InputError(
                 f"{path.name} is not a Parquet file; only Parquet is read in chunks",
                 code="wrong-file-type",
@@ -226,7 +229,7 @@ def project_stream(project: Project) -> ParquetStream | None:
     files = parquet_files(path)
     if not several and spec.stream is None and files[0].rows < LARGE:
         return None
-    if spec.joins:
+    if spec.join:
         raise InputError(
             "several files can only be joined in memory, but these are read as a stream",
             code="unsupported",
@@ -234,7 +237,7 @@ def project_stream(project: Project) -> ParquetStream | None:
             remedy="join the files beforehand, or set stream = false",
         )
     columns = specified({**spec.columns, **columns_aside(project)}, {})
-    asked = wanted(columns, spec.options["pose"])
+    asked = wanted(columns, spec.pose)
     prove(files, _named(files[0], asked))
     return ParquetStream(project, files, path.name)
 
@@ -251,15 +254,15 @@ def load_sample(project: Project) -> LoadedData:
         return load_dataset(project)
     assert project.data is not None
     step = stream.poses // SHOWN
-    every = project.data.options["every"] * step
-    data = replace(project.data, options={**project.data.options, "every": every})
-    loaded = load_dataset(replace(project, data=data))
-    told = DataWarning(
+    every = project.data.every * step
+    loaded = load_dataset(replace(project, data=replace(project.data, every=every)))
+    # Sds fall with the root of the number of poses.
+    thinning_warning = DataWarning(
         None,
         f"{stream.name}: only {len(loaded.dataset)} of {stream.poses} poses are checked (every "
         f"= {every}); with all poses the sds are up to {math.sqrt(step):.2g} times smaller",
     )
-    return replace(loaded, warnings=(told, *loaded.warnings))
+    return replace(loaded, warnings=(thinning_warning, *loaded.warnings))
 
 
 def _parts(files: tuple[ParquetFile, ...]) -> list[_Part]:
@@ -286,6 +289,7 @@ def _rows(part: _Part, columns: dict[str, Column], pose: str | int | None) -> Ta
     asked = wanted(columns, pose)
     names = _named(file, asked)
     try:
+        # Compared before reading: rows of a file that was replaced would mix two data sets.
         same = mark_of(file.path) == file.mark
         frame = (
             pl.scan_parquet(file.path, glob=False)

@@ -9,8 +9,8 @@ from typing import Any
 
 from loopcal.errors import InputError
 from loopcal.files.paths import expanded
-from loopcal.files.project.fit_entries import ValidationSpec
-from loopcal.files.project.project_data import LEFT_OUT, LoadedData, load_dataset
+from loopcal.files.project.fit_table import Validation
+from loopcal.files.project.project_data import LoadedData, load_dataset
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.columns import Column
 from loopcal.files.tables.readers import column_labels, read_dataset
@@ -18,7 +18,7 @@ from loopcal.files.toml.place import Place
 
 
 def validation_arguments(
-    project: Project, asked: ValidationSpec, poses: Sequence[str]
+    project: Project, asked: Validation, poses: Sequence[str]
 ) -> dict[str, Any]:
     """What `validate` needs of a validation: the choice, other readings and groups, read.
 
@@ -26,28 +26,26 @@ def validation_arguments(
 
     Raises InputError where a file cannot be read.
     """
-    found: dict[str, Any] = {
+    arguments: dict[str, Any] = {
         "folds": asked.folds or 0,
         "blocks": asked.blocks,
         "hold_out": asked.hold_out,
     }
     if asked.file is not None:
         other = _other(project, asked.file)
-        found |= {"other": other.dataset, "other_noise": other.noise}
+        arguments |= {"other": other.dataset, "other_noise": other.noise}
     if asked.group is not None:
-        found["groups"] = _groups(project, asked.group, poses)
-        found["place_anew"] = not any((asked.folds, asked.hold_out, asked.file))
-    return {**found, "seed": asked.seed}
+        arguments["groups"] = _groups(project, asked.group, poses)
+        # Groups alone are stations or sessions, each with a placement of the instrument.
+        arguments["place_anew"] = not any((asked.folds, asked.hold_out, asked.file))
+    return {**arguments, "seed": asked.seed}
 
 
 def _other(project: Project, file: str) -> LoadedData:
     """The readings of another file, in the columns and units of the project's own."""
     assert project.data is not None
-    options = {**project.data.options, "exclude": [], "every": 1}
-    columns = {
-        q: c for part in (project.data, *project.data.joins) for q, c in part.columns.items()
-    }
-    other = replace(project.data, file=file, columns=columns, options=options, joins=())
+    columns = {q: c for part in project.data.parts for q, c in part.columns.items()}
+    other = replace(project.data, file=file, columns=columns, exclude=(), every=1, join=())
     return load_dataset(replace(project, data=other))
 
 
@@ -60,14 +58,13 @@ def _groups(project: Project, column: str | int, poses: Sequence[str]) -> tuple[
     assert spec is not None
     place = Place(project.name).at("data")
     asked = {"group": Column(column)}
-    if not spec.joins:
+    if not spec.join:
         path = expanded(spec.file, project.folder, place.at("file"))
         return tuple(read_dataset(path, asked, **spec.options)["group"].tolist())
-    for part in (spec, *spec.joins):
+    for part in spec.parts:
         path = expanded(part.file, project.folder, place.at("file"))
-        how = {k: v for k, v in part.options.items() if k not in ("pose", *LEFT_OUT)}
-        if isinstance(column, int) or column in column_labels(path, **how):
-            read = read_dataset(path, asked, pose=part.options["pose"], **how)
+        if isinstance(column, int) or column in column_labels(path, **part.layout):
+            read = read_dataset(path, asked, pose=part.pose, **part.layout)
             groups = dict(zip(read.poses, read["group"].tolist(), strict=True))
             return tuple(groups.get(pose, math.nan) for pose in poses)
     raise InputError(

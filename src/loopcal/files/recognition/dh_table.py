@@ -13,34 +13,21 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.files.recognition.headers import Heading, heading
+from loopcal.files.recognition.vocabulary import meanings
 from loopcal.files.tables.cells import is_missing
 from loopcal.files.tables.readers import read_table
 from loopcal.units import unit
 
-_KEYS = {
-    **dict.fromkeys(("a", "r", "a_i", "ai", "length", "link_length"), "a"),
-    **dict.fromkeys(("d", "d_i", "di", "offset_d", "link_offset"), "d"),
-    **dict.fromkeys(("alpha", "alpha_i", "alphai", "twist", "al"), "alpha"),
-    **dict.fromkeys(
-        ("theta", "offset", "theta_offset", "theta0", "theta_0", "theta_i", "th"), "offset"
-    ),
-    **dict.fromkeys(("joint", "name", "axis", "i", "link", "id", "no", "nr"), "name"),
-    **dict.fromkeys(("type", "kind", "joint_type"), "kind"),
-    **dict.fromkeys(("direction", "sign", "dir"), "direction"),
-    **dict.fromkeys(("convention", "form"), "form"),
-}
+_KEYS = meanings("dh")
 _CELL = re.compile(
     r"(?P<variable>(?!pi)[a-zθϑ][a-zθϑ_]*_?\d*\*?)?\s*(?P<sign>[-+])?\s*"
     r"(?P<number>\d+\.?\d*(?:e[-+]?\d+)?|\.\d+)?\s*\*?\s*"
     r"(?P<pi>pi)?(?:\s*/\s*(?P<below>[1-9]\d*))?\s*(?P<degrees>°)?"
 )
-_MODIFIED = {"a_i_1": "a", "ai_1": "a", "a_prev": "a", "alpha_i_1": "alpha", "alphai_1": "alpha"}
-_KINDS = {
-    **dict.fromkeys(("", "r", "rev", "revolute", "rotary", "continuous"), "revolute"),
-    **dict.fromkeys(("p", "prism", "prismatic", "linear"), "prismatic"),
-    **dict.fromkeys(("f", "fix", "fixed"), "fixed"),
-}
+_MODIFIED = meanings("dh_modified")
+_KINDS = {"": "revolute", **meanings("joint_kinds")}
 _FIXED_NAMES = ("tool", "tcp", "flange", "reflector", "target", "base", "world", "turntable", "ee")
+# Two decades: m and mm, which differ by three, can never both be plausible.
 SMALLEST, LARGEST = 0.1, 10.0
 """Sums of all lengths of a machine that are plausible [m]."""
 
@@ -89,11 +76,11 @@ def read_dh(path: str | Path) -> DhTable:
     headings: dict[str, tuple[int, Heading]] = {}
     modified = False
     for i, name in enumerate(table.names):
-        its = heading(name)
-        key = _KEYS.get(its.stem) or _MODIFIED.get(its.stem)
-        modified |= its.stem in _MODIFIED
+        header = heading(name)
+        key = _KEYS.get(header.stem) or _MODIFIED.get(header.stem)
+        modified |= header.stem in _MODIFIED
         if key is not None and key not in headings:
-            headings[key] = (i, its)
+            headings[key] = (i, header)
     for key in ("a", "d", "alpha"):
         if key not in headings:
             raise InputError(
@@ -113,9 +100,9 @@ def read_dh(path: str | Path) -> DhTable:
     }
     for key in ("alpha", "offset"):
         if key in cells and any(cell.unit for cell in cells[key]):
-            column, its = headings[key]
-            shared = its.unit or _shared(cells[key])
-            headings[key] = (column, replace(its, unit=shared))
+            column, header = headings[key]
+            shared = header.unit or _shared(cells[key])
+            headings[key] = (column, replace(header, unit=shared))
             cells[key] = [cell.written_in(shared) for cell in cells[key]]
     numbers: dict[str, Any] = {
         key: np.array([cell.value for cell in cells[key]]) if key in cells else np.zeros(len(every))
@@ -123,7 +110,7 @@ def read_dh(path: str | Path) -> DhTable:
     }
     texts = {k: table.ids(headings[k][0]) for k in ("name", "kind", "form") if k in headings}
     signs = table.numbers(headings["direction"][0], every) if "direction" in headings else None
-    units, told = _units(numbers, {k: h for k, (_, h) in headings.items()}, path.name)
+    units, remarks = _units(numbers, {k: h for k, (_, h) in headings.items()}, path.name)
     if any("mod" in t.lower() or "craig" in t.lower() for t in texts.get("form", ())):
         modified = True
     rows = []
@@ -135,7 +122,7 @@ def read_dh(path: str | Path) -> DhTable:
         values = {k: float(numbers[k][i] * unit(units[k]).factor) for k in numbers}
         sign = -1 if signs is not None and signs[i] < 0 else 1
         rows.append(Row(name, kind=kind, direction=sign, **values))
-    return DhTable(tuple(rows), modified, tuple(told))
+    return DhTable(tuple(rows), modified, tuple(remarks))
 
 
 @dataclass(frozen=True)
@@ -168,22 +155,24 @@ def _cell(text: str, decimal: str, place: str) -> _Cell:
 
     Raises InputError for anything else.
     """
-    plain = text.strip().replace("−", "-").replace("π", "pi").replace(decimal, ".").lower()
+    plain = (
+        " ".join(text.split()).replace("−", "-").replace("π", "pi").replace(decimal, ".").lower()
+    )
     if is_missing(plain):
         return _Cell(0.0)
-    found = _CELL.fullmatch(plain)
-    if found is None or not (found["variable"] or found["number"] or found["pi"]):
+    match = _CELL.fullmatch(plain)
+    if match is None or not (match["variable"] or match["number"] or match["pi"]):
         raise InputError(
             f"{text!r} is not a number",
             code="invalid-number",
             place=place,
             remedy="write a number, -pi/2, or an offset beside the joint's variable (q2 - 90)",
         )
-    sign = -1.0 if found["sign"] == "-" else 1.0
-    value = float(found["number"] or (1.0 if found["pi"] else 0.0))
-    value *= (math.pi if found["pi"] else 1.0) / float(found["below"] or 1.0)
-    shown = "rad" if found["pi"] else "deg" if found["degrees"] else ""
-    return _Cell(sign * value, shown, bool(found["variable"]))
+    sign = -1.0 if match["sign"] == "-" else 1.0
+    value = float(match["number"] or (1.0 if match["pi"] else 0.0))
+    value *= (math.pi if match["pi"] else 1.0) / float(match["below"] or 1.0)
+    shown = "rad" if match["pi"] else "deg" if match["degrees"] else ""
+    return _Cell(sign * value, shown, bool(match["variable"]))
 
 
 def _kind(text: str, name: str, place: str) -> str:
@@ -204,7 +193,7 @@ def _units(
     numbers: Mapping[str, Any], headings: Mapping[str, Heading], name: str
 ) -> tuple[dict[str, str], list[str]]:  # fmt: skip
     """Key -> unit, and what was inferred, in words."""
-    units, told = {}, []
+    units, remarks = {}, []
     lengths = [headings[k].unit for k in ("a", "d") if k in headings and headings[k].unit]
     angles = [headings[k].unit for k in ("alpha", "offset") if k in headings and headings[k].unit]
     reach = float(np.abs(numbers["a"]).sum() + np.abs(numbers["d"]).sum())
@@ -213,18 +202,19 @@ def _units(
     else:
         length = _length_unit(reach, name)
         size = f"{reach * unit(length).factor:.2g} m"
-        told.append(f"a and d of {name} are in {length}: so the lengths add up to {size}")
+        remarks.append(f"a and d of {name} are in {length}: so the lengths add up to {size}")
     turns = np.concatenate([numbers["alpha"], numbers["offset"]])
     if angles:
         angle = str(angles[0])
     else:
         large = float(np.abs(turns).max(initial=0.0))
+        # No offset exceeds a turn; 0.01 leaves room for a rounded 2 pi (6.29).
         angle = "deg" if large > 2.0 * math.pi + 0.01 else "rad"
-        told.append(f"alpha and theta of {name} are in {angle}: the largest is {large:g}")
+        remarks.append(f"alpha and theta of {name} are in {angle}: the largest is {large:g}")
     for key, usual in (("a", length), ("d", length), ("alpha", angle), ("offset", angle)):
-        its = headings[key].unit if key in headings else None
-        units[key] = its or usual
-    return units, told
+        stated_unit = headings[key].unit if key in headings else None
+        units[key] = stated_unit or usual
+    return units, remarks
 
 
 def _length_unit(reach: float, name: str) -> str:
@@ -252,6 +242,7 @@ def chain_rows(table: DhTable) -> tuple[dict[str, float], tuple[Row, ...]]:
     rows = list(table.rows)
     if not table.modified:
         return {}, tuple(rows)
+    # Craig: T = Rx(alpha) Tx(a) Rz(theta) Tz(d); classical: Rz(theta) Tz(d) Tx(a) Rx(alpha).
     first = {"rx": rows[0].alpha, "tx": rows[0].a}
     moved = [*rows[1:], Row("", 0.0, 0.0, 0.0, 0.0)]
     return first, tuple(

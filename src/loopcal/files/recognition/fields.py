@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -14,50 +15,27 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed, short
 from loopcal.files.recognition.headers import Heading, heading, stem
 from loopcal.files.recognition.titles import below_titles, readings_of
+from loopcal.files.recognition.vocabulary import words
+from loopcal.files.tables.registry import reader_of
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.poses import pose_id
 from loopcal.measurements.tables import as_numbers, column, column_names
+from loopcal.presentation.rounding import significant
 
 Array = NDArray[np.float64]
-_IDS = frozenset(
-    (
-        *(
-            "poloha",
-            "bod",
-            "mereni",
-            "cislo",
-            "numero",
-            "punto",
-            "posicion",
-            "punkt_nr",
-            "posizione",
-        ),
-        *("pose", "poses", "pose_id", "poseid", "pose_no", "pose_nr", "pose_number", "id", "ids"),
-        *("no", "nr", "number", "num", "index", "idx", "point", "point_id", "sample", "n", "i"),
-        *("measurement", "name", "config", "configuration", "row", "label", "punkt", "messung"),
-    )
-)
-STATIONS = frozenset(
-    (
-        *("sta", "stn", "station", "stations", "station_id", "station_no", "station_nr", "setup"),
-        *("tracker_station", "instrument_station", "standpunkt", "aufstellung", "stationierung"),
-        *("stanoviste", "stanovisko", "stationnement", "estacion", "stazione"),
-    )
-)
-_TARGETS = frozenset(
-    (
-        *("target", "reflector", "smr", "prism", "ball", "marker", "target_id", "reflector_id"),
-        *("reflektor", "prisma", "zielmarke", "odrazec", "cil", "cible", "reflecteur"),
-    )
-)
-TIMES = frozenset(("time", "timestamp", "t", "zeit", "date", "datetime", "seconds"))
+_IDS = frozenset(words("columns", "pose"))
+STATIONS = frozenset(words("columns", "station"))
+_TARGETS = frozenset(words("columns", "target"))
+TIMES = frozenset(words("columns", "time"))
 
 
-_WORKBOOKS = (".xlsx", ".xlsm")
 _CLEARLY = 3
 """A sheet with so many times the numbers of any other holds the readings."""
 _MOST_TARGETS = 8
+_ALIKE = 1e-2
+"""Shots of one pose agree to this share of the span of all poses."""
+_WHOLE = re.compile(r"[+-]?\d+")
 STILL = 1e-3
 """An axis whose readings span so much less than another's stands still."""
 
@@ -93,15 +71,21 @@ class Field:
     @property
     def span(self) -> float:
         """Largest minus smallest value."""
-        known = self.values[np.isfinite(self.values)]
-        return float(np.ptp(known)) if known.size else 0.0
+        finite_values = self.values[np.isfinite(self.values)]
+        return float(np.ptp(finite_values)) if finite_values.size else 0.0
 
     def resolution(self) -> float:
-        """The step to which its values were rounded, a power of ten; 0 where there is none."""
-        known = self.values[np.isfinite(self.values)]
-        largest = np.abs(known).max(initial=0.0)
+        """The step to which its values were rounded, a power of ten; 0 where there is none.
+
+        It is 0 also for a column that stands still, whose one value may be round by chance.
+        """
+        if not self.span:
+            return 0.0
+        finite_values = self.values[np.isfinite(self.values)]
+        largest = np.abs(finite_values).max(initial=0.0)
         for digits in range(-3, 10):
-            scaled = known * 10.0**digits
+            scaled = finite_values * 10.0**digits
+            # Decimals are off by the rounding of doubles; 1e3 keeps a bound for small numbers.
             close = 1e-9 * max(largest * 10.0**digits, 1e3)
             if (
                 np.abs(scaled).max(initial=0.0) >= 1.0
@@ -140,55 +124,95 @@ class Source:
         return len(self.fields[0].values)
 
 
-def source_of(given: Any, number: int, sheet: str | None = None) -> Source:
-    """A file by its path, or a Dataset, dict of arrays or DataFrame.
+def sources_of(data: Any, number: int, sheet: str | None = None) -> tuple[Source, ...]:
+    """The tables of a file by its path, or of a Dataset, dict of arrays or DataFrame.
 
-    sheet: of workbooks, or the variable of MATLAB files. Raises InputError for a table without a
-    column of numbers, and for a workbook of which several sheets may hold the readings.
+    number: of the first; several are sheets of a workbook that complement each other. sheet: of
+    workbooks, or the variable of MATLAB files. Raises InputError for a table without a column of
+    numbers, and for a workbook of which several sheets may hold the readings.
     """
-    if isinstance(given, str | Path):
-        return _of_file(Path(given), number, sheet if _parted(Path(given)) else None)
-    if isinstance(given, Dataset):
+    if isinstance(data, str | Path):
+        return _of_file(Path(data), number, sheet if reader_of(data).part else None)
+    return (_in_memory(data, number),)
+
+
+def _in_memory(data: Any, number: int) -> Source:
+    if isinstance(data, Dataset):
         fields = [
-            Field(number, i, Heading(q, stem(q), given.units.get(q)), values)
-            for i, (q, values) in enumerate(given.readings.items())
+            Field(number, i, Heading(q, stem(q), data.units.get(q)), values)
+            for i, (q, values) in enumerate(data.readings.items())
         ]
-        for quantity, sds in given.sds.items():
-            its = Heading(f"{quantity} sd", f"{stem(quantity)}_sd", given.units.get(quantity))
-            fields.append(Field(number, len(fields), its, sds))
-        return _checked(Source(None, None, tuple(fields), given.poses, "pose"))
+        for quantity, sds in data.sds.items():
+            header = Heading(f"{quantity} sd", f"{stem(quantity)}_sd", data.units.get(quantity))
+            fields.append(Field(number, len(fields), header, sds))
+        return _checked(Source(None, None, tuple(fields), data.poses, "pose"))
     fields, ids, pose, texts = [], None, None, dict[str, tuple[str, ...]]()
-    for i, name in enumerate(column_names(given)):
-        values = column(given, name)
-        its = heading(name)
-        if its.stem in _IDS:
-            found = tuple(map(pose_id, np.asarray(values).tolist()))
-            if ids is None or len(set(ids)) < len(set(found)) == len(found):
-                ids, pose = found, name
+    for i, name in enumerate(column_names(data)):
+        values = column(data, name)
+        header = heading(name)
+        if header.stem in _IDS:
+            pose_ids = tuple(map(pose_id, np.asarray(values).tolist()))
+            if ids is None or len(set(ids)) < len(set(pose_ids)):
+                ids, pose = pose_ids, name
                 continue
         try:
-            fields.append(Field(number, i, its, as_numbers(values, name)))
+            fields.append(Field(number, i, header, as_numbers(values, name)))
         except InputError:  # text, dates: no readings
-            told = tuple(map(str, np.asarray(values).tolist()))
-            if its.stem in STATIONS:
-                fields.append(Field(number, i, its, _counted(told)))
+            labels = tuple(map(str, np.asarray(values).tolist()))
+            if header.stem in STATIONS:
+                fields.append(Field(number, i, header, _counted(labels)))
             else:
-                texts[its.stem] = told
+                texts[header.stem] = labels
     return _with_ids(Source(None, None, tuple(fields), ids, pose), texts)
 
 
-def _parted(path: Path) -> bool:
-    return path.suffix.lower() in (*_WORKBOOKS, ".mat")
+def _of_file(path: Path, number: int, sheet: str | None) -> tuple[Source, ...]:
+    if sheet is not None or reader_of(path).part != "sheet":
+        table, title = below_titles(path, sheet)
+        return (_of_table(path, table, title, number, sheet),)
+    sheets = _sheets(path)
+    which = ", ".join(f"{short(str(one.sheet))!r} ({len(one.rows)} rows)" for one, _ in sheets[:10])
+    candidates = [_of_table(path, *one, number, None) for one in sheets]
+    taken, left = [candidates[0]], list[int]()
+    for i, one in enumerate(candidates[1:], 1):
+        if _complements(one, taken):
+            taken.append(_of_table(path, *sheets[i], number + len(taken), None))
+        else:
+            left.append(i)
+    if left and _numbers(sheets[0][0]) < _CLEARLY * _numbers(sheets[left[0]][0]):
+        raise InputError(
+            f"several sheets may hold the readings: {which}",
+            code="missing-key",
+            place=path.name,
+            remedy=f"name one: --sheet {sheets[0][0].sheet!r}",
+        )
+    if len(sheets) > 1:
+        read = "the first is read" if len(taken) == 1 else f"{len(taken)} are joined"
+        remark = f"{path.name} has several sheets: {which}; {read}. {taken[0].remark}".strip()
+        taken[0] = replace(taken[0], remark=remark)
+    return tuple(taken)
 
 
-def _of_file(path: Path, number: int, sheet: str | None) -> Source:
-    table, remark, titled = _table_of(path, sheet)
+def _complements(sheet: Source, taken: Sequence[Source]) -> bool:
+    """Whether a sheet has other columns of the same poses: the same ids, or as many rows."""
+    stems = {f.stem for f in sheet.fields}
+    if "" in stems or any(f.stem in stems | {""} for one in taken for f in one.fields):
+        return False
+    first = taken[0]
+    if first.ids is not None and sheet.ids is not None:
+        # More than half: a sheet of another run may share some numbers of poses.
+        return 2 * len({*first.ids} & {*sheet.ids}) > min(len(first), len(sheet))
+    return len(first) == len(sheet)
+
+
+def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | None) -> Source:
+    titled = bool(remark)
     numeric = table.numeric()
     names = [table.names[i] if i < len(table.names) else "" for i in range(_width(table))]
     headings = [heading(name) if name else None for name in names]
     units = _row_of_units(table, numeric)
-    for i, its in units.items():
-        headings[i] = replace(headings[i] or Heading("", ""), unit=its or None)
+    for i, symbol in units.items():
+        headings[i] = replace(headings[i] or Heading("", ""), unit=symbol or None)
     pose = _pose_column(table, headings, numeric)
     texts = [i for i in table.columns if i not in numeric and i != pose]
     cells = {i: table.ids(i) for i in (pose, *texts) if i is not None}
@@ -198,24 +222,24 @@ def _of_file(path: Path, number: int, sheet: str | None) -> Source:
     if len(every) < count:
         rows = count - len(every)
         last = "The last row" if rows == 1 else f"The last {rows} rows"
-        told_so = f"{last} of {table.name}: a summary of the others, left out."
-        remark = f"{remark} {told_so}".strip()
+        summary = f"{last} of {table.name}: a summary of the others, left out."
+        remark = f"{remark} {summary}".strip()
     every = every[1 if units else 0 :]
-    told = {i: tuple(its[k] for k in every) for i, its in cells.items()}
+    labels = {i: tuple(column_cells[k] for k in every) for i, column_cells in cells.items()}
     values = {i: table.numbers(i, every) for i in numeric if i != pose}
-    values |= {i: _counted(told[i]) for i in texts if _stem(headings, i) in STATIONS}
+    values |= {i: _counted(labels[i]) for i in texts if _stem(headings, i) in STATIONS}
     fields = tuple(
         Field(number, i, headings[i] if i < len(headings) else None, values[i])
         for i in sorted(values)
     )
-    ids = None if pose is None else told[pose]
-    sheet = table.sheet if path.suffix.lower() in _WORKBOOKS else sheet
+    ids = None if pose is None else labels[pose]
+    sheet = table.sheet or sheet
     named = None if pose is None else column_key(names, pose)
     # what is not one table below its header is written into a file of its own
     header = tuple(names)
     place = path if len(every) == count and not titled else None
     source = Source(place, sheet, fields, ids, named, header, path.name, remark)
-    return _with_ids(source, {_stem(headings, i): told[i] for i in texts if i not in values})
+    return _with_ids(source, {_stem(headings, i): labels[i] for i in texts if i not in values})
 
 
 def _counted(names: Sequence[str]) -> Array:
@@ -224,13 +248,12 @@ def _counted(names: Sequence[str]) -> Array:
     return np.array([1.0 + order.index(name) if name else np.nan for name in names])
 
 
-def _table_of(path: Path, sheet: str | None) -> tuple[Table, str, bool]:
-    """The table of a file, what to say of the choice, and whether titles stand above its header;
-    of a workbook the sheet with by far the most numbers."""
-    if sheet is not None or path.suffix.lower() not in _WORKBOOKS:
-        table, title = below_titles(path, sheet)
-        return table, title, bool(title)
-    found: list[tuple[Table, str]] = []
+def _sheets(path: Path) -> list[tuple[Table, str]]:
+    """The sheets of a workbook that hold a table of numbers, that with the most numbers first.
+
+    Beside each is what to say of titles above its header.
+    """
+    tables: list[tuple[Table, str]] = []
     first: InputError | None = None
     for number in count(1):
         try:
@@ -242,23 +265,10 @@ def _table_of(path: Path, sheet: str | None) -> tuple[Table, str, bool]:
             first = first or error
             continue
         if len(table.numeric()) > 1 and len(table.rows) > 1:
-            found.append((table, title))
-    if not found:
+            tables.append((table, title))
+    if not tables:
         raise first or _no_numbers(path.name)
-    found.sort(key=lambda its: _numbers(its[0]), reverse=True)
-    (best, title), *others = found
-    if not others:
-        return best, title, bool(title)
-    which = ", ".join(f"{short(str(one.sheet))!r} ({len(one.rows)} rows)" for one, _ in found[:10])
-    if _numbers(best) < _CLEARLY * _numbers(others[0][0]):
-        raise InputError(
-            f"several sheets may hold the readings: {which}",
-            code="missing-key",
-            place=path.name,
-            remedy=f"name one: --sheet {best.sheet!r}",
-        )
-    remark = f"{path.name} has several sheets: {which}; the first is read."
-    return best, f"{remark} {title}".strip(), bool(title)
+    return sorted(tables, key=lambda entry: _numbers(entry[0]), reverse=True)
 
 
 def _numbers(table: Table) -> int:
@@ -266,22 +276,91 @@ def _numbers(table: Table) -> int:
 
 
 def _with_ids(source: Source, texts: Mapping[str, tuple[str, ...]]) -> Source:
-    """With ids that occur once: a row per target, or per station, becomes a row per pose; other
-    repeated ids are no ids. texts: columns of text by name."""
+    """With ids that occur once: a row per target, or per station, becomes a row per pose, several
+    shots of one become one; other repeated ids are no ids. texts: columns of text by name.
+
+    Raises InputError for several targets without ids of poses.
+    """
     checked = _checked(source)
     ids = checked.ids
-    if ids is None or len(set(ids)) == len(ids):
-        return checked
     numbers = {
         f.stem: tuple(map(str, f.values)) for f in checked.fields if f.stem in _TARGETS | STATIONS
     }
     labels = {**texts, **numbers}
-    for stem_ in sorted(labels, key=lambda word: (word not in _TARGETS, word in STATIONS)):
-        rest = tuple(f for f in checked.fields if f.stem != stem_ or stem_ not in numbers)
-        wide = _widened(rest, ids, labels[stem_])
-        if wide is not None:
-            return Source(None, None, wide, tuple(dict.fromkeys(ids)), "pose", label=checked.name)
+    targets = [w for w in labels if w in _TARGETS and 1 < len({*labels[w]}) <= _MOST_TARGETS]
+    if ids is None and targets:
+        raise InputError(
+            f"the column {targets[0]!r} names several targets, and no column says which rows are "
+            "of one pose",
+            code="missing-column",
+            place=checked.name,
+            remedy='add a column "pose" with the same id in all rows of a pose',
+        )
+    if ids is None or len(set(ids)) == len(ids):
+        return checked
+    for word in sorted(labels, key=lambda w: (w not in _TARGETS, w in STATIONS)):
+        rest = tuple(f for f in checked.fields if f.stem != word or word not in numbers)
+        shots = _pooled(rest, list(zip(ids, labels[word], strict=True)))
+        wide = shots and _widened(shots.fields, *zip(*shots.keys, strict=True))
+        if shots and wide:
+            return _rewritten(checked, wide, [pose for pose, _ in shots.keys], shots.remark)
+    shots = _pooled(checked.fields, ids)
+    if shots:
+        return _rewritten(checked, shots.fields, shots.keys, shots.remark)
     return replace(checked, ids=None, pose=None)
+
+
+def _rewritten(
+    source: Source, fields: tuple[Field, ...], ids: Sequence[str], remark: str
+) -> Source:
+    """A table with a row per pose, which is no longer that of its file."""
+    remarks = f"{source.remark} {remark}".strip()
+    poses = tuple(dict.fromkeys(ids))
+    return Source(None, None, fields, poses, "pose", label=source.name, remark=remarks)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shots:
+    """Columns with one row per key, the mean of its shots, and what to say of them."""
+
+    fields: tuple[Field, ...]
+    keys: list[Any]
+    remark: str = ""
+
+
+def _pooled(fields: Sequence[Field], keys: Sequence[Any]) -> _Shots | None:
+    """The mean of the rows of each key; None where they are not alike, and so no shots of one pose.
+
+    Rows are alike where half of the columns that vary agree; most keys have several.
+    """
+    every, where = list(dict.fromkeys(keys)), {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    if len(every) == len(keys):
+        return _Shots(tuple(fields), every)
+    rows = np.array([where[key] for key in keys])
+    several = np.bincount(rows) > 1
+    if 2 * several.sum() < len(every):
+        return None
+    varying = [f for f in fields if f.span > 0.0 and f.stem not in TIMES]
+    pooled, scatters, alike = list[Field](), list[str](), 0
+    for field in fields:
+        finite = np.isfinite(field.values)
+        counts = np.bincount(rows[finite], minlength=len(every))
+        sums = np.bincount(rows[finite], field.values[finite], len(every))
+        means = np.divide(sums, counts, out=np.full(len(every), np.nan), where=counts > 0)
+        pooled.append(replace(field, values=means))
+        off = (field.values - means[rows])[finite]
+        # Pooled sd: each mean takes one degree of freedom of its shots.
+        freedom = int(np.maximum(counts - 1, 0).sum())
+        sd = float(np.sqrt(np.square(off).sum() / freedom)) if freedom else 0.0
+        same = np.abs(off).max(initial=0.0) <= _ALIKE * field.span
+        alike += field in varying and bool(same)
+        if sd and same:
+            scatters.append(f"{field.label} {significant(sd, 2)}")
+    if 2 * alike < len(varying):
+        return None
+    scatter = f" (sd of one: {', '.join(scatters[:9])}, as the file has them)" if scatters else ""
+    remark = f"{len(keys)} rows are several shots of {len(every)}: their means are used{scatter}."
+    return _Shots(tuple(pooled), every, remark)
 
 
 def _widened(
@@ -289,40 +368,44 @@ def _widened(
 ) -> tuple[Field, ...] | None:
     """Columns with a row per id; what differs between labels has a column for each of them.
 
-    None where an id has a label twice, or the labels are not few.
+    None where the labels are not few.
     """
     kinds, poses = list(dict.fromkeys(labels)), list(dict.fromkeys(ids))
-    if not 1 < len(kinds) <= _MOST_TARGETS or len(set(zip(ids, labels, strict=True))) < len(ids):
+    if not 1 < len(kinds) <= _MOST_TARGETS:
         return None
-    rows = np.array([poses.index(i) for i in ids]), np.array([kinds.index(k) for k in labels])
-    found: list[Field] = []
+    place = {pose: i for i, pose in enumerate(poses)}
+    rows = np.array([place[i] for i in ids]), np.array([kinds.index(k) for k in labels])
+    columns: list[Field] = []
     for field in fields:
         cells = np.full((len(poses), len(kinds)), np.nan)
         cells[rows] = field.values
+        # nanmin would warn of poses without any reading.
         low = np.nan_to_num(cells, nan=np.inf).min(axis=1)
         high = np.nan_to_num(cells, nan=-np.inf).max(axis=1)
         read = high >= low
         if ((high - low)[read] <= STILL * field.span).all():
-            found.append(replace(field, values=np.where(read, low, np.nan)))
+            columns.append(replace(field, values=np.where(read, low, np.nan)))
             continue
-        its = field.heading or Heading("", f"column_{field.position + 1}")
+        header = field.heading or Heading("", f"column_{field.position + 1}")
         for k, kind in enumerate(kinds):
-            named = Heading(f"{its.text} of {kind}".strip(), f"{its.stem}_{k + 1}", its.unit)
-            found.append(Field(field.table, field.position, named, cells[:, k]))
-    return tuple(found)
+            named = Heading(
+                f"{header.text} of {kind}".strip(), f"{header.stem}_{k + 1}", header.unit
+            )
+            columns.append(Field(field.table, field.position, named, cells[:, k]))
+    return tuple(columns)
 
 
 def _row_of_units(table: Table, numeric: Sequence[int]) -> dict[int, str]:
     """Position -> unit, of the first row below a header if it holds units; else empty."""
     if not table.names or len(table.rows) < 2:
         return {}
-    found = {}
+    units = {}
     for i in numeric:
         text = table.first(i)
         if text is None:
             return {}
-        found[i] = heading(f"x [{text}]").unit or ""
-    return found if any(found.values()) else {}
+        units[i] = heading(f"x [{text}]").unit or ""
+    return units if any(units.values()) else {}
 
 
 def column_key(names: Sequence[str], position: int) -> str | int:
@@ -339,12 +422,18 @@ def _pose_column(
     table: Table, headings: Sequence[Heading | None], numeric: Sequence[int]
 ) -> int | None:
     """The column of ids: by its name, or a count that begins a table without a header."""
-    named = [i for i in table.columns if _stem(headings, i) in _IDS]
-    for once in (True, False):
-        for i in named:
-            ids = table.ids(i)
-            if len(ids) > 1 and (len(set(ids)) == len(ids) or (not once and i not in numeric)):
-                return i
+    repeated: dict[int, int] = {}
+    for i in table.columns:
+        if _stem(headings, i) not in _IDS or len(table.rows) < 2:
+            continue
+        ids = table.ids(i)
+        kinds = len(set(ids))
+        if kinds == len(ids):
+            return i
+        if i not in numeric or (kinds > 1 and all(map(_WHOLE.fullmatch, ids))):
+            repeated[i] = kinds
+    if repeated:  # of poses and reflectors in rows of their own, poses are the more
+        return max(repeated, key=lambda i: repeated[i])
     if not table.names and numeric and numeric[0] == 0:
         first = table.numbers(0, np.arange(len(table.rows)))
         steps = np.diff(first)
@@ -354,8 +443,8 @@ def _pose_column(
 
 
 def _stem(headings: Sequence[Heading | None], i: int) -> str:
-    its = headings[i] if i < len(headings) else None
-    return its.stem if its else ""
+    header = headings[i] if i < len(headings) else None
+    return header.stem if header else ""
 
 
 def _checked(source: Source) -> Source:

@@ -6,26 +6,13 @@ import re
 import unicodedata
 from dataclasses import dataclass
 
-_SPOKEN = {
-    **dict.fromkeys(
-        ("deg", "degs", "degree", "degrees", "°", "grd", "degres", "degré", "degrés", "stupne"),
-        "deg",
-    ),
-    **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
-    **dict.fromkeys(("mrad", "urad", "gon", "arcsec", "arcmin", "um", "mm", "cm", "m"), ""),
-    **dict.fromkeys(("µrad", "μrad"), "urad"),
-    **dict.fromkeys(("µm", "μm", "micron", "microns", "micrometer"), "um"),
-    **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
-    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
-    **dict.fromkeys(("inch", "inches"), "in"),
-    **dict.fromkeys(("gons",), "gon"),
-    **dict.fromkeys(("s", "ms", "sec", "seconds"), "s"),
-    **dict.fromkeys(("°c", "degc", "celsius"), "degC"),
-}
+from loopcal.files.recognition.vocabulary import meanings
+
+_SPOKEN = meanings("units")
 _OPEN = ("grad", "grads", "grade", "grades")
 """Degrees in one language, gon in another: the readings say which."""
-_IN_BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[({]\s*(?P<unit>[^\])}]*?)\s*[\])}]\s*$")
-_AFTER_SLASH = re.compile(r"^(?P<name>.+?)\s*/\s*(?P<unit>[^/]+)$")
+_OPENING, _CLOSING = re.compile(r"[\[({]"), re.compile(r"[\])}]")
+# NFKD takes accents away, but turns no letter of another alphabet into a word.
 _LETTERS = {"θ": "theta", "ϑ": "theta", "φ": "phi", "α": "alpha", "β": "beta", "Δ": "delta"}
 
 
@@ -48,13 +35,12 @@ def heading(text: str) -> Heading:
     >>> heading("J1 [deg]").stem, heading("theta1_rad").unit, heading("X (mm)").unit
     ('j1', 'rad', 'mm')
     """
-    name, unit = text.strip(), None
-    for form in (_IN_BRACKETS, _AFTER_SLASH):
-        found = form.match(name)
-        if found and (spoken := _unit(found["unit"])) is not None:
-            return Heading(text, stem(found["name"]), spoken)
-        if found and found["unit"].strip().casefold() in _OPEN:
-            return Heading(text, stem(found["name"]))
+    name, unit = unicodedata.normalize("NFKC", text).strip(), None
+    for name_part, stated in (_in_brackets(name), _after_slash(name)):
+        if (spoken := _unit(stated)) is not None:
+            return Heading(text, stem(name_part), spoken)
+        if stated.strip().casefold() in _OPEN:
+            return Heading(text, stem(name_part))
     words = stem(name).split("_")
     if len(words) > 1 and words[-1] in _SPOKEN and words[-1] not in ("s", "ms"):
         unit = _unit(words[-1])
@@ -62,6 +48,21 @@ def heading(text: str) -> Heading:
         if len(words) > 1 and words[-1] == "in":
             words = words[:-1]
     return Heading(text, "_".join(words), unit)
+
+
+def _in_brackets(name: str) -> tuple[str, str]:
+    """What stands ahead of the brackets at the end, and in them; "" without brackets there."""
+    if not _CLOSING.match(name[-1:]):
+        return name, ""
+    earlier = max(name.rfind(mark, 0, -1) for mark in "])}") + 1
+    opened = _OPENING.search(name, earlier)
+    return (name[: opened.start()], name[opened.end() : -1]) if opened else (name, "")
+
+
+def _after_slash(name: str) -> tuple[str, str]:
+    """What stands ahead of the last slash, and behind it; "" without one."""
+    name_part, _, stated = name.rpartition("/")
+    return (name_part, stated) if name_part else (name, "")
 
 
 def stem(name: str) -> str:
@@ -77,6 +78,4 @@ def _unit(text: str) -> str | None:
     word = text.strip().casefold()
     if word in ("in", '"', "″"):
         return "in"
-    if word not in _SPOKEN:
-        return None
-    return _SPOKEN[word] or word
+    return _SPOKEN.get(word)

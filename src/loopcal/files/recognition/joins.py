@@ -56,8 +56,8 @@ def joined(sources: Sequence[Source]) -> Fields:
         )
     poses = tuple(str(i) for i in range(1, len(first) + 1))
     fields = _without_doubles(sources, [f for s in sources for f in s.fields])
-    told = f"{' and '.join(lengths)} share no pose ids: their rows are joined by order"
-    return Fields(tuple(sources), poses, fields, True, (told,))
+    remark = f"{' and '.join(lengths)} share no pose ids: their rows are joined by order"
+    return Fields(tuple(sources), poses, fields, True, (remark,))
 
 
 def _by_ids(sources: Sequence[Source], common: Sequence[str]) -> Fields:
@@ -66,12 +66,14 @@ def _by_ids(sources: Sequence[Source], common: Sequence[str]) -> Fields:
         where = {pose: i for i, pose in enumerate(source.ids or ())}
         rows = np.array([where[pose] for pose in common], dtype=np.intp)
         fields += [Field(f.table, f.position, f.heading, f.values[rows]) for f in source.fields]
-    told = [f"the files are joined by pose ids: {len(common)} poses are in all of them"]
+    remarks = [f"the files are joined by pose ids: {len(common)} poses are in all of them"]
     for source in sources:
         if len(source) > len(common):
-            told.append(f"{source.name}: {len(source) - len(common)} poses are not in every file")
+            remarks.append(
+                f"{source.name}: {len(source) - len(common)} poses are not in every file"
+            )
     kept = _without_doubles(sources, fields)
-    return Fields(tuple(sources), tuple(common), kept, False, tuple(told))
+    return Fields(tuple(sources), tuple(common), kept, False, tuple(remarks))
 
 
 def _stacked(sources: Sequence[Source]) -> Fields | None:
@@ -79,19 +81,21 @@ def _stacked(sources: Sequence[Source]) -> Fields | None:
     first = sources[0]
     columns = [{(f.stem, f.unit) for f in s.fields} for s in sources]
     named = len(columns[0]) == len(first.fields) and all(f.stem for f in first.fields)
-    if not named or any(its != columns[0] for its in columns):
+    if not named or any(quantities != columns[0] for quantities in columns):
         return None
     by_stem = [{f.stem: f.values for f in s.fields} for s in sources]
     fields = tuple(
-        replace(f, values=np.concatenate([its[f.stem] for its in by_stem])) for f in first.fields
+        replace(f, values=np.concatenate([values[f.stem] for values in by_stem]))
+        for f in first.fields
     )
     ids = [i for s in sources for i in (s.ids or tuple(f"{s.name} {k + 1}" for k in range(len(s))))]
     if len(set(ids)) < len(ids):
+        # Files may use the same ids for other poses.
         ids = [f"{s.name} {i}" for s in sources for i in s.ids or ()]
     names = " and ".join(s.name for s in sources)
-    told = f"{names} have the same columns: their {len(ids)} poses are taken together"
+    remark = f"{names} have the same columns: their {len(ids)} poses are taken together"
     one = Source(None, None, fields, tuple(ids), "pose")
-    return Fields((one,), tuple(ids), fields, False, (told,))
+    return Fields((one,), tuple(ids), fields, False, (remark,))
 
 
 def _without_doubles(sources: Sequence[Source], fields: Sequence[Field]) -> tuple[Field, ...]:

@@ -12,65 +12,15 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.files.recognition.fields import STATIONS, TIMES, Field, moving, unnamed
 from loopcal.files.recognition.headers import stem
+from loopcal.files.recognition.vocabulary import arms, words
 
-_JOINT_WORDS = frozenset(
-    (
-        *("j", "joint", "jt", "jnt", "q", "theta", "th", "axis", "ax", "a", "phi", "angle", "ang"),
-        *("enc", "encoder", "motor", "achse", "gelenk", "rax", "axe", "joint_angle"),
-        *("kloub", "osa", "articulation", "eje", "articulacion", "giunto", "asse", "eixo", "junta"),
-        "joint_position",
-    )
-)
-_KNOWN_ARMS = (
-    ("s", "l", "e", "u", "r", "b", "t"),
-    ("s", "l", "u", "r", "b", "t"),
-    ("base", "shoulder", "elbow", "wrist1", "wrist2", "wrist3"),
-    ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"),
-)
-"""Joints as makers name them: Yaskawa with seven and six, Universal Robots."""
-_LENGTH_WORDS = frozenset(
-    ("l", "len", "length", "wire", "cable", "dist", "distance", "d", "rope", "string", "draw_wire")
-)
-_RANGES = ("range", "distance", "dist", "slope_distance", "r", "d")
-_AZIMUTHS = ("azimuth", "az", "hz", "horizontal", "horizontal_angle")
-_ELEVATIONS = (
-    *("elevation", "el", "vertical", "vertical_angle", "v", "zenith", "zenith_angle", "zenit"),
-)
-_TURN_WORDS = frozenset(
-    ("r", "rv", "rot", "rotvec", "rvec", "w", "omega", "rotation", "e", "euler")
-)
+_JOINT_WORDS = frozenset(words("columns", "joint"))
+_ARMS = arms()
+_LENGTH_WORDS = frozenset(words("columns", "length"))
+_POLAR = [words("columns", name) for name in ("range", "azimuth", "elevation")]
+_TURN_WORDS = words("columns", "turn")
 _TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"), ("rz", "ry", "rx"))
-_OTHER_WORDS = frozenset(
-    (
-        *(
-            "v",
-            "vel",
-            "velocity",
-            "acc",
-            "f",
-            "force",
-            "torque",
-            "nom",
-            "nominal",
-            "cmd",
-            "command",
-        ),
-        *(
-            "d",
-            "delta",
-            "diff",
-            "dev",
-            "deviation",
-            "err",
-            "error",
-            "res",
-            "residual",
-            "abweichung",
-        ),
-        *("commanded", "ctrl", "controller", "des", "desired", "planned"),
-    )
-)
-"""Beginnings of three columns that are no measured point."""
+_UNMEASURED = frozenset(words("columns", "unmeasured"))
 _SD_BEFORE = re.compile(r"^(?:u|sd|std|sigma|unc|uncertainty|stddev|sig)_?(?P<of>.+)$")
 _SD_AFTER = re.compile(r"^(?P<of>.+?)_?(?:sd|std|sigma|unc|uncertainty|stddev)$")
 _NUMBERED = re.compile(r"^(?P<word>.*?)_?(?P<number>\d{1,2})(?P<rest>(?:_[a-z_]+)?)$")
@@ -99,7 +49,7 @@ class Seen:
     station: str = ""
 
     @property
-    def known(self) -> NDArray[np.intp]:
+    def rows(self) -> NDArray[np.intp]:
         """Positions of the poses that it has read."""
         return np.flatnonzero(np.isfinite(self.position[0].values))
 
@@ -118,12 +68,12 @@ def named_joints(fields: Sequence[Field], names: Iterable[str]) -> dict[str, Fie
     """Joint name -> the column of that name, for all that have one."""
     by_stem = {f.stem: f for f in fields if f.stem}
     exact = {f.heading.text: f for f in fields if f.heading}
-    found = {}
+    joints = {}
     for name in names:
-        its = exact.get(name) or by_stem.get(stem(name))
-        if its is not None:
-            found[name] = its
-    return found
+        field = exact.get(name) or by_stem.get(stem(name))
+        if field is not None:
+            joints[name] = field
+    return joints
 
 
 def usual_joints(fields: Sequence[Field]) -> tuple[Field, ...]:
@@ -132,16 +82,17 @@ def usual_joints(fields: Sequence[Field]) -> tuple[Field, ...]:
     What stands still beside the others is an external axis that did not move.
     """
     by_stem = {f.stem: f for f in fields if f.stem}
-    for arm in _KNOWN_ARMS:
+    for arm in _ARMS:
         if set(arm) <= set(by_stem):
             return moving([by_stem[name] for name in arm])
     families: dict[tuple[str, str], list[tuple[int, Field]]] = {}
     for field in fields:
-        found = _NUMBERED.match(field.stem)
-        if found and _is_joint_word(found["word"]):
-            key = (found["word"], found["rest"])
-            families.setdefault(key, []).append((int(found["number"]), field))
-    rotations = {id(f) for its in _quaternions(fields) for f in its}
+        match = _NUMBERED.match(field.stem)
+        if match and _is_joint_word(match["word"]):
+            key = (match["word"], match["rest"])
+            families.setdefault(key, []).append((int(match["number"]), field))
+    # q1 ... q4 are names of joints too: four columns of unit length are a quaternion.
+    rotations = {id(f) for quaternion in _quaternions(fields) for f in quaternion}
     best: tuple[Field, ...] = ()
     for members in families.values():
         ordered = tuple(f for _, f in sorted(members, key=lambda m: m[0]) if id(f) not in rotations)
@@ -163,8 +114,8 @@ def layouts(fields: Sequence[Field], count: int, names: Sequence[str] = ()) -> t
     """
     stations = [f for f in fields if f.stem in STATIONS]
     if not stations:
-        return _found(fields, count, names)
-    every = _found([f for f in fields if f.stem not in STATIONS], count, names)
+        return _single_station(fields, count, names)
+    every = _single_station([f for f in fields if f.stem not in STATIONS], count, names)
     return tuple(_by_station(one, stations[0]) for one in every)
 
 
@@ -196,20 +147,24 @@ def _by_station(layout: Layout, station: Field) -> Layout:
     return replace(layout, seen=tuple(seen))
 
 
-def _at(seen: Seen, there: NDArray[np.bool_], station: str) -> Seen:
+def _at(seen: Seen, rows: NDArray[np.bool_], station: str) -> Seen:
     """The instrument at one station."""
 
     def only(fields: tuple[Field, ...]) -> tuple[Field, ...]:
-        return tuple(replace(f, values=np.where(there, f.values, np.nan)) for f in fields)
+        return tuple(replace(f, values=np.where(rows, f.values, np.nan)) for f in fields)
 
-    its = (only(seen.position), only(seen.turned), only(seen.sds))
-    return replace(seen, position=its[0], turned=its[1], sds=its[2], station=station)
+    position, turned, sds = only(seen.position), only(seen.turned), only(seen.sds)
+    return replace(seen, position=position, turned=turned, sds=sds, station=station)
 
 
-def _found(fields: Sequence[Field], count: int, names: Sequence[str]) -> tuple[Layout, ...]:
-    found = named_joints(fields, names)
-    if names and len(found) == len(names):
-        return _with_joints(fields, tuple(found[n] for n in names), "by the machine's joint names")
+def _single_station(
+    fields: Sequence[Field], count: int, names: Sequence[str]
+) -> tuple[Layout, ...]:
+    by_name = named_joints(fields, names)
+    if names and len(by_name) == len(names):
+        return _with_joints(
+            fields, tuple(by_name[n] for n in names), "by the machine's joint names"
+        )
     usual = usual_joints(fields)
     for joints in (usual, moving(usual)):
         if len(joints) == count:
@@ -233,12 +188,12 @@ def _with_joints(
     seen = instruments(rest)
     if seen:
         return (_layout(joints, seen, fields, how),)
-    found = tuple(
-        _layout(joints, (its,), fields, how)
-        for its in _read_in_order([f for f in rest if f.stem not in TIMES])
+    in_order = tuple(
+        _layout(joints, (instrument,), fields, how)
+        for instrument in _read_in_order([f for f in rest if f.stem not in TIMES])
     )
-    if found:
-        return found
+    if in_order:
+        return in_order
     raise InputError(
         f"no column of an instrument is recognised among {unnamed(rest)}"
         if rest
@@ -266,17 +221,18 @@ def _by_order(fields: Sequence[Field], count: int) -> tuple[Layout, ...]:
         for some in (rest, moving(rest)):
             if len(some) == count:
                 return (_layout(tuple(some), seen, fields, "by the order of the columns"),)
-    found: list[Layout] = []
+    candidates: list[Layout] = []
     usable = [f for f in fields if f.stem not in TIMES]
     for some in (usable, moving(usable)):
         for joints, others in ((some[:count], some[count:]), (some[-count:], some[:-count])):
             if len(joints) == count:
                 how = "by the order of the columns"
-                found += [
-                    _layout(tuple(joints), (its,), fields, how) for its in _read_in_order(others)
+                candidates += [
+                    _layout(tuple(joints), (instrument,), fields, how)
+                    for instrument in _read_in_order(others)
                 ]
-        if found:
-            return tuple(found)
+        if candidates:
+            return tuple(candidates)
     raise InputError(
         f"the columns {unnamed(fields)} do not show which {count} are the joints",
         code="missing-column",
@@ -326,7 +282,7 @@ def _is_last_row(row: Sequence[Field]) -> bool:
 def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:
     """The instruments whose columns are named as they usually are."""
     by_stem = {f.stem: f for f in fields if f.stem}
-    polar = [_first(by_stem, names) for names in (_RANGES, _AZIMUTHS, _ELEVATIONS)]
+    polar = [_first(by_stem, names) for names in _POLAR]
     if all(f is not None for f in polar):
         return (Seen("spherical", tuple(f for f in polar if f is not None)),)
     turned, form, position = _orientation(fields, by_stem)
@@ -334,16 +290,16 @@ def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:
     rest = [f for f in fields if id(f) not in aside]
     triples = list(_triples(rest))
     points = [t for word, t in triples if not _of_something_else(word, t, by_stem)]
-    found: list[Seen] = []
+    seen: list[Seen] = []
     if turned and (position or points):
-        found.append(Seen("pose", position or points.pop(0), turned, form))
-    found += [Seen("point", its) for its in points]
+        seen.append(Seen("pose", position or points.pop(0), turned, form))
+    seen += [Seen("point", point) for point in points]
     for field in rest:
         number = _NUMBERED.match(field.stem)
         word = number["word"] if number else field.stem
         if word in _LENGTH_WORDS:
-            found.append(Seen("length", (field,)))
-    return tuple(replace(s, sds=_sds(s.position, fields)) for s in found)
+            seen.append(Seen("length", (field,)))
+    return tuple(replace(s, sds=_sds(s.position, fields)) for s in seen)
 
 
 def _orientation(
@@ -352,8 +308,8 @@ def _orientation(
     """The numbers of an orientation, their form, and the position that a matrix brings along."""
     for turned, position in _matrices(fields, by_stem):
         return turned, "matrix", position
-    for its in _quaternions(fields):
-        return its, "quaternion", ()
+    for quaternion in _quaternions(fields):
+        return quaternion, "quaternion", ()
     triples = dict(_triples(fields))
     for word in _TURN_WORDS:
         if word in triples and len(triples) > 1:
@@ -377,26 +333,26 @@ def _triples(fields: Sequence[Field]) -> Iterator[tuple[str, tuple[Field, ...]]]
                 yield word, tuple(by_stem[n] for n in names)
 
 
-def _of_something_else(word: str, its: tuple[Field, ...], by_stem: dict[str, Field]) -> bool:
+def _of_something_else(word: str, triple: tuple[Field, ...], by_stem: dict[str, Field]) -> bool:
     """Whether these are sds of other columns, velocities, forces, or what a controller computed."""
-    if word in _OTHER_WORDS or word.split("_")[0] in _OTHER_WORDS:
+    if word in _UNMEASURED or word.split("_")[0] in _UNMEASURED:
         return True
-    return all(_sd_of(f.stem, by_stem) is not None for f in its)
+    return all(_sd_of(f.stem, by_stem) is not None for f in triple)
 
 
 def _sd_of(name: str, by_stem: dict[str, Field]) -> str | None:
     for form in (_SD_BEFORE, _SD_AFTER):
-        found = form.match(name)
-        if found and found["of"] in by_stem and found["of"] != name:
-            return found["of"]
+        match = form.match(name)
+        if match and match["of"] in by_stem and match["of"] != name:
+            return match["of"]
     return None
 
 
 def _sds(position: Sequence[Field], fields: Sequence[Field]) -> tuple[Field, ...]:
     by_stem = {f.stem: f for f in fields if f.stem}
-    its = {of: f for f in fields if f.stem and (of := _sd_of(f.stem, by_stem)) is not None}
-    found = tuple(its[p.stem] for p in position if p.stem in its)
-    return found if len(found) == len(position) else ()
+    by_quantity = {of: f for f in fields if f.stem and (of := _sd_of(f.stem, by_stem)) is not None}
+    sds = tuple(by_quantity[p.stem] for p in position if p.stem in by_quantity)
+    return sds if len(sds) == len(position) else ()
 
 
 def _quaternions(fields: Sequence[Field]) -> Iterator[tuple[Field, ...]]:
@@ -406,14 +362,14 @@ def _quaternions(fields: Sequence[Field]) -> Iterator[tuple[Field, ...]]:
         for i, letter in enumerate(field.stem):
             names = [f"{field.stem[:i]}{a}{field.stem[i + 1 :]}" for a in "wxyz"]
             if letter == "w" and all(n in by_stem for n in names):
-                its = tuple(by_stem[n] for n in names)
-                if _unit_norm(its):
-                    yield its
+                quaternion = tuple(by_stem[n] for n in names)
+                if _unit_norm(quaternion):
+                    yield quaternion
     numbered: dict[str, list[Field]] = {}
     for field in fields:
-        found = _NUMBERED.match(field.stem)
-        if found:
-            numbered.setdefault(found["word"], []).append(field)
+        match = _NUMBERED.match(field.stem)
+        if match:
+            numbered.setdefault(match["word"], []).append(field)
     for members in numbered.values():
         if len(members) == 4 and _unit_norm(members):
             yield tuple(members)
@@ -425,13 +381,13 @@ def _matrices(
     """Nine orthonormal columns, with a fourth column of the matrix as position if it is there."""
     cells: dict[str, dict[tuple[int, int], Field]] = {}
     for field in fields:
-        found = _CELL.match(field.stem)
-        if found:
-            at = (int(found["row"]), int(found["column"]))
-            cells.setdefault(found["word"], {})[at] = field
-    for its in cells.values():
-        begin = 0 if (0, 0) in its else 1
-        grid = [[its.get((begin + i, begin + j)) for j in range(4)] for i in range(3)]
+        match = _CELL.match(field.stem)
+        if match:
+            at = (int(match["row"]), int(match["column"]))
+            cells.setdefault(match["word"], {})[at] = field
+    for matrix in cells.values():
+        begin = 0 if (0, 0) in matrix else 1
+        grid = [[matrix.get((begin + i, begin + j)) for j in range(4)] for i in range(3)]
         turned = tuple(cell for row in grid for cell in row[:3] if cell is not None)
         position = tuple(row[3] for row in grid if row[3] is not None)
         if len(turned) == 9 and _orthonormal(turned):
@@ -444,15 +400,16 @@ def _matrices(
 
 def _unit_norm(fields: Sequence[Field]) -> bool:
     lengths = np.sqrt(sum(np.square(f.values) for f in fields))
-    known = lengths[np.isfinite(lengths)]
-    return bool(known.size and np.abs(known - 1.0).max() < UNIT_NORM)
+    finite_lengths = lengths[np.isfinite(lengths)]
+    return bool(finite_lengths.size and np.abs(finite_lengths - 1.0).max() < UNIT_NORM)
 
 
 def _orthonormal(fields: Sequence[Field]) -> bool:
     R = np.array([f.values for f in fields]).reshape(3, 3, -1).transpose(2, 0, 1)
-    known = R[np.isfinite(R).all(axis=(1, 2))]
-    off = np.abs(known @ known.transpose(0, 2, 1) - np.eye(3))
-    return bool(known.size and off.max() < UNIT_NORM)
+    rotations = R[np.isfinite(R).all(axis=(1, 2))]
+    # R R^T = 1 holds for mirrors too: whether it is one shows in the fit.
+    off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3))
+    return bool(rotations.size and off.max() < UNIT_NORM)
 
 
 def _first(by_stem: dict[str, Field], names: Iterable[str]) -> Field | None:

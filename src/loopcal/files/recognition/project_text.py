@@ -31,7 +31,7 @@ class ProjectParts:
 def project_text(parts: ProjectParts) -> str:
     """The text of a project file."""
 
-    def told(section: str) -> list[str]:
+    def remark_lines(section: str) -> list[str]:
         return [row for words in parts.remarks.get(section, ()) for row in _comment(words)]
 
     plain = {k: v for k, v in parts.mechanism.items() if k not in _LISTS}
@@ -40,23 +40,23 @@ def project_text(parts: ProjectParts) -> str:
         line("schema", SCHEMA),
         line("title", parts.title),
         "",
-        *told("mechanism"),
+        *remark_lines("mechanism"),
         "[mechanism]",
         *(line(k, v) for k, v in plain.items()),
     ]
     for key in _LISTS:
         rows += tables(f"mechanism.{key}", parts.mechanism.get(key, ()))
     if parts.parameters:
-        rows += ["", *told("parameters"), "[mechanism.parameters]"]
+        rows += ["", *remark_lines("parameters"), "[mechanism.parameters]"]
         rows += [line(k, v) for k, v in parts.parameters.items()]
-    rows += ["", *told("data")]
+    rows += ["", *remark_lines("data")]
     for i, entry in enumerate(parts.data):
         name = "[data]" if i == 0 else "[[data.join]]"
         rows += ([""] if i else []) + [name]
         rows += [line(k, v) for k, v in entry.items() if k != "columns"]
         rows += [f"[{name.strip('[]')}.columns]"]
         rows += [line(k, v) for k, v in entry["columns"].items()]
-    rows += ["", *told("noise"), "[noise]", *(line(k, v) for k, v in parts.noise.items())]
+    rows += ["", *remark_lines("noise"), "[noise]", *(line(k, v) for k, v in parts.noise.items())]
     return "\n".join(rows) + "\n"
 
 

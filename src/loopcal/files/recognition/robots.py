@@ -75,9 +75,9 @@ def urdf_robot(
     if len(chains) != 1:
         raise _which_chain(path, every, fitting)
     best = _best_tip(fitting)
-    told = f"base {best.base!r} and tip {best.tip!r} of {path.name}: {why}"
+    remark = f"base {best.base!r} and tip {best.tip!r} of {path.name}: {why}"
     table = _urdf_table(relative, best.base, best.tip)
-    return Robot(table, len(best.joints), best.joints, (told,))
+    return Robot(table, len(best.joints), best.joints, (remark,))
 
 
 def _urdf_table(relative: str, base: str, tip: str) -> dict[str, Any]:
@@ -145,8 +145,8 @@ def dh_robot(path: Path, fields: Sequence[Field]) -> Robot:
     remarks = list(table.remarks)
     if table.modified:
         remarks.append(f"{path.name} is of the modified convention, written here in the classical")
-    own = tuple(row.name for row in rows if row.kind != "fixed")
-    stated = own if len(named_joints(fields, own)) == count else ()
+    moving_names = tuple(row.name for row in rows if row.kind != "fixed")
+    stated = moving_names if len(named_joints(fields, moving_names)) == count else ()
     made = {"type": "serial", "units": {"length": "mm", "angle": "deg"}, "fix_redundant": True}
     return Robot({**made, "joint": joints}, count, stated, tuple(remarks))
 
@@ -180,6 +180,7 @@ def _fixed(motions: Mapping[str, float]) -> Array:
 def _six(T: Array) -> dict[str, float]:
     """The motions tx, ty, tz, rz, ry, rx [m, rad] that make a frame, in this order."""
     R, level = T[:3, :3], hypot(T[0, 0], T[1, 0])
+    # With ry at a right angle only rz and rx together count: rx is set to 0.
     turns = {
         "rz": atan2(R[1, 0], R[0, 0]) if level > _LEVEL else atan2(-R[0, 1], R[1, 1]),
         "ry": atan2(-R[2, 0], level),
@@ -191,6 +192,7 @@ def _six(T: Array) -> dict[str, float]:
 def _joint(name: str, row: Row, *, last: bool, ahead: Mapping[str, float]) -> dict[str, Any]:
     """One joint in mm and degrees."""
     joint: dict[str, Any] = {"name": name}
+    # Axes that are parallel with opposite directions count too.
     turned = row.alpha % pi
     parallel = min(turned, pi - turned) < _PARALLEL
     form = "hayati" if parallel and not last and row.kind == "revolute" else "dh"
@@ -200,11 +202,12 @@ def _joint(name: str, row: Row, *, last: bool, ahead: Mapping[str, float]) -> di
         joint["kind"] = row.kind
     if row.direction < 0:
         joint["direction"] = -1
-    own = dict(ahead)
+    # Hayati and Mirmirani (1985): the form has no d, so that of the drawing goes ahead.
+    before = dict(ahead)
     if form == "hayati" and row.d:
-        _append(own, {"tz": row.d})  # Tz and Rz of one axis may be exchanged
-    if own:
-        joint["before"] = own
+        _append(before, {"tz": row.d})  # Tz and Rz of one axis may be exchanged
+    if before:
+        joint["before"] = before
     keys = {"a": row.a, "alpha": row.alpha, "offset": row.offset}
     if form == "dh":
         keys["d"] = row.d

@@ -15,11 +15,13 @@ from loopcal.errors import InputError
 from loopcal.files.recognition.headers import stem
 from loopcal.files.tables.cells import is_number
 from loopcal.files.tables.readers import read_table
+from loopcal.files.tables.registry import TEXT, reader_of
 from loopcal.files.tables.table import Table
 
 _MOST, _FEWEST = 15, 4
 """Rows of titles at most, and columns of numbers that a table of readings has at least."""
-_TEXT = frozenset(("", ".csv", ".tsv", ".txt", ".dat", ".asc", ".prn"))
+_MOST_BYTES = 20_000_000
+"""Of a text that is searched for titles: it is read once for each row that may be one."""
 _SUMMARY = re.compile(
     r"^(mean|average|avg|std|stdev|std_dev|sd|sigma|min|max|minimum|maximum|median|rms|sum|total"
     r"|count|range|mittel|mittelwert|standardabweichung|stabw|summe|anzahl|moyenne|ecart_type|somme"
@@ -35,15 +37,17 @@ def below_titles(path: Path, part: str | int | None) -> tuple[Table, str]:
     try:
         table = read_table(path, part)
     except InputError:
-        found = _text_below(path) if path.suffix.lower() in _TEXT else None
-        if found is None:
+        text_table = _text_below(path) if reader_of(path) is TEXT else None
+        if text_table is None:
             raise
-        return found
+        return text_table
     return _cells_below(table)
 
 
 def _text_below(path: Path) -> tuple[Table, str] | None:
     """The table that begins in one of the first lines; None where there is none."""
+    if not path.is_file() or path.stat().st_size > _MOST_BYTES:
+        return None
     lines = path.read_bytes().split(b"\n")
     for count in range(1, min(_MOST, len(lines) - 2)):
         try:
@@ -71,8 +75,10 @@ def _cells_below(table: Table) -> tuple[Table, str]:
         cells = ["" if cell is None else str(cell).strip() for cell in row]
         if sum(map(bool, cells)) >= max(_FEWEST, width - 1) and not any(map(is_number, row)):
             below = {i: list(cells[count + 1 :]) for i, cells in table.columns.items()}
-            found = replace(table, names=tuple(cells), columns=below, rows=table.rows[count + 1 :])
-            return found, _remark(table.name, count + 1)
+            table_below = replace(
+                table, names=tuple(cells), columns=below, rows=table.rows[count + 1 :]
+            )
+            return table_below, _remark(table.name, count + 1)
     return table, ""
 
 

@@ -23,7 +23,7 @@ class _Matrix:
     def fits(self) -> bool:
         """Whether it has so many rows of these lengths."""
         return len(self.rows) == len(self.lengths) and all(
-            len(row) in known for row, known in zip(self.rows, self.lengths, strict=True)
+            len(row) in lengths for row, lengths in zip(self.rows, self.lengths, strict=True)
         )
 
 
@@ -40,14 +40,14 @@ def refuse_other_shapes(document: ResultDocument, place: Place, remedy: str) -> 
 
 
 def _matrices(document: ResultDocument) -> Iterator[_Matrix]:
-    own, ahead = document.covariance, document.prediction
-    n = len(own.names)
+    covariance, ahead = document.covariance, document.prediction
+    n = len(covariance.names)
     lower = [(i + 1, n) for i in range(n)]  # earlier versions wrote whole rows
-    yield _Matrix(("covariance", "matrix"), own.matrix, [(n,)] * n)
-    for name, rows in (("plain", own.plain), ("scatter", own.scatter)):
+    yield _Matrix(("covariance", "matrix"), covariance.matrix, [(n,)] * n)
+    for name, rows in (("plain", covariance.plain), ("scatter", covariance.scatter)):
         if rows is not None:
             yield _Matrix(("covariance", name), rows, lower)
-    for i, rows in enumerate(own.slopes):
+    for i, rows in enumerate(covariance.slopes):
         yield _Matrix(("covariance", "slopes", i), rows, lower)
     if ahead is not None:
         if ahead.covariance is not None:

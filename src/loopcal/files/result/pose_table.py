@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.result_document import MechanismEntry
 from loopcal.estimation.result import Result
+from loopcal.files.result.pair import refuse_stale
 from loopcal.files.tables.readers import read_dataset
 from loopcal.files.tables.writer import Column, table_bytes
 
@@ -26,7 +27,8 @@ class PoseTable:
     the corrected readings and calibrated parameters; differences_before, differences_after: of
     what is compared, computed from the uncorrected readings of the rest minus measured, with
     nominal and with calibrated parameters; readings: of quantities; corrections: estimated true
-    value minus reading; normalised: corrections over sds, NaN also where exact; known: constants.
+    value minus reading; normalised: corrections over sds, NaN also where exact; pose_constants:
+    exact readings.
     """
 
     poses: tuple[str, ...]
@@ -37,7 +39,7 @@ class PoseTable:
     readings: Named = field(default_factory=dict)
     corrections: Named = field(default_factory=dict)
     normalised: Named = field(default_factory=dict)
-    known: Named = field(default_factory=dict)
+    pose_constants: Named = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -57,15 +59,15 @@ def _headers(mechanism: MechanismEntry) -> Iterator[_Header]:
         yield _Header("residuals_before", loop, f"residual {loop} before [{unit}]")
         yield _Header("residuals_after", loop, f"residual {loop} after [{unit}]")
     for name in mechanism.compared:
-        told = f"{name} computed - measured"
-        yield _Header("differences_before", name, f"{told} before [{units[name]}]")
-        yield _Header("differences_after", name, f"{told} after [{units[name]}]")
+        difference = f"{name} computed - measured"
+        yield _Header("differences_before", name, f"{difference} before [{units[name]}]")
+        yield _Header("differences_after", name, f"{difference} after [{units[name]}]")
     for name, unit in units.items():
         yield _Header("readings", name, f"{name} [{unit}]")
         yield _Header("corrections", name, f"{name} correction [{unit}]")
         yield _Header("normalised", name, f"{name} correction/sd")
     for name, unit in mechanism.known.items():
-        yield _Header("known", name, f"{name} [{unit}]")
+        yield _Header("pose_constants", name, f"{name} [{unit}]")
 
 
 def pose_table(result: Result) -> PoseTable:
@@ -77,6 +79,7 @@ def pose_table(result: Result) -> PoseTable:
         sd = result.reading_sds[name]
         measured = (sd > 0.0) & np.isfinite(sd)
         corrections[name] = np.where(np.isfinite(sd), correction, np.nan)
+        # Divisors of 0 and inf are replaced: the division would warn.
         over = correction / np.where(measured, sd, 1.0)
         normalised[name] = np.where(measured, over, np.nan)
     return PoseTable(
@@ -88,7 +91,7 @@ def pose_table(result: Result) -> PoseTable:
         {name: data.readings.get(name, nothing) for name in mechanism.quantities},
         corrections,
         normalised,
-        {name: data.readings.get(name, nothing) for name in mechanism.known},
+        {name: data.readings.get(name, nothing) for name in mechanism.pose_constants},
     )
 
 
@@ -109,9 +112,10 @@ def residuals_csv(result: Result) -> bytes:
 def read_pose_table(path: str | Path, mechanism: MechanismEntry | None) -> PoseTable:
     """What residuals.csv says of the quantities, loops and outputs of a mechanism.
 
-    Without a mechanism only the ids are known. Raises InputError where it is absent or cannot be
-    read.
+    Without a mechanism only the ids are known. Raises InputError where it is absent, cannot be
+    read, or is of another result than the one beside it.
     """
+    refuse_stale(path)
     read = read_dataset(path, pose="pose")
     parts: dict[str, dict[str, Array]] = {}
     for header in _headers(mechanism) if mechanism else ():

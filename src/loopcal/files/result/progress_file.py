@@ -27,12 +27,12 @@ class ProgressFile:
     def read(self) -> Checkpoint[bool] | None:
         """The checkpoint that this very calibration had reached; None without any."""
         try:
-            found = json.loads(self.path.read_text("utf-8"))
-            return Checkpoint.read(found["checkpoint"]) if found["task"] == self.key else None
+            content = json.loads(self.path.read_text("utf-8"))
+            return Checkpoint.read(content["checkpoint"]) if content["task"] == self.key else None
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return None
 
-    def there(self) -> bool:
+    def present(self) -> bool:
         """Whether there is such a file, of whatever calibration."""
         return self.path.is_file()
 

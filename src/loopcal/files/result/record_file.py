@@ -29,9 +29,8 @@ _SEAL = re.compile(
     r'="([0-9a-f]{64})">'
 )
 _MANIFEST = re.compile(
-    r'<script type="application/json" id="manifest">(.*?)</script>'
-    r'|<record xmlns="urn:loopcal:record" sha256="[0-9a-f]{64}">(.*?)</record>',
-    re.DOTALL,
+    r'<(script) type="application/json" id="manifest">'
+    r'|<(record) xmlns="urn:loopcal:record" sha256="[0-9a-f]{64}">'
 )
 _OF_RESULT = {
     "result.json": "result",
@@ -86,7 +85,7 @@ def record_files(
     folder of the result. Raises InputError for readings that changed since the calibration.
     """
     to = page.absolute().parent
-    found = [
+    files = [
         RecordFile(role, name, relative(result.absolute().with_name(name), to), sha256_of(path))
         for name, role in _OF_RESULT.items()
         if (path := result.with_name(name)).is_file()
@@ -94,7 +93,7 @@ def record_files(
     near = [result.absolute().parent.parent, result.absolute().parent]
     if project is not None:
         near.insert(0, project.absolute().parent)
-        found.append(
+        files.append(
             RecordFile(
                 "project", project.name, relative(project.absolute(), to), sha256_of(project)
             )
@@ -104,8 +103,8 @@ def record_files(
         if name is None or digest is None:
             continue
         at = _readings(name, digest, document.inputs.get("data"), near)
-        found.append(RecordFile("readings", name, None if at is None else relative(at, to), digest))
-    return tuple(found)
+        files.append(RecordFile("readings", name, None if at is None else relative(at, to), digest))
+    return tuple(files)
 
 
 def _readings(name: str, digest: str, stated: Any, near: Sequence[Path]) -> Path | None:
@@ -164,10 +163,11 @@ def check_record(path: str | Path) -> RecordCheck:
     text = content[: MOST_BYTES + 1].decode("utf-8", "replace")
     seal, files = _SEAL.search(text), _MANIFEST.search(text)
     try:
-        entries = (
-            [RecordFile(**entry) for entry in json.loads(files[1] or files[2])] if files else None
-        )
-    except (ValueError, TypeError):
+        end = -1 if files is None else text.find(f"</{files[1] or files[2]}>", files.end())
+        entries = None
+        if files is not None and end >= 0:
+            entries = [RecordFile(**entry) for entry in json.loads(text[files.end() : end])]
+    except (ValueError, TypeError, RecursionError):
         entries = None
     if seal is None or entries is None:
         raise InputError(

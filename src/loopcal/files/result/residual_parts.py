@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 import shutil
 from pathlib import Path
@@ -13,6 +14,7 @@ from loopcal.files.result.pose_table import pose_columns
 from loopcal.files.tables.writer import table_bytes
 
 NAME = "residuals"
+_PART = re.compile(r"part-\d{5,}\.parquet")
 
 
 def residual_part(chunk: Result) -> bytes:
@@ -42,9 +44,11 @@ class ResidualParts:
 
         Raises InputError where a file stands in the way of the residuals.
         """
-        if (self.folder / NAME).is_file():
+        target = self.folder / NAME
+        others = target.is_dir() and any(not _PART.fullmatch(p.name) for p in target.iterdir())
+        if others or target.is_file():
             raise InputError(
-                "a file has the name of the residuals folder",
+                "a file, or a folder with other files, has the name of the residuals folder",
                 code="unwritable-file",
                 place=str(self.folder / NAME),
                 remedy="move it, or choose another result folder",
@@ -59,21 +63,23 @@ class ResidualParts:
 
         Raises InputError where it cannot be written, or another run has removed those before.
         """
-        self._check()
+        self.check()
         self._count += 1
         write_files(self._open, {_name(self._count): part})
 
     def finish(self) -> None:
         """Give the folder its name. Raises InputError where another run has removed parts."""
-        self._check()
+        self.check()
         target = self.folder / NAME
         old = self.folder / f".{NAME}.{secrets.token_hex(6)}.old"
         if target.exists():
+            # A folder cannot be renamed onto one that holds files.
             target.rename(old)
         self._open.rename(target)
         shutil.rmtree(old, ignore_errors=True)
 
-    def _check(self) -> None:
+    def check(self) -> None:
+        """Raise InputError where another run has removed parts."""
         if self._count and not (self._open / _name(1)).exists():
             raise InputError(
                 "another calibration writing to this folder removed these residuals",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,17 +14,22 @@ from loopcal.document.plain import plain
 from loopcal.document.result_document import SCHEMA, ResultDocument, WrittenResult
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.result import Result
-from loopcal.files.atomic import write_files
+from loopcal.files.atomic import Data, write_all
 from loopcal.files.json_reader import read_json
+from loopcal.files.json_writer import sums
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
+from loopcal.files.result.pair import MACHINE, RESIDUALS, RESULT, refuse_stale
 from loopcal.files.result.pose_table import residuals_csv
 from loopcal.files.toml.place import Place
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter, ValidationError
 
-READ = (1, SCHEMA)
+_ROLES = {"gain": "scale"}
+"""Roles by the words of earlier files, where these differ."""
+READ = (1, 2, SCHEMA)
 """Schemas that can be read."""
+NAMES = (RESULT, RESIDUALS, MACHINE)
 _ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
 _REMEDY = "name a result.json that loopcal wrote, or calibrate again"
 
@@ -37,10 +43,10 @@ def _text(value: Any, margin: str = "\n") -> str:
     """JSON with one entry on a line, but arrays of plain values on one."""
     inner = f"{margin} "
     if isinstance(value, dict) and value:
-        lines = (f"{_text(key)}: {_text(its, inner)}" for key, its in value.items())
+        lines = (f"{_text(key)}: {_text(item, inner)}" for key, item in value.items())
         return "{" + inner + f",{inner}".join(lines) + margin + "}"
     if isinstance(value, list) and not {dict, list}.isdisjoint(map(type, value)):
-        return "[" + inner + f",{inner}".join(_text(its, inner) for its in value) + margin + "]"
+        return "[" + inner + f",{inner}".join(_text(item, inner) for item in value) + margin + "]"
     return _ENCODER.encode(value)
 
 
@@ -50,43 +56,82 @@ def write_result(
     folder: str | Path,
     *,
     report: Callable[[ResultDocument], str] | None = None,
+    entry: tuple[str | Path, Mapping[str, Any]] | None = None,
 ) -> WrittenResult:
     """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
 
     report: makes report.html of the document; without it an existing one is deleted, because it
-    describes another result. The folder is made if need be. Raises InputError, naming the file, the
+    describes another result. entry: folder of a history, and what is added to it, all or none with
+    the rest. The folder is made if need be. Raises InputError, naming the file, the
     reason and a remedy, where they cannot be written.
     """
-    files: dict[str, str | bytes] = {
-        "result.json": result_json(document),
-        "residuals.csv": residuals_csv(result),
-        "mechanism.toml": mechanism_to_toml(result.calibrated),
+    folder = Path(folder)
+    pair: dict[str, Data] = {
+        MACHINE: mechanism_to_toml(result.calibrated, folder),
+        RESIDUALS: residuals_csv(result),
     }
-    if report is not None:
-        files["report.html"] = report(document)
-    write_files(folder, files, remove=() if report else ("report.html",))
-    return WrittenResult(Path(folder), tuple(files), document)
+    document = replace(document, files=sums(pair))
+    pages: dict[str, Data] = {} if report is None else {"report.html": report(document)}
+    # whoever reads between these renames finds the machine of another result.json
+    files: dict[Path, Data] = {
+        folder / name: data
+        for name, data in {**pair, **pages, RESULT: result_json(document)}.items()
+    }
+    remove = [] if pages else [folder / "report.html"]
+    if entry is None:
+        write_all(files, remove=remove)
+    else:
+        into, content = entry
+        from loopcal.files.history.folder import append_entries
+
+        append_entries(into, [("calibration", content)], lambda _: files, remove=remove)
+    return WrittenResult(folder, (*NAMES, *pages), document)
 
 
 def read_result(path: str | Path) -> ResultDocument:
-    """The document of a result.json, checked; schema 1 lacks only what schema 2 added.
+    """The document of a result.json, checked; earlier schemas lack only what later ones
+    added.
 
-    Raises InputError, naming the place in the file, for anything else.
+    Raises InputError, naming the place in the file, for anything else, and where mechanism.toml
+    beside it is of another result.
     """
     from pydantic import ValidationError
 
-    content = read_json(path, "result.json", *READ) | {"schema": SCHEMA}
+    content = _with_roles(read_json(path, "result.json", *READ)) | {"schema": SCHEMA}
     try:
         document = _adapter().validate_json(json.dumps(content).encode())
     except ValidationError as error:
-        raise _told(error, content, Place(str(path))) from None
+        raise _first_complaint(error, content, Place(str(path))) from None
     from loopcal.files.result.matrices import refuse_other_shapes
 
     refuse_other_shapes(document, Place(str(path)), _REMEDY)
+    refuse_stale(Path(path).with_name(MACHINE), document.files)
+    if document.verdict is not None and not document.findings:
+        return replace(document, findings=document.verdict.findings)
     return document
 
 
-def _told(error: ValidationError, content: Mapping[str, Any], place: Place) -> InputError:
+def _with_roles(content: dict[str, Any]) -> dict[str, Any]:
+    """The document with the role of each parameter beside it; earlier ones listed kinds apart."""
+    mechanism, parameters = content.get("mechanism"), content.get("parameters")
+    if not isinstance(mechanism, dict) or not isinstance(parameters, list):
+        return content
+    kinds = mechanism.get("kinds")
+    if not isinstance(kinds, dict):
+        return content
+    roles = {name: _ROLES.get(kind, kind) for name, kind in kinds.items() if isinstance(kind, str)}
+    return content | {
+        "mechanism": {key: value for key, value in mechanism.items() if key != "kinds"},
+        "parameters": [
+            {"role": roles.get(p.get("name"), ""), **p} if isinstance(p, dict) else p
+            for p in parameters
+        ],
+    }
+
+
+def _first_complaint(
+    error: ValidationError, content: Mapping[str, Any], place: Place
+) -> InputError:
     """The first complaint in the words of this program; unknown keys come first."""
     from loopcal.files.toml.model import input_error
 
@@ -101,9 +146,9 @@ def _told(error: ValidationError, content: Mapping[str, Any], place: Place) -> I
             )
         if detail["type"] == "unexpected_keyword_argument":
             *path, key = detail["loc"]
-            known = _adapter().json_schema()
-            names = {*known["properties"]}.union(
-                *(d["properties"] for d in known["$defs"].values())
+            json_schema = _adapter().json_schema()
+            names = {*json_schema["properties"]}.union(
+                *(d["properties"] for d in json_schema["$defs"].values())
             )
             at = place.at(*path) if path else place
             return InputError(
@@ -112,8 +157,8 @@ def _told(error: ValidationError, content: Mapping[str, Any], place: Place) -> I
                 place=str(at),
                 remedy=nearest(str(key), names),
             )
-    told = input_error(details, content, place)
-    return InputError(told.message, code=told.code, place=told.place, remedy=_REMEDY)
+    complaint = input_error(details, content, place)
+    return InputError(complaint.message, code=complaint.code, place=complaint.place, remedy=_REMEDY)
 
 
 def result_schema() -> dict[str, Any]:

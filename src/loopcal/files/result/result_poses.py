@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from loopcal.errors import InputError
+from loopcal.files.result.pair import refuse_stale
 from loopcal.files.tables.columns import Column
 from loopcal.files.tables.readers import read_dataset
 from loopcal.measurements.dataset import Dataset
@@ -17,12 +18,13 @@ from loopcal.mechanisms.mechanism import Mechanism
 def read_result_poses(folder: Path, mechanism: Mechanism) -> Dataset | None:
     """The poses used, SI, with the known constants of each; None where they are not there.
 
-    Raises InputError where residuals.csv cannot be read.
+    Raises InputError where residuals.csv cannot be read, or is of another result.
     """
     path = folder / "residuals.csv"
     if not path.exists():
         return None
-    stated = {**mechanism.quantities, **mechanism.known}
+    refuse_stale(path)
+    stated = {**mechanism.quantities, **mechanism.pose_constants}
     columns = {name: Column(f"{name} [{unit}]") for name, unit in stated.items()}
     made = read_dataset(path, columns, pose="pose")
     # what is implied has a column, and blank cells where no instrument read it

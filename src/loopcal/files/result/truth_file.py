@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.files.json_reader import read_json
-from loopcal.files.versions import version
+from loopcal.files.json_writer import marked_json
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.units import convertible, to_si
 
@@ -21,11 +20,15 @@ if TYPE_CHECKING:
 SCHEMA = 1
 
 
-def truth_json(simulation: Simulation, mechanism: Mechanism) -> str:
-    """Every true parameter, and the true values of every quantity in every pose [SI]."""
+def truth_json(
+    simulation: Simulation, mechanism: Mechanism, readings: Mapping[str, str | bytes]
+) -> str:
+    """Every true parameter, and the true values of every quantity in every pose [SI].
+
+    readings: name -> content of the file beside it, whose SHA-256 it states.
+    """
     document = {
         "schema": SCHEMA,
-        "loopcal": version(),
         "mechanism": mechanism.name,
         "seed": simulation.seed,
         "parameters": {
@@ -38,7 +41,7 @@ def truth_json(simulation: Simulation, mechanism: Mechanism) -> str:
             for name, unit in mechanism.quantities.items()
         },
     }
-    return json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n"
+    return marked_json(document, readings, indent=None)
 
 
 def read_truth(path: str | Path, mechanism: Mechanism) -> Mapping[str, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.calibrate import refuse_noise
 from loopcal.estimation.fit import Fit
-from loopcal.files.machines.parameter_entries import changed, in_si
+from loopcal.files.machines.parameter_entries import by_dimension, changed, in_si, with_priors
 from loopcal.files.machines.python_function import Loops
-from loopcal.files.project.fit_entries import fit_of
-from loopcal.files.project.noise_entries import NoiseSpec, noise_spec
-from loopcal.files.project.project_file import plain, stated_mechanism, with_priors
-from loopcal.files.project.simulation_entries import SimulationSpec, simulation_spec
+from loopcal.files.project.noise_table import Noises, StatedNoise, noises
+from loopcal.files.project.project_file import plain, stated_mechanism
+from loopcal.files.project.simulation_table import SimulationSettings
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
 from loopcal.files.versions import version
@@ -26,14 +25,8 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameters
 
 if TYPE_CHECKING:
-    from loopcal.files.project.project_schema import NoiseEntry
-    from loopcal.files.study.study_schema import (
-        MethodEntry,
-        PublishedEntry,
-        ScenarioEntry,
-        SharedSimulation,
-        StudyModel,
-    )
+    from loopcal.files.study.study_tables import MethodTable, Published
+    from loopcal.files.toml.tables import Tables
 
 
 @dataclass(frozen=True)
@@ -58,7 +51,7 @@ class Scenario:
 
     name: str
     mechanism: Mechanism
-    simulation: SimulationSpec
+    simulation: SimulationSettings
     noise: Noise
     methods: tuple[StudyMethod, ...]
     published: Mapping[str, Mapping[str, float]]
@@ -108,47 +101,48 @@ def read_study(
 
     Raises InputError, naming file and key, for all that cannot be read or does not fit.
     """
-    from loopcal.files.study.study_schema import StudyModel
-    from loopcal.files.toml.model import validated
+    from loopcal.files.study.study_tables import ScenarioTable, StudyTables
+    from loopcal.files.toml.tables import read_tables
 
     place = Place(shown(path))
     data = read_toml(path) if text is None else toml_data(text, place.file)
     checked_schema(data, place)
-    model = validated(StudyModel, data, place)
+    tables = read_tables(StudyTables, data, place)
     real = None if str(path) == "-" else Path(path)
     folder = Path() if real is None else real.parent
+    entries = tables.made("parameters")
 
-    def told(parameters: Parameters) -> Parameters:
-        return changed(parameters, model.parameters, place.at("parameters"))
+    def stated(parameters: Parameters) -> Parameters:
+        return changed(parameters, entries, place.at("parameters"))
 
-    made = stated_mechanism(model, data, folder, mechanism, place, told)
-    machine = made.with_parameters(told(made.parameters))
-    names = [entry.name or entry.method for entry in model.methods]
-    _refuse_repeated(names, place.at("methods"))
-    _refuse_repeated([entry.name for entry in model.scenarios], place.at("scenarios"))
-    scenarios = tuple(
-        _scenario(model, i, machine, place.at("scenarios", i)) for i in range(len(model.scenarios))
-    )
+    made = stated_mechanism(tables, data, folder, mechanism, stated)
+    machine = made.with_parameters(stated(made.parameters))
+    methods: tuple[MethodTable, ...] = tables.made("methods")
+    _refuse_repeated([method.title for method in methods], place.at("methods"))
+    listed = tables.listed("scenarios", ScenarioTable)
+    _refuse_repeated([one.made("name") for one in listed], place.at("scenarios"))
+    scenarios = tuple(_scenario(tables, one, methods, machine) for one in listed)
     return Study(
-        title=model.title or (real.stem if real else machine.name),
+        title=tables.made("title") or (real.stem if real else machine.name),
         path=real,
-        draws=model.draws,
-        seed=model.seed,
+        draws=tables.made("draws"),
+        seed=tables.made("seed"),
         scenarios=scenarios,
         fingerprint=_fingerprint(data, scenarios),
     )
 
 
 def _fingerprint(data: Mapping[str, Any], scenarios: Sequence[Scenario]) -> str:
-    told = {key: value for key, value in data.items() if key not in ("title", "draws")}
-    told["scenarios"] = [
+    content = {key: value for key, value in data.items() if key not in ("title", "draws")}
+    content["scenarios"] = [
         {key: value for key, value in scenario.items() if key != "published"}
         for scenario in data["scenarios"]
     ]
     machine = scenarios[0].mechanism
+    # Another version may fit the same draws otherwise.
     parts = [
         version(),
-        json.dumps(plain(told), sort_keys=True),
+        json.dumps(plain(content), sort_keys=True),
         str(machine.tape),
         *map(str, machine.parameters),
     ]
@@ -166,25 +160,34 @@ def _refuse_repeated(names: Sequence[str], place: Place) -> None:
             )
 
 
-def _scenario(model: StudyModel, index: int, machine: Mechanism, place: Place) -> Scenario:
-    entry, top = model.scenarios[index], Place(place.file)
-    mechanism = with_priors(machine, model.prior, top.at("prior"))
-    mechanism = with_priors(mechanism, entry.prior, place.at("prior"))
-    told = _noise(model.noise, machine, top.at("noise")).followed_by(
-        _noise(entry.noise, machine, place.at("noise"))
+def _scenario(
+    shared: Tables, stated: Tables, methods: Sequence[MethodTable], machine: Mechanism
+) -> Scenario:
+    mechanism, noise = machine, Noises()
+    for tables in (shared, stated):  # the scenario's own come last and win
+        mechanism = with_priors(mechanism, tables.made("prior"), tables.place.at("prior"))
+    for tables in (shared, stated):
+        more = _noise(tables.made("noise"), mechanism, tables.place.at("noise"))
+        noise = noise.followed_by(more)
+    simulation = _simulation(shared, stated, mechanism, noise)
+    study_methods = tuple(
+        _method(method, mechanism, noise, shared.place.at("methods", i))
+        for i, method in enumerate(methods)
     )
-    spec = _simulation(model.simulation, entry, mechanism, told, place)
-    methods = tuple(
-        _method(given, mechanism, told, top.at("methods", i))
-        for i, given in enumerate(model.methods)
+    at = stated.place.at("published")
+    return Scenario(
+        stated.made("name"),
+        mechanism,
+        simulation,
+        simulation.noise.noise(),
+        study_methods,
+        _published(stated.made("published"), mechanism, study_methods, at),
     )
-    published = _published(entry.published, mechanism, methods, place.at("published"))
-    return Scenario(entry.name, mechanism, spec, spec.noise.noise(), methods, published)
 
 
 def _noise(
-    entries: Mapping[str, NoiseEntry], mechanism: Mechanism, place: Place, *, learnt: bool = False
-) -> NoiseSpec:
+    entries: Mapping[str, StatedNoise], mechanism: Mechanism, place: Place, *, learnt: bool = False
+) -> Noises:
     """The noise stated; learnt: whether it is that of a method, which may learn sds."""
     for key, entry in entries.items():
         if not learnt and (key == MODEL or entry.estimate is not None):
@@ -202,36 +205,34 @@ def _noise(
                 place=str(place.at(key, "covariance_columns")),
                 remedy="give a covariance that is the same in all poses",
             )
-    return noise_spec(entries, mechanism.quantities, mechanism.quantity_group, place)
+    return noises(entries, mechanism, place)
 
 
 def _simulation(
-    shared: SharedSimulation,
-    entry: ScenarioEntry,
-    mechanism: Mechanism,
-    told: NoiseSpec,
-    place: Place,
-) -> SimulationSpec:
-    own = entry.simulation
-    here, top = place.at("simulation"), Place(place.file).at("simulation")
-    for given, at in ((shared, top), (own, here)):
-        _noise(given.noise, mechanism, at.at("noise"))
-    both = shared.model_copy(
-        update={
-            "poses": shared.poses if own.poses is None else own.poses,
-            "ranges": {**shared.ranges, **own.ranges},
-            "truth": {**shared.truth, **own.truth},
-            "perturb": {**shared.perturb, **own.perturb},
-            "noise": {**shared.noise, **own.noise},
-        }
-    )
-    made = simulation_spec(both, mechanism, told, here)
+    shared: Tables, stated: Tables, mechanism: Mechanism, assumed: Noises
+) -> SimulationSettings:
+    from loopcal.files.project.names import scope_of
+
+    scope = scope_of(mechanism)
+    common, specific = (tables.made("simulation", scope) for tables in (shared, stated))
+    top, place = (tables.place.at("simulation") for tables in (shared, stated))
+    # Checked one by one: once they are merged, the place of a mistake is lost.
+    for simulation, at in ((common, top), (specific, place)):
+        _noise(simulation.noise, mechanism, at.at("noise"))
+    made: SimulationSettings = replace(
+        common,
+        poses=common.poses if specific.poses is None else specific.poses,
+        ranges={**common.ranges, **specific.ranges},
+        truth={**common.truth, **specific.truth},
+        perturb={**common.perturb, **specific.perturb},
+        noise={**common.noise, **specific.noise},
+    ).settings(mechanism, assumed, place)
     made.refuse_missing()
     return made
 
 
-def _method(entry: MethodEntry, mechanism: Mechanism, told: NoiseSpec, place: Place) -> StudyMethod:
-    fit = fit_of(entry, place)
+def _method(entry: MethodTable, mechanism: Mechanism, assumed: Noises, place: Place) -> StudyMethod:
+    fit = entry.settings
     if fit.method.exact and (entry.noise or entry.prior):
         key = "noise" if entry.noise else "prior"
         raise InputError(
@@ -240,13 +241,14 @@ def _method(entry: MethodEntry, mechanism: Mechanism, told: NoiseSpec, place: Pl
             place=str(place.at(key)),
             remedy="leave it out, or choose a method that weights the readings",
         )
-    noise = told.followed_by(_noise(entry.noise, mechanism, place.at("noise"), learnt=True)).noise()
+    method_noise = _noise(entry.noise, mechanism, place.at("noise"), learnt=True)
+    noise = assumed.followed_by(method_noise).noise()
     try:
         refuse_noise(fit, noise)
     except InputError as error:
         raise error.at(str(place)) from None
     return StudyMethod(
-        entry.name or entry.method,
+        entry.title,
         with_priors(mechanism, entry.prior, place.at("prior")),
         noise,
         fit,
@@ -254,7 +256,7 @@ def _method(entry: MethodEntry, mechanism: Mechanism, told: NoiseSpec, place: Pl
 
 
 def _published(
-    entry: PublishedEntry | None,
+    entry: Published | None,
     mechanism: Mechanism,
     methods: Sequence[StudyMethod],
     place: Place,
@@ -262,17 +264,17 @@ def _published(
     """Errors [SI], true minus estimate, by method and parameter."""
     if entry is None:
         return {}
-    units = entry.units.by_dimension()
+    units = by_dimension(entry.units)
     free = [p.name for p in mechanism.parameters if not p.fixed]
     names = [method.name for method in methods]
-    found: dict[str, dict[str, float]] = {}
+    errors_by_method: dict[str, dict[str, float]] = {}
     for method, errors in entry.errors.items():
-        here = place.at("errors", method)
+        method_place = place.at("errors", method)
         if method not in names:
             raise InputError(
                 f"there is no method {method!r} in this study",
                 code="unknown-name",
-                place=str(here),
+                place=str(method_place),
                 remedy=nearest(method, names),
             )
         for name in errors:
@@ -280,11 +282,11 @@ def _published(
                 raise InputError(
                     f"{name!r} is not an estimated parameter",
                     code="unknown-name",
-                    place=str(here.at(name)),
+                    place=str(method_place.at(name)),
                     remedy=nearest(name, free),
                 )
-        found[method] = {
-            name: in_si(value, None, mechanism.parameters[name].unit, here.at(name), units)
+        errors_by_method[method] = {
+            name: in_si(value, None, mechanism.parameters[name].unit, method_place.at(name), units)
             for name, value in errors.items()
         }
-    return found
+    return errors_by_method

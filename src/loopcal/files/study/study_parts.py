@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.files.atomic import write_atomic
+from loopcal.files.atomic import write_atomic, write_files
+from loopcal.files.json_writer import marked_json
 from loopcal.files.study.study_file import Study
 from loopcal.files.tables.writer import table_bytes
 
@@ -25,10 +26,12 @@ if TYPE_CHECKING:
     import polars as pl
 
 Column = Sequence[str] | NDArray[np.float64]
+# The numbers of a draw depend on no part: seed, scenario and number decide (docs/decisions/0007).
 CHUNK = 50
 """Draws in a part: a few seconds of work at most, lost when a study is killed."""
 MOST_DRAWS = 10_000_000
 """Of all scenarios together."""
+FILES = ("study.json", "draws.parquet", "summary.json", "summary.txt", "study.html")
 TEXTS = ("scenario", "method", "reason")
 
 
@@ -85,13 +88,13 @@ def open_folder(folder: Path, study: Study) -> None:
             )
         return
     about = {"schema": 1, "title": study.title, "fingerprint": study.fingerprint}
-    write_atomic(path, json.dumps(about, indent=1, ensure_ascii=False) + "\n")
+    write_atomic(path, marked_json(about))
 
 
 def missing_parts(folder: Path, parts: Sequence[Part]) -> list[Part]:
     """The parts that have not been written yet."""
-    there = {path.name for path in (folder / "parts").glob("*.parquet")}
-    return [part for part in parts if part.file not in there]
+    written = {path.name for path in (folder / "parts").glob("*.parquet")}
+    return [part for part in parts if part.file not in written]
 
 
 def write_part(folder: Path, part: Part, columns: Mapping[str, Column]) -> None:
@@ -125,9 +128,8 @@ def join_parts(folder: Path, parts: Sequence[Part]) -> dict[str, Column]:
 
 def write_summary(folder: Path, document: Mapping[str, Any], text: str) -> None:
     """Write the tables of a study beside its draws: summary.json and summary.txt."""
-    as_json = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
-    write_atomic(folder / "summary.json", as_json + "\n")
-    write_atomic(folder / "summary.txt", text + "\n")
+    words = {"summary.txt": text + "\n"}
+    write_files(folder, {**words, "summary.json": marked_json(document, words)})
 
 
 def _frame(path: Path) -> pl.DataFrame:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, nearest
 from loopcal.files.recognition.headers import Heading, heading
+from loopcal.files.recognition.vocabulary import meanings, words
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.table import Table
 from loopcal.measurements.attained import AttainedPoses
@@ -36,22 +37,9 @@ _FORMS = {
 }
 """Names of the columns of an orientation and what they mean; empty where the user must state it."""
 _AXES = frozenset(_POSITION).union(*_FORMS)
-_COMMANDED = frozenset(
-    (
-        *("cmd", "command", "commanded", "nominal", "nom", "target", "desired", "des"),
-        *("programmed", "prog", "reference", "ref", "soll"),
-    )
-)
-_MEASURED = frozenset(("measured", "meas", "attained", "actual", "act", "ist"))
-_LABELS = {
-    **dict.fromkeys(("pose", "point", "position", "target", "pos"), "pose"),
-    **dict.fromkeys(("cycle", "run", "repetition", "rep", "repeat", "zyklus"), "cycle"),
-    **dict.fromkeys(("direction", "approach", "dir", "richtung"), "direction"),
-    **dict.fromkeys(("block", "slot", "series"), "block"),
-    **dict.fromkeys(("time", "timestamp", "t", "zeit", "datetime"), "time"),
-    **dict.fromkeys(("payload", "load", "mass", "last"), "payload"),
-    **dict.fromkeys(("speed", "velocity", "v", "geschwindigkeit"), "speed"),
-}
+_COMMANDED = frozenset(words("performance", "commanded"))
+_MEASURED = frozenset(words("performance", "measured"))
+_LABELS = meanings("performance_labels")
 _IDS = frozenset(("id", "no", "nr", "number", "name", "index"))
 _CONDITIONS = ("payload", "speed")
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0}
@@ -87,17 +75,20 @@ class _Stated:
                 code="unknown-name",
                 remedy=nearest(angles, ANGLES),
             )
-        found: dict[str, str] = {}
+        dimension_units: dict[str, str] = {}
         for name in () if units is None else units.split(","):
-            its = unit(name)
-            if its.dimension not in ("length", "angle") or its.dimension in found:
+            stated_unit = unit(name)
+            if (
+                stated_unit.dimension not in ("length", "angle")
+                or stated_unit.dimension in dimension_units
+            ):
                 raise InputError(
                     f"units {units!r} are not one length, one angle or both",
                     code="wrong-unit",
                     remedy='give the units of positions and angles, say "mm,deg"',
                 )
-            found[its.dimension] = its.name
-        return cls(found, angles, ask)
+            dimension_units[stated_unit.dimension] = stated_unit.name
+        return cls(dimension_units, angles, ask)
 
 
 @dataclass(eq=False)
@@ -128,9 +119,9 @@ class _Columns:
             )
         made = cls(table)
         for position, name in enumerate(table.names):
-            its = heading(name)
-            made.headings[position] = its
-            role = _role(its.stem)
+            header = heading(name)
+            made.headings[position] = header
+            role = _role(header.stem)
             if role is None:
                 continue
             if role in made.at:
@@ -166,11 +157,13 @@ class _Columns:
 
     def numbers(self, kind: str, names: Sequence[str], si: str, stated: _Stated) -> Array:
         """Columns (N, k) in SI; si: "length", "angle" or "number"."""
-        found = []
+        columns = []
         for name in names:
             position = self.at[(kind, name)]
             values = self.table.numbers(position, np.arange(len(self)))
-            found.append(values if si == "number" else to_si(values, self._unit(position, stated)))
+            columns.append(
+                values if si == "number" else to_si(values, self._unit(position, stated))
+            )
             if si != "number" and unit(self._unit(position, stated)).dimension != si:
                 raise InputError(
                     f"the unit is {self._unit(position, stated)!r}, which is no {si}",
@@ -178,18 +171,19 @@ class _Columns:
                     place=f"{self.table.name}, column {self.table.label(position)!r}",
                     remedy=f"state a unit of {si}",
                 )
-        return np.array(found).T
+        return np.array(columns).T
 
     def _unit(self, position: int, stated: _Stated) -> str:
-        its = self.headings[position].unit
-        if its is not None:
-            return its
+        stated_unit = self.headings[position].unit
+        if stated_unit is not None:
+            return stated_unit
         axis = _role(self.headings[position].stem)
         dimension = "length" if axis is not None and axis[1] in _POSITION else "angle"
         if dimension not in stated.units and stated.ask is not None:
             offered = _OFFERED[dimension]
             label = self.table.label(position)
             chosen = stated.ask(f"Which unit has {label!r} of {self.table.name}?", offered)
+            # The answer holds for all columns of this dimension.
             stated.units[dimension] = offered[chosen]
         if dimension in stated.units:
             return stated.units[dimension]
@@ -206,8 +200,8 @@ class _Columns:
         position = self.at.get(("", label))
         if position is None:
             return None
-        found = self.table.ids(position)
-        empty = [i for i, text in enumerate(found) if text in ("", "None", "nan")]
+        labels = self.table.ids(position)
+        empty = [i for i, text in enumerate(labels) if text in ("", "None", "nan")]
         if empty:
             raise InputError(
                 f"the cell of {label} is empty",
@@ -215,18 +209,18 @@ class _Columns:
                 place=self.place(empty[0], position),
                 remedy="fill it in, or remove the row",
             )
-        return found
+        return labels
 
     def orientation(self, kind: str, stated: _Stated) -> Array | None:
         """Rotation matrices (N, 3, 3), NaN where an angle is missing; None without columns."""
         for names, means in _FORMS.items():
-            here = [name for name in names if (kind, name) in self.at]
-            if not here:
+            present = [name for name in names if (kind, name) in self.at]
+            if not present:
                 continue
-            if len(here) < len(names):
-                missing = [name for name in names if name not in here]
+            if len(present) < len(names):
+                missing = [name for name in names if name not in present]
                 raise InputError(
-                    f"an orientation has {listed(here)}, but not {listed(missing)}",
+                    f"an orientation has {listed(present)}, but not {listed(missing)}",
                     code="missing-column",
                     place=self.table.name,
                     remedy="give all its columns, or none",
@@ -270,20 +264,22 @@ def rotations(values: Array, form: str) -> Array:
     """
     from scipy.spatial.transform import Rotation
 
-    known = np.isfinite(values).all(axis=1)
+    complete = np.isfinite(values).all(axis=1)
     if form == "quaternion":
-        known &= np.linalg.norm(values, axis=1) > 0.0
-    found = np.full((len(values), 3, 3), np.nan)
-    if known.any():
-        its = values[known]
+        # SciPy refuses a quaternion of length 0.
+        complete &= np.linalg.norm(values, axis=1) > 0.0
+    matrices = np.full((len(values), 3, 3), np.nan)
+    if complete.any():
+        complete_values = values[complete]
         if form == "quaternion":
-            made = Rotation.from_quat(its[:, [1, 2, 3, 0]])
+            # scipy has w last
+            made = Rotation.from_quat(complete_values[:, [1, 2, 3, 0]])
         elif form == "rotvec":
-            made = Rotation.from_rotvec(its)
+            made = Rotation.from_rotvec(complete_values)
         else:
-            made = Rotation.from_euler("xyz" if form == "rpy" else "ZYX", its)
-        found[known] = made.as_matrix()
-    return found
+            made = Rotation.from_euler("xyz" if form == "rpy" else "ZYX", complete_values)
+        matrices[complete] = made.as_matrix()
+    return matrices
 
 
 def read_attained(
@@ -297,8 +293,8 @@ def read_attained(
     """Attained poses from CSV, XLSX or Parquet.
 
     commanded: a table of pose, x, y, z (and an orientation), where the commanded poses are not in
-    the same table; units: of columns whose header states none, "mm,deg"; angles: what columns a, b,
-    c or rx, ry, rz mean, "rpy", "zyx" or "rotvec"; ask: asks a person for what is not stated.
+    the same table. units: of columns whose header states none, "mm,deg". angles: what columns a, b,
+    c or rx, ry, rz mean, "rpy", "zyx" or "rotvec". ask: asks a person for what is not stated.
     Raises InputError with file, row and column.
     """
     stated = _Stated.of(units, angles, ask)
@@ -332,8 +328,8 @@ def read_attained(
         )
     if turns is None or asked_turns is None:
         if (turns is None) != (asked_turns is None):
-            there = "commanded" if turns is None else "measured"
-            notes.append(f"Only the {there} poses have an orientation; it is not used.")
+            oriented = "commanded" if turns is None else "measured"
+            notes.append(f"Only the {oriented} poses have an orientation; it is not used.")
         turns = asked_turns = None
     made = _assembled(read, pose, notes, keep, (asked, measured, asked_turns, turns))
     if not planar:
@@ -438,7 +434,7 @@ def _times(read: _Columns) -> Array | None:
         return None
     if position not in read.table.numeric():
         cells = read.table.ids(position)
-        found = []
+        seconds = []
         for row, cell in enumerate(cells):
             try:
                 at = datetime.fromisoformat(cell)
@@ -450,10 +446,10 @@ def _times(read: _Columns) -> Array | None:
                     remedy="write 2026-03-01T08:30:00, or numbers under time [s], [min] or [h]",
                 ) from None
             # without a zone, so that no change of clocks in the night stretches an hour
-            found.append((at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp())
-        return np.array(found) - min(found)
-    its = read.headings[position]
-    word = its.unit or its.stem.rpartition("_")[2]
+            seconds.append((at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp())
+        return np.array(seconds) - min(seconds)
+    header = read.headings[position]
+    word = header.unit or header.stem.rpartition("_")[2]
     if word not in _SECONDS:
         raise InputError(
             "the header of the time states no unit",
@@ -547,6 +543,7 @@ def _left_out(read: _Columns, keep: NDArray[np.bool_]) -> list[str]:
 def template() -> str:
     """A table to fill in: five poses in the inclined plane of a cube, 30 cycles."""
     lines = ["pose,cycle,x_cmd [mm],y_cmd [mm],z_cmd [mm],x [mm],y [mm],z [mm]"]
+    # 0.8 of the half diagonal: P2 to P5 lie a tenth of the diagonal from its ends (ISO 9283).
     half = 200.0
     corners = [(0, 0, 0), (1, 1, 1), (-1, 1, 1), (-1, -1, -1), (1, -1, -1)]
     for cycle in range(1, 31):

@@ -1,8 +1,10 @@
 """Numbers and ids out of the cells of one column, by one rule for every kind of file.
 
-A number is an optional sign, digits with at most one decimal mark, and an optional exponent;
-thousands separators are not guessed. A cell that is blank or says NaN, NA, n/a, #N/A, null,
-none or - (in any case of letters) is missing and becomes NaN.
+A number is an optional sign, digits with at most one decimal mark, and an optional exponent. Groups
+of thousands are read where they are certain: the cell has the decimal mark too ("1,234.5"), several
+groups, or blanks or apostrophes between them; a cell such as "1,234" only where others of its
+column are so. A cell that is blank or says NaN, NA, n/a, #N/A, null, none or - (in any case of
+letters) is missing and becomes NaN.
 """
 
 from __future__ import annotations
@@ -22,8 +24,24 @@ if TYPE_CHECKING:
 Cells: TypeAlias = "list[object] | list[str] | NDArray[np.float64] | pl.Series"
 
 MISSING = frozenset(("", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"))
-_FORM = r"[+-]?(?:\d+MARK?\d*|MARK\d+)(?:[eE][+-]?\d+)?"
+# Possessive: a long cell cannot make the match back out (docs/decisions/0137).
+_FORM = r"[+-]?(?:\d++MARK?\d*+|MARK\d++)(?:[eE][+-]?\d++)?"
 _NUMBER = {mark: re.compile(_FORM.replace("MARK", f"[{mark}]"), re.ASCII) for mark in ".,"}
+_BLANKS = " \u00a0\u202f\u2009'\u2019"
+# No group of thousands begins with a zero: 0,123 is a decimal number.
+_GROUP = r"[+-]?[1-9]\d{0,2}"
+_OTHER = {".": ",", ",": "."}
+_GROUPED = {
+    mark: re.compile(
+        rf"{_GROUP}(?:([{_BLANKS}{_OTHER[mark]}])\d{{3}}(?:\1\d{{3}})*[{mark}]\d*"
+        rf"|([{_BLANKS}])\d{{3}}(?:\2\d{{3}})*|[{_OTHER[mark]}]\d{{3}}(?:[{_OTHER[mark]}]\d{{3}})+)",
+        re.ASCII,
+    )
+    for mark in ".,"
+}
+_UNSURE = {mark: re.compile(rf"{_GROUP}[{_OTHER[mark]}]\d{{3}}", re.ASCII) for mark in ".,"}
+"""Thousands, or the other decimal mark."""
+_SEPARATORS = {mark: re.compile(f"[{_BLANKS}{_OTHER[mark]}]") for mark in ".,"}
 _INFINITE = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
 
 
@@ -51,6 +69,8 @@ def number(cell: object, decimal: str = ".") -> float:
     text = cell.strip()
     if _NUMBER[decimal].fullmatch(text):
         return float(text.replace(",", "."))
+    if _GROUPED[decimal].fullmatch(text):
+        return float(_SEPARATORS[decimal].sub("", text).replace(",", "."))
     if text.lower() in MISSING:
         return math.nan
     if _INFINITE.fullmatch(text):
@@ -91,13 +111,34 @@ def numbers(
     return result
 
 
+def ungrouped(cells: Cells, decimal: str) -> list[object] | None:
+    """The column with groups of thousands joined where its other cells show them; else None."""
+    if isinstance(cells, np.ndarray):
+        return None
+    texts = [c.strip() if isinstance(c, str) else c for c in cells]
+    if not any(isinstance(t, str) and _GROUPED[decimal].fullmatch(t) for t in texts):
+        return None
+    return [
+        _SEPARATORS[decimal].sub("", t)
+        if isinstance(t, str) and _UNSURE[decimal].fullmatch(t)
+        else t
+        for t in texts
+    ]
+
+
+def may_be_grouped(cell: str, decimal: str) -> bool:
+    """Whether a cell holds a number of thousands or one with the other decimal mark."""
+    return _UNSURE[decimal].fullmatch(cell.strip()) is not None
+
+
 def mostly_numbers(cells: Cells, decimal: str = ".") -> bool:
     """Whether a column is one of numbers: half of what its first rows hold, or more."""
     if isinstance(cells, np.ndarray) or (not isinstance(cells, list) and cells.dtype.is_numeric()):
         return True
     first = cells[:1000] if isinstance(cells, list) else cells.head(1000).to_list()
-    here = [cell for cell in first if not is_missing(cell) and cell == cell]
-    return 2 * sum(is_number(cell, decimal) for cell in here) >= len(here) > 0
+    # NaN alone differs from itself.
+    present = [cell for cell in first if not is_missing(cell) and cell == cell]
+    return 2 * sum(is_number(cell, decimal) for cell in present) >= len(present) > 0
 
 
 def ids(cells: Cells) -> tuple[str, ...]:

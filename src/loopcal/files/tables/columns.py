@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.files.tables.table import ROW, Table
+from loopcal.keys import Key
 from loopcal.units import convertible, unit
 
 
@@ -15,19 +16,34 @@ from loopcal.units import convertible, unit
 class Column:
     """Where one quantity stands in a file, and in which unit."""
 
-    column: str | int
-    """Name of the column, or its number from 1 (the only way where there is no header); 0 stands
-    for the number of the row."""
-    unit: str | None = None
-    """Unit of the readings; without one they are taken as SI (m, rad)."""
-    sd_column: str | int | None = None
-    """Column of the sd of each reading."""
-    sd_unit: str | None = None
-    """Unit of the sd; without one, that of the readings."""
-    coverage: float | None = None
-    """Coverage factor: the column of sds holds so many sds (an expanded uncertainty, often 2)."""
-    check: bool = True
-    """False: the values are right although they look strange."""
+    column: Annotated[
+        str | int,
+        Key(
+            "Name of the column, its number from 1 (the only way where there is no header), or 0: "
+            "the number of the row.",
+            alone=True,
+        ),
+    ]
+    unit: Annotated[
+        str | None, Key("Unit of the readings; without one SI (m, rad).", is_unit=True)
+    ] = None
+    sd_column: Annotated[str | int | None, Key("Column with the sd of each reading.")] = None
+    sd_unit: Annotated[
+        str | None, Key("Unit of the sd; without one, that of the readings.", is_unit=True)
+    ] = None
+    coverage: Annotated[
+        float | None,
+        Key(
+            "Coverage factor of that column, where it holds an expanded uncertainty: 2 for k = 2. "
+            "The sd is the column divided by it.",
+            positive=True,
+        ),
+    ] = None
+    check: Annotated[bool, Key("false: the values are right though strange.")] = True
+
+    def entry(self) -> dict[str, Any]:
+        """As a project states it."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
 
 
 ColumnLike = str | int | Mapping[str, Any] | Column
@@ -36,8 +52,8 @@ ColumnLike = str | int | Mapping[str, Any] | Column
 def specified(columns: Mapping[str, ColumnLike], units: Mapping[str, str]) -> dict[str, Column]:
     """Quantity -> its column, with the unit from `units` where the column states none.
 
-    Raises InputError for an unknown key or unit, two units for one quantity, a unit for a
-    quantity that is not there, and an sd in a unit of another dimension.
+    Raises InputError for an unknown key or unit, and for two units of one quantity. Raises it
+    also for a unit of a quantity that is absent, and for an sd in a unit of another dimension.
     """
     if not columns:
         raise InputError(
@@ -52,7 +68,7 @@ def specified(columns: Mapping[str, ColumnLike], units: Mapping[str, str]) -> di
                 code="conflicting-keys",
                 remedy=nearest(quantity, columns),
             )
-    return {q: _checked(q, _column(q, given), units.get(q)) for q, given in columns.items()}
+    return {q: _checked(q, _column(q, stated), units.get(q)) for q, stated in columns.items()}
 
 
 def wanted(columns: Mapping[str, Column], pose: str | int | None) -> frozenset[str | int]:
@@ -66,19 +82,19 @@ def all_numeric(
 ) -> dict[str, Column]:
     """Every column of numbers but the ids, under its own name, else "column_1", "column_2", ..."""
     aside = None if pose is None else table.position(pose)
-    found: dict[str, ColumnLike] = {}
+    columns: dict[str, ColumnLike] = {}
     for i in table.numeric():
         if i != aside:
             name = table.names[i] if table.names else ""
-            found[name or f"column_{i + 1}"] = name or i + 1
-    if not found:
+            columns[name or f"column_{i + 1}"] = name or i + 1
+    if not columns:
         raise InputError(
             "there is no column of numbers",
             code="missing-column",
             place=table.name,
             remedy="check the delimiter and the decimal mark, or name the columns to read",
         )
-    return specified(found, units)
+    return specified(columns, units)
 
 
 def refuse_doubles(table: Table, columns: Mapping[str, Column]) -> None:
@@ -105,26 +121,26 @@ def refuse_doubles(table: Table, columns: Mapping[str, Column]) -> None:
             )
 
 
-def _column(quantity: str, given: ColumnLike) -> Column:
-    if isinstance(given, Mapping):
-        known = [field.name for field in fields(Column)]
-        for key in given:
-            if key not in known:
+def _column(quantity: str, stated: ColumnLike) -> Column:
+    if isinstance(stated, Mapping):
+        keys = [field.name for field in fields(Column)]
+        for key in stated:
+            if key not in keys:
                 raise InputError(
                     f"unknown key {key!r}",
                     code="unknown-name",
                     place=f"column of {quantity!r}",
-                    remedy=nearest(str(key), known),
+                    remedy=nearest(str(key), keys),
                 )
-        if "column" not in given:
+        if "column" not in stated:
             raise InputError(
                 "the column is not named",
                 code="missing-column",
                 place=f"column of {quantity!r}",
                 remedy='give column = "its name" or its number',
             )
-        given = Column(**given)
-    column = given if isinstance(given, Column) else Column(given)
+        stated = Column(**stated)
+    column = stated if isinstance(stated, Column) else Column(stated)
     for key, value in asdict(column).items():
         if key in ("column", "sd_column") and isinstance(value, bool | float):
             raise InputError(
@@ -145,21 +161,21 @@ def _checked(quantity: str, column: Column, other_unit: str | None) -> Column:
             place=place,
             remedy="state one of them",
         )
-    given = column.unit or other_unit
+    readings_unit = column.unit or other_unit
     try:
-        sd_unit = column.sd_unit or given
-        fits = not (given and sd_unit) or convertible(given, sd_unit)
-        for name in (given, sd_unit):
+        sd_unit = column.sd_unit or readings_unit
+        fits = not (readings_unit and sd_unit) or convertible(readings_unit, sd_unit)
+        for name in (readings_unit, sd_unit):
             if name:
                 unit(name)
     except InputError as error:
         raise error.at(place) from None
     if not fits:
         raise InputError(
-            f"the sd is in {sd_unit}, the readings in {given}",
+            f"the sd is in {sd_unit}, the readings in {readings_unit}",
             code="wrong-unit",
             place=place,
-            remedy=f"give the sd in a unit of {unit(given or '1').dimension}",
+            remedy=f"give the sd in a unit of {unit(readings_unit or '1').dimension}",
         )
     if column.coverage is not None and not (column.sd_column and column.coverage > 0):
         raise InputError(
@@ -169,4 +185,4 @@ def _checked(quantity: str, column: Column, other_unit: str | None) -> Column:
             place=place,
             remedy='name sd_column = "...", and give coverage = 2 where it holds two sds',
         )
-    return replace(column, unit=given)
+    return replace(column, unit=readings_unit)

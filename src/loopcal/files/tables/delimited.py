@@ -11,6 +11,8 @@ import csv
 import re
 from collections.abc import Iterator, Mapping
 from itertools import islice
+from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +29,12 @@ from loopcal.files.tables.dialect import (
     recognise,
     spoken,
 )
-from loopcal.files.tables.raw import Text, empty
+from loopcal.files.tables.raw import Text, empty, read_text
+from loopcal.files.tables.reader import Reader
 from loopcal.files.tables.table import Table
 
+_COMMENTS = 15
+"""Comments above the rows, one of which may be their header."""
 LARGE = 1_000_000  # bytes from which on loading polars pays
 _LINES = re.compile(rb"[ \t,;\n]*+(?:(?:%|#(?!n/a))[^\n]*|([^ \t,;\n][^\n]*)|\Z)", re.IGNORECASE)
 """Lines up to the next that holds cells: blank ones, delimiters alone, at most one comment."""
@@ -51,20 +56,63 @@ def read_delimited(
     sample = [*islice(_rows(text.data), SAMPLE_ROWS)]
     if not sample:
         raise empty(text.name)
-    dialect = recognise(sample, text.name, delimiter=delimiter, decimal=decimal, header=header)
+    dialect = recognise(
+        sample,
+        text.name,
+        delimiter=delimiter,
+        decimal=decimal,
+        header=header,
+        above=_above(text.data, sample[0].number),
+    )
     table = _fast(text, dialect) if len(text.data) >= large else None
     return table or _careful(text, dialect)
+
+
+def read_text_file(
+    source: str | Path | BinaryIO,
+    *,
+    wanted: object = None,
+    encoding: str | None = None,
+    **options: Any,
+) -> Table:
+    """The table in a text file; options: as of `read_delimited`."""
+    return read_delimited(read_text(source, encoding), **options)
+
+
+READER = Reader(
+    "text",
+    "a row per line; delimiter, decimal mark, header and encoding are recognised",
+    (".csv", ".tsv", ".txt", ".dat", ".asc", ".prn"),
+    read_text_file,
+    ("header", "delimiter", "decimal", "encoding"),
+    guarded=False,
+)
 
 
 def _rows(data: bytes) -> Iterator[Row]:
     """The lines that hold cells; blank ones between them cost next to nothing."""
     number, counted = 1, 0
-    for found in _LINES.finditer(data):
-        if found[1] is not None:
-            start = data.rfind(b"\n", 0, found.start(1)) + 1
+    for match in _LINES.finditer(data):
+        if match[1] is not None:
+            start = data.rfind(b"\n", 0, match.start(1)) + 1
             number += data.count(b"\n", counted, start)
             counted = start
-            yield Row(number, data[start : found.end()].decode("utf-8"))
+            yield Row(number, data[start : match.end()].decode("utf-8"))
+
+
+def _above(data: bytes, first: int) -> list[Row]:
+    """The last comments above a row, the nearest first, without their marks."""
+    end = 0
+    for _ in range(first - 1):
+        end = data.find(b"\n", end) + 1
+    comments: list[Row] = []
+    for number in range(first - 1, max(first - 1 - _COMMENTS, 0), -1):
+        start = data.rfind(b"\n", 0, end - 1) + 1
+        line = data[start:end].decode("utf-8").strip()
+        if line.startswith(("#", "%")):
+            comments.append(Row(number, line.lstrip("#%").strip()))
+        end = start
+    return comments
 
 
 def _careful(text: Text, dialect: Dialect) -> Table:
@@ -114,6 +162,7 @@ def _fast(text: Text, dialect: Dialect) -> Table | None:
         if not start:
             return None
     body = text.data[start:] if start else text.data
+    # polars takes delimiters of one byte only.
     if b'"' in body or not dialect.delimiter.isascii():
         return None
     body, rows = _plain(body, dialect)
@@ -151,7 +200,8 @@ def _plain(body: bytes, dialect: Dialect) -> tuple[bytes, NDArray[np.int64]]:
     numbers, lines = [], []
     for row in _rows(body):
         numbers.append(row.number)
-        lines.append(" ".join(row.line.split()) if dialect.delimiter == WHITESPACE else row.line)
+        line = row.line
+        lines.append(" ".join(cut(line, WHITESPACE)) if dialect.delimiter == WHITESPACE else line)
     return "\n".join(lines).encode("utf-8"), np.array(numbers, dtype=np.int64) + first - 1
 
 

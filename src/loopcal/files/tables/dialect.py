@@ -2,12 +2,14 @@
 
 Every way of writing is tried on the first rows, and the one that turns the largest share of their
 cells into numbers, in rows of equal length, is taken. Comments start with # or %; rows that are
-blank or hold nothing but delimiters are passed over.
+blank or hold nothing but delimiters are passed over. A comment above rows without a header is their
+header where it names as many columns as they have.
 """
 
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -24,6 +26,10 @@ _SPOKEN = {
     **{"comma": ",", "semicolon": ";"},
 }
 SAMPLE_ROWS = 100
+_FEWEST = 3
+"""Columns whose names a comment may hold: a comment of a few words names fewer."""
+_RUN = re.compile(r"[ \t]+")
+_BEFORE_UNIT = re.compile(r"\s+(?=[\[(])")
 
 
 class Row(NamedTuple):
@@ -60,8 +66,10 @@ class _Trial:
     fitting_header: bool
 
     @property
-    def score(self) -> tuple[float, bool, bool]:
-        return self.even * self.numeric, self.fitting_header, self.several
+    def score(self) -> tuple[float, bool]:
+        """A first row of another length than the others counts three quarters."""
+        fits = 1.0 if self.fitting_header else 0.75
+        return fits * self.even * self.numeric, self.several
 
 
 def cut(line: str, delimiter: str) -> list[str]:
@@ -72,7 +80,8 @@ def cut(line: str, delimiter: str) -> list[str]:
         row = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
         return [cell.strip() for cell in next(row)]
     if delimiter == WHITESPACE:
-        return line.split()
+        # blanks beyond ASCII divide thousands
+        return line.split() if line.isascii() else _RUN.split(line.strip(" \t\r\n"))
     return [cell.strip() for cell in line.split(delimiter)]
 
 
@@ -83,9 +92,11 @@ def recognise(
     delimiter: str | None = None,
     decimal: str | None = None,
     header: bool | None = None,
+    above: Sequence[Row] = (),
 ) -> Dialect:
     """The dialect of a text from its first rows (those that hold data), as far as not stated.
 
+    above: the comments above them, the nearest first, without their marks.
     Raises InputError when what is stated cannot be so, or when a first row of both text and
     numbers leaves open whether it is a header.
     """
@@ -101,13 +112,35 @@ def recognise(
         _check_fits(best, best_of(_DELIMITERS), rows, name)
     cells = [_cells(row, best.delimiter, name) for row in rows]
     first = rows[0]
+    open_ = header is None
     if header is None:
         header = is_header(cells, best.decimal, f"{name}, row {first.number}")
     names = tuple(_without_empty_end(cells[0])) if header else ()
     if header:
         _check_header(names, [_without_empty_end(row) for row in cells[1:]], first, name)
     width = len(names) or _width(cells)
+    commented = _commented(above, best, width) if open_ and not header else None
+    if commented is not None:
+        number, names = commented
+        return Dialect(best.delimiter, best.decimal, names, number, width)
     return Dialect(best.delimiter, best.decimal, names, first.number if names else 0, width)
+
+
+def _commented(
+    above: Sequence[Row], best: _Trial, width: int
+) -> tuple[int, tuple[str, ...]] | None:
+    """The row and the names of a comment that names every column once; None without such a one."""
+    for row in above if width >= _FEWEST else ():
+        for delimiter in dict.fromkeys((best.delimiter, *_DELIMITERS)):
+            line = _BEFORE_UNIT.sub("", row.line) if delimiter == WHITESPACE else row.line
+            try:
+                names = _without_empty_end(cut(line, delimiter))
+            except csv.Error:
+                continue
+            numeric = any(is_number(name, best.decimal) for name in names)
+            if len({*names, ""}) == width + 1 == len(names) + 1 and not numeric:
+                return row.number, tuple(names)
+    return None
 
 
 def _check_stated(delimiter: str | None, decimal: str | None, name: str) -> None:
@@ -127,10 +160,10 @@ def _check_stated(delimiter: str | None, decimal: str | None, name: str) -> None
         )
 
 
-def _check_fits(given: _Trial, best: _Trial, rows: list[Row], name: str) -> None:
-    if not given.several and best.several and best.even * best.numeric > 0.3:
+def _check_fits(stated: _Trial, best: _Trial, rows: list[Row], name: str) -> None:
+    if not stated.several and best.several and best.even * best.numeric > 0.3:
         raise InputError(
-            f"the delimiter is stated as {spoken(given.delimiter)}, which does not divide this "
+            f"the delimiter is stated as {spoken(stated.delimiter)}, which does not divide this "
             f"row: {rows[0].line.strip()[:60]!r}",
             code="invalid-syntax",
             place=f"{name}, row {rows[0].number}",

@@ -1,8 +1,10 @@
-"""Tables that others' code reads (XLSX, MATLAB), read in the guarded child and handed back."""
+"""Tables that others' code reads, read in the guarded child and handed back."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -11,41 +13,49 @@ import numpy as np
 from loopcal.errors import InputError
 from loopcal.files.guarded import Stopped, guarded
 from loopcal.files.tables.raw import existing_file
+from loopcal.files.tables.reader import Reader
 from loopcal.files.tables.table import Table
 
-READERS = {"XLSX": "spreadsheet:read_spreadsheet", "MATLAB": "matlab:read_matlab"}
 
-
-def read_isolated(kind: str, path: str | Path, **options: Any) -> Table:
-    """The table of an XLSX or MATLAB file, by its reader with these options.
+def read_isolated(
+    reader: Reader, path: str | Path, *, wanted: Collection[str | int] | None, **options: Any
+) -> Table:
+    """The table of a file by its reader with these options, at least the columns wanted.
 
     Raises InputError as the reader does, and for a file that the reader cannot cope with.
     """
-    path = existing_file(path)
-    arguments = {"reader": READERS[kind], "path": str(path.absolute()), "options": options}
-    return unpacked(from_child(f"{__name__}:packed_table", arguments, path, kind))
+    path = Path(path) if reader.in_folder and Path(path).is_dir() else existing_file(path)
+    arguments = {
+        "reader": f"{reader.read.__module__}:{reader.read.__qualname__}",
+        # Absolute: the child stays in the folder where it was started.
+        "path": str(path.absolute()),
+        "options": {**options, "wanted": None if wanted is None else [*wanted]},
+    }
+    return unpacked(from_child(f"{__name__}:packed_table", arguments, path, reader.kind))
 
 
 def from_child(function: str, arguments: dict[str, Any], path: Path, kind: str) -> bytes:
     """What the guarded child makes of a file; InputError, naming it, where it cannot be read."""
     try:
-        return guarded(function, arguments, path.stat().st_size)
+        return guarded(function, arguments, sum(one.stat().st_size for one in files_of(path)))
     except Stopped as why:
         raise InputError(
             f"this {kind} file cannot be read ({why})",
             code="wrong-file-type",
             place=path.name,
-            remedy=f"save it again as {kind}, or as CSV",
+            remedy="write the file again, or save its table as CSV",
         ) from None
+
+
+def files_of(path: Path) -> list[Path]:
+    """The file, or the files of a folder by name."""
+    return sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
 
 
 def packed_table(reader: str, path: str, options: dict[str, Any]) -> bytes:
     """The table that a reader makes of a file, as bytes for `unpacked`; runs in the child."""
-    from importlib import import_module
-
     module, name = reader.split(":")
-    read = getattr(import_module(f"loopcal.files.tables.{module}"), name)
-    return packed(read(path, **options))
+    return packed(getattr(import_module(module), name)(path, **options))
 
 
 def packed(table: Table) -> bytes:
@@ -74,6 +84,7 @@ def unpacked(content: bytes) -> Table:
     body = content[end + 1 :]
     length = len(body) // 8 // (kept + 1)
     blocks = iter(np.frombuffer(body, "<f8").reshape(kept + 1, length))
+    # Row numbers have 8 bytes too: the same bytes, viewed as whole numbers.
     rows = next(blocks).view("<i8")
     return Table(
         head["file"],

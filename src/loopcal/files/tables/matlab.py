@@ -15,6 +15,7 @@ import numpy as np
 from loopcal.errors import InputError, nearest
 from loopcal.files.tables.cells import Cells
 from loopcal.files.tables.raw import existing_file, sha256_of
+from loopcal.files.tables.reader import Reader
 from loopcal.files.tables.table import Table, find_column
 from loopcal.files.tables.unfolded import refuse_large_matlab
 from loopcal.measurements.source import file_name
@@ -63,6 +64,7 @@ def read_matlab(
             place=name,
             remedy="name a matrix with a row per pose",
         )
+    # MATLAB has no vectors: one row of numbers is one reading for each pose.
     matrix = value.reshape(-1, 1) if value.shape[0] == 1 else value
     cells = {i: _cells(matrix[:, i], name) for i in range(matrix.shape[1])}
     rows = np.arange(1, len(matrix) + 1, dtype=np.int64)
@@ -82,9 +84,9 @@ def _load(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
     refuse_large_matlab(path)
-    found = loadmat(path, chars_as_strings=True)
+    contents = loadmat(path, chars_as_strings=True)
     variables = {
-        n: v for n, v in found.items() if not n.startswith("__") and isinstance(v, np.ndarray)
+        n: v for n, v in contents.items() if not n.startswith("__") and isinstance(v, np.ndarray)
     }
     if not variables:
         raise InputError(
@@ -163,3 +165,13 @@ def _shape(value: Any) -> str:
 def _listed(variables: dict[str, Any]) -> str:
     few = ", ".join(f"{name} ({_shape(value)})" for name, value in [*variables.items()][:10])
     return few + (f" and {len(variables) - 10} more" if len(variables) > 10 else "")
+
+
+READER = Reader(
+    "MATLAB",
+    "format 4 to 7: a matrix, vectors by their names, or a struct of vectors",
+    (".mat",),
+    read_matlab,
+    ("variable",),
+    part="variable",
+)

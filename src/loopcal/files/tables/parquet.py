@@ -21,16 +21,18 @@ from loopcal.errors import InputError
 from loopcal.files.tables.cells import ids
 from loopcal.files.tables.isolated import from_child
 from loopcal.files.tables.raw import empty, existing_file, sha256_of, unreadable
+from loopcal.files.tables.reader import Reader
 from loopcal.files.tables.table import ROW, Table, find_column
 
 if TYPE_CHECKING:
     import polars as pl
 
-ENDINGS = (".parquet", ".pq")
 BLOCK = 1 << 20
 """Rows read at once where few of them are kept."""
-_ROWS, _ROWS_PER_BYTE = 1_000_000, 10_000
-"""Rows that any file may state, and those for each of its bytes: equal readings take hardly any."""
+_CELLS, _CELLS_PER_BYTE = 1 << 24, 4
+"""Cells that any file may state, and those per byte of it: equal readings take hardly any."""
+_TEXT, _TEXT_PER_BYTE = 1 << 26, 8
+"""Bytes that the texts of a column may unfold to, and those for each byte of the file."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ def parquet_files(path: str | Path) -> tuple[ParquetFile, ...]:
     if not path.is_dir():
         return (_file(path),)
     try:
-        paths = sorted(p for p in path.iterdir() if p.suffix.lower() in ENDINGS)
+        paths = sorted(p for p in path.iterdir() if p.suffix.lower() in READER.endings)
     except OSError as error:
         raise unreadable(path, error) from None
     files = [_file(p) for p in paths if not p.name.startswith(".")]
@@ -87,9 +89,9 @@ def read_parquet(
 ) -> Table:
     """The columns wanted (all of them for None); null is missing, rows count from 1.
 
-    Rows are the 1st, (every + 1)th, ... of the file, or of all files of a folder, and those with
-    the ids `also` in the column `pose` (their numbers for None). Raises InputError for what
-    `parquet_files` refuses, a column that is not there or of several kinds, no rows.
+    Rows are the 1st, (every + 1)th, ... of the file, or of all files of a folder. Rows with
+    the ids `also` in the column `pose` (their numbers for None) are read too. Raises InputError for
+    what `parquet_files` refuses, a column that is not there or of several kinds, no rows.
     """
     path = Path(path)
     files = parquet_files(path)
@@ -110,8 +112,8 @@ def read_parquet(
             rows = begins[file.path.name] + offset + np.arange(len(frame), dtype=np.int64)
             keep = rows % every == 0
             if also:
-                its = map(str, (rows + 1).tolist()) if column is None else ids(frame[column])
-                keep |= np.array([i in also for i in its])
+                row_ids = map(str, (rows + 1).tolist()) if column is None else ids(frame[column])
+                keep |= np.array([i in also for i in row_ids])
             frames.append(frame if keep.all() else frame.filter(keep))
             kept.append(rows[keep] + 1)
     return Table(
@@ -132,14 +134,15 @@ def begins_of(files: Sequence[ParquetFile]) -> dict[str, int]:
     return dict(zip((file.path.name for file in files), begins, strict=False))
 
 
-def sha256_of_all(own: Sequence[str]) -> str:
+def sha256_of_all(digests: Sequence[str]) -> str:
     """Of one file its own, of several that of the list of their own."""
-    return own[0] if len(own) == 1 else sha256("\n".join(own).encode()).hexdigest()
+    return digests[0] if len(digests) == 1 else sha256("\n".join(digests).encode()).hexdigest()
 
 
 def mark_of(path: Path) -> str:
     """A Parquet file ends in where its columns lie, their extremes, and the length of all that."""
     with path.open("rb") as file:
+        # The last 8 bytes of the format: the length of the description ahead of them, and PAR1.
         file.seek(-8, 2)
         length = int.from_bytes(file.read(4), "little")
         file.seek(-8 - length, 2)
@@ -152,6 +155,7 @@ def prove(files: Iterable[ParquetFile], names: Iterable[str]) -> None:
         _prove(file, tuple(sorted(names)))
 
 
+# The mark of a file is part of the key: a file that was replaced is proved again.
 @lru_cache(maxsize=4096)
 def _prove(file: ParquetFile, names: tuple[str, ...]) -> None:
     arguments = {"path": str(file.path), "names": names, "rows": file.rows}
@@ -160,8 +164,10 @@ def _prove(file: ParquetFile, names: tuple[str, ...]) -> None:
 
 def _file(path: Path) -> ParquetFile:
     path = existing_file(path).absolute()
-    told = json.loads(from_child(f"{__name__}:described", {"path": str(path)}, path, "Parquet"))
-    return ParquetFile(path, told["rows"], tuple(told["names"]), mark_of(path))
+    description = json.loads(
+        from_child(f"{__name__}:described", {"path": str(path)}, path, "Parquet")
+    )
+    return ParquetFile(path, description["rows"], tuple(description["names"]), mark_of(path))
 
 
 def described(path: str) -> bytes:
@@ -169,24 +175,48 @@ def described(path: str) -> bytes:
     import polars as pl
 
     rows = pl.scan_parquet(path, glob=False).select(pl.len()).collect().item()
-    if rows > _ROWS + _ROWS_PER_BYTE * Path(path).stat().st_size:
-        raise ValueError(f"it states {rows} rows, far more than it can hold")
-    return json.dumps({"rows": rows, "names": [*pl.read_parquet_schema(path)]}).encode()
+    names = [*pl.read_parquet_schema(path)]
+    if rows * len(names) > _CELLS + _CELLS_PER_BYTE * Path(path).stat().st_size:
+        raise ValueError(
+            f"it states {rows} rows of {len(names)} columns, far more than it can hold"
+        )
+    return json.dumps({"rows": rows, "names": names}).encode()
 
 
 def read_through(path: str, names: Sequence[str], rows: int) -> bytes:
     """Read columns of a file block by block and forget them; runs in the child."""
     import polars as pl
 
+    text = dict.fromkeys(names, 0)
+    most = _TEXT + _TEXT_PER_BYTE * Path(path).stat().st_size
     for offset in range(0, rows, BLOCK):
-        pl.scan_parquet(path, glob=False).select(names).slice(offset, BLOCK).collect()
+        frame = pl.scan_parquet(path, glob=False).select(names).slice(offset, BLOCK).collect()
+        for column in frame.iter_columns():
+            if not (column.dtype.is_numeric() or column.dtype.is_temporal()):
+                text[column.name] += _unfolded(column)
+                if text[column.name] > most:
+                    raise ValueError(
+                        f"the column {column.name!r} unfolds to more than {most / 1e9:.1g} GB"
+                    )
     return b""
+
+
+def _unfolded(column: pl.Series) -> int:
+    """Bytes of what is no number: equal texts lie in a file, and in a frame, only once."""
+    import polars as pl
+
+    if column.dtype == pl.String:
+        return int(column.str.len_bytes().sum())
+    if column.dtype in (pl.Boolean, pl.Null):
+        return len(column)
+    return int(column.estimated_size())
 
 
 def _read(file: ParquetFile, names: Sequence[str], offset: int, rows: int) -> pl.DataFrame:
     import polars as pl
 
     try:
+        # glob=False: brackets in the name of a file are no pattern.
         frame = pl.scan_parquet(file.path, glob=False).select(names).slice(offset, rows)
         return frame.collect()
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
@@ -212,3 +242,12 @@ def _together(frames: Sequence[pl.DataFrame], place: str) -> pl.DataFrame:
                 remedy="write it as the same type in all files of the folder",
             )
     return frames[0] if len(frames) == 1 else pl.concat(frames, how="vertical_relaxed")
+
+
+READER = Reader(
+    "Parquet",
+    "a file, or a folder of files with the same columns; large ones in chunks",
+    (".parquet", ".pq"),
+    read_parquet,
+    guarded=False,
+)

@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from loopcal.errors import InputError, nearest
+from loopcal.files.outputs import note_input
+from loopcal.files.paths import refuse_outside
 from loopcal.measurements.source import file_name
 
 BLOCK = 1 << 20
@@ -40,7 +42,11 @@ _BOMS = {
     codecs.BOM_UTF8: "utf-8-sig",
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
+    b"\x84\x31\x95\x33": "gb18030",
 }
+_COMMON = range(0xA1, 0xD8)
+"""First bytes of punctuation and of the common characters in GB 2312 and what extends it; two
+accented letters of western text side by side mostly lie beyond."""
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 
 
@@ -60,14 +66,20 @@ class Text:
         return file_name(self.file)
 
 
-def existing_file(path: str | Path, *, empty_too: bool = False) -> Path:
+def existing_file(
+    path: str | Path, *, empty_too: bool = False, anywhere: bool = False, pipe: bool = False
+) -> Path:
     """The path of a file that is there and, unless `empty_too`, not empty.
 
-    Raises InputError for a missing file (naming the nearest beside it), a folder, a device, no
-    permission.
+    pipe: whether it may be a pipe, which can be read only once and from its beginning. Raises
+    InputError for a missing file (naming the nearest beside it), a folder, a device, no permission
+    and, unless `anywhere`, outside the folder in `INSIDE`.
     """
     path = Path(path)
+    note_input(path)
     try:
+        if not anywhere:
+            refuse_outside(path, path.name, str(path))
         if path.is_dir():
             raise InputError(
                 "this is a folder",
@@ -76,9 +88,10 @@ def existing_file(path: str | Path, *, empty_too: bool = False) -> Path:
                 remedy="name a file inside it",
             )
         size = path.stat().st_size
-        if not (path.is_file() or path.is_fifo()):
+        if not (path.is_file() or (pipe and path.is_fifo())):
+            kind = "pipe" if path.is_fifo() else "device"
             raise InputError(
-                "this is a device, not a file",
+                f"this is a {kind}, not a file",
                 code="wrong-file-type",
                 place=str(path),
                 remedy="name a file, or - for standard input where the command takes it",
@@ -106,10 +119,11 @@ def opened(path: str | Path, *, empty_too: bool = False) -> BinaryIO:
 
     Raises InputError as `existing_file` does, and for a pipe that stays silent.
     """
-    path = existing_file(path, empty_too=empty_too)
+    path = existing_file(path, empty_too=empty_too, pipe=True)
     try:
         if not path.is_fifo():
             return path.open("rb")
+        # Opening a pipe would wait for its writer without end; select below waits for PATIENCE.
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError as error:
         raise unreadable(path, error) from None
@@ -161,6 +175,7 @@ def empty(name: str) -> InputError:
 
 def sha256_of(path: Path) -> str:
     """SHA-256 of the bytes of a file, as hexadecimal text."""
+    note_input(path)
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -168,7 +183,8 @@ def sha256_of(path: Path) -> str:
 def read_text(source: str | Path | BinaryIO, encoding: str | None = None) -> Text:
     """The text of a file, of standard input ("-") or of an open binary stream.
 
-    Without an `encoding` a byte order mark decides, then UTF-16 without one, UTF-8, cp1252.
+    Without an `encoding` a byte order mark decides, then UTF-16 without one, UTF-8, GB 18030 where
+    its characters are common Chinese ones, cp1252.
     Raises InputError for whatever is not text, is larger than 1 GB, or has a line longer than
     1 MB.
     """
@@ -211,6 +227,7 @@ def _read(stream: BinaryIO, file: str, stated: str | None) -> Text:
         if len(blocks) * BLOCK > MOST_TEXT + BLOCK:
             raise _too_large(name)
     data = _as_utf8(b"".join(blocks), encoding, name)
+    # Text and blocks together take twice the memory of the file.
     del blocks
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -238,13 +255,13 @@ def _refuse_other_kinds(head: bytes, name: str) -> None:
 
 
 def _refuse_binary(block: bytes, name: str, row: int, *, first: bool) -> None:
-    found = _CONTROL.search(block) if first or b"\0" in block else None
-    if found:
-        what = "a NUL byte" if found[0] == b"\0" else f"the control character 0x{found[0].hex()}"
+    match = _CONTROL.search(block) if first or b"\0" in block else None
+    if match:
+        what = "a NUL byte" if match[0] == b"\0" else f"the control character 0x{match[0].hex()}"
         raise InputError(
             f"this is not text: it contains {what}",
             code="wrong-file-type",
-            place=f"{name}, row {row + block.count(bytes([10]), 0, found.start())}",
+            place=f"{name}, row {row + block.count(bytes([10]), 0, match.start())}",
             remedy="save the table as CSV; if this is UTF-16 text, state encoding = 'utf-16'",
         )
 
@@ -261,6 +278,15 @@ def _recognised(head: bytes) -> str | None:
     return None
 
 
+def _chinese(data: bytes) -> bool:
+    """Whether bytes beyond ASCII come in pairs that are common Chinese characters for the most
+    part."""
+    runs = re.findall(rb"[\x80-\xff]+", data)
+    pairs = [run[i] for run in runs for i in range(0, len(run), 2)]
+    even = all(len(run) % 2 == 0 for run in runs)
+    return even and 2 * sum(byte in _COMMON for byte in pairs) > len(pairs)
+
+
 def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
     if encoding is None and data.isascii():
         return data
@@ -271,7 +297,8 @@ def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
             try:
                 text = data.decode("utf-8")
             except UnicodeDecodeError:
-                text = data.decode("cp1252")
+                # GB 18030 decodes nearly any bytes, so its characters have to be common ones.
+                text = data.decode("gb18030" if _chinese(data) else "cp1252")
     except LookupError:
         raise InputError(
             f"the encoding {encoding!r} is not known",
@@ -282,7 +309,7 @@ def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
     except UnicodeError as error:
         where = f" at byte {error.start}" if isinstance(error, UnicodeDecodeError) else ""
         raise InputError(
-            f"the text is not {encoding or 'UTF-8 or cp1252'}{where}",
+            f"the text is not {encoding or 'UTF-8, GB 18030 or cp1252'}{where}",
             code="invalid-syntax",
             place=name,
             remedy="state another encoding, or save the table as UTF-8",

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO, TypedDict, Unpack
+from typing import Any, BinaryIO, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.files.tables import parquet
 from loopcal.files.tables.columns import (
     Column,
     ColumnLike,
@@ -19,53 +20,17 @@ from loopcal.files.tables.columns import (
     specified,
     wanted,
 )
-from loopcal.files.tables.delimited import read_delimited
 from loopcal.files.tables.isolated import read_isolated
-from loopcal.files.tables.parquet import parquet_files, read_parquet
-from loopcal.files.tables.raw import read_text
+from loopcal.files.tables.reader import Layout
+from loopcal.files.tables.registry import OPTIONS, reader_of, refuse_other_options
 from loopcal.files.tables.table import ROW, Table
 from loopcal.measurements.dataset import Array, Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
 from loopcal.measurements.source import Source, row_name
 from loopcal.units import difference_to_si, to_si, unit
 
-
-class Layout(TypedDict, total=False):
-    """How a file is written, as keyword arguments; what is not stated is recognised."""
-
-    sheet: str | int | None
-    header: bool | None
-    delimiter: str | None
-    decimal: str | None
-    encoding: str | None
-    variable: str | None
-
-
-@dataclass(frozen=True)
-class _How:
-    """What a caller states of how a file is written."""
-
-    sheet: str | int | None = None
-    header: bool | None = None
-    delimiter: str | None = None
-    decimal: str | None = None
-    encoding: str | None = None
-    variable: str | None = None
-
-
-_MEANT_FOR: dict[str, set[str]] = {
-    "text": {"header", "delimiter", "decimal", "encoding"},
-    "XLSX": {"sheet", "header", "decimal"},
-    "Parquet": set(),
-    "MATLAB": {"variable"},
-}
 _NAMELESS = frozenset(("", "None", "nan"))
 """Ids made of cells without anything in them."""
-_ENDINGS = {
-    **dict.fromkeys((".xlsx", ".xlsm"), "XLSX"),
-    **dict.fromkeys((".parquet", ".pq"), "Parquet"),
-    ".mat": "MATLAB",
-}
 
 
 def read_dataset(
@@ -78,9 +43,9 @@ def read_dataset(
     units: Mapping[str, str] | None = None,
     **layout: Unpack[Layout],
 ) -> Dataset:
-    """Readings from CSV, TSV or other text, XLSX, Parquet or MATLAB (by the ending of the name).
+    """Readings from text, XLSX, Parquet, MATLAB or a ROS bag (by the ending of the name).
 
-    A folder is read as its Parquet files one after the other.
+    A folder is a bag, or is read as its Parquet files one after the other.
     `columns` maps quantity -> column: its name, its number counted from 1 (0 stands for the
     number of the row among those of data), or a mapping with the
     keys of `Column` (column, unit, sd_column, sd_unit, coverage, check). None takes every column of
@@ -92,18 +57,18 @@ def read_dataset(
 
     How a text is written is recognised: `header` or none, `delimiter`, `decimal` mark,
     `encoding`; each may be stated. `sheet` (name, or number from 1) is for XLSX, `variable` for
-    MATLAB. Blank, NaN, NA, n/a, #N/A, null, none and - are missing readings (NaN).
+    MATLAB, `topic` for bags. Blank, NaN, NA, n/a, #N/A, null, none and - are missing readings
+    (NaN).
 
     Raises InputError, naming file, row and column, for all that cannot be read as stated.
     """
-    how = _How(**layout)
     asked = None if columns is None else specified(columns, units or {})
     step, gone = checked_every(every), asked_ids(exclude)
     if asked is None:
-        table = _table(path, how, None)
+        table = _table(path, layout, None)
         asked = all_numeric(table, pose, units or {})
     else:
-        table = _table(path, how, wanted(asked, pose), every=step, pose=pose, also=gone)
+        table = _table(path, layout, wanted(asked, pose), every=step, pose=pose, also=gone)
     refuse_doubles(table, asked)
 
     number = table.counted - 1
@@ -118,6 +83,12 @@ def read_dataset(
         rows_read=len(number) if table.total is None else table.total,
         excluded=tuple(dict.fromkeys(ids[i] for i in excluded)),
         every=step,
+        entry={
+            "file": table.file or "-",
+            "columns": {q: column.entry() for q, column in asked.items()},
+            **({} if pose is None else {"pose": pose}),
+            **{key: value for key, value in layout.items() if value is not None},
+        },
     )
     return dataset_of(table, asked, np.flatnonzero(used), ids, source)
 
@@ -134,8 +105,10 @@ def dataset_of(
     source: what is known of the file; its rows and columns are filled in here.
     """
 
-    def values(column: str | int, given: str | None, si: Callable[..., Array] = to_si) -> Array:
-        numbers = si(table.numbers(table.position(column), keep), given or "1")
+    def values(
+        column: str | int, stated_unit: str | None, si: Callable[..., Array] = to_si
+    ) -> Array:
+        numbers = si(table.numbers(table.position(column), keep), stated_unit or "1")
         numbers.flags.writeable = False  # is kept then, without another copy
         return numbers
 
@@ -180,7 +153,7 @@ def _refuse_nameless(table: Table, keep: NDArray[np.int64], ids: Sequence[str]) 
 
 def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
     """The ids of the poses of a file, without readings; read as `read_dataset` reads it."""
-    table = _table(path, _How(**{f.name: how.get(f.name) for f in fields(_How)}), None)
+    table = _table(path, {key: value for key, value in how.items() if key in OPTIONS}, None)
     ids = table.ids(table.position(pose))
     _refuse_nameless(table, np.arange(len(ids)), ids)
     source = Source(
@@ -190,11 +163,9 @@ def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
 
 
 def read_table(path: str | Path | BinaryIO, part: str | int | None = None) -> Table:
-    """All columns of a file as they stand, read as `read_dataset` reads it; part: the sheet of a
-    workbook (name, or number from 1), or the variable of a MATLAB file."""
-    named = isinstance(path, str | Path) and Path(path).suffix.lower()
-    matlab = named == ".mat" and part is not None
-    return _table(path, _How(variable=str(part)) if matlab else _How(sheet=part), None)
+    """All columns of a file as they stand, read as `read_dataset` reads it; part: one of several
+    tables in it, such as the sheet of a workbook (name, or number from 1)."""
+    return _table(path, {} if part is None else {reader_of(path).part or "sheet": part}, None)
 
 
 def column_labels(
@@ -202,53 +173,22 @@ def column_labels(
     **layout: Unpack[Layout],
 ) -> tuple[str, ...]:
     """Names of the columns of a file, read as `read_dataset` reads it; none without a header."""
-    how = _How(**layout)
-    if isinstance(path, str | Path) and _kind(path, how) == "Parquet":
-        return parquet_files(path)[0].names
-    return _table(path, how, None).names
+    if reader_of(path) is parquet.READER:
+        return parquet.parquet_files(str(path))[0].names
+    return _table(path, layout, None).names
 
 
 def _table(
-    path: str | Path | BinaryIO, how: _How, asked: frozenset[str | int] | None, **rows: Any
+    path: str | Path | BinaryIO,
+    layout: Mapping[str, Any],
+    asked: frozenset[str | int] | None,
+    **rows: Any,
 ) -> Table:
     """The columns asked for; rows: which of them to read from Parquet, others are read whole."""
-    kind = _kind(path, how)
-    if isinstance(path, str | Path):
-        if kind == "XLSX":
-            stated = {"sheet": how.sheet, "header": how.header, "decimal": how.decimal}
-            return read_isolated(kind, path, **stated)
-        if kind == "Parquet":
-            return read_parquet(path, wanted=asked, **rows)
-        if kind == "MATLAB":
-            names = None if asked is None else [*asked]
-            return read_isolated(kind, path, variable=how.variable, wanted=names)
-    return read_delimited(
-        read_text(path, how.encoding),
-        delimiter=how.delimiter,
-        decimal=how.decimal,
-        header=how.header,
-    )
-
-
-def _kind(path: str | Path | BinaryIO, how: _How) -> str:
-    """What kind of file this is. Raises InputError for others, and for options of others."""
-    ending = Path(path).suffix.lower() if isinstance(path, str | Path) else ""
-    if ending in (".xls", ".xlsb", ".ods"):
-        raise InputError(
-            "only XLSX workbooks are read",
-            code="wrong-file-type",
-            place=str(path),
-            remedy="save it as XLSX or CSV",
-        )
-    kind = _ENDINGS.get(ending, "text")
-    if isinstance(path, str | Path) and Path(path).is_dir():
-        kind = "Parquet"
-    for option in fields(how):
-        if getattr(how, option.name) is not None and option.name not in _MEANT_FOR[kind]:
-            raise InputError(
-                f"{option.name} does not apply to {kind} files",
-                code="conflicting-keys",
-                place=str(path),
-                remedy=f"remove {option.name}, or rename the file to its usual extension",
-            )
-    return kind
+    reader = reader_of(path)
+    stated = {option: value for option, value in layout.items() if value is not None}
+    refuse_other_options(reader, path, stated)
+    if reader.guarded:
+        assert isinstance(path, str | Path)
+        return read_isolated(reader, path, wanted=asked, **stated)
+    return reader.read(path, wanted=asked, **stated, **(rows if reader is parquet.READER else {}))

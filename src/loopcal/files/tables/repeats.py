@@ -21,10 +21,10 @@ def columns_of(text: str) -> dict[str, Column]:
 
     Raises UsageError for a text that says something else, InputError for a unit that is none.
     """
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     for part in filter(None, (p.strip() for p in text.split(","))):
         name, _, stated = (word.strip() for word in part.partition("="))
-        if not name or name in found:
+        if not name or name in columns:
             raise UsageError(
                 f"{part!r} in --columns {'names no column' if not name else 'is there twice'}",
                 code="unknown-name",
@@ -32,10 +32,10 @@ def columns_of(text: str) -> dict[str, Column]:
             )
         if stated:
             unit(stated)
-        found[name] = Column(int(name) if name.isdigit() else name, stated or None)
-    if not found:
+        columns[name] = Column(int(name) if name.isdigit() else name, stated or None)
+    if not columns:
         raise UsageError("--columns is empty", remedy="for example --columns S=rad,L=rad,x=m")
-    return found
+    return columns
 
 
 def read_repeats(
@@ -66,14 +66,15 @@ def read_repeats(
             place=project.name,
             remedy='add [data] with file = "poses.csv" and the columns',
         )
-    its = {
+    # Sds are what repeated readings are to give: their files may lack the columns of sds.
+    readings_columns = {
         q: replace(c, sd_column=None, sd_unit=None, coverage=None)
         for q, c in project.data.columns.items()
     }
-    how = {k: v for k, v in project.data.options.items() if k not in ("exclude", "every")}
+    how = {"pose": project.data.pose, **project.data.layout}
     if pose is not None:
         how["pose"] = pose
-    return tuple(read_dataset(file, its, **how) for file in files)
+    return tuple(read_dataset(file, readings_columns, **how) for file in files)
 
 
 def _series(file: str | Path, columns: dict[str, Column] | None, pose: str | None) -> Dataset:

@@ -10,6 +10,7 @@ from loopcal.errors import InputError, listed, nearest
 from loopcal.files.tables.cells import is_missing
 from loopcal.files.tables.dialect import is_header
 from loopcal.files.tables.raw import empty, existing_file, sha256_of
+from loopcal.files.tables.reader import Reader
 from loopcal.files.tables.table import Table
 from loopcal.files.tables.unfolded import refuse_large_workbook
 from loopcal.measurements.source import file_name
@@ -18,6 +19,7 @@ from loopcal.measurements.source import file_name
 def read_spreadsheet(
     path: str | Path,
     *,
+    wanted: object = None,
     sheet: str | int | None = None,
     header: bool | None = None,
     decimal: str | None = None,
@@ -25,8 +27,8 @@ def read_spreadsheet(
     """The cells of a sheet, by its name or its number from 1; the first sheet if not stated.
 
     Rows without any entry are passed over; cells of a formula have the value last computed.
-    Raises InputError for a file that is no workbook, a sheet that is not there or is empty, and
-    a first row that may or may not be a header.
+    Raises InputError for a file that is no workbook, and for a sheet that is absent or empty.
+    Raises it also for a first row that may or may not be a header.
     """
     import python_calamine
 
@@ -35,7 +37,8 @@ def read_spreadsheet(
     try:
         workbook = python_calamine.CalamineWorkbook.from_path(path)
         title = _title(workbook.sheet_names, sheet, path.name)
-        found = workbook.get_sheet_by_name(title).to_python(skip_empty_area=False)
+        # Empty rows stay, so that messages count rows as the workbook does.
+        sheet_rows = workbook.get_sheet_by_name(title).to_python(skip_empty_area=False)
     except python_calamine.CalamineError as error:
         raise InputError(
             f"this XLSX workbook cannot be read ({error})",
@@ -45,7 +48,7 @@ def read_spreadsheet(
         ) from None
     part = f"sheet {title!r}"
     name = file_name(path.name, part)
-    rows = [(i, row) for i, row in enumerate(found, 1) if not all(map(is_missing, row))]
+    rows = [(i, row) for i, row in enumerate(sheet_rows, 1) if not all(map(is_missing, row))]
     if not rows:
         raise empty(name)
     mark = decimal or "."
@@ -90,3 +93,14 @@ def _title(titles: list[str], sheet: str | int | None, name: str) -> str:
             remedy=f"give a number from 1 to {len(titles)}, or a name: {listed(titles)}",
         )
     return titles[number - 1]
+
+
+READER = Reader(
+    "XLSX",
+    "one sheet of a workbook; of a formula the value last computed",
+    (".xlsx", ".xlsm"),
+    read_spreadsheet,
+    ("sheet", "header", "decimal"),
+    part="sheet",
+    relatives=(".xls", ".xlsb", ".ods"),
+)

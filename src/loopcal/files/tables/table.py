@@ -13,8 +13,11 @@ from loopcal.errors import InputError, listed, nearest, short
 from loopcal.files.tables import cells as cell_rules
 from loopcal.files.tables import series
 from loopcal.files.tables.cells import Cells, NotANumber
+from loopcal.measurements.poses import cell_text
 from loopcal.measurements.source import file_name, row_name
 
+LONGEST = 500
+"""Characters of an id, of another text of a row, and of the name of a column."""
 ROW = 0
 """The column that every table has: the number of each row of data, from 1."""
 
@@ -43,6 +46,17 @@ class Table:
     before: int = 0
     """Rows of data before these, where `rows` count through one file of several."""
 
+    def __post_init__(self) -> None:
+        for number, name in enumerate(self.names, 1):
+            if len(name) > LONGEST:
+                raise InputError(
+                    f"the name of column {number} has {len(name)} characters; the limit is "
+                    f"{LONGEST}",
+                    code="too-large",
+                    place=self.name,
+                    remedy="correct the header",
+                )
+
     @property
     def counted(self) -> NDArray[np.int64]:
         """(N,) number of each row among all rows of data, from 1."""
@@ -59,6 +73,7 @@ class Table:
     def sheet(self) -> str | None:
         """The sheet of a workbook that was read; None of other files."""
         kind, _, name = (self.part or "").partition(" ")
+        # The readers write the name with repr, which keeps quotes in it apart.
         return str(literal_eval(name)) if kind == "sheet" else None
 
     def position(self, column: str | int) -> int:
@@ -81,11 +96,17 @@ class Table:
         """One column at the rows to keep; InputError for a cell that is not a number."""
         if position < 0:
             return self.counted[keep].astype(np.float64)
+        column = self.columns[position]
         try:
-            column = self.columns[position]
-            if isinstance(column, list | np.ndarray):
-                return cell_rules.numbers(column, keep, self.decimal)
-            return series.numbers(column, keep, self.decimal)
+            try:
+                if isinstance(column, list | np.ndarray):
+                    return cell_rules.numbers(column, keep, self.decimal)
+                return series.numbers(column, keep, self.decimal)
+            except NotANumber:
+                joined = cell_rules.ungrouped(column, self.decimal)
+                if joined is None:
+                    raise
+                return cell_rules.numbers(joined, keep, self.decimal)
         except NotANumber as wrong:
             text = str(wrong.cell)
             row = row_name(int(self.rows[wrong.index]), self.begins)
@@ -105,7 +126,18 @@ class Table:
         """One column as ids of poses, all rows."""
         if position < 0:
             return tuple(map(str, self.counted.tolist()))
-        return cell_rules.ids(self.columns[position])
+        pose_ids = cell_rules.ids(self.columns[position])
+        if any(len(one) > LONGEST for one in pose_ids):
+            index = next(i for i, one in enumerate(pose_ids) if len(one) > LONGEST)
+            raise InputError(
+                f"{short(pose_ids[index])!r} has {len(pose_ids[index])} characters; the limit of "
+                f"ids and words is {LONGEST}",
+                code="too-large",
+                place=f"{self.name}, {row_name(int(self.rows[index]), self.begins)}, "
+                f"column {self.label(position)!r}",
+                remedy="shorten it, or name the column of the ids",
+            )
+        return pose_ids
 
     def numeric(self) -> list[int]:
         """Positions of the columns whose cells are numbers for the most part."""
@@ -115,8 +147,8 @@ class Table:
 def find_column(column: str | int, names: Sequence[str], width: int, place: str) -> int:
     """Position from 0 of a column given by its name, or by its number from 1.
 
-    Raises InputError for one that is not there, with the nearest name and all the names, and for
-    a name that stands twice in the header.
+    Raises InputError for one that is absent, with the nearest name and all the names. Raises it
+    also for a name that stands twice in the header.
     """
     if isinstance(column, int):
         if 1 <= column <= width:
@@ -127,11 +159,15 @@ def find_column(column: str | int, names: Sequence[str], width: int, place: str)
             place=place,
             remedy=f"give a number from 1 to {width}",
         )
-    found = [i for i, name in enumerate(names) if name == column]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        numbers = " and ".join(str(i + 1) for i in found[:3]) + (" and more" if found[3:] else "")
+    # A header that looks like a formula may stand behind an apostrophe (docs/decisions/0137).
+    label = column if column in names else cell_text(column)
+    positions = [i for i, name in enumerate(names) if name == label]
+    if len(positions) == 1:
+        return positions[0]
+    if positions:
+        numbers = " and ".join(str(i + 1) for i in positions[:3]) + (
+            " and more" if positions[3:] else ""
+        )
         raise InputError(
             f"the header has {column!r} more than once (columns {numbers})",
             code="duplicate-column",
@@ -156,6 +192,9 @@ def find_column(column: str | int, names: Sequence[str], width: int, place: str)
 
 
 def _remedy(text: str, decimal: str) -> str:
+    if cell_rules.may_be_grouped(text, decimal):
+        other = "," if decimal == "." else "."
+        return f"write thousands without separators, or state decimal = {other!r}"
     if "," in text and "." in text:
         return "write the number without thousands separators"
     if decimal == "." and "," in text:

@@ -20,7 +20,9 @@ BASE, PER_BYTE = 1 << 28, 100
 MOST_CELLS = 1 << 25
 """Cells of a sheet: a million rows of 32 columns."""
 _BLOCK = 1 << 20
+# Up to column ZZ and row 9999 a sheet has 7 million cells, fewer than MOST_CELLS.
 _FAR = re.compile(rb"""\br=["']([A-Za-z]{3}\d{1,9}|[A-Za-z]{1,2}\d{5,9})["']([^>]{0,200}>)""")
+# Of the MATLAB 5 format: bytes of the header, and the type miCOMPRESSED.
 _HEADER, _COMPRESSED = 128, 15
 
 
@@ -61,6 +63,7 @@ def _refuse_far_cells(blocks: Iterator[bytes], path: Path) -> None:
                     place=path.name,
                     remedy="delete cells far from the table, or save the table as Parquet",
                 )
+        # A cell may lie across two blocks; the pattern spans less than 300 bytes.
         tail = text[-300:]
 
 

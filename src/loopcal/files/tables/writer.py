@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.measurements.poses import cell_text
 
 Column = Sequence[str] | NDArray[np.float64]
 SEPARATORS = {".csv": ",", ".tsv": "\t", ".txt": "\t"}
@@ -24,6 +25,7 @@ COMPRESSION: Final = "snappy"
 def table_bytes(columns: Mapping[str, Column], ending: str = ".csv") -> bytes:
     """The bytes of a table with a header; NaN becomes an empty cell.
 
+    In text, names and texts that a spreadsheet would take for a formula are marked (`cell_text`).
     columns: name -> N texts, or N numbers. Raises InputError for an ending that is not written.
     """
     ending = ending.lower()
@@ -41,7 +43,7 @@ def table_bytes(columns: Mapping[str, Column], ending: str = ".csv") -> bytes:
     cells = [_cells(column) for column in columns.values()]
     text = io.StringIO()
     writer = csv.writer(text, delimiter=SEPARATORS[ending], lineterminator="\n")
-    writer.writerow(columns)
+    writer.writerow(map(cell_text, columns))
     writer.writerows(zip(*cells, strict=True))
     return text.getvalue().encode("utf-8")
 
@@ -60,16 +62,20 @@ def check_ending(path: str | Path) -> None:
 
 def _cells(column: Column) -> Sequence[str]:
     if not isinstance(column, np.ndarray):
-        return column
+        return [*map(cell_text, column)]
+    # repr gives the shortest digits that read back exactly; NaN alone differs from itself.
     return ["" if value != value else repr(value) for value in column.tolist()]
 
 
 def _by_polars(columns: Mapping[str, Column], separator: str | None) -> bytes:
     import polars as pl
 
+    mark = str if separator is None else cell_text
     frame = pl.DataFrame(
         {
-            name: pl.Series(column if isinstance(column, np.ndarray) else list(column))
+            mark(name): pl.Series(
+                column if isinstance(column, np.ndarray) else [*map(mark, column)]
+            )
             for name, column in columns.items()
         }
     ).fill_nan(None)

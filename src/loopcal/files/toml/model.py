@@ -31,15 +31,17 @@ Kind = TypeVar("Kind", bound=BaseModel)
 class Model(BaseModel):
     """A table of a file."""
 
+    # Built at first use: the start of a command counts, and it needs few of the tables.
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
 
     @model_validator(mode="before")
     @classmethod
     def _refuse_unknown_keys(cls, data: Any) -> Any:
-        known = [field.alias or name for name, field in cls.model_fields.items()]
+        # pydantic's refusal of a key does not name the nearest one.
+        keys = [field.alias or name for name, field in cls.model_fields.items()]
         for key in data if isinstance(data, Mapping) else ():
-            if key not in known:
-                words = {"key": key, "words": f"unknown key {key!r}", "remedy": nearest(key, known)}
+            if key not in keys:
+                words = {"key": key, "words": f"unknown key {key!r}", "remedy": nearest(key, keys)}
                 raise PydanticCustomError("unknown_key", "{words}", words)
         return data
 
@@ -50,7 +52,7 @@ def complaint(words: str, remedy: str, code: Code = "invalid-value") -> Pydantic
     return PydanticCustomError("complaint", "{words}", said)
 
 
-def _known_unit(name: str) -> str:
+def _canonical_unit(name: str) -> str:
     try:
         return unit(name).name
     except InputError as error:
@@ -74,16 +76,30 @@ def _sd(value: Any) -> Any:
 class OneOf:
     """Annotates a string that must be one of these names."""
 
-    names: tuple[str, ...]
+    names: tuple[str | int, ...]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         return core_schema.literal_schema([*self.names])
 
 
-UnitName = Annotated[str, AfterValidator(_known_unit), Field(examples=["m", "mm", "rad", "deg"])]
+UnitName = Annotated[
+    str, AfterValidator(_canonical_unit), Field(examples=["m", "mm", "rad", "deg"])
+]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Sd = Annotated[float, Field(ge=0), BeforeValidator(_sd)]
 NameOrNumber = Annotated[str | int, BeforeValidator(_name_or_number)]
+
+
+def unit_name(dimension: str) -> Any:
+    """The type of the name of a unit of this dimension."""
+
+    def check(name: str) -> str:
+        if unit(name).dimension != dimension:
+            words = f"{name!r} is a unit of {unit(name).dimension}"
+            raise complaint(words, f"give a unit of {dimension}")
+        return name
+
+    return Annotated[UnitName, AfterValidator(check)]
 
 
 @dataclass(frozen=True)
@@ -107,17 +123,33 @@ class OrPlain:
         return {"anyOf": [*({**least, "type": kind} for kind in self.plain), handler(schema)]}
 
 
-def plain_number_as(key: str) -> OrPlain:
-    """Annotates a table that may be written as a bare number, the value of this one key."""
+_KINDS = {float: "number", str: "string", int: "integer"}
+
+
+def alone_as(key: str, *kinds: type, example: object = None, positive: bool = False) -> OrPlain:
+    """Annotates a table that may be written as the bare value of this one key.
+
+    kinds: of bare values, by default numbers; example: for messages.
+    """
+    bare = tuple(kinds) if kinds and float not in kinds else (int, float)
+    such = f'such as {{{{ {key} = 1.0, unit = "mm" }}}}' if float in bare else f"with {key}"
 
     def table(value: Any) -> Any:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number and not isinstance(value, Mapping | BaseModel):
-            remedy = f'give a number, or a table such as {{ {key} = 1.0, unit = "mm" }}'
-            raise complaint(f"{_short(value)} is given", remedy)
-        return {key: value} if number else value
+        if isinstance(value, bare) and not isinstance(value, bool):
+            return {key: value}
+        if not isinstance(value, Mapping | BaseModel):
+            word = "a number" if float in bare else f"a name, say {example!r}"
+            raise complaint(f"{_short(value)} is given", f"give {word}, or a table {such}")
+        return value
 
-    return OrPlain(table, ("number",), positive=key == "sd")
+    return OrPlain(table, tuple(_KINDS[kind] for kind in kinds or (float,)), positive)
+
+
+class Value(Model):
+    """A number with its unit."""
+
+    value: Finite
+    unit: UnitName | None = None
 
 
 def validated(model: type[Kind], data: Any, place: Place) -> Kind:
@@ -175,31 +207,32 @@ def _path(detail: ErrorDetails, data: Any) -> tuple[str | int, ...]:
 
 def _words(detail: ErrorDetails, path: Sequence[str | int]) -> tuple[str, str]:
     """The message and the remedy."""
-    context, given = detail.get("ctx", {}), detail.get("input")
+    context, value = detail.get("ctx", {}), detail.get("input")
     match detail["type"]:
         case "unknown_key" | "complaint":
             return context["words"], context["remedy"]
         case "missing":
             return f"{str(detail['loc'][-1])!r} is missing", f"add {detail['loc'][-1]} = ..."
         case "literal_error":
-            known = context["expected"].replace(" or ", ", ").replace("'", "").split(", ")
-            return f"{given!r} is given", nearest(str(given), known)
+            # pydantic writes choices as 'a', 'b' or 'c'.
+            choices = context["expected"].replace(" or ", ", ").replace("'", "").split(", ")
+            return f"{value!r} is given", nearest(str(value), choices)
         case "greater_than_equal" | "greater_than":
             least = context.get("ge", context.get("gt"))
             than = f"{least:g} or more" if "ge" in context else f"more than {least:g}"
-            return f"{_short(given)} is given, which is too small", f"give {than}"
+            return f"{_short(value)} is given, which is too small", f"give {than}"
         case "less_than_equal" | "less_than":
             most = context.get("le", context.get("lt"))
             than = f"{most:,} or less" if "le" in context else f"less than {most:,}"
-            return f"{_short(given)} is given, which is too large", f"give {than}"
+            return f"{_short(value)} is given, which is too large", f"give {than}"
         case "too_short":
-            return f"{_short(given)} has too few entries", f"give {context['min_length']} or more"
+            return f"{_short(value)} has too few entries", f"give {context['min_length']} or more"
         case "too_long":
-            return f"{_short(given)} has too many entries", f"give {context['max_length']} or fewer"
+            return f"{_short(value)} has too many entries", f"give {context['max_length']} or fewer"
     expected = _EXPECTED.get(detail["type"])
     if expected is None:
-        return f"{_short(given)} is given: {detail['msg']}", "see `loopcal schema project`"
-    return f"{_short(given)} is given, where {expected} is needed", f"give {expected}"
+        return f"{_short(value)} is given: {detail['msg']}", "see `loopcal schema project`"
+    return f"{_short(value)} is given, where {expected} is needed", f"give {expected}"
 
 
 _EXPECTED = {

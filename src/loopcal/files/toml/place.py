@@ -1,10 +1,10 @@
-"""Where something stands in a TOML file, as messages say it: arm.toml: joint[2].form."""
+"""Where a table is, as messages say it (arm.toml: joint[2].form), and what it leaves open."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from loopcal.errors import short
 
@@ -41,3 +41,23 @@ def toml_path(keys: Sequence[str | int]) -> str:
             name = short(key) if _BARE.fullmatch(key) else f'"{short(key)}"'
             words += ("." if words else "") + name
     return words
+
+
+Names = Callable[[str], Mapping[str, str]]
+"""Names and their SI units for a name or glob; raises InputError for one that fits nothing."""
+
+
+@dataclass(frozen=True)
+class Scope:
+    """What a table leaves open.
+
+    units: dimension -> unit of numbers that state none; names: what keys of mappings may name, by
+    the word in `Key.names`; si: SI unit of the name that the table is of.
+    """
+
+    units: Mapping[str, str] = field(default_factory=dict)
+    names: Mapping[str, Names] = field(default_factory=dict)
+    si: str = "1"
+
+
+NOTHING = Scope()

@@ -11,11 +11,22 @@ from typing import Any
 
 from loopcal.errors import InputError
 from loopcal.files.tables.raw import bytes_of
+from loopcal.files.toml.other_kinds import refuse_other_kind
 from loopcal.files.toml.place import Place
 
-MOST_BYTES = 4_000_000
+MOST_BYTES = 2_000_000
 """A project or mechanism is written by hand; what is larger is some other file."""
+MOST_PARTS, MOST_VALUES, LONGEST_KEY, LONGEST_TEXT = 12, 100_000, 255, 10_000
+"""Parts of a dotted key, values of a file, and characters of a key and of a text, at most.
+
+A parser keeps a table for each part of each key, and a part of them for each of its beginnings.
+"""
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DEEP = re.compile(
+    rf"(?:^|[\[{{,])[ \t]*+(?:{_PART}[ \t]*+\.[ \t]*+){{{MOST_PARTS}}}", re.MULTILINE
+)
 SCHEMA = 1
+# tomllib states the place in the text of its error.
 _AT = re.compile(r"\s*\(at (?:line (?P<line>\d+), column (?P<column>\d+)|end of document)\)$")
 
 
@@ -34,6 +45,7 @@ def read_text(path: str | Path) -> bytes:
     """
     if str(path) == "-":
         return sys.stdin.buffer.read(MOST_BYTES + 1)
+    refuse_other_kind(path)
     return bytes_of(path, MOST_BYTES, empty_too=True)
 
 
@@ -45,6 +57,7 @@ def shown(path: str | Path) -> str:
 def toml_data(content: bytes | str, name: str) -> dict[str, Any]:
     """TOML text as plain data; `name` is how messages call it."""
     if isinstance(content, str):
+        # Half a character is then refused below, as bytes that are not UTF-8 are.
         content = content.encode("utf-8", "surrogatepass")
     if len(content) > MOST_BYTES:
         raise InputError(
@@ -55,8 +68,15 @@ def toml_data(content: bytes | str, name: str) -> dict[str, Any]:
             remedy="name a TOML file; keep readings in a separate file (data.file)",
         )
     text = _decoded(content, name)
+    if deep := _DEEP.search(text):
+        raise InputError(
+            f"a key has more than {MOST_PARTS} parts",
+            code="too-large",
+            place=f"{name}, line {text.count(chr(10), 0, deep.start()) + 1}",
+            remedy="correct the line",
+        )
     try:
-        return tomllib.loads(text)
+        data = tomllib.loads(text)
     except RecursionError:
         raise InputError(
             "this TOML is nested too deeply",
@@ -76,8 +96,36 @@ def toml_data(content: bytes | str, name: str) -> dict[str, Any]:
             f"this is not valid TOML: {_AT.sub('', words)}",
             code="invalid-syntax",
             place=place,
-            remedy="correct the line; `loopcal new` writes a project to compare with",
+            remedy="correct the line; `loopcal init` makes a project of a file of readings",
         ) from None
+    _refuse_large(data, Place(name))
+    return data
+
+
+def _refuse_large(data: dict[str, Any], place: Place) -> None:
+    """Raise InputError for more values, longer texts or larger whole numbers than a project has."""
+    waiting: list[tuple[Any, Place]] = [(data, place)]
+    for count in range(MOST_VALUES + 1):
+        if not waiting:
+            return
+        value, where = waiting.pop()
+        what = ""
+        if isinstance(value, dict):
+            if any(len(key) > LONGEST_KEY for key in value):
+                what = f"a key has more than {LONGEST_KEY} characters"
+            waiting += [(one, where.at(key)) for key, one in value.items()]
+        elif isinstance(value, list):
+            waiting += [(one, where) for one in value]
+        elif isinstance(value, str) and len(value) > LONGEST_TEXT:
+            what = f"a text has more than {LONGEST_TEXT:,} characters"
+        elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+            what = "a whole number has more than 64 bits, which TOML does not allow"
+        if len(waiting) + count > MOST_VALUES:
+            what = f"this file holds more than {MOST_VALUES:,} values"
+        if what:
+            raise InputError(
+                what, code="too-large", place=str(where), remedy="shorten or correct it"
+            )
 
 
 def checked_schema(data: Mapping[str, Any], place: Place) -> None:

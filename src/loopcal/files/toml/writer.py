@@ -10,8 +10,8 @@ def line(key: str, value: Any) -> str:
     """`key = value` with tables and lists within the line."""
     import tomli_w
 
-    its_key = tomli_w.dumps({key: 0}).removesuffix(" = 0\n")
-    return f"{its_key} = {inline(value)}"
+    written_key = tomli_w.dumps({key: 0}).removesuffix(" = 0\n")
+    return f"{written_key} = {inline(value)}"
 
 
 def inline(value: Any) -> str:

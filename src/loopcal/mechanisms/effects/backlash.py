@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from loopcal.errors import InputError
+from loopcal.keys import Key
 from loopcal.mechanisms.effects.effect import Joints, Name, joints
 from loopcal.mechanisms.frame import Values
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 
+# Gears of robots have plays of arc minutes; 1 mrad is 3.4 of them.
 SD = {"rad": 1e-3, "m": 1e-3}
 """Prior sd of half a play, [rad] or [m]."""
 JOINT = "{joint}"
@@ -28,7 +29,7 @@ def directions(mechanism: Mechanism) -> list[str]:
     stated = [effect["direction"] for effect in effects if effect["type"] == "backlash"]
     return [
         name
-        for name in mechanism.known
+        for name in mechanism.pose_constants
         if any(
             name == s.replace(JOINT, q) + e
             for s in stated
@@ -56,20 +57,22 @@ class Backlash:
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """JOINT_backlash of each joint."""
-        found = joints(mechanism, self.joints)
-        if len(found) > 1 and JOINT not in self.direction:
+        names = joints(mechanism, self.joints)
+        if len(names) > 1 and JOINT not in self.direction:
             raise InputError(
-                f"{len(found)} joints share the direction {self.direction!r}",
+                f"{len(names)} joints share the direction {self.direction!r}",
                 code="duplicate-name",
                 remedy=f"name one for each joint, as in direction = {Backlash.direction!r}",
             )
         units = mechanism.quantities
         return {
-            f"{q}_backlash": Parameter(f"{q}_backlash", 0.0, units[q], SD.get(units[q], 1e-3))
-            for q in found
+            f"{q}_backlash": Parameter(
+                f"{q}_backlash", 0.0, units[q], SD.get(units[q], 1e-3), meaning=f"backlash of {q}"
+            )
+            for q in names
         }
 
-    def known(self, mechanism: Mechanism) -> dict[str, str]:
+    def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """The direction of each joint."""
         return {self._direction(joint): "1" for joint in joints(mechanism, self.joints)}
 

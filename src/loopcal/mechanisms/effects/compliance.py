@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from loopcal.errors import InputError
+from loopcal.keys import Key
 from loopcal.mechanisms.effects.effect import Name, joints
 from loopcal.mechanisms.effects.gravity import (
     ACCELERATION,
@@ -22,12 +23,12 @@ from loopcal.mechanisms.effects.gravity import (
     unit_forces,
 )
 from loopcal.mechanisms.frame import Values
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, matching
 
 SAG_SD = {"rad": ("rad/m", 1e-2), "m": ("m", 1e-3)}
 """Lumped: unit and prior sd, of 100 kg on a joint of 1e5 N m/rad, on a slide of 1e6 N/m."""
+# A joint of 1e5 N m/rad and a slide of 1e6 N/m, as in `SAG_SD`.
 YIELD_SD = {"rad": ("rad/(N m)", 1e-5), "m": ("m/N", 1e-6)}
 
 Loads = Annotated[tuple[Load, ...], Key("Points of the arm that weigh something.", least=1)]
@@ -51,7 +52,7 @@ class Compliance:
     Q acts about (or along) the axis that q moves.
     Masses known: Q = sum_k m_k g l_k, one parameter c = NAME_yield [rad/(N m) or m/N] for each
     joint or parameter that yields. Masses unknown: c m_k g is estimated as one, NAME_sag_LOAD
-    [rad per metre of lever, or m], for each load that weighs on it: c and m cannot be told apart.
+    [rad per metre of lever, or m], for each load that weighs on it: c and m are indistinguishable.
 
     loads: points with weight, see `Load`; yielding: joints and parameters by names or globs,
     alone "*" all revolute joints; gravity: direction in which it pulls, in the first frame of
@@ -101,11 +102,13 @@ class Compliance:
             si = self._unit(mechanism, name)
             loads = [load for load in self.loads if carries(mechanism.chain, name, load)]
             unit, sd = (SAG_SD if self.lumped else YIELD_SD)[si]
-            for own in self._names(name, loads):
-                made[own] = Parameter(own, 0.0, unit, sd)
+            for parameter in self._names(name, loads):
+                made[parameter] = Parameter(
+                    parameter, 0.0, unit, sd, meaning=f"compliance of {name}"
+                )
         return made
 
-    def known(self, mechanism: Mechanism) -> dict[str, str]:
+    def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """None."""
         return {}
 
@@ -118,9 +121,10 @@ class Compliance:
         for load in self.loads:
             on = [name for name in yielding if carries(chain, name, load)]
             for name, force in unit_forces(chain, on, load, down, x, p).items():
+                # Unknown masses: c m g is one parameter, and the force is a lever alone.
                 weight = 1.0 if load.mass is None else load.mass * ACCELERATION
-                (own,) = self._names(name, [load])
-                new[name] = new[name] + p[own] * (weight * force)
+                (parameter,) = self._names(name, [load])
+                new[name] = new[name] + p[parameter] * (weight * force)
         return new
 
     def _names(self, name: str, loads: list[Load]) -> list[str]:
@@ -145,7 +149,7 @@ class Compliance:
         if self.yielding == ("*",):
             return [q for q in joints(mechanism, ("*",), "rad") if acting(chain, q)]
         movers = dict.fromkeys(n for step in chain for n in (step.joint, step.parameter) if n)
-        found: dict[str, None] = {}
+        yielding: dict[str, None] = {}
         for pattern in self.yielding:
-            found |= dict.fromkeys(matching(pattern, movers, "joint or parameter of the chain"))
-        return list(found)
+            yielding |= dict.fromkeys(matching(pattern, movers, "joint or parameter of the chain"))
+        return list(yielding)

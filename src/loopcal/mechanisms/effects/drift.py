@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from loopcal.errors import InputError
+from loopcal.keys import Key
 from loopcal.mechanisms.effects.effect import Name, meant
 from loopcal.mechanisms.frame import Values
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.units import difference_to_si, to_si, unit
@@ -68,11 +68,18 @@ class Drift:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """P_drift of each parameter, in its unit."""
         return {
-            f"{name}_drift": Parameter(f"{name}_drift", 0.0, its, DRIFT_SD)
-            for name, its in _units(mechanism, self.changing).items()
+            f"{name}_drift": Parameter(
+                f"{name}_drift",
+                0.0,
+                si,
+                DRIFT_SD,
+                meaning=f"change of {name} along the run",
+                changes=name,
+            )
+            for name, si in _units(mechanism, self.changing).items()
         }
 
-    def known(self, mechanism: Mechanism) -> dict[str, str]:
+    def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """The column."""
         return {self.column: unit(self.unit).si}
 
@@ -124,19 +131,26 @@ class Shift:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """P_fromA of each parameter and segment, in the parameter's unit."""
         return {
-            (own := _from_name(name, a)): Parameter(own, 0.0, its, SHIFT_SD.get(its, 0.01))
-            for name, its in _units(mechanism, self.changing).items()
+            (parameter := _from_name(name, a)): Parameter(
+                parameter,
+                0.0,
+                si,
+                SHIFT_SD.get(si, 0.01),
+                meaning=f"change of {name} from {self.column} {a:.12g} on",
+                changes=name,
+            )
+            for name, si in _units(mechanism, self.changing).items()
             for a in self._at
         }
 
-    def known(self, mechanism: Mechanism) -> dict[str, str]:
+    def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """The column."""
         return {self.column: unit(self.unit).si}
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
         """The parameters and readings of the segment that t lies in."""
         reached = [_from(a, x[self.column]) for a in self._at]
-        within = [here - after for here, after in pairwise([*reached, 0.0])]
+        within = [begun - following for begun, following in pairwise([*reached, 0.0])]
         return {
             name: _moved(
                 name,
@@ -161,8 +175,8 @@ def _units(mechanism: Mechanism, patterns: tuple[str, ...]) -> dict[str, str]:
     """The SI units of the parameters that names or globs stand for, and of readings by name."""
     read = {v.name for v in mechanism.variables if v.role == "reading"}
     names = [p for p in patterns if p in read and p not in mechanism.parameters.names]
-    found = {p.name: p.unit for p in meant(mechanism, [n for n in patterns if n not in names])}
-    return found | {name: mechanism.quantities[name] for name in names}
+    units = {p.name: p.unit for p in meant(mechanism, [n for n in patterns if n not in names])}
+    return units | {name: mechanism.quantities[name] for name in names}
 
 
 def _moved(name: str, change: Any, x: Values, p: Values) -> Any:
@@ -176,5 +190,6 @@ def _from_name(parameter: str, begin: float) -> str:
 
 def _from(begin: float, t: Any) -> Any:
     """1 where t >= begin, else 0; t is a known constant, so no derivative is ever taken."""
+    # Measured from one double below `begin`, so that t = begin counts as past and |past| is not 0.
     past = t - float(np.nextafter(begin, -math.inf))
     return 0.5 * (1.0 + past / abs(past))

@@ -1,8 +1,8 @@
 """An effect beyond geometry: in every pose it changes what some readings or parameters mean.
 
-The loops f(x, p) become f(x', p'), where x' are joint readings set right (a gear that is not
-round, a joint that yields) and p' parameters that do not stay the same (an instrument that
-drifts). Any mechanism can be given effects, whatever machine and instruments it is made of: the
+The loops f(x, p) become f(x', p'). x' are corrected joint readings, as of a gear that is not round
+or a joint that yields. p' are parameters that do not stay the same, as of an instrument that
+drifts. Any mechanism can be given effects, whatever machine and instruments it is made of: the
 expressions are put into its tape. Effects follow one another: the first acts on the readings, the
 next on what it leaves.
 """
@@ -15,8 +15,8 @@ from typing import Annotated, Any, Protocol, runtime_checkable
 
 from loopcal.errors import InputError
 from loopcal.expressions.substitution import substituted
+from loopcal.keys import Key, description
 from loopcal.mechanisms.frame import Values
-from loopcal.mechanisms.keys import Key, description
 from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
@@ -43,7 +43,7 @@ class Effect(Protocol):
         Raises InputError for a joint or parameter that the mechanism has not.
         """
 
-    def known(self, mechanism: Mechanism) -> dict[str, str]:
+    def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """Constants that vary by pose and that it needs, name -> SI unit."""
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
@@ -67,31 +67,38 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
     Raises InputError for two effects of one name or with one parameter, and for what an effect
     cannot act on.
     """
-    own: dict[str, dict[str, Parameter]] = {}
-    known: dict[str, Quantity] = {}
+    by_effect: dict[str, dict[str, Parameter]] = {}
+    pose_constants: dict[str, Quantity] = {}
     ends = ENDS if any(v.first for v in mechanism.variables) else ENDS[:1]
     taken = {*mechanism.parameters.names}
     for effect in effects:
-        if effect.name in (*mechanism.effects, *own):
+        if effect.name in (*mechanism.effects, *by_effect):
             raise InputError(
                 f"two effects are named {effect.name!r}",
                 code="duplicate-name",
                 remedy="give each effect a unique name",
             )
-        own[effect.name] = effect.parameters(mechanism)
-        _refuse_shared(effect.name, own[effect.name], taken)
-        taken |= own[effect.name].keys()
-        for name, unit in effect.known(mechanism).items():
+        by_effect[effect.name] = {
+            n: p.of("effect", effect.name) for n, p in effect.parameters(mechanism).items()
+        }
+        _refuse_shared(effect.name, by_effect[effect.name], taken)
+        taken |= by_effect[effect.name].keys()
+        for name, unit in effect.pose_constants(mechanism).items():
             for end in ends:
-                its = Quantity(name + end, unit, "known", name if end else None)
-                known.setdefault(its.name, its)
-    variables = (*mechanism.variables, *(v for n, v in known.items() if n not in mechanism.known))
-    added = [p for its in own.values() for p in its.values()]
+                constant = Quantity(name + end, unit, "known", name if end else None)
+                pose_constants.setdefault(constant.name, constant)
+    variables = (
+        *mechanism.variables,
+        *(v for n, v in pose_constants.items() if n not in mechanism.pose_constants),
+    )
+    added = [p for parameters in by_effect.values() for p in parameters.values()]
     changed = mechanism.with_tape(
         lambda tape: substituted(
             tape,
             lambda x, p: _meaning(mechanism, effects, _rows(variables), x, p),
-            known=[name for name in known if name not in mechanism.known],
+            pose_constants=[
+                name for name in pose_constants if name not in mechanism.pose_constants
+            ],
             parameters=[p.name for p in added],
         )
     )
@@ -101,13 +108,12 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
             for end in ends:
                 latest[name + end] = max(latest.get(name + end, value), value)
     described = dict(mechanism.description or {"type": "function"})
-    told = [*described.get("effect", []), *(description(effect) for effect in effects)]
+    effect_tables = [*described.get("effect", []), *(description(effect) for effect in effects)]
     return replace(
         changed,
         variables=variables,
         parameters=Parameters((*mechanism.parameters, *added)),
-        description=described | {"effect": told},
-        effects={**mechanism.effects, **{name: tuple(its) for name, its in own.items()}},
+        description=described | {"effect": effect_tables},
         latest=latest,
     )
 
@@ -120,15 +126,15 @@ def joints(mechanism: Mechanism, patterns: Sequence[str], unit: str | None = Non
     none.
     """
     read = {q for family in mechanism.families for q in family.readings} | {*mechanism.outputs}
-    own = [v.name for v in mechanism.variables if v.role == "reading" and v.first is None]
-    own = [q for q in own if q not in read]
-    found = dict.fromkeys(
+    quantities = [v.name for v in mechanism.variables if v.role == "reading" and v.first is None]
+    quantities = [q for q in quantities if q not in read]
+    chosen = dict.fromkeys(
         name
         for pattern in patterns
-        for name in matching(pattern, own, "joint")
+        for name in matching(pattern, quantities, "joint")
         if name == pattern or unit in (None, mechanism.quantities[name])
     )
-    for name in found:
+    for name in chosen:
         if unit is not None and mechanism.quantities[name] != unit:
             raise InputError(
                 f"{name!r} is in {mechanism.quantities[name]}, but this effect acts on joints in "
@@ -136,14 +142,14 @@ def joints(mechanism: Mechanism, patterns: Sequence[str], unit: str | None = Non
                 code="wrong-unit",
                 remedy="name other joints",
             )
-    if not found:
+    if not chosen:
         raise InputError(
             f"no joint is called {' or '.join(map(repr, patterns))}"
             + (f" and in {unit}" if unit else ""),
             code="unknown-name",
             remedy="name measured joints, or remove this effect",
         )
-    return list(found)
+    return list(chosen)
 
 
 def meant(mechanism: Mechanism, patterns: Sequence[str]) -> list[Parameter]:
@@ -172,7 +178,7 @@ def _meaning(
     readings: dict[str, Any] = {}
     constants: dict[str, Any] = dict(p)
     for number, called in enumerate(rows):
-        row = {name: x[own] for name, own in called.items()}
+        row = {name: x[variable] for name, variable in called.items()}
         for effect in effects:
             for name, value in effect.changed(mechanism, row, constants).items():
                 if name in mechanism.quantities:
@@ -186,11 +192,12 @@ def _meaning(
                     )
                 else:
                     constants[name] = value
+    # What no effect touched stays an input of the tape, not a copy of one.
     return readings, {n: v for n, v in constants.items() if v is not p[n]}
 
 
-def _refuse_shared(effect: str, own: Mapping[str, Parameter], taken: set[str]) -> None:
-    for name in own:
+def _refuse_shared(effect: str, parameters: Mapping[str, Parameter], taken: set[str]) -> None:
+    for name in parameters:
         if name in taken:
             raise InputError(
                 f"the parameter {name!r} of the effect {effect!r} exists already",

@@ -1,7 +1,7 @@
 """What gravity does to a chain: the generalised force of its loads on joints and parameters.
 
-By the principle of virtual work the force that loads of weights m_k g at the points r_k exert on
-anything q that moves the chain is Q = d/dq sum_k m_k g . r_k. Where q turns (slides along) the
+Let q be anything that moves the chain. The principle of virtual work gives the force Q on it. For
+weights m_k g at the points r_k, Q = d/dq sum_k m_k g . r_k. Where q turns (slides along) the
 axis a of a step, dr/dq = a x (r - o) (= a): the moment about that axis (the force along it). It
 is summed over the steps that q moves, in which a mimicking joint, or a parameter used twice, has
 several.
@@ -16,9 +16,9 @@ from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import cross, rotate, vector
+from loopcal.keys import Key
 from loopcal.mechanisms.chain import Step, apply
 from loopcal.mechanisms.frame import Values, Vector
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 
 ACCELERATION = 9.80665
@@ -68,14 +68,14 @@ def end_of(chain: Sequence[Step], load: Load) -> int:
 
     Raises InputError for a joint that the chain has not.
     """
-    found = [i for i, step in enumerate(chain) if step.joint == load.joint]
-    if not found:
+    carrying = [i for i, step in enumerate(chain) if step.joint == load.joint]
+    if not carrying:
         raise InputError(
             f"the load {load.name!r} moves with {load.joint!r}, which is not a joint of the arm",
             code="unknown-name",
             remedy="name the joint that carries it",
         )
-    return found[-1] + 1
+    return carrying[-1] + 1
 
 
 def refuse_beyond(mechanism: Mechanism, load: Load) -> None:
@@ -137,6 +137,7 @@ def unit_forces(
             axis = "xyz".index(step.motion[1])
             force = (cross(point, pulls[i]) if step.motion[0] == "r" else pulls[i])[axis]
         for name in moving[i]:
+            # dr/dq of a step by direction * q or sign * q is that multiple of the step's own.
             weight = step.direction if step.joint == name else step.sign
             forces[name] = forces[name] + weight * force
     return forces

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from loopcal.errors import InputError
+from loopcal.keys import Key
 from loopcal.mechanisms.effects.effect import Joints, Name, joints
 from loopcal.mechanisms.frame import Values
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 
@@ -29,10 +29,11 @@ class Harmonics:
 
     theta' = theta + sum_k (JOINT_cosK cos(k theta) + JOINT_sinK sin(k theta)) [rad]
 
-    joints: names or globs; orders: k > 0, not whole where a wheel turns with another ratio. A
-    disc that is e off centre and read at a radius r is wrong by (e / r) sin(theta - theta_0), an
-    elliptic one by twice the angle, a gear with its ratio. Part of order 1 looks like geometry:
-    the joint's axis, or what it carries, displaced; the prior decides what the poses leave open.
+    joints: names or globs; orders: k > 0, not whole where a wheel turns with another ratio. A disc
+    that is e off centre and read at a radius r is wrong by (e / r) sin(theta - theta_0). An
+    elliptic one errs with twice the angle, a gear with its ratio. Part of order 1 looks like
+    geometry: the joint's axis, or what it carries, displaced; the prior decides what the poses
+    leave open.
 
     Raises InputError for an order that is not positive, or given twice, or none.
     """
@@ -58,13 +59,13 @@ class Harmonics:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """JOINT_cosK and JOINT_sinK [rad] of each joint and order."""
         return {
-            name: Parameter(name, 0.0, "rad", SD)
+            name: Parameter(name, 0.0, "rad", SD, meaning=f"gear or encoder of {joint}")
             for joint in joints(mechanism, self.joints, "rad")
             for k in self.orders
             for name in (f"{joint}_cos{k:.12g}", f"{joint}_sin{k:.12g}")
         }
 
-    def known(self, mechanism: Mechanism) -> dict[str, str]:
+    def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """None."""
         return {}
 

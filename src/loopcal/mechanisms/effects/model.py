@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from loopcal.errors import InputError, nearest
+from loopcal.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 
 
@@ -12,8 +14,12 @@ from loopcal.mechanisms.mechanism import Mechanism
 class Model:
     """effects: names of those switched on; fixed: parameters by names or globs, not estimated."""
 
-    effects: tuple[str, ...] = ()
-    fixed: tuple[str, ...] = ()
+    effects: Annotated[
+        tuple[str, ...], Key("Names of the mechanism's effects that are switched on.")
+    ] = ()
+    fixed: Annotated[
+        tuple[str, ...], Key("Parameters, by name or glob, that this model does not estimate.")
+    ] = ()
 
 
 def with_only(mechanism: Mechanism, model: Model) -> Mechanism:
@@ -30,6 +36,8 @@ def with_only(mechanism: Mechanism, model: Model) -> Mechanism:
                 if mechanism.effects
                 else "describe it in the mechanism first: [[effect]]",
             )
-    off = [p for name, own in mechanism.effects.items() if name not in model.effects for p in own]
+    off = [
+        p for name, names in mechanism.effects.items() if name not in model.effects for p in names
+    ]
     parameters = mechanism.parameters.with_nominal(dict.fromkeys(off, 0.0)).with_fixed(off)
     return mechanism.with_parameters(parameters.with_fixed(model.fixed))

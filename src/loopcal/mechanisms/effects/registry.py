@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from loopcal.keys import by_type
 from loopcal.mechanisms.effects.backlash import Backlash
 from loopcal.mechanisms.effects.compliance import Compliance
 from loopcal.mechanisms.effects.drift import Drift, Shift
 from loopcal.mechanisms.effects.harmonics import Harmonics
 from loopcal.mechanisms.effects.scale import Scale
 from loopcal.mechanisms.effects.thermal import Thermal
-from loopcal.mechanisms.keys import by_type
 
 __all__ = ["Backlash", "Compliance", "Drift", "Harmonics", "Scale", "Shift", "Thermal"]
 

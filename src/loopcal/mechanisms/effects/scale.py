@@ -27,17 +27,20 @@ class Scale:
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """NAME_scale of each joint or length."""
-        names = [f"{name}_scale" for name in _scaled(mechanism, self.joints)]
-        return {name: Parameter(name, 0.0, "1", SD) for name in names}
+        joints = {f"{name}_scale": name for name in _scaled(mechanism, self.joints)}
+        return {
+            name: Parameter(name, 0.0, "1", SD, meaning=f"scale of {joint}")
+            for name, joint in joints.items()
+        }
 
-    def known(self, mechanism: Mechanism) -> dict[str, str]:
+    def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """None."""
         return {}
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
         """The readings scaled."""
-        found = _scaled(mechanism, self.joints)
-        return {name: x[name] * (1.0 + p[f"{name}_scale"]) for name in found}
+        scaled = _scaled(mechanism, self.joints)
+        return {name: x[name] * (1.0 + p[f"{name}_scale"]) for name in scaled}
 
 
 def _scaled(mechanism: Mechanism, patterns: Sequence[str]) -> list[str]:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from loopcal.errors import InputError
+from loopcal.keys import Key
 from loopcal.mechanisms.effects.effect import Changing, Name, meant
 from loopcal.mechanisms.frame import Values
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.units import to_si, unit
@@ -50,11 +50,13 @@ class Thermal:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """P_thermal of each parameter, in its unit per kelvin."""
         return {
-            (own := f"{p.name}_thermal"): Parameter(own, 0.0, unit(f"{p.unit}/K").si, SD)
+            (coefficient := f"{p.name}_thermal"): Parameter(
+                coefficient, 0.0, unit(f"{p.unit}/K").si, SD, meaning=f"expansion of {p.name}"
+            )
             for p in meant(mechanism, self.changing)
         }
 
-    def known(self, mechanism: Mechanism) -> dict[str, str]:
+    def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """The temperature."""
         return {self.column: "K"}
 

@@ -12,11 +12,11 @@ from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import dot, norm
+from loopcal.keys import Key
 from loopcal.mechanisms.direction import Direction
 from loopcal.mechanisms.frame import Frame, Values
 from loopcal.mechanisms.instruments.length import apart
 from loopcal.mechanisms.instruments.point import AXES
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.station import Anchor, LookedAt, Name, Target
@@ -47,8 +47,8 @@ def sphere(
     """The target touches a sphere of unknown place: it is NAME_radius away from the centre C.
 
     Loop: |T_base_body p_target - C| - NAME_radius - gap = 0 [m]. For a probe with a ball the
-    target is the ball's centre, and the radius is that of the sphere plus, or inside a bore less,
-    that of the ball. gap: its name, by default NAME_gap; centre: name of C (default: that of the
+    target is the ball's centre. The radius is that of the sphere plus that of the ball, inside a
+    bore less it. gap: its name, by default NAME_gap; centre: name of C (default: that of the
     instrument), parameters CENTRE_x, _y, _z; target: as for `point`. In a plane a circle.
     """
     fixed = Target.named(centre or name, dimension)
@@ -79,21 +79,21 @@ def _around(
     name: str, size: str, form: str, gap: str | None, fixed: Target, looked_at: Target
 ) -> Instrument:
     """A target that stays at one distance from a fixed point."""
-    own, length = gap or f"{name}_gap", f"{name}_{size}"
+    gap_name, length = gap or f"{name}_gap", f"{name}_{size}"
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         reached = frames[0].point(looked_at.point(p))
-        return [norm(reached - fixed.point(p)) - p[length] - x[own]]
+        return [norm(reached - fixed.point(p)) - p[length] - x[gap_name]]
 
     return Instrument(
         name,
-        {own: "m"},
+        {gap_name: "m"},
         {length: Parameter(length, 0.0, "m")} | looked_at.declared,
         equations,
         form,
         placement=fixed.declared,
         mounted=looked_at.parameters,
-        implied={own: 0.0},
+        implied={gap_name: 0.0},
         dimension=len(fixed.parameters),
         remedy=apart(fixed),
     )
@@ -110,32 +110,32 @@ def plane(
 ) -> Instrument:
     """The target touches a plane of unknown place in the machine's base; in 2D a line.
 
-    Loop: n . T_base_body p_target - NAME_distance - gap = 0 [m], with the unit normal
-    n = cos a cos b n_0 + sin a cos b e_1 + sin b e_2 near the nominal one, a = NAME_tilt_1,
-    b = NAME_tilt_2, and e_1, e_2 across n_0 (for n_0 = z: x and y). normal: n_0, of any length;
+    Loop: n . T_base_body p_target - NAME_distance - gap = 0 [m]. The unit normal is
+    n = cos a cos b n_0 + sin a cos b e_1 + sin b e_2. a and b are NAME_tilt_1 and NAME_tilt_2; e_1
+    and e_2 are across n_0 (for n_0 = z: x and y). normal: n_0, of any length;
     gap: its name, by default NAME_gap; target: as for `point`. The distance is that of the plane
     in which the target moves: the radius of a probe's ball is part of it.
 
     Raises InputError for a normal without direction.
     """
-    own = gap or f"{name}_gap"
+    gap_name = gap or f"{name}_gap"
     looked_at = Target.of(target, dimension)
     across = Direction.near(normal, name=name, what="normal", dimension=dimension)
     away = f"{name}_distance"
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         reached = frames[0].point(looked_at.point(p))
-        return [dot(across.vector(p), reached) - p[away] - x[own]]
+        return [dot(across.vector(p), reached) - p[away] - x[gap_name]]
 
     return Instrument(
         name,
-        {own: "m"},
+        {gap_name: "m"},
         looked_at.declared,
         equations,
         "gap",
         placement=across.declared | {away: Parameter(away, 0.0, "m")},
         mounted=looked_at.parameters,
-        implied={own: 0.0},
+        implied={gap_name: 0.0},
         dimension=dimension,
     )
 
@@ -156,10 +156,10 @@ def socket(
 
     Raises InputError for a number of gaps that is not the dimension.
     """
-    own = tuple(f"{name}_gap_{a}" for a in AXES[:dimension]) if gaps is None else tuple(gaps)
-    if len(own) != dimension:
+    gap_names = tuple(f"{name}_gap_{a}" for a in AXES[:dimension]) if gaps is None else tuple(gaps)
+    if len(gap_names) != dimension:
         raise InputError(
-            f"the socket {name!r} has {len(own)} gaps in a space of {dimension}",
+            f"the socket {name!r} has {len(gap_names)} gaps in a space of {dimension}",
             code="wrong-shape",
             remedy=f"name {dimension}",
         )
@@ -168,16 +168,16 @@ def socket(
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         off = frames[0].point(looked_at.point(p)) - fixed.point(p)
-        return [off[i] - x[gap] for i, gap in enumerate(own)]
+        return [off[i] - x[gap] for i, gap in enumerate(gap_names)]
 
     return Instrument(
         name,
-        dict.fromkeys(own, "m"),
+        dict.fromkeys(gap_names, "m"),
         looked_at.declared,
         equations,
         "gap",
         placement=fixed.declared,
         mounted=looked_at.parameters,
-        implied=dict.fromkeys(own, 0.0),
+        implied=dict.fromkeys(gap_names, 0.0),
         dimension=dimension,
     )

@@ -9,14 +9,13 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import dot, vector
+from loopcal.keys import Key
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.direction import Direction
 from loopcal.mechanisms.frame import BodyFrame, ChainFrame, Frame, Values
 from loopcal.mechanisms.instruments.spherical import turn_between
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Instrument, recorded
-from loopcal.mechanisms.parameters import Parameter
-from loopcal.mechanisms.station import Name, Station
+from loopcal.mechanisms.station import Name, Station, placed_by
 
 PLACES = ("body", "base")
 DOWN = {3: (0.0, 0.0, -1.0), 2: (0.0, -1.0, 0.0)}
@@ -98,11 +97,12 @@ def inclinometer(
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         carrier = frames[0] if on == "body" else _BASE
-        own, placed = ChainFrame(mounted, {}, p), ChainFrame(stands.steps, {}, p)
+        mounting, placed = ChainFrame(mounted, {}, p), ChainFrame(stands.steps, {}, p)
         pull = down.vector(p) if tilted else vector(*down.axes[0])
 
         def up(axis: Sequence[float]) -> Any:
-            in_base = carrier.direction(own.direction(vector(*axis)))
+            in_base = carrier.direction(mounting.direction(vector(*axis)))
+            # up = -gravity, so the component of up along an axis is minus that of the pull.
             return -dot(placed.direction(in_base), pull)
 
         d = [up(axis) for axis in np.eye(3)[:dimension].tolist()]
@@ -114,7 +114,7 @@ def inclinometer(
     return Instrument(
         name,
         dict.fromkeys(names, "rad"),
-        {n: Parameter(n, 0.0, "rad") for step in mounted if (n := step.parameter)},
+        placed_by(mounted, name),
         equations,
         "angle",
         placement=down.declared if tilted else stands.declared,

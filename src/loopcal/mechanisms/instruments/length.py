@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 from loopcal.expressions.vectors import norm
+from loopcal.keys import Key
 from loopcal.mechanisms.frame import Frame, Values
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.station import Anchor, LookedAt, Name, Reading, Target
@@ -30,7 +30,7 @@ def distance(
     are the parameters ANCHOR_x, _y, _z and need nominal values; target: as for `point`; offset:
     whether NAME_offset is estimated, what the reading is too long by.
     """
-    own = reading or name
+    reading_name = reading or name
     fixed = Target.named(anchor or name, dimension)
     looked_at = Target.of(target, dimension)
     zero = {f"{name}_offset": Parameter(f"{name}_offset", 0.0, "m")} if offset else {}
@@ -39,11 +39,11 @@ def distance(
         length = norm(frames[0].point(looked_at.point(p)) - fixed.point(p))
         for parameter in zero:
             length = length + p[parameter]
-        return [length - x[own]]
+        return [length - x[reading_name]]
 
     return Instrument(
         name,
-        {own: "m"},
+        {reading_name: "m"},
         looked_at.declared | zero,
         equations,
         "length",
@@ -85,16 +85,16 @@ def relative_distance(
     Loop: |T_base_body(a) p_target - T_base_body(b) p_target| - reading = 0 [m]. A row of data
     holds both poses: the machine's quantities, and once more with "_b" appended.
     """
-    own = reading or name
+    reading_name = reading or name
     looked_at = Target.of(target, dimension)
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         a, b = (frame.point(looked_at.point(p)) for frame in frames)
-        return [norm(a - b) - x[own]]
+        return [norm(a - b) - x[reading_name]]
 
     return Instrument(
         name,
-        {own: "m"},
+        {reading_name: "m"},
         looked_at.declared,
         equations,
         "length",

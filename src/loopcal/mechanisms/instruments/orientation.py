@@ -40,9 +40,9 @@ class Orientation:
 
     @classmethod
     def of(cls, form: str, columns: Sequence[str] | None, turns: Sequence[str]) -> Orientation:
-        """The form with its columns; those of a sequence are named like its turns.
+        """The orientation of a form; without `columns`, those of a sequence are named as its turns.
 
-        Raises InputError for a form that is none, and for columns that are not as many.
+        Raises InputError for an unknown form, and for another number of columns than it has.
         """
         usual = FORMS.get(form) or tuple(form.split())
         if form not in FORMS:
@@ -69,23 +69,23 @@ class Orientation:
         """SI units of the columns."""
         return dict.fromkeys(self.columns, "1" if self.form == "quaternion" else "rad")
 
-    def axes(self, known: Values) -> list[Vector]:
+    def axes(self, pose_constants: Values) -> list[Vector]:
         """The columns of R_station_target: the target's axes, (3,) each."""
-        given = [known[name] for name in self.columns]
+        numbers = [pose_constants[name] for name in self.columns]
         if self.form == "quaternion":
-            return _of_quaternion(*given)
+            return _of_quaternion(*numbers)
         if self.form == "rotation-vector":
-            return _of_quaternion(*_quaternion(*given))
+            return _of_quaternion(*_quaternion(*numbers))
         units = [vector(*row) for row in np.eye(3).tolist()]
-        for turn, angle in zip(reversed(self.form.split()), reversed(given), strict=True):
+        for turn, angle in zip(reversed(self.form.split()), reversed(numbers), strict=True):
             units = [rotate(turn[1], angle, unit) for unit in units]
         return units
 
-    def senseless(self, known: Mapping[str, Array]) -> NDArray[np.intp]:
+    def senseless(self, pose_constants: Mapping[str, Array]) -> NDArray[np.intp]:
         """Positions of the poses whose numbers are no orientation: quaternions of zeros."""
         if self.form != "quaternion":
             return np.zeros(0, dtype=np.intp)
-        length = np.sqrt(sum(np.square(known[name]) for name in self.columns))
+        length = np.sqrt(sum(np.square(pose_constants[name]) for name in self.columns))
         return np.flatnonzero(~(length > _NO_DIRECTION))
 
     def written(self, quaternions: Array) -> dict[str, Array]:
@@ -108,6 +108,7 @@ class Orientation:
 def _quaternion(x: Any, y: Any, z: Any) -> tuple[Any, Any, Any, Any]:
     """Of a rotation vector: cos(t/2), and sin(t/2) along it."""
     angle = np.sqrt(x * x + y * y + z * z + _NEVER_ZERO)
+    # sin(t/2) / t tends to 1/2 at 0: `_NEVER_ZERO` keeps the quotient finite there.
     part = np.sin(0.5 * angle) / angle
     return np.cos(0.5 * angle), part * x, part * y, part * z
 

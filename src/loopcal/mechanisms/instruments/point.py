@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 from loopcal.errors import InputError
+from loopcal.keys import Key
 from loopcal.mechanisms.frame import Frame, Values
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.station import LookedAt, Name, StandsAt, Station, Target
 
@@ -36,11 +36,11 @@ def point(
 
     Raises InputError for a number of coordinates that is not the dimension.
     """
-    own = tuple(AXES[:dimension] if readings is None else readings)
-    if len(own) != dimension:
+    coordinates = tuple(AXES[:dimension] if readings is None else readings)
+    if len(coordinates) != dimension:
         raise InputError(
-            f"the instrument {name!r} reads {len(own)} coordinates of a point in a space of "
-            f"{dimension}",
+            f"the instrument {name!r} reads {len(coordinates)} coordinates of a point in a space "
+            f"of {dimension}",
             code="wrong-shape",
             remedy=f"name {dimension} coordinates",
         )
@@ -49,11 +49,11 @@ def point(
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         seen = stands.seen(frames[0].point(looked_at.point(p)), p)
-        return [seen[i] - x[reading] for i, reading in enumerate(own)]
+        return [seen[i] - x[reading] for i, reading in enumerate(coordinates)]
 
     return Instrument(
         name,
-        dict.fromkeys(own, "m"),
+        dict.fromkeys(coordinates, "m"),
         looked_at.declared,
         equations,
         "point",

@@ -7,15 +7,14 @@ from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import cross, dot, vector
+from loopcal.keys import Key
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import ChainFrame, Frame, Values
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.instruments.point import Coordinates, point
 from loopcal.mechanisms.instruments.spherical import turn_between
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Instrument, recorded
-from loopcal.mechanisms.parameters import Parameter
-from loopcal.mechanisms.station import Name, StandsAt, Station, Target
+from loopcal.mechanisms.station import Name, StandsAt, Station, Target, placed_by
 
 Turns = Annotated[
     Sequence[str] | None,
@@ -62,21 +61,21 @@ def pose(
 ) -> Instrument:
     """Position and orientation of a frame fixed to the body, seen from a station.
 
-    Position: as `point`. Orientation: the measured one is a constant of each pose, R_meas, and
-    three small turns w say how far it is off, which are read as 0 with the angular noise for sd:
+    Position: as `point`. Orientation: the measured one is a constant of each pose, R_meas. Three
+    small turns w say how far it is off; they are read as 0 with the angular noise for sd:
 
         2 tan(theta/2) u - w = 0 [rad],   R_meas^T R_pred = rotation by theta about u,
 
     that is 2 vee(M - M^T) / (1 + tr M) with M = R_meas^T R_pred: theta u to the third order, in
-    the measured frame, and zero nowhere else (unlike vee(M - M^T) / 2, which is zero at half a
-    turn too). R_pred = R_station_base R_base_body R_body_target.
+    the measured frame. It is zero nowhere else, unlike vee(M - M^T) / 2, which is zero at half a
+    turn too. R_pred = R_station_base R_base_body R_body_target.
 
     turns: names of w, by default NAME_wx, NAME_wy, NAME_wz; orientation: how the measured one is
-    written, "quaternion" (of any length but zero), "rotation-vector" (axis times angle) or three
+    written: "quaternion" (of any length but zero); "rotation-vector" (axis times angle); or three
     turns about moving axes, as "rz ry rx" for Rz Ry Rx; columns: names of its numbers, by default
     qw, qx, qy, qz, or rvx, rvy, rvz, or those of the turns. target: name of the frame, which lies
-    in the body by six parameters TARGET_x, _y, _z and TARGET_rz, _ry, _rx (Rz Ry Rx), or an empty
-    `Target` for the body's own frame. In a plane x, y and one angle NAME_phi, a reading like
+    in the body by six parameters TARGET_x, _y, _z and TARGET_rz, _ry, _rx (Rz Ry Rx). An empty
+    `Target` is the body's own frame. In a plane x, y and one angle NAME_phi, a reading like
     others, and TARGET_x, _y, _rz.
 
     Raises InputError for numbers of names that do not fit.
@@ -104,9 +103,9 @@ def pose(
         )
     measured = Orientation.of(orientation, columns, angles) if dimension == 3 else None
     stands = Station(station, dimension)
-    own_turns = ("rz", "ry", "rx")[: 1 if dimension == 2 else 3] if isinstance(target, str) else ()
-    turn_names = [f"{target}_{motion}" for motion in own_turns]
-    steps = tuple(Step(m, n) for m, n in zip(own_turns, turn_names, strict=True))
+    motions = ("rz", "ry", "rx")[: 1 if dimension == 2 else 3] if isinstance(target, str) else ()
+    turn_names = [f"{target}_{motion}" for motion in motions]
+    steps = tuple(Step(m, n) for m, n in zip(motions, turn_names, strict=True))
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         seen, fixed = ChainFrame(stands.steps, {}, p), ChainFrame(steps, {}, p)
@@ -125,13 +124,13 @@ def pose(
     return Instrument(
         name,
         {**position.readings, **dict.fromkeys(angles, "rad")},
-        {**position.parameters, **{n: Parameter(n, 0.0, "rad") for n in turn_names}},
+        {**position.parameters, **placed_by(steps, str(target))},
         equations,
         "pose",
         placement=position.placement,
         mounted=(*position.mounted, *turn_names),
         place=position.place,
-        known={} if measured is None else measured.units,
+        pose_constants={} if measured is None else measured.units,
         orientation=measured,
         implied={} if measured is None else dict.fromkeys(angles, 0.0),
         dimension=dimension,
@@ -141,5 +140,6 @@ def pose(
 def _small_turns(measured: Sequence[Any], predicted: Sequence[Any]) -> list[Any]:
     """2 tan(theta/2) u of R_meas^T R_pred, from the columns of both."""
     M = [[dot(a, b) for b in predicted] for a in measured]
+    # vee(M - M^T) = 2 sin(theta) u and tr M = 1 + 2 cos(theta); sin / (1 + cos) = tan(theta / 2).
     twice = 2.0 / (1.0 + M[0][0] + M[1][1] + M[2][2])
     return [twice * (M[j][i] - M[i][j]) for i, j in ((1, 2), (2, 0), (0, 1))]

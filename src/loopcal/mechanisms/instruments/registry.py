@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from loopcal.keys import by_type
 from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
 from loopcal.mechanisms.instruments.inclinometer import inclinometer
 from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.instruments.spherical import spherical
-from loopcal.mechanisms.keys import by_type
 
 __all__ = [
     "ball_bar",

@@ -9,8 +9,8 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import norm
+from loopcal.keys import Key
 from loopcal.mechanisms.frame import Frame, Values
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.station import LookedAt, Name, OwnStation, Station, Target
@@ -55,16 +55,16 @@ def spherical(
     STATION_x ... STATION_rx; several reflectors seen from one station share its name. target: as
     for `point`. The azimuth counts from x towards y, the elevation from that plane up. offsets:
     two more parameters STATION_range_offset [m] and STATION_elevation_offset [rad] (one of the
-    azimuth cannot be told from the station's rz).
+    azimuth is indistinguishable from the station's rz).
 
     Raises InputError for a number of readings that does not fit.
     """
-    own = NATIVE[:dimension]
-    names = tuple(f"{name}_{what}" for what in own) if readings is None else tuple(readings)
+    native = NATIVE[:dimension]
+    names = tuple(f"{name}_{what}" for what in native) if readings is None else tuple(readings)
     if len(names) != dimension:
         raise InputError(
             f"the instrument {name!r} has {len(names)} readings, but in {dimension} dimensions "
-            f"a tracker reads {', '.join(own)}",
+            f"a tracker reads {', '.join(native)}",
             code="wrong-shape",
             remedy=f"name {dimension} readings",
         )
@@ -100,5 +100,6 @@ def spherical(
 
 def turn_between(c: Any, s: Any, angle: Any) -> Any:
     """The direction (c, s) less an angle [rad], within half a turn: arg[(c + i s) e^(-i angle)]."""
+    # The angle is taken out before the arctangent: its branch cut then lies half a turn away.
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.arctan2(s * cosine - c * sine, c * cosine + s * sine)

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 from loopcal.expressions.vectors import vector
+from loopcal.keys import Key
 from loopcal.mechanisms.frame import Frame, Values
 from loopcal.mechanisms.gauge import Gauge
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
     Name,
@@ -30,6 +30,7 @@ Passive = Annotated[
     Sequence[str],
     Key("Passive joints that are read: phi_1 and phi_2, the elbows."),
 ]
+# Closes for the example's lengths with elbows outwards: searches stay on this assembly mode.
 _HOME = {"theta_1": 2.2, "theta_2": 0.94, "phi_1": -1.53, "phi_2": 1.53}
 _HOME |= {"platform_x": 0.125, "platform_y": 0.42}
 
@@ -42,18 +43,18 @@ def five_bar(
 ) -> Machine:
     """A planar five-bar; the moving body is the distal link of leg 1, its origin where both meet.
 
-    For the legs i = 1, 2, with P = (platform_x, platform_y), which nobody reads,
+    For the legs i = 1, 2, with P = (platform_x, platform_y), without a sensor,
 
         |P - a_i - proximal_i (cos, sin)(theta_i)| - distal_i = 0 [m],
 
-    theta_i the reading plus theta_i_offset [rad]. passive: elbows that carry a sensor all the
-    same, "phi_1", "phi_2", angles of the distal link against the proximal one, with
-    a_i + proximal_i (cos, sin)(theta_i) + distal_i (cos, sin)(theta_i + phi_i) - P = 0 in place of
-    the length. With both read the machine calibrates itself, up to its size: then the distance
-    of its base joints is held. Parameters [m]: a1_x ... a2_y, proximal_1, distal_1, proximal_2,
-    distal_2; offsets [rad] of what is read. The body's x axis goes along the distal link, from
-    the elbow. The example: a1 = (0, 0), a2 = (0.25, 0), links of 0.25 and 0.35 m. home: values
-    [SI] from which unread quantities are searched.
+    theta_i the reading plus theta_i_offset [rad]. passive: elbows that carry a sensor all the same,
+    "phi_1", "phi_2", angles of the distal link against the proximal one. Their loop is a_i +
+    proximal_i (cos, sin)(theta_i) + distal_i (cos, sin)(theta_i + phi_i) - P = 0. With both read
+    the machine calibrates itself, up to its size: then the distance of its base joints is held.
+    Parameters [m]: a1_x ... a2_y, proximal_1, distal_1, proximal_2, distal_2; offsets [rad] of what
+    is read. The body's x axis goes along the distal link, from the elbow. The example: a1 = (0, 0),
+    a2 = (0.25, 0), links of 0.25 and 0.35 m. home: values [SI] from which unread quantities are
+    searched.
 
     Raises InputError for a passive joint or a quantity at home that is not there.
     Source: Wampler, Hollerbach and Arai (1995), whose loop equations name passive joints alike.

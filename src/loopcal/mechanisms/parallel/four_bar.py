@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from loopcal.expressions.vectors import norm
+from loopcal.keys import Key
 from loopcal.mechanisms.frame import Frame, Values, Vector
 from loopcal.mechanisms.gauge import Gauge
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
     Name,
@@ -50,7 +50,7 @@ def four_bar(
         |B2 - a2| - rocker = 0 [m],
 
     theta_1 the crank's reading plus theta_1_offset [rad], platform_rz the coupler's angle, which
-    nobody reads. passive: joints that carry a sensor all the same: "theta_2", the rocker's angle,
+    has no sensor. passive: joints that carry a sensor all the same: "theta_2", the rocker's angle,
     with a2 + rocker (cos, sin)(theta_2) - B2 = 0 in place of its length; "phi_1", the coupler's
     angle against the crank, with platform_rz - theta_1 - phi_1 = 0 [rad]. Parameters [m]: a1_x,
     a1_y, a2_x, a2_y, crank, coupler, rocker; offsets [rad] of what is read. The example: a1 =

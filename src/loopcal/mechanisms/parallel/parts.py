@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
 from loopcal.expressions.vectors import norm, rotate, vector
+from loopcal.keys import Key
+from loopcal.mechanisms.chain import zero_of
 from loopcal.mechanisms.frame import BodyFrame, Values, Vector
-from loopcal.mechanisms.keys import Key
-from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.parameters import Parameter, Role
 
 Name = Annotated[str, Key("Name of the machine.")]
 Polylines = list[list[Vector]]
@@ -23,21 +24,24 @@ Polylines = list[list[Vector]]
 def joint_coordinates(joints: Mapping[str, Sequence[float]]) -> dict[str, Parameter]:
     """Parameters a1_x, a1_y, ... [m] from {"a1": (x, y, z)}, in a plane without z."""
     return {
-        f"{name}_{axis}": Parameter(f"{name}_{axis}", float(value), "m")
+        f"{name}_{axis}": Parameter(
+            f"{name}_{axis}", float(value), "m", owner=name, meaning=f"position along {axis}"
+        )
         for name, values in joints.items()
         for axis, value in zip("xyz", values, strict=False)
     }
 
 
 def in_unit(unit: str, values: Mapping[str, float]) -> dict[str, Parameter]:
-    """Parameters with these nominal values [SI]."""
-    return {name: Parameter(name, float(value), unit) for name, value in values.items()}
+    """Lengths, or turns between axes, with these nominal values [SI]."""
+    role: Role = "length" if unit == "m" else "twist"
+    return {name: Parameter(name, float(value), unit, role=role) for name, value in values.items()}
 
 
 def joint(p: Values, name: str, dimension: int = 3) -> Vector:
     """The point (3,) of a joint, z = 0 in a plane."""
-    given = [p[f"{name}_{axis}"] for axis in "xyz"[:dimension]]
-    return vector(*given, *[0.0] * (3 - dimension))
+    coordinates = [p[f"{name}_{axis}"] for axis in "xyz"[:dimension]]
+    return vector(*coordinates, *[0.0] * (3 - dimension))
 
 
 def read(x: Values, p: Values, quantity: str) -> Any:
@@ -61,35 +65,43 @@ def stacked(columns: Sequence[Vector]) -> NDArray[Any]:
     return np.stack(columns, axis=1)
 
 
-def chosen_passive(passive: Iterable[str], there: Sequence[str], machine: str) -> tuple[str, ...]:
+def chosen_passive(
+    passive: Iterable[str], passive_joints: Sequence[str], machine: str
+) -> tuple[str, ...]:
     """The passive joints that carry a sensor, in the machine's own order.
 
     Raises InputError for one that the machine does not have.
     """
     wanted = tuple(passive)
     for name in wanted:
-        if name not in there:
+        if name not in passive_joints:
             raise InputError(
                 f"{machine!r} has no passive joint {name!r}",
                 code="unknown-name",
-                remedy=nearest(name, there),
+                remedy=nearest(name, passive_joints),
             )
-    return tuple(name for name in there if name in wanted)
+    return tuple(name for name in passive_joints if name in wanted)
 
 
-def offsets(quantities: Mapping[str, str]) -> dict[str, Parameter]:
-    """QUANTITY_offset, nominally 0, for quantities with their SI units."""
-    return {f"{q}_offset": Parameter(f"{q}_offset", 0.0, unit) for q, unit in quantities.items()}
+def offsets(quantities: Mapping[str, str], nominal: float = 0.0) -> dict[str, Parameter]:
+    """The zero QUANTITY_offset of each quantity, by its SI unit."""
+    return {
+        f"{q}_offset": Parameter(f"{q}_offset", nominal, unit).of("zero", q, zero_of(q))
+        for q, unit in quantities.items()
+    }
 
 
 def starts(
-    own: Mapping[str, float], stated: Mapping[str, float] | None, there: Iterable[str], machine: str
+    defaults: Mapping[str, float],
+    stated: Mapping[str, float] | None,
+    quantities: Iterable[str],
+    machine: str,
 ) -> dict[str, float]:
     """Where quantities stand at home: the machine's own values, replaced by those stated.
 
     Raises InputError for what is no quantity of the machine.
     """
-    names = tuple(there)
+    names = tuple(quantities)
     for name in stated or {}:
         if name not in names:
             raise InputError(
@@ -97,7 +109,7 @@ def starts(
                 code="unknown-name",
                 remedy=nearest(name, names),
             )
-    return {name: value for name, value in {**own, **(stated or {})}.items() if name in names}
+    return {name: value for name, value in {**defaults, **(stated or {})}.items() if name in names}
 
 
 def ring(radius: float, degrees: Sequence[float]) -> list[tuple[float, float]]:

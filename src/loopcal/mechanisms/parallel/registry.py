@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from loopcal.mechanisms.keys import by_type
+from loopcal.keys import by_type
+from loopcal.mechanisms.parallel.delta import linear_delta, rotary_delta
 from loopcal.mechanisms.parallel.five_bar import five_bar
 from loopcal.mechanisms.parallel.four_bar import four_bar
-from loopcal.mechanisms.parallel.linear_delta import linear_delta
-from loopcal.mechanisms.parallel.rotary_delta import rotary_delta
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.parallel.three_rrr import three_rrr
 

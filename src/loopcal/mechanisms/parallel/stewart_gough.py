@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from loopcal.expressions.vectors import norm, rot_x, rot_y, rot_z, rotate, vector
+from loopcal.keys import Key
 from loopcal.mechanisms.frame import BodyFrame, Values, Vector
 from loopcal.mechanisms.gauge import Gauge
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
     Name,
@@ -46,7 +46,7 @@ def stewart_gough(
     home: Mapping[str, float] | None = None,
     name: Name = "Stewart-Gough platform",
 ) -> Machine:
-    """A platform on six legs whose lengths are read; nobody reads its pose.
+    """A platform on six legs whose lengths are read; its pose has no sensor.
 
     For the legs i = 1 ... 6, with P = (platform_x, platform_y, platform_z) and
     R = Rz(platform_rz) Ry(platform_ry) Rx(platform_rx),
@@ -88,7 +88,7 @@ def stewart_gough(
         joint_coordinates({f"a{i}": (*base[i - 1], 0.0) for i in LEGS})
         | joint_coordinates({f"b{i}": (*platform[i - 1], 0.0) for i in LEGS})
         | offsets(sensed)
-        | in_unit("m", {f"leg_{i}_offset": _OFFSET for i in LEGS})
+        | offsets({f"leg_{i}": "m" for i in LEGS}, _OFFSET)
         | in_unit("rad", dict.fromkeys(mounts, 0.0)),
         lambda x, p: _platform(x),
         (*(f"leg_{i}" for i in LEGS), *passive),
@@ -111,7 +111,9 @@ def _platform(x: Values) -> BodyFrame:
 def _turned(p: Values, quantity: str, leg: Vector) -> Any:
     """The angle of a universal joint that a leg (3,) in the base frame makes."""
     kind, i = quantity.split("_")
+    # The inverse of Rz Ry: the leg seen in the frame of the universal joint.
     w = rotate("y", -p[f"joint_{i}_ry"], rotate("z", -p[f"joint_{i}_rz"], leg))
+    # Rx(alpha) Ry(beta) z = (sin b, -sin a cos b, cos a cos b), solved for a and b.
     if kind == "alpha":
         return np.arctan2(-w[1], w[2])
     return np.arctan2(w[0], np.hypot(w[1], w[2]))

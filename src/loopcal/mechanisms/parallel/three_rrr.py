@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from loopcal.expressions.vectors import vector
+from loopcal.keys import Key
 from loopcal.mechanisms.frame import BodyFrame, Values
 from loopcal.mechanisms.gauge import Gauge
-from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
     Name,
@@ -35,6 +35,7 @@ Passive = Annotated[
     Sequence[str],
     Key("Passive joints that are read: phi_1, phi_2 and phi_3, the elbows."),
 ]
+# Close to the centred platform, elbows to one side: Newton's method stays on this assembly mode.
 _HOME = {"theta_1": 1.42, "theta_2": 3.51, "theta_3": -0.68}
 _HOME |= {"platform_x": 0.0, "platform_y": 0.0, "platform_rz": 0.0}
 _HOME |= dict.fromkeys(PASSIVE, -1.79)
@@ -48,8 +49,8 @@ def three_rrr(
 ) -> Machine:
     """A planar platform on three legs of two links, whose first joints are driven.
 
-    For the legs i = 1 ... 3, with B_i = (platform_x, platform_y) + R(platform_rz) b_i, the
-    platform's coordinates being read by nobody,
+    For the legs i = 1 ... 3, with B_i = (platform_x, platform_y) + R(platform_rz) b_i, without a
+    sensor of the platform's coordinates,
 
         |B_i - a_i - proximal_i (cos, sin)(theta_i)| - distal_i = 0 [m],
 

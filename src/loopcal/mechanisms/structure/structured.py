@@ -8,20 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from dataclasses import replace
+from typing import Annotated, Any, TypeVar
 
 from loopcal.errors import InputError
 from loopcal.expressions.substitution import substituted
+from loopcal.keys import Key, described
 from loopcal.mechanisms.effects.effect import Effect, with_effects
 from loopcal.mechanisms.effects.harmonics import Harmonics
 from loopcal.mechanisms.effects.scale import Scale
-from loopcal.mechanisms.keys import Key, described
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
 from loopcal.mechanisms.serial import places_itself
+from loopcal.mechanisms.structure.parts import Structure
 from loopcal.mechanisms.structure.sag import Column, Sag
 from loopcal.mechanisms.structure.smooth import FEATURES, Smooth
 from loopcal.mechanisms.terms import Term
@@ -30,11 +31,12 @@ MOUNTED = {"m": 5e-3, "rad": 50e-3}
 """Prior sds of what is mounted on the body: 5 mm, and that over the 0.1 m of a typical bracket."""
 TILTED = math.radians(5.0)
 """Prior sd of each tilt of gravity against the machine's base."""
+GRAVITY_TILT = "tilt of gravity against the base"
 EFFECT = "structure"
 """Name of all that is added, among the effects of a mechanism."""
 DISCREPANCY = "discrepancy"
 """Name of the term of smooth shifts of the body."""
-OWN_TERMS = (
+STRUCTURE_TERMS = (
     "lengths",
     "angles",
     "sag",
@@ -45,9 +47,11 @@ OWN_TERMS = (
     "scales",
 )
 """Names of the terms that a structured mechanism may have."""
+# Once per turn: off centre; twice: elliptic or tilted (see `Harmonics`).
 ORDERS = (1.0, 2.0)
 DOWN = (0.0, 0.0, -1.0)
 
+E = TypeVar("E", bound=Effect)
 Sagging = Annotated[
     bool | tuple[str, ...],
     Key("Whether an arm may give way under its weight; or by which parameters it may."),
@@ -69,7 +73,7 @@ def structured(
 ) -> Mechanism:
     """The mechanism with the model error of a real machine, as parameters with learnt sds.
 
-    Priors by kind, where none is stated (see `Mechanism.kinds`): placement flat; mounting known
+    Priors by role, where none is stated (see `Parameter.role`): placement flat; mounting known
     to 5 mm and 50 mrad, flat where all its values are 0 and so unstated; lengths and
     angles share a learnt sd each (medians 1 mm and 1 mrad). Further parameters, nominally 0:
 
@@ -84,30 +88,35 @@ def structured(
     Loops of a Python function are returned as they are, and so is a structured mechanism.
     Raises InputError for parameters of sag that the arm cannot have.
     """
-    if "structure" in (mechanism.description or {}) or not _known(mechanism):
+    if "structure" in (mechanism.description or {}) or not _has_roles(mechanism):
         return mechanism
     old = set(mechanism.parameters.names)
     made = _with_priors(mechanism)
     arm = _arm(mechanism) if sag else None
     columns = _columns(mechanism, arm, sag)
+    smooth = None
     if mechanism.body is not None:
         sag = tuple(c.parameter for c in columns)
-        made = _displaced(made, arm, columns, _smooth(mechanism, discrepancy))
+        smooth = _smooth(mechanism, discrepancy)
+        made = _displaced(made, arm, columns, smooth)
+    joints: list[str] = []
     if harmonics:
-        made = _with_drives(made)
-    given = {"sag": sag, "harmonics": harmonics, "discrepancy": discrepancy}
-    stated = {k: v for k, v in described(structured, given).items() if k != "type"}
-    own = mechanism.description
+        made, joints = _with_drives(made)
+    arguments = {"sag": sag, "harmonics": harmonics, "discrepancy": discrepancy}
+    stated = {k: v for k, v in described(structured, arguments).items() if k != "type"}
+    description = mechanism.description
     return replace(
         made,
-        description=None if own is None else {**own, "structure": stated},
-        effects={**mechanism.effects}
-        | {EFFECT: tuple(n for n in made.parameters.names if n not in old)},
+        description=None if description is None else {**description, "structure": stated},
+        parameters=made.parameters.with_role(
+            "model error", (n for n in made.parameters.names if n not in old), EFFECT
+        ),
+        structure=Structure(arm if columns else None, columns, smooth, tuple(joints)),
     )
 
 
-def _known(mechanism: Mechanism) -> bool:
-    """Whether anything tells the kinds of its parameters."""
+def _has_roles(mechanism: Mechanism) -> bool:
+    """Whether the roles of its parameters are stated: it has instruments or a placement."""
     return bool(mechanism.families) or mechanism.placement is not None
 
 
@@ -117,13 +126,15 @@ def _with_priors(mechanism: Mechanism) -> Mechanism:
     return mounted(mechanism).with_terms(
         *_term(
             "lengths",
-            [p.name for p in flat if mechanism.kinds[p.name] == "length"],
+            # Medians of 1 mm and 1 mrad: what drawings are off by (record 0046); a factor of e
+            # either way.
+            [p.name for p in flat if p.dimension == "length"],
             1e-3,
             "lengths of the machine differ from the drawing by {scale}",
         ),
         *_term(
             "angles",
-            [p.name for p in flat if mechanism.kinds[p.name] == "angle"],
+            [p.name for p in flat if p.dimension == "angle"],
             1e-3,
             "angles of the machine differ from the drawing by {scale}",
         ),
@@ -136,16 +147,13 @@ def mounted(mechanism: Mechanism) -> Mechanism:
     priors = {
         p.name: MOUNTED[p.unit]
         for p in mechanism.parameters
-        if mechanism.kinds[p.name] == "mounting"
-        and not p.fixed
-        and math.isinf(p.prior_sd)
-        and p.name not in unknown
+        if p.role == "mounting" and not p.fixed and math.isinf(p.prior_sd) and p.name not in unknown
     }
     return mechanism.with_parameters(mechanism.parameters.with_prior(priors))
 
 
 def unstated_mountings(mechanism: Mechanism) -> tuple[tuple[str, ...], ...]:
-    """The parameters of each thing on the body whose place nobody stated: all free, flat and 0."""
+    """The parameters of each thing on the body without a stated place: all free, flat and 0."""
     if mechanism.body is None:
         return ()
     groups = [[mechanism.parameters[n] for n in names] for names in mechanism.body.mounted]
@@ -159,33 +167,6 @@ def unstated_mountings(mechanism: Mechanism) -> tuple[tuple[str, ...], ...]:
 def _term(name: str, parameters: Sequence[str], sd: float, words: str) -> list[Term]:
     """The term, if it has any parameter."""
     return [Term(name, tuple(parameters), sd, words=words)] if parameters else []
-
-
-@dataclass(frozen=True)
-class Structure:
-    """What the model error of a structured mechanism consists of.
-
-    sag: the arm that gives way, by these columns; None where it does not; smooth: what its
-    discrepancy is made of; joints: those with harmonics.
-    """
-
-    sag: Sag | None
-    columns: tuple[Column, ...]
-    smooth: Smooth | None
-    joints: tuple[str, ...]
-
-
-def structure_of(mechanism: Mechanism) -> Structure:
-    """What a structured mechanism was given, from its parameters; nothing of any other."""
-    names = set(mechanism.parameters.names)
-    if EFFECT not in mechanism.effects:
-        return Structure(None, (), None, ())
-    arm = _in_space(mechanism) if any("_sag_" in name for name in names) else None
-    columns = [] if arm is None else [c for c in arm.candidates() if c.parameter in names]
-    waves = {n.rpartition("_")[2] for n in names if n.startswith(f"{DISCREPANCY}_")}
-    turning = [q for q in driven_joints(mechanism) if f"{q}_cos1" in names]
-    smooth = _smooth(mechanism, len(waves) // 2)
-    return Structure(arm, tuple(columns), smooth, tuple(turning))
 
 
 def _arm(mechanism: Mechanism) -> Sag | None:
@@ -204,7 +185,7 @@ def _in_space(mechanism: Mechanism) -> Sag | None:
         ahead = next(i for i, step in enumerate(chain) if step.joint)
     lengths = {p.name for p in mechanism.parameters if p.unit == "m"}
     # the coordinates of the first thing that is mounted on the body
-    at = [n for n, kind in mechanism.located.items() if kind == "mounting" and n in lengths][:3]
+    at = [n for n in mechanism.parameters.of_role("mounting") if n in lengths][:3]
     return Sag(chain, ahead, tuple(at), mechanism.gravity or DOWN)
 
 
@@ -241,14 +222,14 @@ def _smooth(mechanism: Mechanism, wanted: bool | int) -> Smooth | None:
 
 
 def driven_joints(mechanism: Mechanism) -> list[str]:
-    """The joints that are moved and read: those of an arm, or those with a zero of their own."""
+    """The joints that are moved and read: those of an arm, or those that have a zero."""
     if mechanism.chain:
         return list(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
-    names = set(mechanism.parameters.names)
     read = [v.name for v in mechanism.variables if v.role == "reading" and v.first is None]
     if not mechanism.families:
         return [name for name in read if name not in mechanism.outputs]
-    return [name for name in read if f"{name}_offset" in names]
+    zeros = {p.owner for p in mechanism.parameters if p.role == "zero"}
+    return [name for name in read if name in zeros]
 
 
 def _displaced(
@@ -262,17 +243,19 @@ def _displaced(
     terms: list[Term] = []
     if arm is not None:
         added += [Parameter(c.parameter, 0.0, "rad/m") for c in columns]
-        added += [Parameter(n, 0.0, "rad", TILTED) for n in arm.down.tilts]
+        added += [Parameter(n, 0.0, "rad", TILTED, meaning=GRAVITY_TILT) for n in arm.down.tilts]
         terms += [
             *_term(
                 "sag",
-                [c.parameter for c in columns if c.own],
+                # Gears yield more than bearings and links: 0.5 and 0.2 mrad per metre of lever
+                # (record 0046).
+                [c.parameter for c in columns if c.about_joint],
                 0.5e-3,
                 "joints give way about their axes under gravity by {scale}",
             ),
             *_term(
                 "sag_across",
-                [c.parameter for c in columns if not c.own],
+                [c.parameter for c in columns if not c.about_joint],
                 0.2e-3,
                 "links and bearings give way across the joints' axes under gravity by {scale}",
             ),
@@ -309,8 +292,8 @@ def _displaced(
                 total |= dict(zip(axes, (*sagged[0], *sagged[1]), strict=True))
             if smooth is not None:
                 features = smooth.features(row)
-                for axis, its in zip(axes, (*shifts, *turns), strict=False):
-                    for name, feature in zip(its, features, strict=True):
+                for axis, coefficients in zip(axes, (*shifts, *turns), strict=False):
+                    for name, feature in zip(coefficients, features, strict=True):
                         total[axis] = total[axis] + p[name] * feature
             places |= dict(zip(names, total.values(), strict=True))
         return {}, places
@@ -328,9 +311,8 @@ def _displaced(
 
 def _turned(mechanism: Mechanism) -> dict[str, float]:
     """The nominal values, but turned a little where they place an arm: it may stand anywhere."""
-    kinds = mechanism.kinds
     return {
-        p.name: p.nominal + (0.1 if p.unit == "rad" and kinds[p.name] == "placement" else 0.0)
+        p.name: p.nominal + (0.1 if p.unit == "rad" and p.role == "placement" else 0.0)
         for p in mechanism.parameters
     }
 
@@ -343,32 +325,42 @@ def _coefficients(
     if body is None or smooth is None:
         return [], []
     rows = {axis: [f"discrepancy_{axis}_{part}" for part in smooth.parts] for axis in body.axes}
-    shifts = [its for axis, its in rows.items() if len(axis) == 1]
-    turns = [its for axis, its in rows.items() if len(axis) == 2 and body.turns]
+    shifts = [names for axis, names in rows.items() if len(axis) == 1]
+    turns = [names for axis, names in rows.items() if len(axis) == 2 and body.turns]
     return shifts, turns
 
 
-def _with_drives(mechanism: Mechanism) -> Mechanism:
-    """The mechanism with harmonics of its turning joints, and scales of its slides."""
+def _with_drives(mechanism: Mechanism) -> tuple[Mechanism, list[str]]:
+    """The mechanism with harmonics of its turning joints, and scales of its slides; and which
+    joints have harmonics now."""
     driven = driven_joints(mechanism)
+    turning = [
+        Harmonics((q,), ORDERS, f"{EFFECT} {q}") for q in driven if mechanism.quantities[q] == "rad"
+    ]
+    turning = _further(mechanism, turning)
     made = _with_drive(
         mechanism,
-        [Harmonics((q,), ORDERS, q) for q in driven if mechanism.quantities[q] == "rad"],
+        turning,
         Term("harmonics", ("",), 1e-4, words="gears and encoders are out of round by {scale}"),
     )
-    return _with_drive(
+    sliding = [Scale((q,), f"{EFFECT} {q}") for q in driven if mechanism.quantities[q] == "m"]
+    made = _with_drive(
         made,
-        [Scale((q,), q) for q in driven if mechanism.quantities[q] == "m"],
+        _further(made, sliding),
         Term("scales", ("",), 1e-4, words="scales of slides are wrong by {scale}"),
     )
+    return made, [q for effect in turning for q in effect.joints]
+
+
+def _further(mechanism: Mechanism, effects: Sequence[E]) -> list[E]:
+    """Those effects that the mechanism has not already."""
+    taken = set(mechanism.parameters.names)
+    return [e for e in effects if taken.isdisjoint(e.parameters(mechanism))]
 
 
 def _with_drive(mechanism: Mechanism, effects: Sequence[Effect], term: Term) -> Mechanism:
-    """The mechanism with these effects, but for those that it has already, under one term."""
-    taken = set(mechanism.parameters.names)
-    new = [e for e in effects if taken.isdisjoint(e.parameters(mechanism))]
-    if not new:
+    """The mechanism with these effects under one term."""
+    if not effects:
         return mechanism
-    names = tuple(n for e in new for n in e.parameters(mechanism))
-    made = replace(with_effects(replace(mechanism, effects={}), new), effects=mechanism.effects)
-    return made.with_terms(replace(term, parameters=names))
+    names = tuple(n for e in effects for n in e.parameters(mechanism))
+    return with_effects(mechanism, effects).with_terms(replace(term, parameters=names))

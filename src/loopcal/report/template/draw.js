@@ -4,17 +4,17 @@ const dark = window.matchMedia("(prefers-color-scheme: dark)");
 
 function coloured(layout, isDark) {
   const ink = isDark ? "#e6e7ea" : "#1c1e21", grid = isDark ? "#353a41" : "#e3e5e9";
-  const own = { ...layout, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+  const painted = { ...layout, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
     font: { color: ink, size: 12, family: "system-ui, sans-serif" } };
   const shade = (axis) => ({ gridcolor: grid, zerolinecolor: isDark ? "#6a6f78" : "#a9adb5",
     linecolor: grid, ...axis });
-  for (const key of Object.keys(own)) if (/^[xy]axis\d*$/.test(key)) own[key] = shade(own[key]);
-  if (own.scene) {
-    own.scene = { ...own.scene };
+  for (const key of Object.keys(painted)) if (/^[xy]axis\d*$/.test(key)) painted[key] = shade(painted[key]);
+  if (painted.scene) {
+    painted.scene = { ...painted.scene };
     for (const key of ["xaxis", "yaxis", "zaxis"])
-      own.scene[key] = { ...shade(own.scene[key]), backgroundcolor: "rgba(0,0,0,0)" };
+      painted.scene[key] = { ...shade(painted.scene[key]), backgroundcolor: "rgba(0,0,0,0)" };
   }
-  return own;
+  return painted;
 }
 
 async function still(node, figure) {
@@ -23,7 +23,7 @@ async function still(node, figure) {
   const content = { data: figure.data, layout: { ...coloured(figure.layout, false), width, updatemenus: [] } };
   const format = figure.layout.scene ? "png" : "svg";
   const picture = document.getElementById(node.id + "-still");
-  picture.src = await Plotly.toImage(content, { format, width, height });
+  picture.src = await Plotly.toImage(content, { format, width, height, scale: format === "png" ? 2 : 1 });
   node.classList.add("kept"); // until then paper shows the figure itself
 }
 

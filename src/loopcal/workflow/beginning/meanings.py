@@ -93,19 +93,20 @@ def meanings(seen: Seen, *, as_stated: bool = True) -> Iterator[Meaning]:
     for length in _units(_lengths_of(seen), LENGTHS, as_stated):
         factor = unit(length).factor
         for angle, form, order, R, words in _orientations(seen, as_stated):
-            told = (f"{names_of(_lengths_of(seen))} in {length}", *words)
+            reading_words = (f"{names_of(_lengths_of(seen))} in {length}", *words)
             if seen.kind == "spherical":
                 position = _cartesian(_polar(seen, length, angle, form))
             elif seen.kind == "length":
                 position = factor * seen.position[0].values
             else:
                 position = factor * np.array([f.values for f in seen.position]).T
-            made = Meaning(seen, length, angle, form, order, False, position, R, told)
+            made = Meaning(seen, length, angle, form, order, False, position, R, reading_words)
             yield made
             if R is not None:
+                # the inverse of the motion x -> R x + p is x -> R^T x - R^T p
                 back = np.swapaxes(R, 1, 2)
                 moved = -np.einsum("nij,nj->ni", back, position)
-                words = (*told, "the pose is that of the station seen from the target")
+                words = (*reading_words, "the pose is that of the station seen from the target")
                 yield replace(made, inverted=True, position=moved, turns=back, words=words)
 
 
@@ -129,9 +130,9 @@ def _orientations(
 
     if seen.kind == "spherical":
         for angle in _units(seen.position[1:], ANGLES, as_stated):
-            its = f"{names_of(seen.position[1:])} in {angle}"
+            polar_words = f"{names_of(seen.position[1:])} in {angle}"
             for form, words in _POLAR_FORMS:
-                yield angle, form, (), None, (f"{its}{words}",)
+                yield angle, form, (), None, (f"{polar_words}{words}",)
         return
     if not seen.turned:
         yield "rad", "", (), None, ()
@@ -145,9 +146,11 @@ def _orientations(
     elif seen.form == "quaternion":
         for order, words in (((0, 1, 2, 3), "w, x, y, z"), ((3, 0, 1, 2), "x, y, z, w")):
             w_last = values[:, [order[1], order[2], order[3], order[0]]]
+            # SciPy refuses NaN: a unit quaternion stands in until the matrix can be NaN.
             R = Rotation.from_quat(np.nan_to_num(w_last, nan=0.5)).as_matrix()
-            told = (f"the quaternion {names_of(seen.turned)} in the order {words}",)
-            yield "rad", "quaternion", order, R, told
+            R[np.isnan(w_last).any(axis=1)] = np.nan
+            form_words = (f"the quaternion {names_of(seen.turned)} in the order {words}",)
+            yield "rad", "quaternion", order, R, form_words
     else:
         names = tuple(f.stem for f in seen.turned)
         forms = _FORMS_BY_NAME.get(names, _FORMS)
@@ -157,10 +160,11 @@ def _orientations(
                 if form == "rotation-vector":
                     R = Rotation.from_rotvec(turned).as_matrix()
                 else:
+                    # Capital letters: SciPy then turns about the moving axes, as Rz Ry Rx does.
                     letters = "".join(t[1] for t in form.split()).upper()
                     R = Rotation.from_euler(letters, turned).as_matrix()
-                told = (f"{names_of(seen.turned)} in {angle}, {words}",)
-                yield angle, form, (i, j, k), R, told
+                form_words = (f"{names_of(seen.turned)} in {angle}, {words}",)
+                yield angle, form, (i, j, k), R, form_words
 
 
 def polar(meaning: Meaning) -> Array:

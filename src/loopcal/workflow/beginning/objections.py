@@ -38,6 +38,7 @@ COUNTS = 1e4
 _SHIFTS = (1, -1, 2, -2, 3, -3)
 _FEW = 40
 """Poses that one coordinate is tried on."""
+# Twelve points are 36 equations for the nine numbers of station and target.
 _BLOCK, _TOGETHER = 12, 0.05
 """So many consecutive poses are fitted alone; they then belong together if they leave this."""
 
@@ -49,12 +50,12 @@ class Case:
     machine: Machine
     layouts: Sequence[Layout]
     fields: Fields
-    found: Sequence[Understood]
+    ways: Sequence[Understood]
 
     @property
     def share(self) -> float:
         """The misfit of the best."""
-        return self.found[0].share if self.found else float("inf")
+        return self.ways[0].share if self.ways else float("inf")
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def contradiction(case: Case) -> Explanation | None:
     stated = case.share
     if not free or free[0].share > PLAUSIBLE or CLEARLY * free[0].share >= stated:
         return None
-    before = set(case.found[0].words) if case.found else set()
+    before = set(case.ways[0].words) if case.ways else set()
     other = "; ".join(w for w in free[0].words if w not in before) or "another unit"
     return Explanation(
         free[0].share,
@@ -98,21 +99,21 @@ def objection(case: Case) -> Explanation | None:
 
     None where the machine explains them well enough to be calibrated.
     """
-    best = case.found[0]
-    told: list[Explanation] = []
+    best = case.ways[0]
+    explanations: list[Explanation] = []
     tried = (  # the quickest first; each begins when it is its turn
         _shifted_too(case),
         _moved_too(case),
-        _coordinates(case.found),
+        _coordinates(case.ways),
         _reversed(case, 1),
         _displaced_zeros(case),
         _reversed(case, 2),
     )
     for explained in tried:
-        told += explained
-        if told and min(e.share for e in told) <= SURE:
+        explanations += explained
+        if explanations and min(e.share for e in explanations) <= SURE:
             break
-    clear = [e for e in told if e.share <= PLAUSIBLE and CLEARLY * e.share < best.share]
+    clear = [e for e in explanations if e.share <= PLAUSIBLE and CLEARLY * e.share < best.share]
     if clear:
         return min(clear, key=lambda e: e.share)
     return None if best.share <= NOTHING else _nothing(case)
@@ -120,15 +121,17 @@ def objection(case: Case) -> Explanation | None:
 
 def shifted(case: Case, ways: Sequence[Understood]) -> Explanation | None:
     """Where the readings of the instrument fit far better some rows apart."""
-    found = [e for way in ways for meaning in way.seen for e in _displaced(case, way, meaning)]
-    return min(found, key=lambda e: e.share, default=None)
+    explanations = [
+        e for way in ways for meaning in way.seen for e in _displaced(case, way, meaning)
+    ]
+    return min(explanations, key=lambda e: e.share, default=None)
 
 
 def _shifted_too(case: Case) -> Iterator[Explanation]:
     """Of every way to read the columns, where none of them fits."""
-    found = None if case.share <= NOTHING else shifted(case, case.found)
-    if found is not None:
-        yield found
+    shift = None if case.share <= NOTHING else shifted(case, case.ways)
+    if shift is not None:
+        yield shift
 
 
 def _displaced(case: Case, way: Understood, meaning: Meaning) -> Iterator[Explanation]:
@@ -169,19 +172,20 @@ def _coordinates(ways: Sequence[Understood]) -> Iterator[Explanation]:
     """A mirrored frame, and one coordinate in another unit than the others."""
     for way in ways:
         for meaning in way.seen:
-            its = meaning.seen.position
-            if meaning.position.ndim < 2 or len(its) != 3 or meaning.seen.kind == "spherical":
+            fields = meaning.seen.position
+            if meaning.position.ndim < 2 or len(fields) != 3 or meaning.seen.kind == "spherical":
                 continue
+            # One mirror is enough: two differ by a rotation, which the placement takes.
             share = _scaled(way, meaning, np.array([-1.0, 1.0, 1.0]))
             yield Explanation(
                 share,
                 "implausible-readings",
-                f"{names_of(its)} form a left-handed frame: mirrored, the nominal machine misses "
-                f"the readings by {_percent(share)} of their spread, as read by "
+                f"{names_of(fields)} form a left-handed frame: mirrored, the nominal machine "
+                f"misses the readings by {_percent(share)} of their spread, as read by "
                 f"{_percent(way.share)}",
                 "two of the columns are exchanged, or one has the wrong sign: correct it",
             )
-            for axis, field in enumerate(its):
+            for axis, field in enumerate(fields):
                 for other in LENGTHS:
                     factors = np.ones(3)
                     factors[axis] = unit(other).factor / unit(meaning.length).factor
@@ -200,6 +204,7 @@ def _scaled(way: Understood, meaning: Meaning, factors: Array) -> float:
     """The misfit with coordinates multiplied by these; of a pose its position alone counts."""
     if (factors == 1.0).all():
         return float("inf")
+    # Columns of an inverted pose are not its position, so no factor of one of them can be tried.
     position = meaning.position if not meaning.inverted else np.full_like(meaning.position, np.nan)
     scaled = replace(meaning, position=position * factors, turns=None, seen=_as_point(meaning))
     count = len(position)
@@ -214,8 +219,8 @@ def _as_point(meaning: Meaning) -> Seen:
 def _reversed(case: Case, count: int) -> Iterator[Explanation]:
     """So many joints that count the other way round."""
     for names in combinations(case.machine.joints, count):
-        found = every_way(case.machine, case.layouts, turned_round=names)
-        share = min((u.share for u in found), default=float("inf"))
+        ways = every_way(case.machine, case.layouts, turned_round=names)
+        share = min((u.share for u in ways), default=float("inf"))
         be = "counts" if count == 1 else "count"
         yield Explanation(
             share,
@@ -237,8 +242,8 @@ def _displaced_zeros(case: Case) -> Iterator[Explanation]:
     turning = [n for n, si in zip(machine.joints, machine.units, strict=True) if si == "rad"]
     for name in turning[1:-1]:
         for degrees in (90, -90, 180):
-            found = every_way(machine, case.layouts, zeros={name: np.radians(degrees)})
-            share = min((u.share for u in found), default=float("inf"))
+            ways = every_way(machine, case.layouts, zeros={name: np.radians(degrees)})
+            share = min((u.share for u in ways), default=float("inf"))
             yield Explanation(
                 share,
                 "implausible-readings",
@@ -252,7 +257,7 @@ def _displaced_zeros(case: Case) -> Iterator[Explanation]:
 
 def _nothing(case: Case) -> Explanation:
     """That the machine explains nothing, with the likely cause where the readings show one."""
-    best = case.found[0]
+    best = case.ways[0]
     far = float(np.sqrt(np.square(_about_median(best.bodies.origins)).sum(axis=1)).max())
     if far < ONE_POSE:
         return Explanation(
@@ -283,7 +288,7 @@ def _nothing(case: Case) -> Explanation:
 
 def _moved_too(case: Case) -> Iterator[Explanation]:
     """Of every way to read the columns, the first that fits in blocks."""
-    return islice((e for way in case.found if (e := _moved(way))), 1)
+    return islice((e for way in case.ways if (e := _moved(way))), 1)
 
 
 def _moved(way: Understood) -> Explanation | None:
@@ -321,8 +326,8 @@ def _some(bodies: Bodies, rows: NDArray[np.intp]) -> Bodies:
 
 
 def _about_median(points: Array) -> Array:
-    known = points[np.isfinite(points).all(axis=1)]
-    off: Array = known - np.median(known, axis=0)
+    finite = points[np.isfinite(points).all(axis=1)]
+    off: Array = finite - np.median(finite, axis=0)
     return off
 
 

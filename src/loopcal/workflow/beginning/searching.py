@@ -20,10 +20,12 @@ from loopcal.workflow.beginning.meanings import Meaning, joint_units, meanings
 Array = NDArray[np.float64]
 PLAUSIBLE = 0.1
 """What another meaning must leave at most to speak against a stated unit."""
+# Wrong units are wrong by factors of 10 to 1000 (docs/decisions/0056).
 CLEARLY = 3.0
 """A meaning is decided if every other one leaves so many times its misfit."""
 FAR = 10.0
 """A meaning that fits so many times worse on a few poses is not tried on more."""
+# Few poses drop what is wrong by factors; more decide among the rest.
 _SAMPLE, _FEW = 120, 40
 
 
@@ -56,12 +58,14 @@ class Understood:
     @property
     def joint_words(self) -> str:
         """The units of the joints, those that slide in units of length."""
-        told = []
+        clauses = []
         for si, what in (("rad", "joints"), ("m", "slides")):
-            its = [f for f, kind in zip(self.layout.joints, self.kinds, strict=True) if kind == si]
-            if its:
-                told.append(f"the {what} {names_of(its)} in {self.units[si]}")
-        return "; ".join(told)
+            fields = [
+                f for f, kind in zip(self.layout.joints, self.kinds, strict=True) if kind == si
+            ]
+            if fields:
+                clauses.append(f"the {what} {names_of(fields)} in {self.units[si]}")
+        return "; ".join(clauses)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +98,7 @@ def every_way(
     """All combinations of meanings, judged on some of the poses; of each instrument the best and
     those that fit about as well. turned_round: joints that are read with the other sign; zeros:
     what is added to readings of joints [rad]."""
-    found = []
+    ways = []
     for layout in layouts:
         for units in joint_units(layout.joints, machine.units, as_stated=as_stated):
             joints = {
@@ -107,8 +111,9 @@ def every_way(
             bodies = machine.bodies(moved)
             options = []
             for seen in layout.seen:
-                some, few = _spread(seen.known, _SAMPLE), _spread(seen.known, _FEW)
+                some, few = _spread(seen.rows, _SAMPLE), _spread(seen.rows, _FEW)
                 tried = _fitting(meanings(seen, as_stated=as_stated), bodies, few, 1)
+                # 1e-12 keeps all meanings of readings that the machine fits exactly.
                 near = [m for m in tried if m.share < FAR * tried[0].share + 1e-12]
                 tried = _fitting(near, bodies, some, 4)
                 options.append([m for m in tried if m.share < CLEARLY * tried[0].share + 1e-12])
@@ -116,18 +121,18 @@ def every_way(
                 continue
             best = tuple(o[0] for o in options)
             first = Understood(layout, joints, machine.units, units, best, bodies)
-            found.append(first)
-            for i, its in enumerate(options):
-                for other in its[1:]:
+            ways.append(first)
+            for i, tied in enumerate(options):
+                for other in tied[1:]:
                     seen_so = (*first.seen[:i], other, *first.seen[i + 1 :])
-                    found.append(replace(first, seen=seen_so))
-    return found
+                    ways.append(replace(first, seen=seen_so))
+    return ways
 
 
-def _spread(known: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+def _spread(positions: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     """So many of these positions at most, evenly."""
-    at = np.linspace(0, len(known) - 1, min(len(known), most)).astype(np.intp)
-    return known[np.unique(at)]
+    at = np.linspace(0, len(positions) - 1, min(len(positions), most)).astype(np.intp)
+    return positions[np.unique(at)]
 
 
 def _fitting(

@@ -17,6 +17,7 @@ from loopcal.files.recognition.fields import Field, column_key, names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.project_text import ProjectParts
 from loopcal.files.recognition.robots import Robot
+from loopcal.files.tables.registry import reader_of
 from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
 from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.rounding import significant
@@ -74,12 +75,12 @@ class Statement:
 
 
 def stated(
-    robot: Robot, machine: Machine, fields: Fields, found: Understood, folder: Path
+    robot: Robot, machine: Machine, fields: Fields, understood: Understood, folder: Path
 ) -> Statement:
     """The project of what was understood. folder: where it will lie, for its paths."""
     readings = {
-        name: Reading(found.joints[name], si, f, f.unit or found.units[si])
-        for name, f, si in zip(machine.joints, found.layout.joints, machine.units, strict=True)
+        name: Reading(understood.joints[name], si, f, f.unit or understood.units[si])
+        for name, f, si in zip(machine.joints, understood.layout.joints, machine.units, strict=True)
     }
     looking: list[dict[str, Any]] = []
     parameters: dict[str, Any] = {}
@@ -87,33 +88,33 @@ def stated(
     noise: dict[str, Any] = {}
     guesses: list[str] = []
     _joint_noise(readings, noise, guesses)
-    several = len(found.seen) > 1
-    places = _places(found)
+    several = len(understood.seen) > 1
+    places = _places(understood)
     stands: list[str] = []
-    for number, (meaning, place) in enumerate(zip(found.seen, places, strict=True), 1):
+    for number, (meaning, place) in enumerate(zip(understood.seen, places, strict=True), 1):
         end = f"_{number}" if several else ""
-        its = _Instrument(meaning, end, place.target, place.station)
-        looking.append(its.entry())
-        fits[its.name] = meaning.fit or place.mounted
-        parameters |= its.parameters(place.mounted, place.at)
-        own = its.readings()
-        stands.append(f"{', '.join(own)}: target {place.target}, station {place.station}")
-        readings |= own
-        its.noise(own, noise, guesses)
-    own_point = bool(robot.point) and [m.seen.kind for m in found.seen] == ["point"]
-    if own_point:
+        instrument = _Instrument(meaning, end, place.target, place.station)
+        looking.append(instrument.entry())
+        fits[instrument.name] = meaning.fit or place.mounted
+        parameters |= instrument.parameters(place.mounted, place.at)
+        columns = instrument.readings()
+        stands.append(f"{', '.join(columns)}: target {place.target}, station {place.station}")
+        readings |= columns
+        instrument.noise(columns, noise, guesses)
+    point_of_robot = bool(robot.point) and [m.seen.kind for m in understood.seen] == ["point"]
+    if point_of_robot:
         table = dict(robot.table)
-        its_own = zip(robot.point, "xyz", strict=True)
-        parameters = {name: parameters[f"tool_{axis}"] for name, axis in its_own}
+        axes = zip(robot.point, "xyz", strict=True)
+        parameters = {name: parameters[f"tool_{axis}"] for name, axis in axes}
     else:
         apart = robot.apart or robot
         table = {**apart.table, "instrument": looking}
-        given = {n: {"value": 1e3 * v, "unit": "mm"} for n, v in apart.lengths.items()}
-        parameters = {**given, **parameters}
+        lengths = {n: {"value": 1e3 * v, "unit": "mm"} for n, v in apart.lengths.items()}
+        parameters = {**lengths, **parameters}
     converted = (
         any(r.field is None for r in readings.values())
         or any(source.path is None for source in fields.sources)
-        or any(meaning.seen.station for meaning in found.seen)
+        or any(meaning.seen.station for meaning in understood.seen)
     )
     data = _data(fields, readings, converted, folder)
     remarks = {
@@ -124,7 +125,7 @@ def stated(
             f"drawing states it, write its values, with sd = {1e3 * MOUNTED['m']:g}.",
         ),
         "data": (
-            *(*fields.remarks, *_inferred(found), *found.remarks, *_left_out(found)),
+            *(*fields.remarks, *_inferred(understood), *understood.remarks, *_left_out(understood)),
             *((f"Several instruments: {'; '.join(stands)}.",) if several else ()),
         ),
         "noise": tuple(guesses),
@@ -145,15 +146,18 @@ class _Place:
     at: Array
 
 
-def _places(found: Understood) -> list[_Place]:
-    """One for each instrument: points that fit from one place share a station; the same point of
-    the body, seen from another, is the same target."""
+def _places(understood: Understood) -> list[_Place]:
+    """One for each instrument.
+
+    Points that fit from one place share a station. The same point of the body, seen from another,
+    is the same target.
+    """
     stations: list[list[Meaning]] = []
     joint: list[Mounted] = []
-    for meaning in found.seen:
+    for meaning in understood.seen:
         assert meaning.fit is not None
         for i, members in enumerate(stations):
-            both = _together(found.bodies, [*members, meaning])
+            both = _together(understood.bodies, [*members, meaning])
             if both is not None:
                 members.append(meaning)
                 joint[i] = both
@@ -166,18 +170,20 @@ def _places(found: Understood) -> list[_Place]:
         station = "base" if i == 0 else f"station_{i + 1}"
         for k, meaning in enumerate(members):
             at = mounted.targets[k]
-            known = [
+            sightings = [
                 p
-                for other, p in ((m, places.get(id(m))) for m in found.seen)
+                for other, p in ((m, places.get(id(m))) for m in understood.seen)
                 if p is not None
                 and p.station != station
                 and (_reads_again(meaning, other) or _same(meaning, p, at))
             ]
-            target = known[0].target if known else f"tool_{1 + len(places)}"
-            places[id(meaning)] = _Place(station, target, mounted, known[0].at if known else at)
+            target = sightings[0].target if sightings else f"tool_{1 + len(places)}"
+            places[id(meaning)] = _Place(
+                station, target, mounted, sightings[0].at if sightings else at
+            )
     if len({p.target for p in places.values()}) == 1:
-        return [replace(places[id(m)], target="tool") for m in found.seen]
-    return [places[id(m)] for m in found.seen]
+        return [replace(places[id(m)], target="tool") for m in understood.seen]
+    return [places[id(m)] for m in understood.seen]
 
 
 def _together(bodies: Bodies, some: Sequence[Meaning]) -> Mounted | None:
@@ -194,9 +200,9 @@ def _together(bodies: Bodies, some: Sequence[Meaning]) -> Mounted | None:
 
 def _reads_again(meaning: Meaning, other: Meaning) -> bool:
     """Whether an instrument is another one in a further place: its columns are the same."""
-    own, its = meaning.seen, other.seen
-    return bool(own.station) and [f.heading for f in own.position] == [
-        f.heading for f in its.position
+    further, first = meaning.seen, other.seen
+    return bool(further.station) and [f.heading for f in further.position] == [
+        f.heading for f in first.position
     ]
 
 
@@ -206,23 +212,23 @@ def _same(meaning: Meaning, other: _Place, at: Array) -> bool:
     return seen and bool(np.abs(at - other.at).max() < _SAME)
 
 
-def _inferred(found: Understood) -> tuple[str, ...]:
+def _inferred(understood: Understood) -> tuple[str, ...]:
     """What no header states and the nominal machine decided."""
-    joints = found.layout.joints
-    told = []
+    joints = understood.layout.joints
+    inferences = []
     if not all(f.unit for f in joints):
-        told.append(found.joint_words)
-    for meaning in found.seen:
+        inferences.append(understood.joint_words)
+    for meaning in understood.seen:
         columns = (*meaning.seen.position, *meaning.seen.turned)
         if meaning.form or not all(f.unit for f in columns):
-            told += meaning.words
-    share = significant(100.0 * found.share, 2)
+            inferences += meaning.words
+    share = significant(100.0 * understood.share, 2)
     reason = f"with it the nominal machine misses the readings by {share} % of their spread"
-    return (f"Inferred: {'; '.join(told)}: {reason}.",) if told else ()
+    return (f"Inferred: {'; '.join(inferences)}: {reason}.",) if inferences else ()
 
 
-def _left_out(found: Understood) -> tuple[str, ...]:
-    ignored = found.layout.ignored
+def _left_out(understood: Understood) -> tuple[str, ...]:
+    ignored = understood.layout.ignored
     return (f"Columns that take no part: {names_of(ignored)}.",) if ignored else ()
 
 
@@ -281,6 +287,7 @@ class _Instrument:
         """Nominal values of what is mounted."""
 
         def length(value: float) -> dict[str, Any]:
+            # Adding 0.0 makes 0.0 of -0.0.
             return {"value": round(1e3 * float(value), 1) + 0.0, "unit": "mm"}
 
         near = {"sd": 1e3 * NEAR}
@@ -308,13 +315,13 @@ class _Instrument:
         for i, name in enumerate(self.names()):
             field = m.seen.position[i]
             si = "rad" if self.kind == "spherical" and i else "m"
-            given = field.unit or (m.angle if si == "rad" else m.length)
+            unit_name = field.unit or (m.angle if si == "rad" else m.length)
             if self.kind == "spherical":
                 values, as_written = polar(m)[i], not m.form
             else:
                 values, as_written = position[:, i], not m.inverted
             sds = m.seen.sds[i] if m.seen.sds and not m.inverted else None
-            made[name] = Reading(values, si, field if as_written else None, given, sds)
+            made[name] = Reading(values, si, field if as_written else None, unit_name, sds)
         if self.kind != "pose" or m.turns is None:
             return made
         if self.as_vector:
@@ -325,16 +332,18 @@ class _Instrument:
             return made
         as_written = m.form == "quaternion" and not m.inverted
         for i, (name, values) in enumerate(zip(self.numbers(), _quaternions(m.turns), strict=True)):
-            its = m.seen.turned[m.order[i]] if as_written else None
-            made[name] = Reading(its.values if its else values, "1", its, "1")
+            turn_field = m.seen.turned[m.order[i]] if as_written else None
+            made[name] = Reading(turn_field.values if turn_field else values, "1", turn_field, "1")
         return made
 
-    def noise(self, own: Mapping[str, Reading], noise: dict[str, Any], told: list[str]) -> None:
+    def noise(
+        self, columns: Mapping[str, Reading], noise: dict[str, Any], guesses: list[str]
+    ) -> None:
         """Guesses of sds that the calibration learns; none where the file has them."""
-        position = [own[n] for n in self.names()]
+        position = [columns[n] for n in self.names()]
         if all(r.sds is not None for r in position):
             names = ", ".join(self.names())
-            told.append(f"The sds of {names} stand in columns of the file (sd_column above).")
+            guesses.append(f"The sds of {names} stand in columns of the file (sd_column above).")
         else:
             sd, source = self._guess(position)
             shown = "mm" if sd > 1e-4 else "um"
@@ -343,7 +352,7 @@ class _Instrument:
                 if self.kind == "spherical"
                 else _entry(sd, "m", position, shown)
             )
-            told.append(source)
+            guesses.append(source)
         if self.kind == "pose":
             turns = ",".join(f"{self.name}_{w}" for w in ("wx", "wy", "wz"))
             noise[turns] = {"sd": 1e3 * TURN, "unit": "mrad", "estimate": "group"}
@@ -373,18 +382,21 @@ def _quaternions(R: Array) -> Array:
     """(4, N) w first, of rotations (N, 3, 3); NaN where the rotation is unknown."""
     from scipy.spatial.transform import Rotation
 
-    known = np.isfinite(R).all(axis=(1, 2))
+    finite = np.isfinite(R).all(axis=(1, 2))
     out = np.full((4, len(R)), np.nan)
-    out[:, known] = Rotation.from_matrix(R[known]).as_quat()[:, [3, 0, 1, 2]].T
+    # SciPy has w last.
+    out[:, finite] = Rotation.from_matrix(R[finite]).as_quat()[:, [3, 0, 1, 2]].T
     return out
 
 
-def _joint_noise(readings: Mapping[str, Reading], noise: dict[str, Any], told: list[str]) -> None:
+def _joint_noise(
+    readings: Mapping[str, Reading], noise: dict[str, Any], guesses: list[str]
+) -> None:
     for si, sd, shown in (("rad", ENCODER, "urad"), ("m", SLIDE, "um")):
-        its = {name: r for name, r in readings.items() if r.si == si}
-        if its:
-            noise[",".join(its)] = _entry(sd, si, list(its.values()), shown)
-            told.append(
+        joints = {name: r for name, r in readings.items() if r.si == si}
+        if joints:
+            noise[",".join(joints)] = _entry(sd, si, list(joints.values()), shown)
+            guesses.append(
                 f"Joints: a guess, {from_si(sd, shown):g} {shown}, as of encoders with 17 bits per "
                 "turn of the joint; the calibration learns it."
                 if si == "rad"
@@ -396,11 +408,17 @@ def _entry(sd: float, si: str, readings: list[Reading], shown: str) -> dict[str,
     """An sd to be learnt, with the step to which the file rounds its readings."""
     steps = [r.field.resolution() * unit(r.unit).factor for r in readings if r.field]
     step = max(steps, default=0.0)
+    # In quadrature half the sd adds 12 %, less than the guess is uncertain.
     if rounding_sd(step) <= 0.5 * sd:
         return {"sd": float(significant(from_si(sd, shown), 2)), "unit": shown, "estimate": "group"}
-    given = readings[0].unit
-    own = float(significant(from_si(sd, given), 2))
-    return {"sd": own, "rounded_to": from_si(step, given), "unit": given, "estimate": "group"}
+    unit_name = readings[0].unit
+    rounded_sd = float(significant(from_si(sd, unit_name), 2))
+    return {
+        "sd": rounded_sd,
+        "rounded_to": from_si(step, unit_name),
+        "unit": unit_name,
+        "estimate": "group",
+    }
 
 
 def _data(
@@ -417,8 +435,7 @@ def _data(
             continue
         entry: dict[str, Any] = {"file": relative(source.path, folder)}
         if source.sheet is not None:
-            matlab = source.path.suffix.lower() == ".mat"
-            entry["variable" if matlab else "sheet"] = source.sheet
+            entry[reader_of(source.path).part] = source.sheet
         several = len(used) > 1
         if several and fields.by_order:
             entry["pose"] = 0

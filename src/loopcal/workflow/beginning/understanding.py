@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from loopcal.errors import InputError
-from loopcal.estimation.mounted import own_coordinates
+import numpy as np
+
+from loopcal.errors import InputError, listed
+from loopcal.estimation.mounted import origin_rms
 from loopcal.files.recognition.fields import names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import Layout
@@ -30,6 +32,33 @@ Ask = Callable[[str, Sequence[str]], int]
 """Asks which answer is right and returns its number, counted from 0."""
 
 
+def undetermined(machine: Machine, layouts: Sequence[Layout]) -> InputError:
+    """That no place of the instrument follows from the readings, and what they lack."""
+    joints = layouts[0].joints if layouts else ()
+    poses = max((int(np.isfinite(joint.values).sum()) for joint in joints), default=0)
+    still = [
+        name
+        for name, joint in zip(machine.joints, joints, strict=False)
+        if np.isfinite(joint.values).any() and not np.nanmax(joint.values) > np.nanmin(joint.values)
+    ]
+    if poses < 5:
+        words, remedy = f"{poses} poses are too few", "measure at least 5 poses"
+    elif still:
+        words = f"{listed(still)} stands still in all {poses} poses"
+        remedy = "move it, or name a --base or --tip that leaves it out"
+    elif set(machine.units) == {"m"}:
+        words = "no joint turns, so nothing shows where the target is mounted"
+        remedy = "begin with loopcal new, and state or fix the mounting in [mechanism.parameters]"
+    else:
+        words = f"{poses} poses were tried in all units and orders"
+        remedy = "check that joints and instrument are of the same poses, and measure others"
+    return InputError(
+        f"the readings determine no place of the instrument: {words}",
+        code="too-few-poses",
+        remedy=remedy,
+    )
+
+
 def understood(
     machine: Machine, layouts: Sequence[Layout], fields: Fields, ask: Ask | None
 ) -> Understood:
@@ -38,29 +67,27 @@ def understood(
     ask: asks where several fit; None refuses. Raises InputError where none fits, several do, a
     stated unit contradicts the readings, or rows do not belong together.
     """
-    found = sorted(every_way(machine, layouts), key=lambda u: u.share)
-    case = Case(machine, layouts, fields, found)
-    if not found or not found[0].share <= USUAL:
+    ways = sorted(every_way(machine, layouts), key=lambda u: u.share)
+    case = Case(machine, layouts, fields, ways)
+    if not ways or not ways[0].share <= USUAL:
         wrong = contradiction(case)
         if wrong is not None:
             raise wrong.error()
-    if not found:
-        raise InputError(
-            "the readings determine no place of the instrument in any of all units and orders",
-            code="too-few-poses",
-            remedy="measure at least 5 poses that differ in every joint",
-        )
-    best = found[0]
-    if fields.by_order and (displaced := shifted(case, found[:1])):
+    if not ways:
+        raise undetermined(machine, layouts)
+    best = ways[0]
+    if fields.by_order and (displaced := shifted(case, ways[:1])):
         raise displaced.error()
+    # Written so that NaN is not plausible either.
     if not best.share <= PLAUSIBLE:
         wrong = objection(case)
         if wrong is not None:
             raise wrong.error()
-    rivals = [u for u in found[1:] if u.share < min(CLEARLY * best.share, NOTHING)]
+    rivals = [u for u in ways[1:] if u.share < min(CLEARLY * best.share, NOTHING)]
+    # Readings without noise: at such a misfit rounding alone separates the ways.
     if rivals and best.share > 1e-9:
         best = _asked([best, *rivals], ask)
-    return _told(best)
+    return _finished(best)
 
 
 def _asked(rivals: Sequence[Understood], ask: Ask | None) -> Understood:
@@ -83,22 +110,22 @@ def _asked(rivals: Sequence[Understood], ask: Ask | None) -> Understood:
     )
 
 
-def _told(best: Understood) -> Understood:
+def _finished(best: Understood) -> Understood:
     """With the fits of all poses, the computed instruments left out, and what the data decided."""
     seen = tuple(m.fitted(best.bodies) for m in best.seen)
-    told = []
+    remarks = []
     kept = []
     for meaning in seen:
         names = names_of(meaning.seen.position)
         if meaning.seen.kind == "point" and meaning.fit is not None:
-            off = own_coordinates(best.bodies, meaning.position)
+            off = origin_rms(best.bodies, meaning.position)
             if off < COMPUTED * meaning.fit.spread:
                 size = f"{significant(1e3 * off, 2)} mm"
-                told.append(
+                remarks.append(
                     f"{names} equal the nominal machine's own coordinates to {size}: computed by "
                     "the controller, not measured"
                 )
                 if len(seen) > 1:
                     continue
         kept.append(meaning)
-    return replace(best, seen=tuple(kept or seen), remarks=tuple(told))
+    return replace(best, seen=tuple(kept or seen), remarks=tuple(remarks))

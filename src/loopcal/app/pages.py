@@ -1,0 +1,105 @@
+"""The pages of the app in their order: a row for each step of the work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from loopcal.app import steps
+from loopcal.app.steps import Light, State
+from loopcal.app.view import View
+from loopcal.app.views import check, data, deploy, diagnose, fit, history, plan, robot, validate
+
+
+@dataclass(frozen=True)
+class Page:
+    """words: what is done there; light: how its step stands; show: draws it."""
+
+    key: str
+    label: str
+    words: str
+    light: Light
+    show: Callable[[View], None]
+
+
+PAGES = (
+    Page(
+        "robot",
+        "Robot",
+        "Describe the robot: a URDF, a table of Denavit-Hartenberg parameters, or a type.",
+        steps.made("a robot"),
+        robot.show,
+    ),
+    Page(
+        "data",
+        "Data",
+        "Give the readings. loopcal recognises columns and units; correct what is wrong.",
+        steps.made("readings"),
+        data.show,
+    ),
+    Page(
+        "plan",
+        "Plan",
+        "Choose which poses to measure. Skip this step if you have measured already.",
+        steps.ran("plan", "which poses to measure"),
+        plan.show,
+    ),
+    Page(
+        "check",
+        "Check",
+        "See what the readings can determine, before a fit.",
+        steps.checked,
+        check.show,
+    ),
+    Page(
+        "fit",
+        "Fit",
+        "Calibrate, and read whether you can use the result.",
+        steps.fit,
+        fit.show,
+    ),
+    Page(
+        "diagnose",
+        "Diagnose",
+        "Find what does not fit. Drag over points to select poses; all figures follow.",
+        steps.of_result(steps.diagnose),
+        diagnose.show,
+    ),
+    Page(
+        "validate",
+        "Validate",
+        "See how good the calibration is where nothing was measured.",
+        steps.of_result(steps.validate),
+        validate.show,
+    ),
+    Page(
+        "deploy",
+        "Deploy",
+        "Take the result to the robot: files for its controller, and corrected programs.",
+        steps.of_result(steps.deploy),
+        deploy.show,
+    ),
+    Page(
+        "history",
+        "History",
+        "See what was done here, undo it, and follow the machine over the years.",
+        steps.of_result(steps.ran("history", "the machine over time")),
+        history.show,
+    ),
+)
+BY_KEY = {page.key: page for page in PAGES}
+
+
+@dataclass(frozen=True)
+class Step:
+    """How a step stands; light: of `LIGHTS`; words: why."""
+
+    key: str
+    label: str
+    light: str
+    words: str
+
+
+def stand(state: State) -> list[Step]:
+    """All steps in their order."""
+    return [Step(page.key, page.label, *page.light(state)) for page in PAGES]

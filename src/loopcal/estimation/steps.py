@@ -1,0 +1,189 @@
+"""The steps of a calibration before its fit, each from a state to the next.
+
+They are the same in memory as on a stream, which takes them with the poses of its first chunk.
+An interrupted run takes them again, for they cost little beside the fit, and resumes that from its
+checkpoint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.findings import ColumnFault
+from loopcal.errors import InputError
+from loopcal.estimation.contradiction import refuse_contradiction
+from loopcal.estimation.faults.misfit import at_start
+from loopcal.estimation.faults.search import PLAUSIBLE, UNREPAIRED, column_faults
+from loopcal.estimation.fit import Fit, Start
+from loopcal.estimation.model_error import modelled, used_noise, weighed
+from loopcal.estimation.noise.learning import with_model
+from loopcal.estimation.problem.alignment import begun
+from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.problem.size import refuse_collapse
+from loopcal.estimation.problem.unreachable import refuse_unreachable
+from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.solve.solution import End
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+# docs/decisions/0052.
+FAULTY = 3
+"""Iterations of the fit of a file that is at fault as a whole."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What is known between two steps.
+
+    mechanism, data, noise: what is fitted, in a stream the poses of its first chunk; poses: how
+    many there are in all; whole: these are all poses; near: (N,) corrections of what no sensor
+    reads, where a fit of nearly the same readings found them; trusted: no fault of the file is
+    sought; faults: of the file; begun: where the fit begins.
+    """
+
+    fit: Fit
+    mechanism: Mechanism
+    data: Dataset
+    noise: Noise | None
+    poses: int
+    whole: bool = True
+    near: Mapping[str, Array] | None = None
+    trusted: bool = False
+    faults: tuple[ColumnFault, ...] = ()
+    begun: Problem | None = None
+
+    @property
+    def problem(self) -> Problem:
+        """Where the fit begins; there once the machine is placed."""
+        assert self.begun is not None
+        return self.begun
+
+    @property
+    def learns(self) -> bool:
+        """Whether sds are learnt, of sensors or of terms."""
+        noise = self.noise
+        return noise is not None and bool(noise.estimate or self.mechanism.learnt_terms)
+
+    @property
+    def stated(self) -> bool:
+        """Whether the sds say how large the noise is, because none of them is learnt."""
+        return self.noise is not None and not self.noise.estimate
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether the file is at fault so that no fit is of use: a short one shows where."""
+        return any(fault.code not in UNREPAIRED for fault in self.faults)
+
+    @property
+    def most_iterations(self) -> int:
+        """Of the fit."""
+        most = self.fit.max_iterations
+        return min(most, FAULTY) if self.hopeless else most
+
+
+def prepared(state: State) -> State:
+    """With the terms and the noise of the model error that the fit asks for.
+
+    Raises InputError for settings that do not go together.
+    """
+    fit, data = state.fit, state.data
+    mechanism = modelled(fit, fit.with_prior(state.mechanism), state.poses)
+    noise = used_noise(fit, mechanism, data, state.noise)
+    if noise is not None:
+        if noise.estimate or mechanism.learnt_terms:
+            refuse_loss(fit)
+        mechanism, data = with_model(mechanism, weighed(fit, data), noise)
+    return replace(state, mechanism=mechanism, data=data, noise=noise)
+
+
+def placed(state: State) -> State:
+    """With the problem, begun where the instrument sees the machine.
+
+    Raises InputError for readings that the machine cannot have made, that contradict each other,
+    or that leave its size open.
+    """
+    fit = state.fit
+    problem = started(state.mechanism, state.data, state.noise, fit.start, whole=state.whole)
+    problem = problem.weighted(fit.solver.weighting)
+    if not problem.loops_alike:
+        refuse_contradiction(problem, state.data)
+    if state.near is not None:
+        problem = begun_near(problem, state.near)
+    if problem.weighting is not Weighting.CORRECTED:
+        arrays = problem.readings, problem.pose_constants, problem.uncertainty.sd
+        refuse_collapse(problem.mechanism, *arrays, priors=not problem.loops_alike)
+    return replace(state, begun=problem, mechanism=problem.mechanism)
+
+
+def examined(state: State) -> State:
+    """With the faults of the file as a whole, which are sought before any fit."""
+    if state.trusted or not isinstance(state.fit.start, str):
+        return state
+    faults = column_faults(state.problem, suspected=False, stated=state.stated)
+    return replace(state, faults=faults)
+
+
+STEPS = (prepared, placed, examined)
+
+
+def ended(state: State, end: End[Any]) -> State:
+    """With the faults that a fit has not removed: a machine far from its drawing may be found."""
+    if not state.faults or state.hopeless:
+        return state
+    missed = at_start(replace(state.problem, start=end.parameters))
+    gone = end.status.converged and missed <= PLAUSIBLE
+    return replace(state, faults=() if gone else state.faults)
+
+
+def begun_near(problem: Problem, near: Mapping[str, Array]) -> Problem:
+    """The problem, which begins at these corrections (N,) of what no sensor reads."""
+    names = problem.mechanism.tape.quantities
+    zero = np.zeros(problem.count)
+    return replace(problem, first_corrections=np.array([near.get(name, zero) for name in names]))
+
+
+def started(
+    mechanism: Mechanism,
+    data: Dataset,
+    noise: Noise | None,
+    start: Start,
+    *,
+    whole: bool = True,
+) -> Problem:
+    """The problem of a mechanism and its readings, at the point where a fit begins.
+
+    noise: None takes the readings as exact; whole: these are all poses. Raises InputError for
+    readings that the machine cannot have made, for parallel axes whose parameters have no
+    solution, and for parameter values by a name that is not there.
+    """
+    if not isinstance(start, str):
+        for name in start:
+            mechanism.parameters[name]  # raises for a name that is not there
+        problem = build_problem(mechanism, data, noise, start, whole=whole)
+        refuse_parallel_axes(mechanism)
+        return problem
+    problem = build_problem(mechanism, data, noise, whole=whole)
+    refuse_parallel_axes(mechanism)
+    if (aligned := begun(problem, start)) is not mechanism:
+        problem = problem.with_nominal(aligned)
+    refuse_unreachable(problem, problem.start)
+    return problem
+
+
+def refuse_loss(fit: Fit) -> None:
+    """Raise InputError where a loss would have to learn sds."""
+    if fit.robust_loss is not None:
+        raise InputError(
+            f"sds cannot be estimated under the loss {fit.loss!r}: outliers would inflate them",
+            code="unsupported",
+            remedy="find the outliers with this loss first and exclude them, then estimate; or "
+            'take the sds as given (leave out "estimate")',
+        )

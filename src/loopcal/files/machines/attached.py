@@ -1,0 +1,86 @@
+"""The [[instrument]] and [[effect]] tables of a mechanism file: what they may say, and add."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+from loopcal.errors import InputError
+from loopcal.files.toml.place import Place, Scope
+from loopcal.files.toml.tables import ByType, Make, built, table
+from loopcal.mechanisms.effects.effect import Effect, with_effects
+from loopcal.mechanisms.machine import Instrument, Machine
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.stationed import standing
+
+
+def _effects() -> Mapping[str, Make]:
+    from loopcal.mechanisms.effects.registry import EFFECTS
+
+    return EFFECTS
+
+
+Effects = tuple[
+    Annotated[Any, ByType(_effects, lambda kind: table(_effects()[kind], "Effect"))], ...
+]
+
+
+def affected(mechanism: Mechanism, entries: Sequence[Any], scope: Scope, place: Place) -> Mechanism:
+    """The mechanism with the effects of these tables.
+
+    Raises InputError at the table that does not fit.
+    """
+    effects: list[Effect] = []
+    mechanism = standing(mechanism, [n for e in entries for n in getattr(e, "changing", ())])
+    made = mechanism
+    for i, entry in enumerate(entries):
+        entry_place = place.at(i)
+        effects.append(_built(entry, scope, entry_place))
+        try:
+            made = with_effects(mechanism, effects)
+        except InputError as error:
+            raise error if error.place else error.at(str(entry_place)) from None
+    return made
+
+
+def needed(mechanism: Mechanism, entries: Sequence[Any], scope: Scope, place: Place) -> set[str]:
+    """Names of the parameters and known constants that the effects of these tables bring."""
+    made = [_built(entry, scope, place.at(i)) for i, entry in enumerate(entries)]
+    brought = [{*e.parameters(mechanism), *e.pose_constants(mechanism)} for e in made]
+    return set().union(*brought) - {*mechanism.pose_constants}
+
+
+def _built(entry: Any, scope: Scope, place: Place) -> Any:
+    return built(_effects()[entry.type], entry, scope, place)
+
+
+def _instruments() -> Mapping[str, Make]:
+    from loopcal.mechanisms.instruments.registry import INSTRUMENTS
+
+    return INSTRUMENTS
+
+
+Instruments = tuple[
+    Annotated[Any, ByType(_instruments, lambda kind: table(_instruments()[kind], "Instrument"))],
+    ...,
+]
+"""With none the machine has to calibrate itself by redundant sensors."""
+
+
+def instruments(
+    entries: Sequence[Any], machine: Machine, scope: Scope, place: Place
+) -> list[Instrument]:
+    """The instruments of these tables, to look at a machine.
+
+    Raises InputError at the table that does not fit.
+    """
+    return [
+        built(
+            _instruments()[entry.type],
+            entry,
+            scope,
+            place.at(i),
+            dimension=machine.dimension,
+        )
+        for i, entry in enumerate(entries)
+    ]

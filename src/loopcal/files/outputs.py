@@ -1,0 +1,227 @@
+"""What may be written over: files of the same kind that loopcal wrote, and none that is read.
+
+Most files say themselves what they are: pages by a meta element, JSON by its key "loopcal", TOML by
+its first line, tables by columns that only loopcal writes. Tables in the columns of a project do
+not: NAME.json or NAME.truth.json beside lists their SHA-256. All others, such as programs of robots
+and files that were changed since, count as the user's.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from functools import wraps
+from hashlib import file_digest, sha256
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from loopcal.errors import InputError
+
+Arguments = ParamSpec("Arguments")
+Returned = TypeVar("Returned")
+REMEDY = "name another output, or state --force (force=True) to replace it; a backup is kept"
+_WINDOW = 1 << 16
+"""Bytes at either end of a file in which its mark stands."""
+_PAGE = re.compile(rb'<meta name="loopcal(?:-(record))?" content="([a-z-]+|[0-9a-f]{64})">')
+_OLD_REPORT = b'<meta name="generator" content="loopcal '
+"""Of pages of versions before 0.2, which were reports or records."""
+_MARKS = {
+    "certificate": re.compile(rb'<record xmlns="urn:loopcal:record"'),
+    "JSON": re.compile(rb'\A\{\s*"schema": \d+,\s*"loopcal": "[^"\n]*"(?!,\s*"name")'),  # no export
+    "progress": re.compile(rb'\A\{\s*"task": "[^"\n]*",\s*"checkpoint": '),
+    "mechanism": re.compile(rb"\A# [^\n]*: a mechanism file of loopcal, made by it\."),
+    "start": re.compile(rb"\A# Where the next machine of this type begins: "),
+    "prediction": re.compile(rb"\A(?:[^\n]*,|[^\n]*\t|PAR1.*)extrapolated\b", re.DOTALL),
+    "residuals": re.compile(rb"\A(?:pose[,\t]|PAR1.*)residual [^\n]* before\b", re.DOTALL),
+    "draws": re.compile(rb"\APAR1.*other_optimum", re.DOTALL),
+}
+
+
+@dataclass
+class Command:
+    """What a command has read so far, by device and number of the file; force: replace others."""
+
+    force: bool = False
+    read: set[tuple[int, int]] = field(default_factory=set)
+
+
+_COMMAND: ContextVar[Command | None] = ContextVar("command", default=None)
+
+
+@contextmanager
+def command(*, force: bool | None = None) -> Iterator[Command]:
+    """What is read within this counts as input of one command, and is not written over.
+
+    force: whether files of others are replaced, as the command around this says where it is None.
+    """
+    around = _COMMAND.get()
+    if around is None:
+        inner = Command(bool(force))
+    else:
+        inner = Command(around.force if force is None else force, around.read)
+    token = _COMMAND.set(inner)
+    try:
+        yield inner
+    finally:
+        _COMMAND.reset(token)
+
+
+def one_command(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
+    """The function as one command; its argument `force` says whether files of others are
+    replaced."""
+
+    @wraps(function)
+    def within(*arguments: Arguments.args, **options: Arguments.kwargs) -> Returned:
+        with command(force=bool(options.get("force")) or None):
+            return function(*arguments, **options)
+
+    return within
+
+
+def force_outputs() -> None:
+    """Let the command under way replace files of others; backups are kept."""
+    under_way = _COMMAND.get()
+    if under_way is not None:
+        under_way.force = True
+
+
+def note_input(path: Path) -> None:
+    """The command under way reads this file."""
+    under_way = _COMMAND.get()
+    if under_way is not None:
+        with suppress(OSError):
+            under_way.read.add(_identity(path))
+
+
+def refuse_foreign(*paths: Path) -> None:
+    """Raise InputError, before any work, where one of these files is there and is not loopcal's."""
+    for path in paths:
+        if path.is_file() and not _forced():
+            _refuse_input(path)
+            if kind_of(path.name, _window(path), _digest(path), _beside(path)) is None:
+                raise _refused(path, "loopcal did not write it, or it was changed since")
+
+
+def is_foreign(path: Path, new: bytes | None, together: Callable[[str], bytes | None]) -> bool:
+    """Whether a file that is there must be kept as a backup, if it gives way to `new`.
+
+    new: None where it is deleted; together: content of the files that are written with it, by name.
+    Raises InputError for such a file where the user did not ask to replace it.
+    """
+    # The same bytes lose nothing, even where the file is an input.
+    if new is not None and _same(path, new):
+        return False
+    old = kind_of(path.name, _window(path), _digest(path), _beside(path))
+    if new is None:
+        allowed = old is not None
+    else:
+        wanted = kind_of(path.name, _ends(new), lambda: sha256(new).hexdigest(), together)
+        allowed = old is not None and old == wanted
+    if _forced():
+        return not allowed or _is_input(path)
+    _refuse_input(path)
+    if not allowed:
+        why = "loopcal did not write it, or it was changed since"
+        raise _refused(path, why if old is None else f"it holds another result of loopcal ({old})")
+    return False
+
+
+def kind_of(
+    name: str, window: bytes, digest: Callable[[], str], beside: Callable[[str], bytes | None]
+) -> str | None:
+    """What loopcal calls this file; None where loopcal did not write it.
+
+    window: of its bytes; beside: content of the files in its folder, by name.
+    """
+    page = _PAGE.search(window) if b"<meta" in window else None
+    if page is not None:
+        return "record" if page[1] else page[2].decode()
+    if _OLD_REPORT in window:
+        return "report"
+    marked_kind = next((kind for kind, mark in _MARKS.items() if mark.search(window)), None)
+    if marked_kind is not None:
+        return marked_kind
+    for end in (".json", ".truth.json"):
+        listing = beside(f"{Path(name).stem}{end}") or b""
+        if _MARKS["JSON"].search(listing[:_WINDOW]) and digest().encode() in listing:
+            return f"table of *{end}"
+    return None
+
+
+def free_name(path: Path) -> Path:
+    """NAME.bak beside a file, or NAME.bak2 and so on where those exist."""
+    number = 1
+    while os.path.lexists(free := path.with_name(f"{path.name}.bak{number if number > 1 else ''}")):
+        number += 1
+    return free
+
+
+def _forced() -> bool:
+    under_way = _COMMAND.get()
+    return under_way is not None and under_way.force
+
+
+def _is_input(path: Path) -> bool:
+    under_way = _COMMAND.get()
+    return under_way is not None and _identity(path) in under_way.read
+
+
+def _refuse_input(path: Path) -> None:
+    if _is_input(path):
+        raise _refused(path, "this command reads it")
+
+
+def _refused(path: Path, why: str) -> InputError:
+    return InputError(
+        f"the file exists and was not changed: {why}",
+        code="unwritable-file",
+        place=str(path),
+        remedy=REMEDY,
+    )
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    # Links and other spellings of a path lead to the same input.
+    return status.st_dev, status.st_ino
+
+
+def _same(path: Path, new: bytes) -> bool:
+    return path.stat().st_size == len(new) and path.read_bytes() == new
+
+
+def _ends(content: bytes) -> bytes:
+    # The same parts as `_window` reads, or new content and old file would differ in kind.
+    return content if len(content) <= 2 * _WINDOW else content[:_WINDOW] + content[-_WINDOW:]
+
+
+def _window(path: Path) -> bytes:
+    with path.open("rb") as file:
+        first = file.read(2 * _WINDOW)
+        size = file.seek(0, os.SEEK_END)
+        if size <= 2 * _WINDOW:
+            return first
+        file.seek(-_WINDOW, os.SEEK_END)
+        return first[:_WINDOW] + file.read(_WINDOW)
+
+
+def _digest(path: Path) -> Callable[[], str]:
+    def digest() -> str:
+        with path.open("rb") as file:
+            return file_digest(file, "sha256").hexdigest()
+
+    return digest
+
+
+def _beside(path: Path) -> Callable[[str], bytes | None]:
+    def content(name: str) -> bytes | None:
+        try:
+            return path.with_name(name).read_bytes()
+        except OSError:
+            return None
+
+    return content

@@ -1,0 +1,241 @@
+"""The [data] table of a project: the files of readings, and which column is which quantity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, TypeVar
+
+from loopcal.errors import InputError, listed, nearest
+from loopcal.files.machines.parameter_entries import Units, by_dimension, in_si
+from loopcal.files.project.names import QUANTITY
+from loopcal.files.project.noise_table import Noises
+from loopcal.files.tables.columns import Column
+from loopcal.files.tables.registry import OPTIONS
+from loopcal.files.toml.place import Place
+from loopcal.keys import Key
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.units import unit
+
+
+@dataclass(frozen=True)
+class DataColumn(Column):
+    """Where the readings of a quantity stand."""
+
+    sd_at_least: Annotated[
+        float | None,
+        Key(
+            "Smallest sd to believe, in the unit of the sds: for columns that were rounded, where "
+            "0 would call a reading exact.",
+            sd=True,
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class FileTable:
+    """A file of readings, and the quantity of each column."""
+
+    file: Annotated[
+        str,
+        Key(
+            "One of the files of readings, by the ending of its name, or a folder of Parquet files "
+            "or of a ROS bag; relative to the project; ${NAME} is replaced by the environment "
+            "variable NAME.",
+            example="poses.csv",
+        ),
+    ]
+    pose: Annotated[
+        str | int | None,
+        Key(
+            "Column of the pose ids; 0: the numbers of the rows, by which files are joined row by "
+            "row. Without it poses count 1, 2, ..."
+        ),
+    ] = None
+    units: Annotated[Units, Key("Units of the columns that state none; without it m and rad.")] = (
+        field(default_factory=Units)
+    )
+    columns: Annotated[
+        Mapping[str, DataColumn],
+        Key(
+            "Quantity = its column: a name, a number from 1, 0 for the number of the row, or a "
+            "table; a quantity that is absent has the column of the same name.",
+            names=QUANTITY,
+            example={"theta_1": {"column": "S", "unit": "deg"}, "x": "x_tracker"},
+        ),
+    ] = field(default_factory=dict)
+    sheet: Annotated[str | int | None, Key("XLSX: name or number from 1.")] = None
+    variable: Annotated[str | None, Key("MATLAB: name of the variable.")] = None
+    topic: Annotated[str | None, Key("ROS bag: the only measuring topic.")] = None
+    header: Annotated[bool | None, Key("Text: whether the first row holds names.")] = None
+    delimiter: Annotated[str | None, Key("Text: between the cells.", example=";")] = None
+    decimal: Annotated[str | None, Key("Text: decimal mark.", choices=(".", ","))] = None
+    encoding: Annotated[str | None, Key("Text: its encoding.", example="utf-8")] = None
+
+    @property
+    def layout(self) -> dict[str, Any]:
+        """How the file is written, for `read_dataset`."""
+        return {key: getattr(self, key) for key in sorted(OPTIONS)}
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What `read_dataset` takes beside the columns."""
+        return {"pose": self.pose, **self.layout}
+
+    def column(self, quantity: str, si: str) -> DataColumn:
+        """The column of this name, in the unit of the file."""
+        return DataColumn(quantity, by_dimension(self.units).get(unit(si).dimension))
+
+
+@dataclass(frozen=True)
+class JoinTable(FileTable):
+    """Another file with readings of the same poses, joined by their ids."""
+
+    instrument: Annotated[
+        tuple[str, ...],
+        Key(
+            "Instruments without readings of their own (a ball in a socket, a probe on a plane) "
+            "that were used in the poses of this file, and in no others."
+        ),
+    ] = ()
+
+
+@dataclass(frozen=True)
+class DataTable(FileTable):
+    """The readings: a file, perhaps others joined by pose id, and what is left out."""
+
+    exclude: Annotated[tuple[str | int, ...], Key("Ids of poses to leave out.")] = ()
+    every: Annotated[int, Key("Keep the 1st, (every + 1)th, ... row.", low=1)] = 1
+    stream: Annotated[
+        bool | None,
+        Key(
+            "Parquet: whether poses are read in chunks, sweep by sweep, instead of being held in "
+            "memory; by default from two million rows on, and for a folder of files."
+        ),
+    ] = None
+    join: Annotated[
+        tuple[JoinTable, ...], Key("Further files with readings of the same poses.")
+    ] = ()
+
+    @property
+    def parts(self) -> tuple[FileTable, ...]:
+        """This file and those joined to it."""
+        return (self, *self.join)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What `read_dataset` takes beside the columns."""
+        return {**super().options, "exclude": self.exclude, "every": self.every}
+
+
+T = TypeVar("T", bound=FileTable)
+
+
+def data_files(
+    table: DataTable | None, mechanism: Mechanism, noise: Noises, place: Place
+) -> DataTable | None:
+    """The files with the columns of all quantities that are read, and their units.
+
+    Quantities of sd inf, and implied ones, may have no column. Raises InputError for a unit that
+    does not fit and for an instrument that is not there.
+    """
+    if table is None:
+        return None
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    for i, other in enumerate(table.join):
+        for name in other.instrument:
+            silent = [f.name for f in mechanism.families if implied_by(mechanism, f.name)]
+            if name not in silent:
+                raise InputError(
+                    f"there is no instrument {name!r} without readings",
+                    code="unknown-name",
+                    place=str(place.at("join", i, "instrument")),
+                    remedy=nearest(name, silent) if silent else "remove instrument",
+                )
+    joins = tuple(_with_units(t, units, place.at("join", i)) for i, t in enumerate(table.join))
+    main = replace(_with_units(table, units, place), join=joins)
+    # Of several files only their headers show which one holds a quantity.
+    if joins:
+        return main
+    unread = {q for q in units if noise.sd_of(q) == math.inf} | set(mechanism.implied)
+    absent = [q for q in units if q not in unread and q not in main.columns]
+    by_name = {q: main.column(q, units[q]) for q in absent}
+    return replace(main, columns={**main.columns, **by_name})
+
+
+def refuse_unread(
+    read: Collection[str],
+    mechanism: Mechanism,
+    noise: Noises,
+    place: Place,
+    labels: Collection[str] = (),
+) -> None:
+    """Raise InputError for a quantity that has to be read and is not.
+
+    labels: of the file's columns.
+    """
+    for quantity in (*mechanism.quantities, *mechanism.pose_constants):
+        if quantity in read or quantity in mechanism.implied:
+            continue
+        of = f", one of {listed(labels, 40)}" if labels else ""
+        remedy = f'add {quantity} = "its column"{of}'
+        if quantity in mechanism.pose_constants:
+            raise InputError(
+                f"no column is named for the known constant {quantity!r}",
+                code="missing-column",
+                place=str(place),
+                remedy=f"{remedy}; every pose needs its value",
+            )
+        if noise.sd_of(quantity) != math.inf:
+            raise InputError(
+                f"no column is named for the quantity {quantity!r}",
+                code="missing-column",
+                place=str(place),
+                remedy=f"{remedy}; if it is not measured, write "
+                f"{quantity} = {{ sd = inf }} in [noise]",
+            )
+
+
+def implied_by(mechanism: Mechanism, instrument: str) -> tuple[str, ...]:
+    """The readings that using an instrument implies; none where it reads something."""
+    for family in mechanism.families:
+        if family.name == instrument and set(family.readings) <= set(mechanism.implied):
+            return family.readings
+    return ()
+
+
+def named_columns(
+    table: T, labels: tuple[str, ...], mechanism: Mechanism, elsewhere: Collection[str] = ()
+) -> T:
+    """The file with its columns that are named as quantities, beside those stated.
+
+    elsewhere: quantities that another file is stated to hold.
+    """
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    named = [q for q in units if q in labels and q not in elsewhere]
+    by_name = {q: table.column(q, units[q]) for q in named}
+    return replace(table, columns={**by_name, **table.columns})
+
+
+def _with_units(table: T, units: Mapping[str, str], place: Place) -> T:
+    """The file with the units of its columns, and its smallest sds in SI."""
+    columns = {}
+    for quantity, column in table.columns.items():
+        at, si = place.at("columns", quantity), units[quantity]
+        for key in ("unit", "sd_unit"):
+            # Converted only to refuse a unit that does not fit.
+            in_si(1.0, getattr(column, key), si, at.at(key))
+        of_sds = (column.sd_unit, column.sd_at_least, column.coverage)
+        if column.sd_column is None and any(stated is not None for stated in of_sds):
+            raise InputError(
+                "sd_unit, sd_at_least and coverage need a column of sds",
+                code="conflicting-keys",
+                place=str(at),
+                remedy='name the column: sd_column = "..."',
+            )
+        stated, least = column.unit or table.column(quantity, si).unit, column.sd_at_least
+        if least is not None:
+            least = in_si(least, column.sd_unit or stated, si, at, difference=True)
+        columns[quantity] = replace(column, unit=stated, sd_at_least=least)
+    return replace(table, columns=columns)

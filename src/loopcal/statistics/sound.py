@@ -1,0 +1,348 @@
+"""What speaks for and against a result: facts of a calibration's document.
+
+Each function states a fact where there is one to state; `SOUND` lists them all. The catalogue says
+what each amounts to, and docs/explanation/verdict.md describes every code.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from loopcal.document.accuracy import Coverage
+from loopcal.document.change_points import ChangePoint, hold, when
+from loopcal.document.judgement import Fact, Figure, Where, fact
+from loopcal.document.result_document import ResultDocument
+from loopcal.document.terms import DECISIVE, TermEntry
+from loopcal.presentation.shown import percent
+from loopcal.statistics.judged_machine import far_from_nominal, off_the_drawing, prior_tension
+from loopcal.statistics.judged_readings import (
+    LOOSE,
+    RARE,
+    coarse,
+    errors_beyond_sds,
+    order_or_model,
+    rows_copied,
+    sds_overruled,
+    size_unsure,
+    suspects,
+    undetected,
+)
+
+_CHANCE = 0.01
+"""Share of good data sets with a pose so far off; the search for outliers names more."""
+# Record 0054; `analyses.residual_outliers` counts the good poses that are named.
+_UNLIKE = 1.5
+"""Where residuals are the scale, a good pose may have so many times the usual variance: errors of
+joints act through lever arms of unlike length. The log of a p-value falls in proportion."""
+WORSE = 1.5
+"""Rms on poses not used over rms on poses used that is called too large."""
+# Record 0054; `analyses.small_changes` counts what the regions then hold.
+SMALL = 0.5
+"""Predicted sds by which changes may move the end point: 95 % regions then hold at least 90 %."""
+# Half an sd beside one in quadrature: 0.25 / (1 + 0.25) = 0.2.
+LEAST_SHARE = 0.2
+"""The share of the variance that adds half an sd to errors, as in SMALL."""
+_NAMED = 3
+"""Change points that a finding names."""
+_MODELLED = 2
+"""Learnt effects that a result names."""
+_GEOMETRY = ("lengths", "angles")
+"""Terms that give a plain model nothing but priors."""
+
+
+def _column_faults(document: ResultDocument) -> Fact | None:
+    faults = document.column_faults or ()
+    words = "; ".join(fault.words for fault in faults)
+    place = Where(readings=tuple(dict.fromkeys(q for fault in faults for q in fault.quantities)))
+    return fact("column-fault", place, faults=words) if faults else None
+
+
+def _not_converged(document: ResultDocument) -> Fact | None:
+    status = document.status
+    if status.converged:
+        return None
+    return fact("not-converged", reason=status.reason, message=status.message)
+
+
+def _moved(document: ResultDocument) -> Fact | None:
+    """Changes that are not modelled; small ones are significant beside nothing but the noise."""
+    points = () if document.change_points is None else document.change_points.found
+    points = tuple(point for point in points if not point.modelled)
+    if not points:
+        return None
+    most = max(_beside(document, point) for point in points)
+    if most < SMALL:
+        return _along_the_run("changes-small", points, predicted_sds=most)
+    return _along_the_run("change-points", points, changes=len(points))
+
+
+def _beside(document: ResultDocument, point: ChangePoint) -> float:
+    """By how many predicted sds, at the measured poses, a change moves the end point."""
+    region = None if document.prediction is None else document.prediction.region
+    stated = None if region is None else region.of(point.unit)
+    if stated is None or point.moves is None or not stated.sd_at_poses:
+        return math.inf
+    return point.moves / stated.sd_at_poses
+
+
+def _modelled_changes(document: ResultDocument) -> Fact | None:
+    points = () if document.change_points is None else document.change_points.found
+    points = tuple(point for point in points if point.modelled)
+    if not points:
+        return None
+    return _along_the_run("changes-modelled", points, changes=len(points))
+
+
+def _along_the_run(code: str, points: Sequence[ChangePoint], **numbers: float) -> Fact:
+    """The title says how often and when; the details name the first of many."""
+    more = len(points) - _NAMED
+    details = "; ".join(map(str, points[:_NAMED])) + (f"; and {more} more" if more > 0 else "")
+    details = f"{details[0].upper()}{details[1:]}."
+    subject, what = "changes", f" {when(points)}"
+    if len(points) == 1:
+        (one,) = points
+        subject, what, details = "what changed", f": {one.what}", f"Size: {one.sizes}."
+    place = Where(
+        poses=tuple(dict.fromkeys(point.pose for point in points)),
+        parameters=tuple(dict.fromkeys(name for point in points for name in point.names)),
+    )
+    texts = {"subject": subject, "what": what, "details": details, "hold": hold(points)}
+    return fact(code, place, numbers, **texts)
+
+
+def _plain_model(document: ResultDocument) -> Fact | None:
+    """By terms that the chosen candidate lacks."""
+    chosen = document.chosen
+    if chosen is None or _errors_shared(document):  # which a term takes for its own
+        return None
+    modelled = {*chosen.terms, *_GEOMETRY}
+    by: dict[str, list[TermEntry]] = {}
+    for term in (t for one in chosen.over for t in one.terms if t.name not in modelled):
+        by.setdefault(term.name, []).append(term)
+    # a fit that weighs readings wrongly takes their noise for a term; another one does not
+    agreed = [min(terms, key=lambda t: t.gain or 0.0) for terms in by.values()]
+    worst = max(agreed, key=lambda t: t.gain or 0.0, default=None)
+    if worst is None or worst.gain is None or worst.gain < DECISIVE:
+        return None
+    numbers = {"gain": worst.gain}
+    return fact("plain-model-wrong", numbers=numbers, term=worst.name, meaning=worst.words)
+
+
+def _goodness_of_fit(document: ResultDocument) -> Fact | None:
+    """Both sides of chi-squared."""
+    chi = document.chi_squared
+    if chi is None or chi.variance_factor is None:
+        return None
+    numbers = {"variance_factor": chi.variance_factor}
+    if chi.p_value is not None and chi.p_value < RARE:
+        numbers["p_value"] = chi.p_value
+        return fact("sds-too-small", numbers=numbers, suspects=suspects(document))
+    if not chi.too_small:
+        return None
+    wrong = chi.variance_factor < LOOSE
+    return fact("sds-too-large" if wrong else "sds-generous", numbers=numbers)
+
+
+def _spatial(document: ResultDocument) -> Fact | None:
+    """What residuals of neighbours in joint space share, as a part of their variance."""
+    depends = document.dependence
+    if depends is None or not depends.spatial:
+        return None
+    worst = depends.spatial[0]
+    assert worst.spatial is not None
+    share = worst.spatial.correlation
+    return fact(
+        "model-lacks-little" if _small_and_held(document, share) else "model-incomplete",
+        numbers={"shared_variance": share, "p_value": worst.spatial.p_value},
+        instrument=repr(worst.instrument),
+    )
+
+
+def _small_and_held(document: ResultDocument, share: float) -> bool:
+    """Whether a machine model with learnt terms lacks so little that its regions hold, on poses
+    and in whole regions of the joint space that were not used."""
+    validation = document.validation
+    if share >= LEAST_SHARE or not document.terms or validation is None:
+        return False
+    blocked = validation.blocked and validation.blocked.coverage
+    tested = [held for held in (validation.coverage, blocked) if held and held.poses]
+    return len(tested) == 2 and not any(map(_rarely_hold, tested))
+
+
+def _serial(document: ResultDocument) -> Fact | None:
+    depends = document.dependence
+    if depends is None or not depends.serial:
+        return None
+    worst = depends.serial[0]
+    assert worst.serial is not None
+    numbers = {"correlation": worst.serial.correlation}
+    return fact("serial-dependence", numbers=numbers, instrument=repr(worst.instrument))
+
+
+def _errors_shared(document: ResultDocument) -> Fact | None:
+    depends = document.dependence
+    if depends is None or depends.shared is None or not depends.errors_shared:
+        return None
+    return fact("errors-shared", numbers={"correlation": depends.shared.correlation})
+
+
+def _coverage(document: ResultDocument) -> Fact | None:
+    held = document.validation and document.validation.coverage
+    if not held or not held.poses or _errors_shared(document) or not _rarely_hold(held):
+        return None
+    return fact("regions-too-small", numbers={"share_held": held.share}, level=percent(held.level))
+
+
+def _rarely_hold(held: Coverage) -> bool:
+    """Whether stated regions hold fewer poses than chance leaves them."""
+    # The sd of a binomial share.
+    spread = math.sqrt(held.level * (1.0 - held.level) / held.poses)
+    return held.level - held.share > max(4.0 * spread, 0.05)
+
+
+def _model_error(document: ResultDocument) -> Fact | None:
+    entries = [e for e in document.noise if e.role == "disturbance" and e.sd]
+    # learnt terms say what the model lacks; what they leave belongs to the stated regions
+    if not entries or document.terms:
+        return None
+    chance_of_none, sd = entries[0].p_value, entries[0].sd
+    if sd is None or (chance_of_none is not None and chance_of_none >= RARE):
+        return None
+    return fact("white-model-error", numbers={"sd": Figure(sd, entries[0].unit)})
+
+
+def _overfitted(document: ResultDocument) -> Fact | None:
+    """Where no regions are stated: those contain what few poses leave open, and are tested."""
+    accuracy, validation = document.accuracy, document.validation
+    if validation is not None and validation.coverage is not None:
+        return None
+    unseen = None if validation is None else validation.accuracy
+    if accuracy is None or unseen is None or unseen.rms <= WORSE * accuracy.after.rms:
+        return None
+    return fact("overfitted", numbers={"ratio": unseen.rms / accuracy.after.rms})
+
+
+def _outliers(document: ResultDocument) -> Fact | None:
+    """As in `find_outliers`, half of the level goes to the poses and half to their readings."""
+    tests = document.outlier_tests
+    poses = 0 if tests is None else tests.poses
+    # Bonferroni, over the poses and over all their readings.
+    whole = 0.5 * _CHANCE / poses if poses else 1.0
+    single = whole / max(len(document.data.quantities), 1) if poses else 1.0
+    spare = math.inf
+    if tests is not None and tests.by_residuals:
+        whole, single = whole**_UNLIKE, single**_UNLIKE
+        spare = _spare(document)
+    named = [
+        entry.pose
+        for entry in document.outliers or ()
+        if _by_few(entry.p_value, spare) <= (whole if entry.quantity is None else single)
+    ]
+    bad = tuple(dict.fromkeys(named))
+    if not bad or (tests is not None and tests.by_residuals and _too_few(document, len(bad))):
+        return None
+    return fact(
+        "outliers",
+        Where(poses=bad),
+        {"poses": len(bad)},
+        named=", ".join(bad[:5]) + (", ..." if len(bad) > 5 else ""),
+        count=f"{len(bad)} poses do" if len(bad) > 1 else "1 pose does",
+    )
+
+
+def _too_few(document: ResultDocument, bad: int) -> bool:
+    """Whether the poses without the bad ones are too few to tell: any few can be fitted exactly."""
+    tested = 0 if document.outlier_tests is None else document.outlier_tests.poses
+    return 2 * tested < document.data.used or 2 * bad > tested
+
+
+def _spare(document: ResultDocument) -> float:
+    """Degrees of freedom that the residuals have as a scale; inf: unknown."""
+    index, chi = document.identifiability.calibration_index, document.chi_squared
+    if chi is not None:
+        return max(float(chi.degrees_of_freedom), 1.0)
+    left = math.inf if index is None else index.value - document.identifiability.rank
+    return max(left, 1.0)
+
+
+def _by_few(p: float, spare: float) -> float:
+    """The p-value of what has p beside a known scale, where the scale has so many degrees of
+    freedom: exp(-x / 2) becomes (1 + x / nu)^(-(nu + 1) / 2), as from the normal to Student's t."""
+    if math.isinf(spare) or p <= 0.0:
+        return p
+    return math.exp(-0.5 * (spare + 1.0) * math.log1p(-2.0 * math.log(p) / spare))
+
+
+def _mounting(document: ResultDocument) -> Fact | None:
+    unstated = () if document.mechanism is None else document.mechanism.unstated
+    if not unstated:
+        return None
+    place = Where(parameters=tuple(name for group in unstated for name in group))
+    return fact("mounting-unstated", place, groups="; ".join(map(", ".join, unstated)))
+
+
+def _unsettled(document: ResultDocument) -> Fact | None:
+    return None if document.sds_settled is not False else fact("sds-not-converged")
+
+
+def _optima(document: ResultDocument) -> Fact | None:
+    others = document.other_optima or ()
+    if not others:
+        return None
+    return fact("other-optimum", optimum=f"{others[0].words[0].upper()}{others[0].words[1:]}")
+
+
+def _undetermined(document: ResultDocument) -> Fact | None:
+    loose = tuple(sorted(document.identifiability.loose))
+    if not loose:
+        return None
+    return fact("not-identifiable", Where(parameters=loose), {"parameters": len(loose)})
+
+
+def _no_test(document: ResultDocument) -> Fact | None:
+    if document.sensors_exact and document.validation is None:
+        return fact("sds-unstated")
+    chi = document.chi_squared
+    return fact("untested") if chi is not None and chi.degrees_of_freedom <= 0 else None
+
+
+def _effects_learnt(document: ResultDocument) -> Fact | None:
+    """The largest effects beyond geometry that the data need."""
+    needed = sorted((t for t in document.terms if t.sentences), key=lambda t: -(t.gain or 0.0))
+    words = "; ".join(term.sentences[0] for term in needed[:_MODELLED])
+    return fact("model-learnt", effects=words) if words else None
+
+
+SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
+    _column_faults,
+    _not_converged,
+    far_from_nominal,
+    prior_tension,
+    _moved,
+    _modelled_changes,
+    _goodness_of_fit,
+    _spatial,
+    _plain_model,
+    _coverage,
+    _serial,
+    order_or_model,
+    _errors_shared,
+    _overfitted,
+    _model_error,
+    off_the_drawing,
+    sds_overruled,
+    _outliers,
+    rows_copied,
+    size_unsure,
+    coarse,
+    _unsettled,
+    undetected,
+    _mounting,
+    _optima,
+    _undetermined,
+    _no_test,
+    _effects_learnt,
+    errors_beyond_sds,
+)
+"""Whether a result is sound follows from these facts."""
