@@ -215,7 +215,8 @@ def test_parameters_are_grouped_by_joint_and_say_what_they_mean(six_axis: Path) 
 
 def test_no_number_is_a_negative_zero(planar: Path, six_axis: Path) -> None:
     for folder in (planar, six_axis):
-        text = page_text((folder / "report.html").read_text("utf-8"))
+        page = (folder / "report.html").read_text("utf-8")
+        text = page_text(page.replace(str(folder), ""))  # a folder may be called pytest-0
         assert not re.search(r"-0(?:\.0+)?(?![\d.])", text)
 
 
