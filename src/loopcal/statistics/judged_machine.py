@@ -16,7 +16,7 @@ from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import f_limit
 from loopcal.statistics.judged_readings import RARE
 
-# FAR and BEYOND: record 0058, end points.
+# FAR and BEYOND: record 0054, end points.
 FAR = 10.0
 """A length that ends this many times the machine's size away from its nominal value is none."""
 BEYOND = 100.0

@@ -31,7 +31,7 @@ MOST = 0.3
 """At most this share of the poses is taken for bad where the first search leaves doubts."""
 ENOUGH = 1e-3
 """Where terms are learnt, whose sds nobody knows better, fits converge to so many sds."""
-# A trimmed square must be a tenth smaller (record 0058).
+# A trimmed square must be a tenth smaller (record 0054).
 _REGIONS, _MANY, _FINALISTS, _LESS = (4, 8), 6, 2, 0.9
 # ln 2 = 0.69 for two degrees of freedom, 0.79 for three.
 _MEDIAN = 0.75

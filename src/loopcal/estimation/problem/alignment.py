@@ -22,7 +22,7 @@ ASIDE = 10.0
 # docs/decisions/0023.
 TURNED = math.pi / 4.0
 """From a placement in the plane that is off by more [rad], fits may end at negative lengths."""
-# docs/decisions/0058 for the first.
+# docs/decisions/0052 for the first.
 _GROSS, _ROUNDS = 10.0, 10
 """Points so many times as far off as the middle one say nothing of where an instrument stands."""
 
