@@ -17,6 +17,7 @@ from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 from loopcal.mechanisms.outputs import POLAR, point_outputs, points
 
 Array = NDArray[np.float64]
+# Chosen, not derived: outside any machine that fits on a floor, so that all its points are ahead.
 ASIDE = 10.0
 """Where a station that reads angles is thought to stand until it is placed [m]."""
 # docs/decisions/0023.

@@ -81,6 +81,7 @@ them, the loops need not be closed yet."""
 _ONCE, _NEAR, _CLOSED = np.inf, NEAR, NEGLIGIBLE
 """Loops are closed until what is left to correct is at most so many sds: after a single correction
 on the way, where that does not do, and at the end."""
+# Chosen, not derived: sums grow with the square of the parameters, closing loops does not.
 _WIDE = 100
 """With so many parameters, loops closed to the end cost little beside the sums over all poses."""
 

@@ -29,6 +29,7 @@ from loopcal.expressions.engine import Engine, LoopValues, Stage, engine_for
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
+# Chosen, not derived: closing farther costs time, and a step is damped anyway.
 NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""
 _SEARCHED = 1024
