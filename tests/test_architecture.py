@@ -273,6 +273,13 @@ def test_there_is_a_package_to_look_at() -> None:
     assert {"__init__", "errors", "units"} <= {module.name for module in MODULES}
 
 
+def test_contributing_shows_the_layers() -> None:
+    page = PACKAGE.parents[1] / "CONTRIBUTING.md"
+    block = re.search(r"```text\n(cli\n.*?)\n```", page.read_text("utf-8"), re.DOTALL)
+    assert block is not None
+    assert [{*line.split(" | ")} for line in block[1].splitlines()] == [*map(set, LAYERS[::-1])]
+
+
 def test_every_folder_and_module_is_a_layer() -> None:
     assert {module.layer for module in MODULES} <= set(HEIGHT) | ABOVE_ALL
 

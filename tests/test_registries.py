@@ -73,6 +73,7 @@ def options_of(command: str) -> set[str]:
 def test_the_reference_names_each_option_of_a_command(command: str) -> None:
     text = (DOCS / "reference/command-line.md").read_text("utf-8")
     sections = dict(re.findall(r"^## loopcal ([a-z]+).*?\n(.*?)(?=^## |\Z)", text, re.M | re.S))
+    assert command in sections, f"docs/reference/command-line.md: add '## loopcal {command}'"
     missing = [option for option in options_of(command) if option not in sections[command]]
     assert missing == []
 
