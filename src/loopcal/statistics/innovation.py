@@ -37,6 +37,7 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import DETERMINED, Replaced
 
 Array = NDArray[np.float64]
+# Chosen, not derived: far above rounding, far below a step that counts.
 _UNSEEN = 1e-9
 """An undetermined step that moves the loops by less of what its parts move does not count."""
 _TAKEN_UP = 1e-6

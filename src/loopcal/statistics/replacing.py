@@ -37,6 +37,7 @@ _MOST_DAMPING = 1e12
 # A mean square is about 1 where machine and sds are right.
 ASTRAY, _STARTS = 100.0, 10
 """A mean square from which on a misfit is gross; then so many other starts are tried."""
+# Chosen, not derived: far above rounding, far below a direction that poses show.
 DETERMINED = 1e-9
 """Singular values so far below the largest are of directions that these poses do not show."""
 

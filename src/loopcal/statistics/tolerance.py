@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from loopcal.document.judgement import Fact, Figure, fact
 
 Array = NDArray[np.float64]
+# The share that all pages state.
 SHARE = 0.95
 """Of all poses that shall lie within the tolerance."""
 # The level that all pages state.

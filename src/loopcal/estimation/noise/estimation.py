@@ -72,6 +72,7 @@ _FAILURES = 1
 # Residuals of 300 sds: chosen, not derived, beyond any sds that are only wrong.
 _HOPELESS = 1e5
 """An unconverged fit with whitened residuals this large (mean square) ends the search."""
+# Chosen, not derived: an interval of two such sds reaches zero.
 _UNCERTAIN = 0.5
 """Relative sd of an sd from which on an upper bound says more than the estimate."""
 

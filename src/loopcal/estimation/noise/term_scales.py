@@ -37,6 +37,7 @@ _SETTLED, _ROUNDING = 1e-9, 1e-14
 # derived.
 _FARTHEST = 2.0
 """No logarithm of a variance changes by more in one step."""
+# Chosen, not derived: an sd of 30 in the logarithm of a variance says nothing on it.
 _FLAT = 1e-3
 """Curvature below which a direction counts as flat."""
 

@@ -17,6 +17,7 @@ from loopcal.estimation.noise.linear_model import LinearModel, MixedFit, fit, sl
 from loopcal.estimation.noise.variance_components import Estimate, scoring_step
 
 Array = NDArray[np.float64]
+# Caps against an endless search: chosen, not derived.
 _MOST = 60
 """Steps of one profile, and of the search for a bound."""
 _ENOUGH, _SHARE, _ROUGHLY = 1e-6, 1e-7, 1e-3

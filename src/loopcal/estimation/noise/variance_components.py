@@ -30,10 +30,13 @@ _AT_BOUND = 1e-9
 # Above rounding, 1e-16, and far below any information that counts: chosen, not derived.
 _RIDGE = 1e-12
 """Of a component's own information, so that what only shows in a sum has a step of its own."""
+# Chosen, not derived: an sd of 100 in the logarithm says nothing on the ratio.
 _OPEN = 1e-4
 """Information on the logarithm of a ratio, below which the data leave it open."""
+# Chosen, not derived: by chance alone chi-squared is larger in three cases of four.
 _NO_PULL = 0.1
 """Chi-squared with which the data hold a ratio at zero, below which it is there by chance."""
+# Chosen, not derived: only a tenth of the variance of each, 1 - 0.95^2, is its own.
 ALIKE = 0.95
 """Two estimates correlated beyond this cannot be separated by the data."""
 

@@ -31,6 +31,7 @@ _FAR_BETTER = 0.25
 _ELSEWHERE = 1e-3
 """Home is taken for wrong where elsewhere most poses close with so much of its misfit or less. One
 redundant reading closes by chance in some of a platform's forty ways to stand, if not in most."""
+# Chosen, not derived: every such pose costs a search.
 _ASTRAY = 100.0
 """A pose that home leaves with so many times the usual misfit may stand elsewhere."""
 # Chosen, not derived: enough to say where most poses close.

@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 # docs/decisions/0023.
 _POSES = 200
 """Starts are sought on so many of the poses at most."""
+# Chosen, not derived: time of a search whose end is fitted again.
 _MOST = 100
 """Iterations of a search for a start."""
 # Three radii with eight draws are the 24 starts of docs/decisions/0023.

@@ -30,6 +30,7 @@ SQUARED = 1e-150
 # Chosen, not derived: sds a million times those of the best direction.
 WEAK = 1e-6
 """Directions with a singular value this far below the largest are determined, but hardly."""
+# Chosen, not derived: real parameters keep most of their effect from start to end.
 _VANISHED, _LOOSE = 1e-4, 1e-2
 """A parameter whose effect on the loops shrinks to this share of what it was has run away, unless
 data and prior still determine it."""
