@@ -21,7 +21,7 @@ from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Accumulator, spectrum
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.outputs import POLAR, seen_outputs
+from loopcal.mechanisms.outputs import POLAR, cartesian_slopes, seen_outputs
 
 Array = NDArray[np.float64]
 # Small beside any information that counts, large beside rounding of sums: inverses exist.
@@ -130,24 +130,6 @@ def placed_anew(tests: Array, stands: NDArray[np.bool_]) -> Array:
         flat = flat - U @ (U.T @ flat)
     remaining: Array = np.where(stands, 0.0, flat).reshape(tests.shape)
     return remaining
-
-
-def cartesian_slopes(polar: Array) -> Array:
-    """Derivatives (T, d, d) of coordinates by range, azimuth and elevation (d, T)."""
-    r, a = polar[0], polar[1]
-    e = polar[2] if len(polar) == 3 else np.zeros_like(r)
-    ca, sa, ce, se = np.cos(a), np.sin(a), np.cos(e), np.sin(e)
-    zero = np.zeros_like(r)
-    whole = np.array(
-        [
-            [ce * ca, -r * ce * sa, -r * se * ca],
-            [ce * sa, r * ce * ca, -r * se * sa],
-            [se, zero, r * ce],
-        ]
-    )
-    d = len(polar)
-    slopes: Array = np.moveaxis(whole[:d, :d], 2, 0)
-    return slopes
 
 
 def information(

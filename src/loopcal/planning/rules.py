@@ -13,13 +13,12 @@ from loopcal.errors import InputError
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.plan_settings import PlanSettings
-from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Family, Mechanism
-from loopcal.mechanisms.outputs import POLAR, point_outputs, points
-from loopcal.mechanisms.placement import rigid
+from loopcal.mechanisms.outputs import POLAR, cartesian_slopes, point_outputs, points
+from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.skeleton import target_names
 from loopcal.mechanisms.station import Station
-from loopcal.planning.information import cartesian_slopes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -98,10 +97,7 @@ def _base(mechanism: Mechanism, family: Family) -> Array:
     if not isinstance(station, Station):
         return np.eye(4)
     values = {p.name: p.nominal for p in mechanism.parameters}
-    shift = np.array([[float(v)] for v in station.seen(np.zeros(3), values)])
-    axes = [np.array(station.seen(axis, values), dtype=float) for axis in np.eye(3)]
-    R = np.array(axes).T - shift
-    return np.asarray(np.linalg.inv(rigid(R, shift[:, 0])))
+    return inverse(product(station.steps, {}, values))
 
 
 def _moved(T: Array, at: Array) -> Array:

@@ -19,9 +19,8 @@ from loopcal.deployment.corrected import (
     Targets,
     corrected,
 )
-from loopcal.deployment.correction import Correction, Left
+from loopcal.deployment.correction import Correction
 from loopcal.deployment.inverse import solve
-from loopcal.deployment.rigid import inverse
 from loopcal.deployment.solutions import solutions, with_turns
 from loopcal.deployment.straight import StraightMove, divided, line_errors
 from loopcal.deployment.tool import CALIBRATED, Tool, tool_of
@@ -44,6 +43,7 @@ from loopcal.files.project.new_readings import result_columns, result_pose_colum
 from loopcal.files.recognition.robots import dh_robot
 from loopcal.files.result.deployed import CORRECTION, note_deployed, result_path, was_corrected
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.placement import inverse
 from loopcal.statistics.predictor import Predictor, predictor
 from loopcal.workflow.resolved import readings, result_of
 from loopcal.workflow.saved_result import SavedResult
@@ -133,7 +133,7 @@ def correct(
         program.name,
         program.kind,
         tuple(target.line for target in program.targets),
-        tuple(Left(note.line, note.words) for note in program.noted),
+        program.noted,
         _remarks(seated, arms),
         program.edited(new, [*inserted(program, ahead), *mark]),
         moves=tuple(moves.values()),
