@@ -143,17 +143,19 @@ def check(
 ) -> None:
     """Check a project before a fit: ranges, what the poses can determine, the expected sds."""
     from loopcal.workflow.checking import run_check
+    from loopcal.workflow.planning import cure_of
 
     done = run_check(project, function=mechanism)
+    cure, title = cure_of(done), done.project.title
     for warning in done.warnings:
         log(f"warning: {warning}")
     if as_json:
-        cured = None if done.cure is None else done.cure.document()
-        document = {"title": done.title, **done.check.document(), "cure": cured}
+        cured = None if cure is None else cure.document()
+        document = {"title": title, **done.check.document(), "cure": cured}
         print_json({**document, "warnings": [*done.warnings]})
     else:
-        more = "" if done.cure is None else f"\n\n{done.cure}"
-        print_out(f"{done.title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}")
+        more = "" if cure is None else f"\n\n{cure}"
+        print_out(f"{title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}")
 
 
 @app.command()
