@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.deployment.arms import Arms
-from loopcal.deployment.corrected import Corrected
+from loopcal.deployment.corrected import Corrected, shown
 from loopcal.deployment.straight import StraightMove
 from loopcal.document.plain import plain
 from loopcal.files.programs.program import Noted
@@ -199,7 +199,7 @@ def _m(value: float) -> str:
 
 
 def _deg(value: float) -> str:
-    return f"{math.degrees(value):.3f} deg"
+    return shown(value, "rad")
 
 
 def _left(shifts: Array, turns: Array) -> str:
@@ -209,10 +209,10 @@ def _left(shifts: Array, turns: Array) -> str:
     return f"up to {_m(shifts.max())}, turned by up to {_deg(turned)} (the arm has too few joints)"
 
 
-def _spread(values: Array, shown: Callable[[float], str], moved: str) -> str:
+def _spread(values: Array, text: Callable[[float], str], moved: str) -> str:
     if not np.isfinite(values).all():
         return f"unknown: a combination of parameters that {moved} it is not determined"
-    return f"median {shown(float(np.median(values)))}, largest {shown(float(values.max()))}"
+    return f"median {text(float(np.median(values)))}, largest {text(float(values.max()))}"
 
 
 def _joint(step: Array, joints: Mapping[str, str]) -> str:

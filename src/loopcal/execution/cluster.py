@@ -24,7 +24,17 @@ from typing import Any
 from uuid import uuid4
 
 from loopcal.errors import InputError, UsageError
-from loopcal.execution.executor import Crew, Done, Executor, Piece, Shared, Value, Window, done
+from loopcal.execution.executor import (
+    Crew,
+    Done,
+    Executor,
+    Piece,
+    Shared,
+    Value,
+    Window,
+    counted,
+    done,
+)
 from loopcal.expressions.choice import chosen_engine, engine_threads
 
 PACKAGES = ("loopcal", "numpy", "scipy")
@@ -67,7 +77,7 @@ class Cluster(Executor):
                 _check(worker_versions, versions(), f"the worker {address}")
             threads = sum(client.nthreads().values())
             return (
-                f"{_counted(len(report['workers']), 'worker')} with {_counted(threads, 'thread')} "
+                f"{counted(len(report['workers']), 'worker')} with {counted(threads, 'thread')} "
                 f"at {self.name}"
                 if threads
                 else f"waiting for the first worker at {self.name}"
@@ -89,10 +99,6 @@ class Cluster(Executor):
         finally:
             client.close()
             log.setLevel(level)
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'s' if number != 1 else ''}"
 
 
 def versions() -> dict[str, str]:

@@ -139,6 +139,15 @@ def _reported(
             progress(number, count)
 
 
+def counted(number: int, what: str) -> str:
+    """So many of them.
+
+    >>> counted(1, "thread"), counted(2, "process")
+    ('1 thread', '2 processes')
+    """
+    return f"{number} {what}" + ("" if number == 1 else "es" if what.endswith("s") else "s")
+
+
 class Window:
     """Which pieces may be begun: none too far ahead of the first that nobody has taken yet."""
 

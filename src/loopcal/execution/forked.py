@@ -29,6 +29,7 @@ from loopcal.execution.executor import (
     Piece,
     Shared,
     Value,
+    counted,
     done,
 )
 from loopcal.execution.local import Threads
@@ -102,7 +103,7 @@ class Forked(Executor):
 
     def ready(self) -> str:
         """Where pieces will be done."""
-        return f"{self.workers} forked process{'es' if self.workers > 1 else ''}"
+        return counted(self.workers, "forked process")
 
 
 @dataclass(frozen=True)

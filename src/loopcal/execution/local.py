@@ -21,6 +21,7 @@ from loopcal.execution.executor import (
     Shared,
     Value,
     Window,
+    counted,
     done,
 )
 from loopcal.expressions.choice import cores, engine_threads
@@ -88,7 +89,7 @@ class Threads(_Local):
 
     def ready(self) -> str:
         """Where pieces will be done."""
-        return f"{self.workers} thread{'s' if self.workers > 1 else ''}"
+        return counted(self.workers, "thread")
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ class Processes(_Local):
 
     def ready(self) -> str:
         """Where pieces will be done."""
-        return f"{self.workers} process{'es' if self.workers > 1 else ''}"
+        return counted(self.workers, "process")
 
 
 def _ended(some_done: bool) -> InputError:

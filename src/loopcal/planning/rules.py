@@ -168,11 +168,8 @@ def _incidence(
 def _forbidden(mechanism: Mechanism, rows: Dataset, data: Dataset) -> Mask:
     units = {**mechanism.quantities, **mechanism.pose_constants}
     shared = [q for q in rows.readings if q in data.readings and q not in mechanism.outputs]
-    forbidden = np.zeros(len(data), dtype=bool)
-    for i in range(len(rows)):
-        near = np.ones(len(data), dtype=bool)
-        for q in shared:
-            gap = np.abs(data.readings[q] - rows.readings[q][i])
-            near &= ~(gap > NEAR.get(units[q], 1e-3))
-        forbidden |= near
-    return forbidden
+    near = np.ones((len(data), len(rows)), dtype=bool)
+    for q in shared:
+        gap = np.abs(data.readings[q][:, None] - rows.readings[q])
+        near &= ~(gap > NEAR.get(units[q], 1e-3))
+    return np.asarray(near.any(axis=1))

@@ -32,6 +32,7 @@ from loopcal.mechanisms.universal_robots import (
 )
 
 MOST_BYTES = 100_000
+_SEED = 0xC70F6907  # of libstdc++
 # Possessive: a file of blanks cannot make the search back out (docs/decisions/0137).
 _HASH = re.compile(r"^[ \t]*+hash[ \t]*+:\s*+['\"]?(calib_\d+)", re.MULTILINE)
 _REMEDY = (
@@ -153,12 +154,12 @@ def table_hash(table: UrTable) -> str:
     return f"calib_{_murmur(''.join(f'{v:g}' for row in numbers for v in row).encode())}"
 
 
-def _murmur(data: bytes, seed: int = 0xC70F6907) -> int:
+def _murmur(data: bytes) -> int:
     """MurmurHash64A."""
     # Unsigned 64-bit products of C++ wrap, those of Python do not.
     factor, mask = 0xC6A4A7935BD1E995, (1 << 64) - 1
     whole = len(data) // 8 * 8
-    h = (seed ^ (len(data) * factor)) & mask
+    h = (_SEED ^ (len(data) * factor)) & mask
     for i in range(0, whole, 8):
         k = int.from_bytes(data[i : i + 8], "little") * factor & mask
         h = (h ^ ((k ^ (k >> 47)) * factor & mask)) * factor & mask

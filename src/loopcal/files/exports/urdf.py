@@ -169,14 +169,10 @@ def numbers(values: Iterable[float], old: Sequence[float] | None = None, written
     old, written: values that stood there and their text, which is kept of those that are the same.
     """
     words = written.split()
-    kept = words if old is not None and len(words) == len(old) else None
-    texts = []
-    for i, value in enumerate(values):
-        if kept is not None and old is not None and old[i] == value:
-            texts.append(kept[i])
-        else:
-            texts.append(decimal(value))
-    return " ".join(texts)
+    if old is None or len(words) != len(old):
+        return " ".join(map(decimal, values))
+    kept = zip(values, old, words, strict=True)
+    return " ".join(word if value == before else decimal(value) for value, before, word in kept)
 
 
 def decimal(value: float) -> str:
