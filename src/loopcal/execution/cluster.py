@@ -12,7 +12,7 @@ import logging
 import operator
 import pickle
 import warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,10 +28,8 @@ from loopcal.execution.executor import (
     Crew,
     Done,
     Executor,
-    Piece,
-    Shared,
-    Value,
     Window,
+    Work,
     counted,
     done,
 )
@@ -52,9 +50,7 @@ class Cluster(Executor):
     address: Any
 
     @contextmanager
-    def crew(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared
-    ) -> Generator[Crew, None, None]:
+    def crew(self, work: Work, shared: Any) -> Generator[Crew, None, None]:
         """The workers of the cluster, also those that come later.
 
         Raises UsageError without the extra `cluster`, InputError where no scheduler answers; runs

@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from types import FunctionType, ModuleType
@@ -26,9 +26,7 @@ from loopcal.execution.executor import (
     Done,
     Executor,
     InProcess,
-    Piece,
-    Shared,
-    Value,
+    Work,
     counted,
     done,
 )
@@ -91,37 +89,17 @@ class Forked(Executor):
     workers: int
 
     @contextmanager
-    def crew(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared
-    ) -> Generator[Crew, None, None]:
+    def crew(self, work: Work, shared: Any) -> Generator[Crew, None, None]:
         """Copies that are made for each run, and end with it."""
 
-        def outcomes(pieces: Sequence[Piece]) -> Generator[Done[Value], None, None]:
-            return _outcomes(_Job(work, shared, pieces), self.workers)
+        def outcomes(pieces: Sequence[Any]) -> Generator[Done[Any], None, None]:
+            return _outcomes(work, shared, pieces, self.workers)
 
         yield outcomes
 
     def ready(self) -> str:
         """Where pieces will be done."""
         return counted(self.workers, "forked process")
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What all copies have: the work, what it is done with, and the pieces."""
-
-    work: Callable[[Any, Any], Any]
-    shared: Any
-    pieces: Sequence[Any]
-
-    def done(self, number: int) -> Done[Any]:
-        """Do one piece on one core."""
-        _role.works = True
-        try:
-            with engine_threads(1):
-                return done(self.work, self.shared, self.pieces[number], number)
-        finally:
-            _role.works = False
 
 
 @dataclass
@@ -159,10 +137,15 @@ class _Copy:
 
 @dataclass
 class _Copies:
-    """Forked copies at work. queue: a file whose place, which all copies share, is the number of
-    the next piece; alive: a pipe that is closed where this process ends."""
+    """Forked copies at work, which have the work, what it is done with, and the pieces.
 
-    job: _Job
+    common: what comes back as itself; queue: a file whose place, which all copies share, is the
+    number of the next piece; alive: a pipe that is closed where this process ends.
+    """
+
+    work: Work
+    shared: Any
+    pieces: Sequence[Any]
     common: Mapping[int, object]
     queue: int = field(default_factory=lambda: os.memfd_create("loopcal"))
     alive: tuple[int, int] = field(default_factory=os.pipe)
@@ -172,7 +155,16 @@ class _Copies:
         """The number of the next piece; None where all are taken."""
         # lseek moves the place under a lock of the file; two that read there could read the same.
         number = os.lseek(self.queue, 1, os.SEEK_CUR) - 1
-        return number if number < len(self.job.pieces) else None
+        return number if number < len(self.pieces) else None
+
+    def done(self, number: int) -> Done[Any]:
+        """Do one piece on one core."""
+        _role.works = True
+        try:
+            with engine_threads(1):
+                return done(self.work, self.shared, self.pieces[number], number)
+        finally:
+            _role.works = False
 
     def begin(self, count: int) -> None:
         """Fork so many copies, or fewer where the system gives no more."""
@@ -204,7 +196,7 @@ class _Copies:
             with warnings.catch_warnings(record=True) as heard:
                 while (number := self.next()) is not None:
                     heard.clear()
-                    outcome = self.job.done(number)
+                    outcome = self.done(number)
                     messages = [
                         (one.message, one.category, one.filename, one.lineno) for one in heard
                     ]
@@ -230,18 +222,20 @@ class _Copies:
             os.close(file)
 
 
-def _outcomes(job: _Job, workers: int) -> Generator[Done[Any], None, None]:
+def _outcomes(
+    work: Work, shared: Any, pieces: Sequence[Any], workers: int
+) -> Generator[Done[Any], None, None]:
     """What became of every piece, in the order of completion."""
-    count = len(job.pieces)
+    count = len(pieces)
     missing = dict.fromkeys(range(count))
     helpers = min(workers, count) - 1
-    common = _within(job.shared, job.pieces) if helpers > 0 else {}
-    copies = _Copies(job, common)
+    common = _within(shared, pieces) if helpers > 0 else {}
+    copies = _Copies(work, shared, pieces, common)
     try:
         number = copies.next()  # the first piece is done here
         copies.begin(helpers)
         while number is not None:
-            outcome = job.done(number)
+            outcome = copies.done(number)
             del missing[number]
             yield outcome
             number = copies.next()
@@ -254,7 +248,7 @@ def _outcomes(job: _Job, workers: int) -> Generator[Done[Any], None, None]:
     finally:
         copies.end()
     for number in missing:
-        yield job.done(number)
+        yield copies.done(number)
 
 
 def _fork() -> int:

@@ -13,7 +13,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.plan_settings import PlanSettings
-from loopcal.mechanisms.chain import Step, product
+from loopcal.mechanisms.chain import frames, product
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.outputs import POLAR, cartesian_slopes, point_outputs, points
 from loopcal.mechanisms.placement import inverse
@@ -109,28 +109,10 @@ def _moved(T: Array, at: Array) -> Array:
 def _links(mechanism: Mechanism, data: Dataset) -> list[Array]:
     """The joints (3, N) of a serial arm from its base on; none of other machines."""
     values = {p.name: p.nominal for p in mechanism.parameters}
-    T = np.broadcast_to(np.eye(4), (len(data), 4, 4))
-    joints: list[Array] = []
-    for step in mechanism.chain:
-        if step.joint is not None:
-            joints.append(T[:, :3, 3].T)
-        T = T @ _transforms(step, data, values)
-    return [*joints, T[:, :3, 3].T] if joints else []
-
-
-def _transforms(step: Step, data: Dataset, values: Mapping[str, float]) -> Array:
-    """One step in every pose, (N, 4, 4)."""
-    amount = np.broadcast_to(step.amount(data.readings, values), len(data))
-    T = np.repeat(np.eye(4)[None], len(data), axis=0)
-    i = "xyz".index(step.motion[1])
-    if step.motion[0] == "t":
-        T[:, i, 3] = amount
-        return T
-    j, k = (i + 1) % 3, (i + 2) % 3
-    T[:, j, j] = T[:, k, k] = np.cos(amount)
-    T[:, k, j] = np.sin(amount)
-    T[:, j, k] = -T[:, k, j]
-    return T
+    *ahead, (_, tip) = frames(mechanism.chain, data.readings, values)
+    pairs = zip(mechanism.chain, ahead, strict=True)
+    joints = [origin.T for step, (_, origin) in pairs if step.joint is not None]
+    return [*joints, tip.T] if joints else []
 
 
 def _incidence(
