@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from loopcal.deployment.last_change import after_last_change
 from loopcal.deployment.refit import Goal, Refit, refit, separable
-from loopcal.deployment.seen_points import SeenPoint, seen_points, traced
+from loopcal.deployment.seen_points import SeenPoint, seen_points
 from loopcal.document.accuracy import Distances
 from loopcal.document.exported import Exported, ModelAccuracy, Placed, ZeroOffset
 from loopcal.document.result_document import ResultDocument
@@ -182,10 +182,7 @@ class _Full:
         )
         good = np.isfinite(x).all(axis=0)
         x, constants = x[:, good], constants[:, good]
-        at = {q: x[names.index(q)] for q in joints}
-        goals = tuple(
-            Goal(s, at, s.measured({q: x[names.index(q)] for q in s.outputs})) for s in seen
-        )
+        goals = tuple(Goal.of(one, dict(zip(names, x, strict=True))) for one in seen)
         if not good.any():
             return None
         return cls(predictor, seen, goals, x, constants, poses, floating.parameters)
@@ -304,15 +301,9 @@ def _measured(full: _Full, model: Refit) -> Distances | None:
     if full.poses is None:
         return None
     readings = full.poses.readings
-    distances = []
-    for seen in full.seen:
-        if not all(q in readings for q in seen.outputs):
-            continue
-        joints = {s.joint: readings[s.joint] for s in seen.steps if s.joint}
-        moved = {q: v + model.offsets.get(q, 0.0) for q, v in joints.items()}
-        predicted = traced(seen.steps, seen.target, moved, model.values).points
-        distances.append(np.linalg.norm(predicted - seen.measured(readings), axis=1))
-    return _distances(np.concatenate(distances)) if distances else None
+    measured = [seen for seen in full.seen if all(q in readings for q in seen.outputs)]
+    goals = [Goal.of(seen, readings) for seen in measured]
+    return _distances(model.distances(goals)) if goals else None
 
 
 def _distances(distances: Array) -> Distances | None:

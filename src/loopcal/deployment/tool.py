@@ -85,9 +85,8 @@ def tool_of(
 
 def _numbers(point: Sequence[str], turns: Sequence[str], values: Mapping[str, float]) -> Array:
     numbers = np.zeros(6)
-    for begin, names in ((0, point), (3, turns)):
-        for i, name in enumerate(names):
-            numbers[begin + i] = values[name]
+    numbers[: len(point)] = [values[name] for name in point]
+    numbers[3 : 3 + len(turns)] = [values[name] for name in turns]
     return numbers
 
 

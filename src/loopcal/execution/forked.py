@@ -153,8 +153,14 @@ class _Copies:
 
     def next(self) -> int | None:
         """The number of the next piece; None where all are taken."""
-        # lseek moves the place under a lock of the file; two that read there could read the same.
-        number = os.lseek(self.queue, 1, os.SEEK_CUR) - 1
+        import fcntl  # not on every system
+
+        # Of two that move the place of such a file at once, both may read the same.
+        fcntl.lockf(self.queue, fcntl.LOCK_EX)
+        try:
+            number = os.lseek(self.queue, 1, os.SEEK_CUR) - 1
+        finally:
+            fcntl.lockf(self.queue, fcntl.LOCK_UN)
         return number if number < len(self.pieces) else None
 
     def done(self, number: int) -> Done[Any]:

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Accumulator, spectrum
-from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.outputs import POLAR, cartesian_slopes, seen_outputs
 
@@ -171,9 +172,6 @@ def _unmoved(parameter_root: Array) -> Array:
 
 def closed_corrections(problem: Problem) -> Array:
     """Corrections (k, N) that close the loops of measured poses at the parameters of the start."""
-    from loopcal.estimation.problem.starting import start_corrections
-    from loopcal.estimation.solve.sweep import NEAR
-
     exact = Sweeper(problem.weighted(Weighting.ALIKE))
     corrections = start_corrections(exact, problem.start)
     return exact.close(problem.start, corrections, NEAR, 1.0).corrections

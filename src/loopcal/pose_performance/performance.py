@@ -123,7 +123,7 @@ class _Part:
         self.all, self.condition, self.errors = attained, condition, errors
         directions = attained.direction or (None,) * len(attained)
         groups = _rows_by(rows, lambda i: (attained.pose[i], directions[i]))
-        self.groups = [Group(*key, indices) for key, indices in groups.items()]
+        self.groups = [Group(pose, way, rows) for (pose, way), rows in groups.items()]
         self.missing: list[str] = []
 
     def figures(self, distances: Sequence[tuple[str, str]]) -> ConditionPerformance:

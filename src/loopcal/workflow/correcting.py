@@ -102,12 +102,7 @@ def correct(
     placed = np.eye(4) if frame is None else pose_of_turns([*frame, 0.0, 0.0, 0.0][:6])
     wanted = _wanted(arms, program, placed, frame is not None)
     corrections = corrected(arms, calibrated, wanted, bounds, at)
-    # T_frame_target = T_base_frame^-1 T_base_target: programs state poses in their frame.
-    new = {
-        i: program.write(target, corrections.joints[i], inverse(placed) @ corrections.poses[i])
-        for i, target in enumerate(program.targets)
-        if corrections.refused[i] is None
-    }
+    # The correction may carry a joint across the border of a quadrant or turn.
     changed = tuple(
         Refusal("configuration-changed", "the corrected joints are in another configuration")
         if refusal is None and not program.fits(target, q)
@@ -116,9 +111,13 @@ def correct(
             program.targets, corrections.joints, corrections.refused, strict=True
         )
     )
-    # The correction may carry a joint across the border of a quadrant or turn.
-    new = {i: texts for i, texts in new.items() if changed[i] is None}
     corrections = replace(corrections, refused=changed)
+    # T_frame_target = T_base_frame^-1 T_base_target: programs state poses in their frame.
+    new = {
+        i: program.write(target, corrections.joints[i], inverse(placed) @ corrections.poses[i])
+        for i, target in enumerate(program.targets)
+        if changed[i] is None
+    }
     moves, ahead = _straight(arms, program, corrections, bounds.line), dict[int, list[list[str]]]()
     for index, move in moves.items():
         if len(move.inserted):
