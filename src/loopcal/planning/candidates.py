@@ -167,8 +167,8 @@ def _sifted(mechanism: Mechanism, poses: Dataset, site: PlanSettings) -> _Sifted
     if not rules.poses.any():
         return _Sifted(len(poses), refused)
     closed = closed.take(np.flatnonzero(rules.poses))
-    shown_quantities = [q for q in closed.readings if q in units and q not in computed]
-    shown_quantities = [q for q in shown_quantities if q in readings or q not in mechanism.implied]
+    hidden = computed | (mechanism.implied.keys() - readings.keys())
+    shown_quantities = [q for q in closed.readings if q in units and q not in hidden]
     shown_quantities.sort(key=lambda q: q not in readings)
     shown = Dataset.from_arrays(
         {q: closed.readings[q] for q in shown_quantities},
