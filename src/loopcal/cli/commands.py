@@ -143,7 +143,7 @@ def check(
 ) -> None:
     """Check a project before a fit: ranges, what the poses can determine, the expected sds."""
     from loopcal.workflow.checking import run_check
-    from loopcal.workflow.planning import cure_of
+    from loopcal.workflow.curing import cure_of
 
     done = run_check(project, function=mechanism)
     cure, title = cure_of(done), done.project.title

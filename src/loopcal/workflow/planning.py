@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,13 +25,11 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.measurements.plan_settings import PlanSettings
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.planning.cure import Cure, cure
 from loopcal.planning.plan import plan
 from loopcal.planning.planned import Plan
 from loopcal.planning.search import Progress
 from loopcal.report.plan_page import plan_html
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.workflow.checking import Checked
 from loopcal.workflow.plan_program import program_writer
 from loopcal.workflow.projects import named_project
 from loopcal.workflow.resolved import result_of
@@ -135,19 +132,6 @@ def run_plan(
     if basis.calibrated:
         note_deployed(result_path(str(request.existing)), PLAN, folder.name, document)
     return Planned(made, document, read.title, folder, tuple(files), program_path)
-
-
-def cure_of(checked: Checked) -> Cure | None:
-    """The poses that would raise the verdict of a check.
-
-    None where it is good, and where nothing says where poses may be.
-    """
-    if checked.check.verdict == "good" or checked.noise is None:
-        return None
-    project = checked.project
-    with suppress(InputError):
-        return cure(project.mechanism, checked.data, checked.noise, project.plan)
-    return None
 
 
 def plan_folder(project: Project) -> Path:
