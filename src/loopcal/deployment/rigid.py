@@ -65,14 +65,6 @@ def quaternion_of(R: Array) -> Array:
     return signed
 
 
-def of_yaw_pitch_roll(angles: Array) -> Array:
-    """Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (..., 3) [rad] in this order."""
-    R: Array = np.broadcast_to(np.eye(3), (*angles.shape[:-1], 3, 3))
-    for i, axis in enumerate((2, 1, 0)):
-        R = R @ turned(angles[..., i, None] * np.eye(3)[axis])
-    return R
-
-
 def between(T: Array, target: Array) -> Array:
     """(..., 6) the twist that leads from poses T to the target: shift and turn."""
     turn = turn_of(target[..., :3, :3] @ np.swapaxes(T[..., :3, :3], -1, -2))

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.placement import rigid, yaw_pitch_roll
 from loopcal.mechanisms.rest import quaternion
-from loopcal.mechanisms.station import MOTIONS
+from loopcal.mechanisms.station import pose_of
 
 Array = NDArray[np.float64]
 
@@ -21,9 +20,7 @@ def pose_of_turns(numbers: Sequence[float]) -> Array:
     """(4, 4) of x, y, z [mm] and rz, ry, rx [deg]: Tx Ty Tz Rz Ry Rx; NaN of infinite numbers."""
     if not all(map(math.isfinite, numbers)):
         return np.full((4, 4), np.nan)
-    amounts = [*(1e-3 * v for v in numbers[:3]), *map(math.radians, numbers[3:6])]
-    steps = [Step(m, constant=a) for m, a in zip(MOTIONS[3], amounts, strict=True)]
-    return product(steps, {}, {})
+    return pose_of([*(1e-3 * v for v in numbers[:3]), *map(math.radians, numbers[3:6])])
 
 
 def turns_of_pose(T: Array) -> list[float]:
