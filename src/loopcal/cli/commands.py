@@ -20,7 +20,7 @@ from loopcal.cli.application import (
     out_option,
 )
 from loopcal.cli.output import log, print_data, print_done, print_json, print_out
-from loopcal.cli.registry import cures, keeper
+from loopcal.cli.registry import cure_of, keeper
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.files.project.templates import TEMPLATES
@@ -145,16 +145,17 @@ def check(
     """Check a project before a fit: ranges, what the poses can determine, the expected sds."""
     from loopcal.workflow.checking import run_check
 
-    done = run_check(project, function=mechanism, cures=cures())
+    done = run_check(project, function=mechanism)
+    cure, title = cure_of(done), done.project.title
     for warning in done.warnings:
         log(f"warning: {warning}")
     if as_json:
-        cured = None if done.cure is None else done.cure.document()
-        document = {"title": done.title, **done.check.document(), "cure": cured}
+        cured = None if cure is None else cure.document()
+        document = {"title": title, **done.check.document(), "cure": cured}
         print_json({**document, "warnings": [*done.warnings]})
     else:
-        more = "" if done.cure is None else f"\n\n{done.cure}"
-        print_out(f"{done.title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}")
+        more = "" if cure is None else f"\n\n{cure}"
+        print_out(f"{title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}")
 
 
 @app.command()

@@ -11,7 +11,8 @@ from typer.models import CommandInfo
 from loopcal.cli.application import FunctionOption, app
 
 if TYPE_CHECKING:
-    from loopcal.workflow.checking import Cures
+    from loopcal.planning.cure import Cure
+    from loopcal.workflow.checking import Checked
     from loopcal.workflow.keeping import Keeper
 
 COMMANDS = {
@@ -40,11 +41,11 @@ def keeper(folder: str | None) -> Keeper | None:
     return HistoryKeeper(folder)
 
 
-def cures() -> Cures:
-    """What finds poses that would raise the verdict of a check."""
-    from loopcal.planning.cure import cure
+def cure_of(checked: Checked) -> Cure | None:
+    """The poses that would raise a verdict that is not good; None where nothing is known."""
+    from loopcal.workflow import curing
 
-    return cure
+    return curing.cure_of(checked)
 
 
 def loaded(names: Iterable[str]) -> list[CommandInfo]:
