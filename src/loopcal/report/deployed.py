@@ -13,6 +13,8 @@ from loopcal.figures.figure import Figure
 from loopcal.figures.planning import Line, by_number
 from loopcal.files.result.deployed import CORRECTION, EXPORT, PLAN, Deployed
 from loopcal.presentation.shown import factor, size, unit_shown, with_unit
+from loopcal.report.section import Part, Section
+from loopcal.report.source import Source
 from loopcal.report.tables import Table
 
 Array = NDArray[np.float64]
@@ -23,14 +25,17 @@ _MOST = 200
 """Targets in a table; the others are in the figure and in the JSON of the command."""
 
 
-def deployed_figures(notes: Sequence[Deployed]) -> dict[str, Figure]:
-    """Key -> figure."""
-    figures = [_models(notes), *_corrections(notes), *_plans(notes)]
-    return {figure.key: figure for figure in figures if figure is not None}
+def deployed(source: Source) -> Section | None:
+    """What was exported, corrected and planned; None: nothing."""
+    notes, words = source.deployed, _words(source.deployed)
+    figures = (_models(notes), *_corrections(notes), *_plans(notes))
+    by_key = {figure.key: figure for figure in figures if figure is not None}
+    parts: list[Part] = [*by_key.values(), *_tables(notes)]
+    return Section("deployed", "Into the robot", words, parts) if words else None
 
 
-def deployed_words(notes: Sequence[Deployed]) -> list[str]:
-    """What was exported, corrected and planned, one sentence each."""
+def _words(notes: Sequence[Deployed]) -> list[str]:
+    """One sentence each."""
     words = []
     for note in notes:
         document = note.document
@@ -58,7 +63,7 @@ def deployed_words(notes: Sequence[Deployed]) -> list[str]:
     return words
 
 
-def deployed_tables(notes: Sequence[Deployed]) -> list[Table]:
+def _tables(notes: Sequence[Deployed]) -> list[Table]:
     """Accuracy of the models, targets, and lines that were left alone."""
     exports = [note.document for note in notes if note.kind == EXPORT]
     tables = [_accuracy(exports[-1]["accuracy"])] if exports and exports[-1]["accuracy"] else []

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from statistics import NormalDist
 
 import numpy as np
 
+from loopcal.document.accuracy import Distances
 from loopcal.document.tables import distances_shown
 from loopcal.figures.figure import Figure
 from loopcal.figures.life import Reach, changes, spread
 from loopcal.life.fleet import Fleet
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, chance, in_unit, size, unit_shown
+from loopcal.report.section import Part, Section, section_page
 from loopcal.report.tables import Table
-from loopcal.report.templates import page
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.verified import Verification
 
@@ -32,12 +33,11 @@ def verification_html(verification: Verification, title: str, files: str) -> str
             for name, a in verification.verdict.items()
         ),
     )
-    what_changed = verification.changes
-    lines = [] if what_changed is None else what_changed.lines()
-    figures = [] if what_changed is None else change_figures(what_changed)
-    tables = [answers, *_tables(verification)]
-    about = {"files": files, "poses": len(verification.poses)}
-    return _page(f"Verification of {title}", about, [verification.headline], figures, tables, lines)
+    changes = verification.changes
+    seen = [] if changes is None else ["\n".join(changes.lines()), *change_figures(changes)]
+    parts: list[Part] = [*seen, answers, *_tables(verification)]
+    section = Section("l", f"Verification of {title}", [verification.headline], parts)
+    return section_page("life", section, {"files": files, "poses": len(verification.poses)})
 
 
 def change_figures(what_changed: WhatChanged) -> list[Figure]:
@@ -51,9 +51,10 @@ def change_figures(what_changed: WhatChanged) -> list[Figure]:
 
 def fleet_html(fleet: Fleet, files: str) -> str:
     """One self-contained page: mean and spread of each parameter, and which machine is unusual."""
-    title = f"Machines of one type: {fleet.machine}"
     about = {"files": files, "poses": ", ".join(str(one.poses) for one in fleet.machines)}
-    return _page(title, about, [fleet_words(fleet)], [fleet_figure(fleet)], fleet_tables(fleet))
+    parts: list[Part] = [fleet_figure(fleet), *fleet_tables(fleet)]
+    title = f"Machines of one type: {fleet.machine}"
+    return section_page("life", Section("l", title, [fleet_words(fleet)], parts), about)
 
 
 def fleet_words(fleet: Fleet) -> str:
@@ -124,17 +125,20 @@ def _reaches(what_changed: WhatChanged, unit: str) -> list[Reach]:
     return reaches
 
 
+def accuracy_table(caption: str, unit: str, distances: Mapping[str, Distances | None]) -> Table:
+    """Distances of each machine that was compared."""
+    rows = ((name, *distances_shown(d, unit)) for name, d in distances.items() if d is not None)
+    head = ("machine", f"mean [{unit_shown(unit)}]", "rms", "95 %", "max")
+    return Table(caption, head, tuple(rows))
+
+
 def _tables(verification: Verification) -> list[Table]:
-    unit = unit_shown(verification.unit)
+    unit = verification.unit
     distances = {
         "nominal": verification.nominal,
         "calibrated": verification.calibrated,
         "expected": verification.expected,
     }
-    rows = tuple(
-        (n, *distances_shown(d, verification.unit)) for n, d in distances.items() if d is not None
-    )
-    tables = [Table("Accuracy", ("machine", f"mean [{unit}]", "rms", "95 %", "max"), rows)]
     placed = tuple(
         (
             one.name,
@@ -145,28 +149,12 @@ def _tables(verification: Verification) -> list[Table]:
         for one in verification.placed
     )
     worst = tuple(
-        (one.pose, size(one.distance, verification.unit), significant(one.chi_squared, 3))
+        (one.pose, size(one.distance, unit), significant(one.chi_squared, 3))
         for one in verification.worst
     )
-    tables.append(Table("Placed anew", ("parameter", "value", "sd", "unit"), placed))
-    tables.append(Table("Worst poses", ("pose", f"distance [{unit}]", "chi-squared"), worst))
-    return [table for table in tables if table.rows]
-
-
-def _page(
-    title: str,
-    about: Mapping[str, object],
-    words: Sequence[str],
-    figures: Sequence[Figure],
-    tables: Sequence[Table],
-    lines: Sequence[str] = (),
-) -> str:
-    return page(
-        "life.html",
-        title=title,
-        about=about,
-        words=words,
-        lines=lines,
-        drawn={"id": "l", "figures": {figure.key: figure for figure in figures}},
-        tables=tables,
+    tables = (
+        accuracy_table("Accuracy", unit, distances),
+        Table("Placed anew", ("parameter", "value", "sd", "unit"), placed),
+        Table("Worst poses", ("pose", f"distance [{unit_shown(unit)}]", "chi-squared"), worst),
     )
+    return [table for table in tables if table.rows]

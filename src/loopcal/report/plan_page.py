@@ -14,8 +14,8 @@ from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.planning.planned import Plan
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import SHOWN, factor, in_unit, size, unit_shown
+from loopcal.report.section import Section, section_page
 from loopcal.report.tables import Table
-from loopcal.report.templates import page
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
@@ -23,15 +23,10 @@ Array = NDArray[np.float64]
 
 def plan_html(plan: Plan, title: str, mechanism: Mechanism, file: str) -> str:
     """The page; file: the project."""
-    figures = [_curve(plan), _chosen(plan, mechanism), _parameters(plan)]
-    return page(
-        "plan.html",
-        title=f"Plan: {title}",
-        about={"file": file, "poses": len(plan.use)},
-        words=plan.summary(),
-        plan={"id": "plan", "figures": {f.key: f for f in figures if f is not None}},
-        tables=[_poses(plan), _sds(plan)],
-    )
+    figures = (_curve(plan), _chosen(plan, mechanism), _parameters(plan))
+    parts = (*figures, _poses(plan), _sds(plan))
+    section = Section("plan", f"Plan: {title}", plan.summary(), parts)
+    return section_page("plan", section, {"file": file, "poses": len(plan.use)})
 
 
 def _curve(plan: Plan) -> Figure | None:

@@ -473,8 +473,9 @@ def save_result(
     page = None
     if report:
         from loopcal.report.page import page_of
+        from loopcal.workflow.report_sections import sections
 
-        page = page_of(result, folder)
+        page = page_of(result, folder, sections)
     if history is None:
         return result_file.write_result(result, document, folder, report=page)
     from loopcal.workflow.history import calibration_entry, note_history
