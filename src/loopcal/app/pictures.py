@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.figures.figure import axis, layout, names, numbers
+from loopcal.figures.figure import axis, layout, names, numbers, upright
 from loopcal.figures.thinning import thinned
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points
@@ -183,11 +183,7 @@ class Errors:
         """The error over the poses in their order."""
         trace = self._points("scatter", x=self.numbers[self.drawn], y=self.shown[what][self.drawn])
         # Between the last pose ahead of a change and the first one behind it.
-        lines = [
-            {"type": "line", "x0": at - 0.5, "x1": at - 0.5, "yref": "paper", "y0": 0, "y1": 1}
-            | {"line": {"color": CHOSEN, "width": 1, "dash": "dash"}}
-            for at in self.steps
-        ]
+        lines = [upright(at - 0.5, CHOSEN, 1) for at in self.steps]
         return self._flat([trace], "pose, in the order of measurement", what, 300, shapes=lines)
 
     def over_joint(self, name: str, what: str = SIZE) -> dict[str, Any]:

@@ -20,6 +20,8 @@ from loopcal.figures.figure import (
     names,
     numbers,
     shown_text,
+    suffix,
+    trace,
 )
 from loopcal.figures.space import Machine, machine_trace, space_layout
 
@@ -40,15 +42,14 @@ def by_number(lines: Sequence[Line], unit: str, number: int) -> Figure | None:
     # The plan as "after", random poses as "before".
     shades = (AFTER, COLOURS[1], BEFORE)
     data = [
-        {
-            "type": "scatter",
-            "mode": "lines+markers",
-            "name": line.name,
-            "x": list(line.poses),
-            "y": numbers(line.values),
-            "line": {"color": shade, "width": 2},
-            "marker": {"size": 4},
-        }
+        trace(
+            "lines+markers",
+            line.name,
+            line.poses,
+            line.values,
+            line={"color": shade, "width": 2},
+            marker={"size": 4},
+        )
         for line, shade in zip(lines, shades, strict=False)
     ]
     sds_text = ", ".join(
@@ -80,7 +81,7 @@ def parameters_by_number(groups: Mapping[str, Sequence[Line]]) -> Figure | None:
     more: dict[str, Any] = {}
     height = 1.0 / len(groups)
     for i, (unit, lines) in enumerate(groups.items()):
-        end = "" if i == 0 else str(i + 1)
+        end = suffix(i)
         top = 1.0 - i * height
         more[f"yaxis{end}"] = axis(
             f"expected sd [{shown_text(unit)}]",
@@ -89,15 +90,14 @@ def parameters_by_number(groups: Mapping[str, Sequence[Line]]) -> Figure | None:
         )
         shades = colours(line.name for line in lines)
         data += [
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "name": shown_text(line.name),
-                "x": list(line.poses),
-                "y": numbers(line.values),
-                "line": {"color": shades[line.name], "width": 1.5},
-                "yaxis": f"y{end}",
-            }
+            trace(
+                "lines",
+                line.name,
+                line.poses,
+                line.values,
+                line={"color": shades[line.name], "width": 1.5},
+                yaxis=f"y{end}",
+            )
             for line in lines
         ]
     count = sum(len(lines) for lines in groups.values())
