@@ -40,7 +40,7 @@ def error_bars(
         printed = [(x, b.printed) for x, b in zip(at, bars, strict=True) if b.printed is not None]
         if printed:
             marker = {"symbol": "diamond-open", "color": colour, "size": 11, "line": {"width": 2}}
-            x, y = zip(*printed, strict=True)
+            x, y = np.array(printed).T
             data.append(trace("markers", f"{method}, printed draw", x, y, marker=marker))
     names = [bar.name for bar in shown[0][1]]
     widest = {method: max(bar.high - bar.low for bar in bars) for method, bars in shown}

@@ -117,6 +117,12 @@ def trace(
     return {"type": "scatter", "mode": mode, "name": shown_text(name), **at, **more}
 
 
+def spots(mode: str, at: Array, **more: Any) -> dict[str, Any]:
+    """Points (d, N) in a plane or in space, joined or not."""
+    kind = "scatter" if len(at) == 2 else "scatter3d"
+    return {"type": kind, "mode": mode, **dict(zip("xyz", map(numbers, at), strict=False)), **more}
+
+
 def upright(x: float | str, colour: str, width: float) -> dict[str, Any]:
     """A dashed line over the whole height."""
     look = {"color": colour, "width": width, "dash": "dash"}

@@ -18,8 +18,8 @@ from loopcal.figures.figure import (
     colours,
     layout,
     names,
-    numbers,
     shown_text,
+    spots,
     suffix,
     trace,
 )
@@ -119,30 +119,15 @@ def chosen_points(
     points: Array, use: Sequence[str], ids: Sequence[str], machine: Machine | None
 ) -> Figure:
     """The end points (d, n) [m] of the chosen poses, in the order to measure them."""
-    keys = "xyz"[: len(points)]
-    kind = "scatter" if len(points) == 2 else "scatter3d"
-    way = {
-        "type": kind,
-        "mode": "lines",
-        "name": "order",
-        "hoverinfo": "skip",
-        "line": {"color": BEFORE, "width": 1.5},
-        **{k: numbers(v) for k, v in zip(keys, points, strict=True)},
-    }
+    line = {"color": BEFORE, "width": 1.5}
+    way = spots("lines", points, name="order", hoverinfo="skip", line=line)
     data = [way] if machine is None else [machine_trace(machine), way]
     for name, shade in zip(dict.fromkeys(sorted(use)), (AFTER, COLOURS[1]), strict=False):
         some = [i for i, u in enumerate(use) if u == name]
-        data.append(
-            {
-                "type": kind,
-                "mode": "markers",
-                "name": name,
-                "marker": {"color": shade, "size": 5},
-                "text": names([f"{i + 1}: pose {ids[i]}" for i in some]),
-                "hoverinfo": "text",
-                **{k: numbers(v[some]) for k, v in zip(keys, points, strict=True)},
-            }
-        )
+        marker = {"color": shade, "size": 5}
+        texts = names([f"{i + 1}: pose {ids[i]}" for i in some])
+        hover = {"text": texts, "hoverinfo": "text"}
+        data.append(spots("markers", points[:, some], name=name, marker=marker, **hover))
     return Figure(
         "chosen",
         "The chosen poses",

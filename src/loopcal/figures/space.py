@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.figures.figure import Array, Figure, axis, layout, names, numbers
+from loopcal.figures.figure import Array, Figure, axis, layout, names, spots
 from loopcal.figures.thinning import thinned
 from loopcal.presentation.rounding import significant
 
@@ -95,23 +95,21 @@ def _stage(
         if which.any():
             lines = _lines(at[:, which], along[:, which])
             name = f"up to {significant(float(edges[i + 1]), 2)} {words}"
-            traces.append(
-                {**_trace(lines, name, {"color": colour, "width": 2}), "hoverinfo": "skip"}
-            )
+            line = {"color": colour, "width": 2}
+            traces.append(spots("lines", lines, name=name, line=line, hoverinfo="skip"))
     marks = {"color": [SHADES[i] for i in shade], "size": 2 if len(at) == 3 else 5}
-    trace = _trace(at, "pose", {})
-    del trace["line"]
     hover = {"text": names(labels), "hoverinfo": "text", "showlegend": False}
-    return [*traces, {**trace, "mode": "markers", "marker": marks, **hover}]
+    return [*traces, spots("markers", at, name="pose", marker=marks, **hover)]
 
 
 def machine_trace(machine: Machine) -> dict[str, Any]:
     """The machine in one pose."""
-    trace = _trace(machine.points.T, "machine in one of the poses", {"color": MACHINE, "width": 5})
-    marks = {"size": 5, "color": MACHINE}
-    text = {"text": names(machine.labels), "textposition": "top right", "hoverinfo": "text"}
-    mode = "lines+markers+text" if machine.labels else "lines+markers"
-    return {**trace, "mode": mode, "marker": marks, **(text if machine.labels else {})}
+    mode, hover = "lines+markers", {"hoverinfo": "name"}
+    if machine.labels:
+        mode, hover = "lines+markers+text", {"textposition": "top right", "hoverinfo": "text"}
+        hover |= {"text": names(machine.labels)}
+    look = {"line": {"color": MACHINE, "width": 5}, "marker": {"size": 5, "color": MACHINE}}
+    return spots(mode, machine.points.T, name="machine in one of the poses", **look, **hover)
 
 
 def _switch(stages: Sequence[str], still: int, of: Sequence[str]) -> dict[str, Any]:
@@ -179,18 +177,6 @@ def _scene(data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     ratio = dict(zip("xyz", box.tolist(), strict=True))
     eye = dict(zip("xyz", (distance * toward).tolist(), strict=True))
     return {"aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": eye}, **axes}
-
-
-def _trace(coordinates: Array, name: str, line: dict[str, Any]) -> dict[str, Any]:
-    keys = "xyz"[: len(coordinates)]
-    return {
-        "type": "scatter" if len(keys) == 2 else "scatter3d",
-        "mode": "lines",
-        "name": name,
-        "line": line,
-        "hoverinfo": "name",
-        **{key: numbers(values) for key, values in zip(keys, coordinates, strict=True)},
-    }
 
 
 def _lines(start: Array, arrow: Array) -> Array:

@@ -116,12 +116,9 @@ def _bars(methods: Sequence[MethodTable], unit: str) -> Figure | None:
 
 
 def _bar(spread: Spread, unit: str) -> ErrorBar:
-    def at(value: float) -> float:
-        # Six digits keep the page small; no figure shows more.
-        return float(f"{in_unit(value, unit, fine=True):.6g}")
-
-    printed = None if spread.published is None else at(spread.published.error)
-    return ErrorBar(spread.name, at(spread.bias), at(spread.low), at(spread.high), printed)
+    printed = None if spread.published is None else in_unit(spread.published.error, unit, fine=True)
+    ends = (in_unit(v, unit, fine=True) for v in (spread.bias, spread.low, spread.high))
+    return ErrorBar(spread.name, *ends, printed)
 
 
 def _method(table: MethodTable) -> Table:
