@@ -13,9 +13,9 @@ from loopcal.figures.figure import Figure
 from loopcal.figures.planning import Line, by_number
 from loopcal.files.result.deployed import CORRECTION, EXPORT, PLAN, Deployed
 from loopcal.presentation.shown import factor, size, unit_shown, with_unit
+from loopcal.presentation.text_table import Table
 from loopcal.report.section import Part, Section
 from loopcal.report.source import Source
-from loopcal.report.tables import Table
 
 Array = NDArray[np.float64]
 _MM = 1e3
@@ -140,22 +140,20 @@ def _corrections(notes: Sequence[Deployed]) -> list[Figure | None]:
 
 
 def _plans(notes: Sequence[Deployed]) -> list[Figure | None]:
-    figures = []
-    for note in notes:
-        if note.kind != PLAN:
-            continue
-        plan, scale = note.document, factor(note.document["unit"])
-        curve, random = plan["expected"], plan["random"]
-        count = [one["poses"] for one in curve]
-        lines = [
-            Line(f"planned, {name}", count, _numbers([one[key] for one in curve]) / scale)
-            for name, key in (("rms", "end_point"), ("largest", "largest"))
-        ]
-        if random is not None:
-            sds = _numbers(random["end_point"]) / scale
-            lines.append(Line("random, rms", random["poses"], sds))
-        figures.append(by_number(lines, unit_shown(plan["unit"]), count[-1]))
-    return figures
+    return [planned(note.document) for note in notes if note.kind == PLAN]
+
+
+def planned(plan: Mapping[str, Any]) -> Figure | None:
+    """What a plan promises by the number of poses, beside random ones."""
+    curve, random, scale = plan["expected"], plan["random"], factor(plan["unit"])
+    count = [one["poses"] for one in curve]
+    lines = [
+        Line(f"planned, {name}", count, _numbers([one[key] for one in curve]) / scale)
+        for name, key in (("rms", "end_point"), ("largest", "largest"))
+    ]
+    if random is not None:
+        lines.append(Line("random, rms", random["poses"], _numbers(random["end_point"]) / scale))
+    return by_number(lines, unit_shown(plan["unit"]), len(plan["poses"]))
 
 
 def _length(error: Sequence[float | None]) -> float | None:

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from statistics import NormalDist
 
 import numpy as np
 
-from loopcal.document.accuracy import Distances
-from loopcal.document.tables import distances_shown
 from loopcal.figures.figure import Figure
 from loopcal.figures.life import Reach, changes, spread
 from loopcal.life.fleet import Fleet
-from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, chance, in_unit, size, unit_shown
+from loopcal.presentation.text_table import Table
 from loopcal.report.section import Part, Section, section_page
-from loopcal.report.tables import Table
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.verified import Verification
 
@@ -35,7 +31,7 @@ def verification_html(verification: Verification, title: str, files: str) -> str
     )
     changes = verification.changes
     seen = [] if changes is None else ["\n".join(changes.lines()), *change_figures(changes)]
-    parts: list[Part] = [*seen, answers, *_tables(verification)]
+    parts: list[Part] = [*seen, answers, *(t for t in verification.tables if t.rows)]
     section = Section("l", f"Verification of {title}", [verification.headline], parts)
     return section_page("life", section, {"files": files, "poses": len(verification.poses)})
 
@@ -123,38 +119,3 @@ def _reaches(what_changed: WhatChanged, unit: str) -> list[Reach]:
         half = None if change is None else in_unit(0.5 * (change.high - change.low), unit)
         reaches.append(Reach(one.words, in_unit(one.smallest, unit), value, half))
     return reaches
-
-
-def accuracy_table(caption: str, unit: str, distances: Mapping[str, Distances | None]) -> Table:
-    """Distances of each machine that was compared."""
-    rows = ((name, *distances_shown(d, unit)) for name, d in distances.items() if d is not None)
-    head = ("machine", f"mean [{unit_shown(unit)}]", "rms", "95 %", "max")
-    return Table(caption, head, tuple(rows))
-
-
-def _tables(verification: Verification) -> list[Table]:
-    unit = verification.unit
-    distances = {
-        "nominal": verification.nominal,
-        "calibrated": verification.calibrated,
-        "expected": verification.expected,
-    }
-    placed = tuple(
-        (
-            one.name,
-            by_sd(one.value, one.sd, one.unit),
-            "unknown" if one.sd is None else size(one.sd, one.unit, 2),
-            unit_shown(one.unit),
-        )
-        for one in verification.placed
-    )
-    worst = tuple(
-        (one.pose, size(one.distance, unit), significant(one.chi_squared, 3))
-        for one in verification.worst
-    )
-    tables = (
-        accuracy_table("Accuracy", unit, distances),
-        Table("Placed anew", ("parameter", "value", "sd", "unit"), placed),
-        Table("Worst poses", ("pose", f"distance [{unit_shown(unit)}]", "chi-squared"), worst),
-    )
-    return [table for table in tables if table.rows]

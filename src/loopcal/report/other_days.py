@@ -11,7 +11,7 @@ import numpy as np
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.tables import shown_parameters
+from loopcal.document.tables import machine_table, shown_parameters
 from loopcal.estimation.inherited import UPDATED
 from loopcal.figures.figure import Figure
 from loopcal.figures.life import narrowed
@@ -20,10 +20,10 @@ from loopcal.life.fleet import Fleet
 from loopcal.life.history import History
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, chance, in_unit, size, unit_shown
+from loopcal.presentation.text_table import Table
 from loopcal.report.history_page import history_figures, history_table
 from loopcal.report.life_pages import (
     UNITS,
-    accuracy_table,
     change_figures,
     fleet_figure,
     fleet_tables,
@@ -31,7 +31,6 @@ from loopcal.report.life_pages import (
 )
 from loopcal.report.section import Section
 from loopcal.report.source import Source
-from loopcal.report.tables import Table
 from loopcal.statistics.changed import WhatChanged
 
 Parts = tuple[list[str], list[Table | Figure]]
@@ -96,7 +95,7 @@ def _verification(document: Mapping[str, Any]) -> Parts:
         name: None if accuracy[name] is None else Distances(**accuracy[name])
         for name in ("nominal", "calibrated", "expected")
     }
-    reached = accuracy_table(f"Accuracy: {file}", unit, distances)
+    reached = machine_table(f"Accuracy: {file}", unit, distances)
     if document["changes"] is None:
         return words, [reached]
     what_changed = WhatChanged.from_document(document["changes"], document["chi_squared"])

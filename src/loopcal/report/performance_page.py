@@ -20,8 +20,8 @@ from loopcal.pose_performance.intervals import Estimate
 from loopcal.pose_performance.parts import ConditionPerformance
 from loopcal.pose_performance.result import METHOD, Performance
 from loopcal.pose_performance.summary import Rows, headline, overview, tables_of
+from loopcal.presentation.text_table import Table
 from loopcal.report.section import Section
-from loopcal.report.tables import Table
 from loopcal.report.templates import page
 
 MM = 1e3
