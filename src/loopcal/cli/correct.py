@@ -93,7 +93,10 @@ def correct(
         controller=controller,
         frame=None if frame is None else _numbers(frame, "--frame"),
         bounds=CorrectionBounds(
-            math.radians(most_turn), 1e-3 * most_slide, least_gain, _metres(line)
+            math.radians(most_turn),
+            1e-3 * most_slide,
+            least_gain,
+            None if line is None else 1e-3 * line,
         ),
         at=_constants(at or []),
         pulses=numbers_of(pulses_per_degree, "--pulses-per-degree"),
@@ -103,10 +106,6 @@ def correct(
     if not done.corrected.done.all():
         # The file is written, so the exit code alone shows that targets were refused.
         raise typer.Exit(4)
-
-
-def _metres(value: float | None) -> float | None:
-    return None if value is None else 1e-3 * value
 
 
 def _numbers(text: str, option: str) -> list[float]:

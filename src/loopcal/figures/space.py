@@ -62,7 +62,8 @@ def arrows(
         ]
         scale = _scale(at, size)
         drawn[name] = _stage(at, scale * along, size / factor, labels, f"{unit} {name}")
-        enlargements.append(f"{_times(scale)} times {name}")
+        times = f"{scale:,.0f}" if scale >= 1 else f"{scale:.3g}"
+        enlargements.append(f"{times} times {name}")
     data: list[dict[str, Any]] = []
     if machine is not None:
         data.append(machine_trace(machine))
@@ -133,11 +134,10 @@ def _switch(stages: Sequence[str], still: int, of: Sequence[str]) -> dict[str, A
 def _scale(at: Array, size: Array) -> float:
     extent = float(np.linalg.norm(np.ptp(at, axis=1))) or 1.0
     # The 95th percentile of the arrows becomes 8 % of the extent: visible, without overlap.
-    return _round(0.08 * extent / max(float(np.nanpercentile(size, 95)), 1e-15))
-
-
-def _times(scale: float) -> str:
-    return f"{scale:,.0f}" if scale >= 1 else f"{scale:.3g}"
+    value = 0.08 * extent / max(float(np.nanpercentile(size, 95)), 1e-15)
+    # The next number below of 1, 2, 5, 10, ...
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * 1.000001))
 
 
 def space_layout(
@@ -195,9 +195,3 @@ def _lines(start: Array, arrow: Array) -> Array:
     lifted = np.full_like(start, np.nan)
     drawn = np.stack([start, end, left, end, right, lifted], axis=2)
     return drawn.reshape(len(start), -1)
-
-
-def _round(value: float) -> float:
-    """The next number below of 1, 2, 5, 10, ..."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * 1.000001))

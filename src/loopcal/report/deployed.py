@@ -28,7 +28,11 @@ _MOST = 200
 def deployed(source: Source) -> Section | None:
     """What was exported, corrected and planned; None: nothing."""
     notes, words = source.deployed, _words(source.deployed)
-    figures = (_models(notes), *_corrections(notes), *_plans(notes))
+    figures = (
+        _models(notes),
+        *_corrections(notes),
+        *map(planned, (n.document for n in notes if n.kind == PLAN)),
+    )
     by_key = {figure.key: figure for figure in figures if figure is not None}
     parts: list[Part] = [*by_key.values(), *_tables(notes)]
     return Section("deployed", "Into the robot", words, parts) if words else None
@@ -139,10 +143,6 @@ def _corrections(notes: Sequence[Deployed]) -> list[Figure | None]:
     return figures
 
 
-def _plans(notes: Sequence[Deployed]) -> list[Figure | None]:
-    return [planned(note.document) for note in notes if note.kind == PLAN]
-
-
 def planned(plan: Mapping[str, Any]) -> Figure | None:
     """What a plan promises by the number of poses, beside random ones."""
     curve, random, scale = plan["expected"], plan["random"], factor(plan["unit"])
@@ -158,11 +158,10 @@ def planned(plan: Mapping[str, Any]) -> Figure | None:
 
 def _length(error: Sequence[float | None]) -> float | None:
     """Of the shift in an error of six components."""
+    length = float(np.linalg.norm(_numbers(error[:3])))
     # Null where the joints that the controller takes are unknown.
-    if any(v is None for v in error[:3]):
-        return None
-    return float(np.linalg.norm(_numbers(error[:3])))
+    return None if np.isnan(length) else length
 
 
 def _numbers(values: Sequence[float | None]) -> Array:
-    return np.array([np.nan if v is None else v for v in values], dtype=float)
+    return np.array(values, dtype=float)  # NaN for None

@@ -61,7 +61,13 @@ def fleet_words(fleet: Fleet) -> str:
 def fleet_figure(fleet: Fleet) -> Figure:
     """Deviations of each machine."""
     deviations = {
-        one.name: np.array([_normal(d.value, d.p_value) for d in one.deviations])
+        # inv_cdf is not defined at 0; 1e-300 is 37 sds, beyond any figure.
+        one.name: np.array(
+            [
+                math.copysign(NormalDist().inv_cdf(0.5 * min(max(d.p_value, 1e-300), 1.0)), d.value)
+                for d in one.deviations
+            ]
+        )
         for one in fleet.machines
     }
     unusual = {one.name for one in fleet.unusual}
@@ -100,12 +106,6 @@ def fleet_tables(fleet: Fleet) -> list[Table]:
         ),
     )
     return [machines, parameters]
-
-
-def _normal(value: float, p_value: float) -> float:
-    """The normal deviate of the same sign and probability."""
-    # inv_cdf is not defined at 0; 1e-300 is 37 sds, beyond any figure.
-    return math.copysign(-NormalDist().inv_cdf(0.5 * min(max(p_value, 1e-300), 1.0)), value)
 
 
 def _reaches(what_changed: WhatChanged, unit: str) -> list[Reach]:

@@ -68,13 +68,13 @@ def _poses(plan: Plan) -> Table:
 
 def _sds(plan: Plan) -> Table:
     rows = [
-        (name, unit_shown(unit, fine=True), *(_size(v, unit) for v in pair))
+        (
+            name,
+            unit_shown(unit, fine=True),
+            *("-" if v is None else size(v, unit, fine=True) for v in pair),
+        )
         for name, unit in plan.units.items()
         for pair in [(plan.expected.parameters[name], plan.fitted.parameters[name])]
     ]
     head = ("parameter", "unit", "expected sd", "without the poses to validate")
     return Table("Expected sds of the parameters", head, tuple(rows))
-
-
-def _size(value: float | None, unit: str) -> str:
-    return "-" if value is None else size(value, unit, fine=True)

@@ -109,16 +109,15 @@ def words(table: ScenarioTable) -> list[str]:
 
 
 def _bars(methods: Sequence[MethodTable], unit: str) -> Figure | None:
-    key, title = KINDS[unit]
-    shown = unit_shown(unit, fine=True)
-    groups = [(m.method, [_bar(s, unit) for s in m.spreads if s.unit == unit]) for m in methods]
-    return error_bars(key, title, shown, groups)
+    def bar(spread: Spread) -> ErrorBar:
+        printed = None if spread.published is None else spread.published.error
+        ends = (in_unit(v, unit, fine=True) for v in (spread.bias, spread.low, spread.high))
+        return ErrorBar(
+            spread.name, *ends, None if printed is None else in_unit(printed, unit, fine=True)
+        )
 
-
-def _bar(spread: Spread, unit: str) -> ErrorBar:
-    printed = None if spread.published is None else in_unit(spread.published.error, unit, fine=True)
-    ends = (in_unit(v, unit, fine=True) for v in (spread.bias, spread.low, spread.high))
-    return ErrorBar(spread.name, *ends, printed)
+    groups = [(m.method, [bar(s) for s in m.spreads if s.unit == unit]) for m in methods]
+    return error_bars(*KINDS[unit], unit_shown(unit, fine=True), groups)
 
 
 def _method(table: MethodTable) -> Table:
