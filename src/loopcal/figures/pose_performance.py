@@ -98,8 +98,9 @@ def scatter(clouds: Sequence[Cloud], plane: tuple[int, int] = (0, 1)) -> Figure:
             ("mean", mean[None], {"color": COLOURS[1], "size": 11, "symbol": "cross-thin-open"}),
             ("commanded", np.zeros((1, 2)), {"color": BEFORE, "size": 10, "symbol": "x-open"}),
         ):
-            legend = {"legendgroup": name, "showlegend": panel is every[0]}
-            data.append(trace("markers", name, *dots.T, marker=look, **legend, **panel.axes))
+            legend: dict[str, Any] = {"legendgroup": name, "showlegend": panel is every[0]}
+            x, y = dots.T
+            data.append(trace("markers", name, x, y, marker=look, **legend, **panel.axes))
         if cloud.radius is not None:
             shapes.append(
                 {

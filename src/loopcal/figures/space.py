@@ -105,10 +105,11 @@ def _stage(
 
 def machine_trace(machine: Machine) -> dict[str, Any]:
     """The machine in one pose."""
-    mode, hover = "lines+markers", {"hoverinfo": "name"}
+    mode = "lines+markers"
+    hover: dict[str, Any] = {"hoverinfo": "name"}
     if machine.labels:
-        mode, hover = "lines+markers+text", {"textposition": "top right", "hoverinfo": "text"}
-        hover |= {"text": names(machine.labels)}
+        mode += "+text"
+        hover = {"text": names(machine.labels), "textposition": "top right", "hoverinfo": "text"}
     look = {"line": {"color": MACHINE, "width": 5}, "marker": {"size": 5, "color": MACHINE}}
     return spots(mode, machine.points.T, name="machine in one of the poses", **look, **hover)
 

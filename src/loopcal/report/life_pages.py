@@ -29,9 +29,10 @@ def verification_html(verification: Verification, title: str, files: str) -> str
             for name, a in verification.verdict.items()
         ),
     )
-    changes = verification.changes
-    seen = [] if changes is None else ["\n".join(changes.lines()), *change_figures(changes)]
-    parts: list[Part] = [*seen, answers, *(t for t in verification.tables if t.rows)]
+    parts: list[Part] = [answers, *(table for table in verification.tables if table.rows)]
+    if verification.changes is not None:
+        lines = "\n".join(verification.changes.lines())
+        parts = [lines, *change_figures(verification.changes), *parts]
     section = Section("l", f"Verification of {title}", [verification.headline], parts)
     return section_page("life", section, {"files": files, "poses": len(verification.poses)})
 

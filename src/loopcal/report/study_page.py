@@ -109,12 +109,12 @@ def words(table: ScenarioTable) -> list[str]:
 
 
 def _bars(methods: Sequence[MethodTable], unit: str) -> Figure | None:
-    def bar(spread: Spread) -> ErrorBar:
-        printed = None if spread.published is None else spread.published.error
-        ends = (in_unit(v, unit, fine=True) for v in (spread.bias, spread.low, spread.high))
-        return ErrorBar(
-            spread.name, *ends, None if printed is None else in_unit(printed, unit, fine=True)
-        )
+    def at(value: float) -> float:
+        return in_unit(value, unit, fine=True)
+
+    def bar(s: Spread) -> ErrorBar:
+        printed = None if s.published is None else at(s.published.error)
+        return ErrorBar(s.name, at(s.bias), at(s.low), at(s.high), printed)
 
     groups = [(m.method, [bar(s) for s in m.spreads if s.unit == unit]) for m in methods]
     return error_bars(*KINDS[unit], unit_shown(unit, fine=True), groups)
