@@ -472,8 +472,9 @@ def save_result(
     page = None
     if report:
         from loopcal.report.page import page_of
+        from loopcal.workflow.report_sections import sections
 
-        page = page_of(result, folder)
+        page = page_of(result, folder, sections)
     if keeper is None:
         return result_file.write_result(result, document, folder, report=page)
     write = keeper.of_calibration(document, result.calibrated, Path(folder) / "result.json")

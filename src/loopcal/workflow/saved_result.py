@@ -6,18 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.offers import Plots
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.document.verdict import Verdict
 from loopcal.document.views import Views
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
-from loopcal.figures.figure import Figure
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.result.result_file import read_result as read_document
 from loopcal.files.result.result_folder import ReadResult, read_result_folder
@@ -145,41 +144,9 @@ def source(result: Result | SavedResult) -> Source:
     return source_of(result, result.document, "result")
 
 
-@dataclass(frozen=True)
-class ReportPlots:
-    """The report's figures of a result, as plotly figures."""
-
-    drawn: Mapping[str, Figure]
-
-    def residuals(self) -> Any:
-        """Computed minus measured outputs pose by pose, before and after."""
-        return self._figure("residuals")
-
-    def space(self) -> Any:
-        """Arrows from measured to computed points, and the machine."""
-        return self._figure("arrows")
-
-    def parameters(self) -> Any:
-        """Changes of the parameters from their nominal values, with 95 % intervals."""
-        return self._figure("parameters")
-
-    def correlations(self) -> Any:
-        """Correlations of the estimated parameters, as a map."""
-        return self._figure("correlations")
-
-    def _figure(self, key: str) -> Any:
-        if key not in self.drawn:
-            raise InputError(
-                f"the result has no numbers for the figure {key!r}",
-                code="no-data",
-                remedy=f"draw one of: {', '.join(self.drawn)}",
-            )
-        return self.drawn[key].plotly()
-
-
-def plots(result: Result | SavedResult) -> ReportPlots:
+def plots(result: Result | SavedResult) -> Plots:
     """The figures of a result."""
-    return ReportPlots(figures(source(result)))
+    return Plots(figures(source(result)))
 
 
 def fitted(result: Result | SavedResult) -> dict[str, Array]:
