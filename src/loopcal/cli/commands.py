@@ -131,7 +131,7 @@ def calibrate(
         )
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
     document = done.written.document
-    text = f"{document.title}\n{document}\n\n{done.findings.words()}"
+    text = f"{document.title}\n{document}\n\n{done.result.findings.words()}"
     print_done(document, as_json, text=text, where=where)
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")

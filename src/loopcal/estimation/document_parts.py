@@ -38,9 +38,7 @@ def status_entry(status: Status) -> StatusEntry:
     return StatusEntry(status.converged, status.reason, status.message, status.iterations)
 
 
-def parameter_entry(
-    parameter: Parameter, value: float, sd: float | None, error: float | None
-) -> ParameterEntry:
+def parameter_entry(parameter: Parameter, value: float, sd: float | None) -> ParameterEntry:
     """One parameter; sd: None where fixed, infinite where not identifiable."""
     return ParameterEntry(
         parameter.name,
@@ -51,7 +49,7 @@ def parameter_entry(
         finite(parameter.prior_sd),
         parameter.fixed,
         None if sd is None else math.isfinite(sd),
-        error,
+        None,
         role=parameter.role,
         owner=parameter.owner,
         meaning=parameter.meaning,

@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.choice import Candidate, Chosen, beats
-from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.contradiction import CODE as CONTRADICTED
@@ -105,21 +104,16 @@ class Choice:
     @property
     def calibrated(self) -> Result:
         """The result of the chosen candidate, which tells of the choice."""
-        return self.result.adding(self.added_to)
-
-    def added_to(self, document: ResultDocument) -> ResultDocument:
-        """The document of the chosen candidate's result, with this."""
-        accuracy = document.accuracy
-        if accuracy is not None:
-            placed = self.nominal and self.nominal.accuracy_after
-            accuracy = replace(
-                accuracy,
-                nominal=placed.distances if placed else None,
-                noise_floor=noise_floor(self.result),
-            )
-        document = replace(document, method=self.method, chosen=self.chosen, accuracy=accuracy)
-        document = self.changes.added_to(document) if self.changes else document
-        return self.validation.added_to(document) if self.validation else document
+        placed = self.nominal and self.nominal.accuracy_after
+        return self.result.with_parts(
+            method=self.method,
+            chosen=self.chosen,
+            nominal=placed.distances if placed else None,
+            noise_floor=noise_floor(self.result),
+            change_points=self.changes and self.changes.entry,
+            discarded=self.changes.discarded if self.changes else (),
+            validation=self.validation and self.validation.entry,
+        )
 
 
 @one_blas_thread()  # candidates share the process: else its threads would differ from run to run

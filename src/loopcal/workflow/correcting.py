@@ -45,7 +45,8 @@ from loopcal.files.recognition.robots import dh_robot
 from loopcal.files.result.deployed import CORRECTION, note_deployed, result_path, was_corrected
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.predictor import Predictor, predictor
-from loopcal.workflow.resolved import readings, result_of
+from loopcal.workflow.readings import readings
+from loopcal.workflow.resolved import result_of
 from loopcal.workflow.saved_result import SavedResult
 
 Array = NDArray[np.float64]

@@ -103,7 +103,7 @@ def export(
     one = format_named(to)
     _check_options(one, source, offsets, vendor, counts)
     calibration = result_of(result)
-    document = calibration.judged
+    document = calibration.document
     if isinstance(calibration, SavedResult):
         mechanism, poses = calibration.mechanism, calibration.poses
         predicting = None if document.prediction is None else calibration.predictor

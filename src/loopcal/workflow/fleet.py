@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from loopcal.document.result_document import ResultDocument
+from loopcal.document.fit import StatusEntry
 from loopcal.errors import InputError, UsageError
 from loopcal.estimation.inherited import UPDATED
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.status import Status
 from loopcal.files.atomic import Data, write_all
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.start_writer import Start, start_to_toml
@@ -82,25 +83,27 @@ def fleet(results: Sequence[Result | SavedResult | str | Path]) -> Fleet:
 
 def _measured(result: Result | SavedResult | str | Path, name: str) -> MeasuredMachine:
     if isinstance(result, Result):
-        calibrated = Calibrated.of(result, name)
-        return _machine(calibrated, result.document)
+        return _machine(
+            Calibrated.of(result, name), result.status, result.solution.poses, result.fit.label
+        )
     if isinstance(result, SavedResult):
         return _read(result.folder, str(result.path.parent))
     return _read(read_result_folder(result), str(result))
 
 
 def _read(read: ReadResult, name: str) -> MeasuredMachine:
-    return _machine(
-        Calibrated.from_document(read.document, read.mechanism, None, name), read.document
-    )
+    document = read.document
+    calibrated = Calibrated.from_document(document, read.mechanism, None, name)
+    return _machine(calibrated, document.status, document.data.used, document.method_label)
 
 
-def _machine(calibrated: Calibrated, document: ResultDocument) -> MeasuredMachine:
-    if not document.status.converged:
+def _machine(
+    calibrated: Calibrated, status: Status | StatusEntry, poses: int, method_label: str
+) -> MeasuredMachine:
+    if not status.converged:
         raise InputError(
             f"the result {calibrated.name!r} did not converge",
             code="not-converged",
             remedy="calibrate this machine again, or leave it out",
         )
-    updated = document.method_label == UPDATED
-    return MeasuredMachine.of(calibrated, document.data.used, updated=updated)
+    return MeasuredMachine.of(calibrated, poses, updated=method_label == UPDATED)

@@ -10,7 +10,6 @@ from typing import Any
 
 from loopcal.document.result_document import WrittenResult
 from loopcal.errors import InputError, UsageError
-from loopcal.estimation.result import Result
 from loopcal.files.history.folder import is_history, refuse_no_history
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.outputs import refuse_foreign
@@ -23,8 +22,8 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import Freedom, mounted
 from loopcal.statistics.verdict import refuses
 from loopcal.units import difference_to_si
-from loopcal.workflow.calibration import save_result
 from loopcal.workflow.history import history as read_history
+from loopcal.workflow.result import Result, save_result
 
 # Possessive: no text makes the match back out (docs/decisions/0137).
 _DRIFT = re.compile(r"\s*([^=\s]+)\s*=\s*([-+.\deE]++)\s*+([A-Za-zµ/]+)\s*")
@@ -101,13 +100,14 @@ def run_update(
     except InputError as error:
         raise error.at(str(readings)) from None
     title = read.document.title
+    updated_result = Result.of(done.result)
     written = save_result(
-        done.result, target, title=title, inputs=inputs, report=report, history=history
+        updated_result, target, title=title, inputs=inputs, report=report, history=history
     )
     verdict = written.document.verdict
     assert verdict is not None
     bad = verdict.sound.words if refuses("sound", verdict.sound) else None
-    return UpdateDone(done.result, written, allowed, done.mixed or bad)
+    return UpdateDone(updated_result, written, allowed, done.mixed or bad)
 
 
 def drifts(texts: Sequence[str]) -> dict[str, float]:
