@@ -132,6 +132,7 @@ def test_the_document_holds_the_worst_of_each_sensor():
     result = fitted(ARM.read(SDS, 1))
     found = told(result).reliability
     entry = lc.Result.of(result).document.reliability
+    assert entry is not None
     one = next(s for s in entry.sensors if s.quantity == "phi3")
     worst = int(np.argmax(found.effect["phi3"]))
     assert (one.pose, one.effect) == (found.poses[worst], found.effect["phi3"][worst])

@@ -212,12 +212,10 @@ def compare(
     mechanism: FunctionOption = None,
 ) -> None:
     """Compare two calibrations of one machine: differences, their sds and their significance."""
-    from loopcal.files.machines.python_function import load_function
     from loopcal.workflow.public import compare as compared
     from loopcal.workflow.saved_result import read_result
 
-    loops = None if mechanism is None else load_function(mechanism)
-    first, second = (read_result(path, mechanism=loops) for path in (a, b))
+    first, second = (read_result(path, mechanism=mechanism) for path in (a, b))
     try:
         done = compared(first, second, poses=poses, align=not same_frame)
     except InputError as error:

@@ -15,8 +15,8 @@ from loopcal.small_samples import t_quantile
 ALIASES: Mapping[str, Callable[[Any], Any]] = {
     # scipy.optimize
     "success": lambda r: r.converged,
-    "message": lambda r: r.status.message,
-    "nit": lambda r: r.status.iterations,
+    "message": lambda r: r.unjudged.status.message,
+    "nit": lambda r: r.unjudged.status.iterations,
     "x": lambda r: np.array([r.value[name] for name in r.estimated]),
     # lmfit
     "best_values": lambda r: dict(r.value),
@@ -35,7 +35,7 @@ ALIASES: Mapping[str, Callable[[Any], Any]] = {
     "bse": lambda r: r.sd,
     "stderr": lambda r: r.sd,
     "fittedvalues": lambda r: r.fitted_outputs,
-    "nobs": lambda r: r.document.data.used,
+    "nobs": lambda r: r.unjudged.data.used,
     "conf_int": lambda r: lambda alpha=0.05: confidence(r, alpha),
     # DataFrames and files
     "to_pandas": lambda r: r.params.to_pandas,

@@ -12,16 +12,10 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.statistics.findings import Findings
 
 
-def calibration_document(
-    fit: ResultDocument, parts: Parts, findings: Findings | None = None
-) -> ResultDocument:
-    """The document of a calibration, not yet judged.
-
-    fit: what it holds of the fit alone; findings: what the equations of the fit tell beyond the
-    parameters, where that was asked for.
-    """
+def calibration_document(fit: ResultDocument, parts: Parts) -> ResultDocument:
+    """The document of a fit, with the parts beside it."""
     validation = parts.validation
-    whole = replace(
+    return replace(
         fit,
         title=parts.title,
         method=parts.method or fit.method,
@@ -39,7 +33,6 @@ def calibration_document(
         ),
         inputs=fit.inputs if parts.inputs is None else parts.inputs,
     )
-    return whole if findings is None else _with_findings(whole, findings)
 
 
 def _parameter(entry: ParameterEntry, parts: Parts) -> ParameterEntry:
@@ -54,8 +47,8 @@ def _accuracy(
     return None if entry is None else replace(entry, nominal=nominal, noise_floor=noise_floor)
 
 
-def _with_findings(document: ResultDocument, findings: Findings) -> ResultDocument:
-    """The same with what the equations of the fit tell."""
+def with_findings(document: ResultDocument, findings: Findings) -> ResultDocument:
+    """The same with what the equations of the fit tell beyond the parameters."""
     accuracy, covariance, shifts = document.accuracy, document.covariance, findings.shifts
     nominal = (accuracy and accuracy.nominal) or findings.nominal
     predictor, reliability, scatter = findings.predictor, findings.reliability, findings.scatter

@@ -14,7 +14,7 @@ from loopcal.document.verdict import Answer, Verdict
 from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.result import Result
 from loopcal.statistics.answers import better, good_enough, valid
-from loopcal.statistics.calibration_document import calibration_document
+from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.region import Span
 from loopcal.statistics.sound import SOUND
@@ -70,5 +70,6 @@ def verdict(
     parts = result.parts
     if validation is not None:
         parts = replace(parts, validation=validation.entry)
-    whole = calibration_document(fit_document(result), parts, found or findings(result, region))
-    return Verdict.of(findings_of(whole, tolerance))
+    document = calibration_document(fit_document(result), parts)
+    document = with_findings(document, found or findings(result, region))
+    return Verdict.of(findings_of(document, tolerance))

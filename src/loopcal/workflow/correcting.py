@@ -172,7 +172,7 @@ def _model_of(result: Any) -> tuple[Predictor, dict[str, float], Mapping[str, An
     """What is known of the machine, the drawing's values, and the project of the result."""
     if isinstance(result, SavedResult):
         nominal = {p.name: p.nominal for p in result.document.parameters}
-        return result.predictor, nominal, result.document.inputs
+        return result.predictor, nominal, result.inputs
     if not isinstance(result, Result):
         raise InputError(
             f"{result!r} is no result",

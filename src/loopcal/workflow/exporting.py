@@ -18,7 +18,6 @@ from loopcal.files.exports.placing import PlacedFiles, place_files
 from loopcal.files.exports.registry import EXPORTS, format_named
 from loopcal.files.exports.tables import ORIENTATIONS
 from loopcal.files.machines.mechanism_writer import source_file
-from loopcal.files.machines.python_function import load_function
 from loopcal.files.outputs import one_command
 from loopcal.files.result.deployed import EXPORT, PREVIEW, note_deployed
 from loopcal.presentation.shown import with_unit
@@ -130,8 +129,7 @@ def run_export(
 ) -> Export:  # fmt: skip
     """`export` of a folder, by default into its folder `export`; function: the loops, for a machine
     written in Python. The report of the result shows it."""
-    loops = None if function is None else load_function(function)
-    read = read_result(result, mechanism=loops)
+    read = read_result(result, mechanism=function)
     done = export(read, to, out=read.path.parent / "export" if out is None else out, **options)
     if PREVIEW not in Path(out or "").parts:  # what is only looked at is not deployed
         note_deployed(read.path, EXPORT, done.format, done.document(), done.files.values())

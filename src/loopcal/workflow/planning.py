@@ -19,8 +19,7 @@ from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables
 from loopcal.files.result.deployed import PLAN, note_deployed, result_path
-from loopcal.files.result.result_folder import read_result_folder
-from loopcal.files.result.result_poses import poses_of_result, read_result_poses
+from loopcal.files.result.result_poses import poses_of_result
 from loopcal.files.toml.place import Place
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
@@ -33,6 +32,7 @@ from loopcal.report.plan_page import plan_html
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.workflow.plan_program import program_writer
 from loopcal.workflow.projects import named_project
+from loopcal.workflow.saved_result import SavedResult, read_result
 
 POSES, DOCUMENT, PAGE = "plan.csv", "plan.json", "plan.html"
 
@@ -195,10 +195,7 @@ def _calibrated(result: Any) -> Calibrated:
         return result
     if isinstance(result, Result):
         return Calibrated.of(result, "the result")
-    path = getattr(result, "path", result)
-    read = read_result_folder(path)
-    poses = read_result_poses(read.path.parent, read.mechanism)
-    return Calibrated.from_document(read.document, read.mechanism, poses, str(path))
+    return (result if isinstance(result, SavedResult) else read_result(result)).calibrated
 
 
 def candidates_of(project: Project, path: str | Path | None) -> Dataset | None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from loopcal.document.parameter_table import ParameterTable
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.estimation import result as estimation
 from loopcal.estimation.fit_document import fit_document
@@ -16,7 +15,7 @@ from loopcal.files.result import result_file
 from loopcal.files.versions import versions as installed_versions
 from loopcal.lazy import cached_property
 from loopcal.report.source import Source, source_of
-from loopcal.statistics.calibration_document import calibration_document
+from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.verdict import judged
 from loopcal.workflow.views import Views
@@ -46,17 +45,13 @@ class Result(estimation.Result, Views):
     @cached_property
     def document(self) -> ResultDocument:
         """Everything that result.json holds, with verdict and findings."""
-        whole = calibration_document(self._fit_document, self.parts, self.findings)
+        whole = with_findings(self.unjudged, self.findings)
         return judged(whole, self.parts.tolerance, self.parts.files or {})
 
     @cached_property
-    def _fit_document(self) -> ResultDocument:
-        return fit_document(self)
-
-    @property
-    def params(self) -> ParameterTable:
-        """Every parameter by name [SI]: value, sd, nominal; as a DataFrame by `to_pandas()`."""
-        return ParameterTable(calibration_document(self._fit_document, self.parts).parameters)
+    def unjudged(self) -> ResultDocument:
+        """The document without verdict and findings, at hand before any search for these."""
+        return calibration_document(fit_document(self), self.parts)
 
     @property
     def predicting(self) -> Result:

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.fit import StatusEntry
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.errors import InputError
-from loopcal.files.machines.python_function import Loops
+from loopcal.files.machines.python_function import Loops, load_function
 from loopcal.files.result.result_file import read_result as read_document
-from loopcal.files.result.result_folder import ReadResult, read_result_folder
+from loopcal.files.result.result_folder import read_result_mechanism
 from loopcal.files.result.result_poses import read_result_poses
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
@@ -42,9 +41,9 @@ class SavedResult(Views):
     loops: Loops | Mechanism | None = field(default=None)
 
     @property
-    def status(self) -> StatusEntry:
-        """How the fit ended."""
-        return self.document.status
+    def unjudged(self) -> ResultDocument:
+        """The document."""
+        return self.document
 
     @property
     def estimated(self) -> tuple[str, ...]:
@@ -78,14 +77,9 @@ class SavedResult(Views):
         return self.document.chi_squared
 
     @cached_property
-    def folder(self) -> ReadResult:
-        """With the calibrated mechanism. Raises InputError where mechanism.toml cannot be read."""
-        return read_result_folder(self.path, function=self.loops)
-
-    @property
     def mechanism(self) -> Mechanism:
-        """The calibrated mechanism."""
-        return self.folder.mechanism
+        """The calibrated mechanism. Raises InputError where mechanism.toml cannot be read."""
+        return read_result_mechanism(self.path, self.document, self.loops)
 
     @cached_property
     def poses(self) -> Dataset | None:
@@ -129,14 +123,17 @@ class SavedResult(Views):
         return f"<SavedResult {self.path.parent}: {self.document.method}, {state}>"
 
 
-def read_result(path: str | Path, *, mechanism: Loops | Mechanism | None = None) -> SavedResult:
+def read_result(
+    path: str | Path, *, mechanism: Loops | Mechanism | str | None = None
+) -> SavedResult:
     """A result from its folder, or from the result.json in it.
 
-    mechanism: of a result whose loops are Python code, for predictions. Raises InputError, naming
-    the place in the file, for anything that is no result.
+    mechanism: of a result whose loops are Python code, for predictions; "FILE.py:NAME" names it.
+    Raises InputError, naming the place in the file, for anything that is no result.
     """
     path = Path(path)
     # A result.json under another name is read as the file that it is.
     if path.name != "result.json" and path.suffix != ".json":
         path = path / "result.json"
-    return SavedResult(read_document(path), path, mechanism)
+    loops = load_function(mechanism) if isinstance(mechanism, str) else mechanism
+    return SavedResult(read_document(path), path, loops)

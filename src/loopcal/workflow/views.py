@@ -22,9 +22,7 @@ from loopcal.statistics.prediction import Prediction, predict
 from loopcal.workflow.readings import Units, later_readings
 
 if TYPE_CHECKING:
-    from loopcal.document.fit import StatusEntry
     from loopcal.estimation.result import Result
-    from loopcal.estimation.solve.status import Status
     from loopcal.statistics.predictor import Predictor
 
 
@@ -39,29 +37,21 @@ class Views:
     if TYPE_CHECKING:
 
         @property
-        def document(self) -> ResultDocument:
-            """Everything that result.json holds."""
-            ...
+        def document(self) -> ResultDocument: ...  # everything that result.json holds
 
         @property
-        def status(self) -> Status | StatusEntry:
-            """How the fit ended."""
-            ...
+        def unjudged(self) -> ResultDocument: ...  # at hand before any search for findings
 
         @property
-        def predicting(self) -> Result | Predictor:
-            """What predictions need of it."""
-            ...
+        def predicting(self) -> Result | Predictor: ...  # what predictions need of it
 
         @property
-        def source(self) -> Source:
-            """What the report shows: the document, and what became of every reading."""
-            ...
+        def source(self) -> Source: ...  # what the report shows
 
     @property
     def converged(self) -> bool:
         """Whether the point found is the optimum; `verdict` says whether it can be used."""
-        return self.status.converged
+        return self.unjudged.status.converged
 
     @property
     def verdict(self) -> Verdict | None:
@@ -71,12 +61,12 @@ class Views:
     @property
     def inputs(self) -> Mapping[str, Any]:
         """The project as it was read, in whose columns further readings come."""
-        return self.document.inputs
+        return self.unjudged.inputs
 
     @property
     def params(self) -> ParameterTable:
         """Every parameter by name [SI]: value, sd, nominal; as a DataFrame by `to_pandas()`."""
-        return ParameterTable(self.document.parameters)
+        return ParameterTable(self.unjudged.parameters)
 
     @property
     def plot(self) -> Plots:
