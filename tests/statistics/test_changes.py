@@ -46,7 +46,7 @@ def slipped(seed: int = 3, poses: int = 48, at: int = 28, wrong: int = 12) -> lc
 
 def told(data: lc.Dataset) -> lc.Result:
     case = Case(ARM, data, None, lc.Fit(method="auto"))
-    return lc.Result.of(choose(case, Scheme(folds=2, blocks=0)).calibrated)
+    return lc.Result.of(choose(case, Scheme(folds=2, blocks=0)).result)
 
 
 @pytest.fixture(scope="module")

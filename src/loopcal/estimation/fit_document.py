@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from loopcal.document.fit import ClosureEntry, ParameterEntry
+from loopcal.document.fit import ClosureEntry, ParameterEntry, StatusEntry
 from loopcal.document.plain import finite
 from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
 from loopcal.estimation.accuracy import accuracy_entry
@@ -14,7 +14,6 @@ from loopcal.estimation.document_parts import (
     inputs_entry,
     noise_entries,
     parameter_entry,
-    status_entry,
 )
 from loopcal.estimation.noise.learning import joint_covariances
 from loopcal.estimation.redundancy import Redundancy, redundancy
@@ -25,6 +24,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 @one_blas_thread()
 def fit_document(result: Result) -> ResultDocument:
     """The document of a fit: what was added beside it, and a verdict, are not in it."""
+    status = result.status
     spread = result.learnt_covariance, result.spectrum.covariance()
     shares, names = result.chi_squared_shares, result.mechanism.tape.quantities
     noise = noise_entries(result.noise, shares, names, _redundancy(result))
@@ -37,7 +37,7 @@ def fit_document(result: Result) -> ResultDocument:
         method=result.method,
         method_label=result.fit.label,
         loss=result.loss,
-        status=status_entry(result.status),
+        status=StatusEntry(status.converged, status.reason, status.message, status.iterations),
         parameters=_parameters(result),
         covariance=covariance_entry(result.estimated, *spread, result.identifiability.loose),
         noise=noise,

@@ -81,7 +81,7 @@ def calibrate(
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
     case = Case(mechanism, data, stated_noise, asked)
-    return choose(case, scheme, executor, iterated=progress).calibrated
+    return choose(case, scheme, executor, iterated=progress).result
 
 
 def _refuse_sharing(fit: Fit, scheme: Scheme | None, executor: Executor | None) -> None:

@@ -276,7 +276,7 @@ class _Run:
             poses = loaded.dataset.poses
             scheme = Scheme(**validation_arguments(self.project, self.validation, poses))
         shared = self._shared("fits")
-        chosen = choose(case, scheme, **shared, iterated=self.listeners.progress).calibrated
+        chosen = choose(case, scheme, **shared, iterated=self.listeners.progress).result
         self._fitted(chosen)
         return chosen
 

@@ -14,10 +14,15 @@ from loopcal.files.outputs import one_command
 from loopcal.files.result import result_file
 from loopcal.files.versions import versions as installed_versions
 from loopcal.lazy import cached_property
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.report.source import Source, source_of
 from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.findings import Findings, findings
+from loopcal.statistics.predictor import Predictor, predictor, without_outputs
 from loopcal.statistics.verdict import judged
+from loopcal.workflow.history import calibration_entry, note_history
+from loopcal.workflow.history import history as read_history
 from loopcal.workflow.views import Views
 
 
@@ -53,10 +58,22 @@ class Result(estimation.Result, Views):
         """The document without verdict and findings, at hand before any search for these."""
         return calibration_document(fit_document(self), self.parts)
 
+    @cached_property
+    def predictor(self) -> Predictor:
+        """What predictions need. Raises InputError for a result without outputs."""
+        if (made := predictor(self)) is None:
+            raise without_outputs(self.mechanism)
+        return made
+
     @property
-    def predicting(self) -> Result:
-        """The result itself."""
-        return self
+    def machine(self) -> Mechanism:
+        """The calibrated mechanism."""
+        return self.calibrated
+
+    @property
+    def poses(self) -> Dataset:
+        """The poses used."""
+        return self.dataset
 
     @property
     def source(self) -> Source:
@@ -126,14 +143,11 @@ def save_result(
         from loopcal.report.page import page_of
 
         page = page_of(result, folder)
-    if history is None:
-        return result_file.write_result(result, document, folder, report=page)
-    from loopcal.workflow.history import calibration_entry, note_history
-    from loopcal.workflow.history import history as read_history
-
-    content = calibration_entry(document, result.calibrated, Path(folder) / "result.json")
-    written = result_file.write_result(
-        result, document, folder, report=page, entry=(history, content)
-    )
-    note_history(read_history(history), written.folder)
+    entry = None
+    if history is not None:
+        path = Path(folder) / "result.json"
+        entry = history, calibration_entry(document, result.calibrated, path)
+    written = result_file.write_result(result, document, folder, report=page, entry=entry)
+    if history is not None:
+        note_history(read_history(history), written.folder)
     return written

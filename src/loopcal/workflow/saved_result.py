@@ -76,6 +76,11 @@ class SavedResult(Views):
         """None where the method or the loss has none."""
         return self.document.chi_squared
 
+    @property
+    def machine(self) -> Mechanism:
+        """The calibrated mechanism."""
+        return self.mechanism
+
     @cached_property
     def mechanism(self) -> Mechanism:
         """The calibrated mechanism. Raises InputError where mechanism.toml cannot be read."""
@@ -93,11 +98,6 @@ class SavedResult(Views):
             return predictor_of(self.document, self.mechanism)
         except InputError as error:
             raise error.at(str(self.path)) from None
-
-    @property
-    def predicting(self) -> Predictor:
-        """The predictor."""
-        return self.predictor
 
     @cached_property
     def calibrated(self) -> Calibrated:

@@ -22,7 +22,6 @@ from loopcal.statistics.prediction import Prediction, predict
 from loopcal.workflow.readings import Units, later_readings
 
 if TYPE_CHECKING:
-    from loopcal.estimation.result import Result
     from loopcal.statistics.predictor import Predictor
 
 
@@ -43,7 +42,7 @@ class Views:
         def unjudged(self) -> ResultDocument: ...  # at hand before any search for findings
 
         @property
-        def predicting(self) -> Result | Predictor: ...  # what predictions need of it
+        def predictor(self) -> Predictor: ...  # what predictions need of it
 
         @property
         def source(self) -> Source: ...  # what the report shows
@@ -88,7 +87,7 @@ class Views:
 
     def predict(self, data: Any, *, units: Units = None, **options: Any) -> Prediction:
         """`loopcal.predict` of this result: outputs for readings, with their covariance."""
-        return predict(self.predicting, later_readings(self, data, units, whole=False), **options)
+        return predict(self.predictor, later_readings(self, data, units, whole=False), **options)
 
     def to_dict(self) -> dict[str, Any]:
         """The content of result.json as plain data."""
