@@ -32,7 +32,9 @@ _COARSE = 0.5
 """Steps whose rounding alone is this share of an sd are not small against it."""
 
 
-def parameter_entry(parameter: Parameter, value: float, sd: float | None) -> ParameterEntry:
+def parameter_entry(
+    parameter: Parameter, value: float, sd: float | None, degrees_of_freedom: float | None
+) -> ParameterEntry:
     """One parameter; sd: None where fixed, infinite where not identifiable."""
     return ParameterEntry(
         parameter.name,
@@ -47,6 +49,7 @@ def parameter_entry(parameter: Parameter, value: float, sd: float | None) -> Par
         role=parameter.role,
         owner=parameter.owner,
         meaning=parameter.meaning,
+        degrees_of_freedom=finite(degrees_of_freedom),
     )
 
 

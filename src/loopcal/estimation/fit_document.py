@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from loopcal.document.fit import ClosureEntry, ParameterEntry, StatusEntry
-from loopcal.document.plain import finite
+from loopcal.document.fit import ClosureEntry, StatusEntry
 from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
 from loopcal.estimation.accuracy import accuracy_entry
 from loopcal.estimation.document_parts import (
@@ -38,7 +37,12 @@ def fit_document(result: Result) -> ResultDocument:
         method_label=result.fit.label,
         loss=result.loss,
         status=StatusEntry(status.converged, status.reason, status.message, status.iterations),
-        parameters=_parameters(result),
+        parameters=tuple(
+            parameter_entry(
+                p, result.value[p.name], result.sd[p.name], result.degrees_of_freedom[p.name]
+            )
+            for p in result.mechanism.parameters
+        ),
         covariance=covariance_entry(result.estimated, *spread, result.identifiability.loose),
         noise=noise,
         noise_covariances=() if result.fit.solver.exact else joint_covariances(result.problem),
@@ -61,16 +65,6 @@ def fit_document(result: Result) -> ResultDocument:
         warnings=result.warnings,
         inputs=inputs_entry(result.dataset, result.mechanism),
         versions={},
-    )
-
-
-def _parameters(result: Result) -> tuple[ParameterEntry, ...]:
-    return tuple(
-        replace(
-            parameter_entry(p, result.value[p.name], result.sd[p.name]),
-            degrees_of_freedom=finite(result.degrees_of_freedom[p.name]),
-        )
-        for p in result.mechanism.parameters
     )
 
 

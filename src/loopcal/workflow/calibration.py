@@ -28,7 +28,6 @@ from loopcal.files.result import result_file
 from loopcal.files.result.residual_parts import NAME as RESIDUALS
 from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning
-from loopcal.statistics.calibrate import calibrate
 from loopcal.statistics.verdict import refuses
 from loopcal.workflow.projects import named_project, stored_files
 from loopcal.workflow.result import Result, save_result
@@ -49,11 +48,6 @@ class Calibration:
     result: Result
     written: WrittenResult
     objection: str | None
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """About the readings."""
-        return self.result.parts.about_readings
 
 
 @dataclass(frozen=True)
@@ -264,58 +258,34 @@ class _Run:
         pieces = self.listeners.pieces
         return {"executor": self.executor, "progress": pieces and partial(pieces, what)}
 
-    def _chosen(self, loaded: LoadedData) -> FitResult:
-        """The calibration by the method that poses not used choose, validated thereby."""
+    def _calibrated(self, loaded: LoadedData) -> FitResult:
+        """By a stated method or by the one that poses not used choose, validated where asked."""
         from loopcal.statistics.case import Case
         from loopcal.statistics.choice import choose
         from loopcal.statistics.folds import Scheme
+        from loopcal.statistics.validation import validated
 
         case = Case(self.project.mechanism, loaded.dataset, loaded.noise, self.fit)
-        scheme = None
+        progress, scheme = self.listeners.progress, None
         if self.validation is not None:
             poses = loaded.dataset.poses
             scheme = Scheme(**validation_arguments(self.project, self.validation, poses))
-        shared = self._shared("fits")
-        chosen = choose(case, scheme, **shared, iterated=self.listeners.progress).result
-        self._fitted(chosen)
-        return chosen
-
-    def _fitted(self, result: FitResult) -> None:
+        if self.fit.method.choice:
+            result = choose(case, scheme, **self._shared("fits"), iterated=progress).result
+        else:
+            result = case.calibrated(progress=progress)
         if self.listeners.fitted is not None:
             self.listeners.fitted(result)
-
-    def _calibrated(self, loaded: LoadedData) -> FitResult:
-        if self.fit.method.choice:
-            return self._chosen(loaded)
-        result = calibrate(
-            self.project.mechanism,
-            loaded.dataset,
-            noise=loaded.noise,
-            fit=self.fit,
-            progress=self.listeners.progress,
-        )
-        self._fitted(result)
-        if self.validation is None:
+        if self.fit.method.choice or scheme is None:
             return result
         if not result.status.converged:
             return result.noted(f"Not validated: {_UNCONVERGED}.")
-        return self._validated(result, loaded)
-
-    def _validated(self, result: FitResult, loaded: LoadedData) -> FitResult:
-        """The calibration of all poses, with its validation."""
-        from loopcal.statistics.validate import validate
-
-        assert self.validation is not None
-        options: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
-        poses = loaded.dataset.poses
-        options |= validation_arguments(self.project, self.validation, poses)
-        options |= self._shared("folds")
         try:
-            validated = validate(self.project.mechanism, loaded.dataset, **options, full=result)
+            validation = validated(case, result, scheme, **self._shared("folds"))
         except NoTrustworthyResult as error:
             # A fold that fails leaves the calibration of all poses as it is.
             return result.noted(f"Not validated: {error}")
-        return result.with_parts(validation=validated.entry)
+        return result.with_parts(validation=validation.entry)
 
     def _compared(self, loaded: LoadedData) -> FitResult:
         """The calibration with the recommended one of the project's models."""
