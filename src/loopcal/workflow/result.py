@@ -44,7 +44,7 @@ class Result(estimation.Result, Views):
 
     @cached_property
     def findings(self) -> Findings:
-        """What the equations of the fit tell beyond the parameters."""
+        """What follows from the equations of the fit beyond the parameters."""
         return findings(self, self.parts.region)
 
     @cached_property
