@@ -127,7 +127,7 @@ def calibrate(
         )
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
     document = done.written.document
-    text = f"{document.title}\n{document}\n\n{done.findings.words()}"
+    text = f"{document.title}\n{document}\n\n{done.result.findings.words()}"
     print_done(document, as_json, text=text, where=where)
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
@@ -205,12 +205,10 @@ def compare(
     mechanism: FunctionOption = None,
 ) -> None:
     """Compare two calibrations of one machine: differences, their sds and their significance."""
-    from loopcal.files.machines.python_function import load_function
     from loopcal.workflow.public import compare as compared
     from loopcal.workflow.saved_result import read_result
 
-    loops = None if mechanism is None else load_function(mechanism)
-    first, second = (read_result(path, mechanism=loops) for path in (a, b))
+    first, second = (read_result(path, mechanism=mechanism) for path in (a, b))
     try:
         done = compared(first, second, poses=poses, align=not same_frame)
     except InputError as error:
