@@ -9,8 +9,8 @@ from typing import Any
 from loopcal.errors import InputError
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
+from loopcal.files.machines.registry import machine_type
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_joints
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import Station
 
@@ -69,10 +69,9 @@ def _listed(data: Mapping[str, Any], mechanism: Mechanism) -> dict[str, Any]:
     """The same arm with its one instrument listed, which its type has by itself."""
     (family,) = mechanism.families
     kept = {k: v for k, v in data.items() if k not in _OF_POINT}
-    if data["type"] == "motoman-ma1400":
-        joints = motoman_joints()
-        kept["joint"] = [{"name": j.name, "form": j.form, "direction": j.direction} for j in joints]
-        kept["joint"][0]["before"] = data.get("before", {})
+    if joints := machine_type(data["type"]).listed():
+        joints[0]["before"] = data.get("before", {})
+        kept["joint"] = joints
     seen = {
         "type": "point",
         "readings": list(family.readings),

@@ -84,7 +84,6 @@ def mechanism_from_data(
 
     Raises InputError as `read_mechanism` does.
     """
-    from loopcal.files.machines.attached import affected
     from loopcal.files.machines.machine_type import ArmTable, ChainTable, MachineTable
     from loopcal.files.machines.registry import kinds, machine_type, table_of
     from loopcal.files.toml.model import validated
@@ -129,7 +128,10 @@ def mechanism_from_data(
         raise error if error.place else error.at(str(place)) from None
     if placement is not None:
         made = replace(made, placement=placement)
-    made = affected(made, table.effect, scope, place.at("effect"))
+    if table.effect:
+        from loopcal.files.machines.attached import affected
+
+        made = affected(made, table.effect, scope, place.at("effect"))
 
     def stated(parameters: Parameters) -> Parameters:
         return changed(parameters, entries, place.at("parameters"), units)

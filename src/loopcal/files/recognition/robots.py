@@ -16,13 +16,13 @@ from loopcal.files.machines.urdf import Branch, branches
 from loopcal.files.recognition.dh_table import Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
 from loopcal.files.recognition.layouts import named_joints, usual_joints
-from loopcal.mechanisms.motoman import NOMINAL, motoman_joints
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.serial import tool_names
 
 Array = NDArray[np.float64]
 _LEVEL = 1e-9
 """Below this the turn about y is a right angle, and those about z and x are one."""
 _TIPS = ("tool0", "tcp", "tool", "flange", "ee_link", "ee", "hand", "link_ee", "end_effector")
-_MOTOMAN, _POINT = "motoman-ma1400", ("x6B", "y6B", "z6B")
 _PARALLEL = 1e-3
 """Axes that meet at a smaller angle [rad] are parallel for Denavit and Hartenberg."""
 
@@ -228,6 +228,7 @@ def typed_robot(kind: str) -> Robot:
     Raises InputError for a type that has none, or is no chain of joints.
     """
     from loopcal.files.machines.mechanism_file import mechanism_from_data
+    from loopcal.files.machines.registry import machine_type
 
     try:
         mechanism = mechanism_from_data({"type": kind}, "--machine")
@@ -246,13 +247,18 @@ def typed_robot(kind: str) -> Robot:
             remedy=f"begin with loopcal new NAME --mechanism {kind}, and name your columns in it",
         )
     driven = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
-    apart = _motoman_apart() if kind == _MOTOMAN else None
-    return Robot({"type": kind}, len(driven), driven, point=_POINT if apart else (), apart=apart)
+    row = machine_type(kind)
+    if row.joints is None:
+        return Robot({"type": kind}, len(driven), driven)
+    point = tool_names(row.joints())
+    apart = _apart(mechanism, row.listed(), point)
+    return Robot({"type": kind}, len(driven), driven, point=point, apart=apart)
 
 
-def _motoman_apart() -> Robot:
-    """The joints of the arm as a machine of the type "serial", which any instrument may see."""
-    joints = [{"name": j.name, "form": j.form, "direction": j.direction} for j in motoman_joints()]
-    table = {"type": "serial", "name": "Motoman MA1400", "fix_redundant": True, "joint": joints}
-    lengths = {name: value for name, value in NOMINAL.items() if name not in _POINT}
-    return Robot(table, len(joints), tuple(j.name for j in motoman_joints()), lengths=lengths)
+def _apart(
+    mechanism: Mechanism, joints: Sequence[Mapping[str, Any]], point: Sequence[str]
+) -> Robot:
+    """The joints of an arm as a machine of the type "serial", which any instrument may see."""
+    table = {"type": "serial", "name": mechanism.name, "fix_redundant": True, "joint": joints}
+    lengths = {p.name: p.nominal for p in mechanism.parameters if p.nominal and p.name not in point}
+    return Robot(table, len(joints), tuple(j["name"] for j in joints), lengths=lengths)

@@ -35,7 +35,7 @@ def below_titles(path: Path, part: str | int | None) -> tuple[Table, str]:
     Raises the reader's InputError where the rows below hold no header either.
     """
     try:
-        table = read_table(path, part)
+        table = read_table(path, **({} if part is None else {reader_of(path).part: part}))
     except InputError:
         text_table = _text_below(path) if reader_of(path) is TEXT else None
         if text_table is None:

@@ -21,7 +21,7 @@ from loopcal.errors import InputError, listed, nearest
 from loopcal.files.tables.isolated import files_of
 from loopcal.files.tables.parquet import sha256_of_all
 from loopcal.files.tables.raw import sha256_of
-from loopcal.files.tables.reader import Reader
+from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
 from loopcal.files.tables.table import Table, find_column
 
 Array = NDArray[np.float64]
@@ -81,18 +81,18 @@ class _Series:
 
 def read_bag(
     path: str | Path,
+    layout: Layout = RECOGNISED,
     *,
     wanted: Collection[str | int] | None = None,
-    topic: str | None = None,
 ) -> Table:
     """Joints by their names, then x, y, z [m] and qw ... qz of each measuring topic.
 
-    topic: the only measuring topic to be read. Where there are several, its name precedes its
+    The layout may state the only topic to be read. Where there are several, the name precedes the
     columns. A stand in which a topic is silent has NaN there. Raises InputError for a bag that
     cannot be read, without joint states, without a stand, and with stamps that do not rise.
     """
     path = Path(path)
-    joints, measured = _series(path, topic)
+    joints, measured = _series(path, layout.topic)
     for name, series in (*joints.items(), *measured.items()):
         steps = np.diff(series.stamps)
         if not any(series.stamps) or (steps < 0).any():

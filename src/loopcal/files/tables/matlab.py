@@ -15,7 +15,7 @@ import numpy as np
 from loopcal.errors import InputError, nearest
 from loopcal.files.tables.cells import Cells
 from loopcal.files.tables.raw import existing_file, sha256_of
-from loopcal.files.tables.reader import Reader
+from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
 from loopcal.files.tables.table import Table, find_column
 from loopcal.files.tables.unfolded import refuse_large_matlab
 from loopcal.measurements.source import file_name
@@ -23,8 +23,8 @@ from loopcal.measurements.source import file_name
 
 def read_matlab(
     path: str | Path,
+    layout: Layout = RECOGNISED,
     *,
-    variable: str | None = None,
     wanted: Collection[str | int] | None = None,
 ) -> Table:
     """The variable stated; else the only one there is; else all vectors, by their names.
@@ -33,7 +33,7 @@ def read_matlab(
     InputError for format 7.3, a broken file, a variable that is not there or is no table.
     """
     path = existing_file(path)
-    variables = _load(path)
+    variables, variable = _load(path), layout.variable
     if variable is not None and variable not in variables:
         raise InputError(
             f"there is no variable {variable!r}",

@@ -21,7 +21,7 @@ from loopcal.errors import InputError
 from loopcal.files.tables.cells import ids
 from loopcal.files.tables.isolated import from_child
 from loopcal.files.tables.raw import empty, existing_file, sha256_of, unreadable
-from loopcal.files.tables.reader import Reader
+from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
 from loopcal.files.tables.table import ROW, Table, find_column
 
 if TYPE_CHECKING:
@@ -81,6 +81,7 @@ def parquet_files(path: str | Path) -> tuple[ParquetFile, ...]:
 
 def read_parquet(
     path: str | Path,
+    layout: Layout = RECOGNISED,
     *,
     wanted: Collection[str | int] | None = None,
     every: int = 1,

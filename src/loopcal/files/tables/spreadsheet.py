@@ -10,19 +10,14 @@ from loopcal.errors import InputError, listed, nearest
 from loopcal.files.tables.cells import is_missing
 from loopcal.files.tables.dialect import is_header
 from loopcal.files.tables.raw import empty, existing_file, sha256_of
-from loopcal.files.tables.reader import Reader
+from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
 from loopcal.files.tables.table import Table
 from loopcal.files.tables.unfolded import refuse_large_workbook
 from loopcal.measurements.source import file_name
 
 
 def read_spreadsheet(
-    path: str | Path,
-    *,
-    wanted: object = None,
-    sheet: str | int | None = None,
-    header: bool | None = None,
-    decimal: str | None = None,
+    path: str | Path, layout: Layout = RECOGNISED, *, wanted: object = None
 ) -> Table:
     """The cells of a sheet, by its name or its number from 1; the first sheet if not stated.
 
@@ -36,7 +31,7 @@ def read_spreadsheet(
     refuse_large_workbook(path)
     try:
         workbook = python_calamine.CalamineWorkbook.from_path(path)
-        title = _title(workbook.sheet_names, sheet, path.name)
+        title = _title(workbook.sheet_names, layout.sheet, path.name)
         # Empty rows stay, so that messages count rows as the workbook does.
         sheet_rows = workbook.get_sheet_by_name(title).to_python(skip_empty_area=False)
     except python_calamine.CalamineError as error:
@@ -51,7 +46,7 @@ def read_spreadsheet(
     rows = [(i, row) for i, row in enumerate(sheet_rows, 1) if not all(map(is_missing, row))]
     if not rows:
         raise empty(name)
-    mark = decimal or "."
+    mark, header = layout.decimal or ".", layout.header
     first = rows[0][1]
     if header is None:
         header = is_header([row for _, row in rows[:2]], mark, f"{name}, row {rows[0][0]}")
