@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from loopcal.errors import InputError
 from loopcal.files.machines.mechanism_file import mechanism_from_data
-from loopcal.files.machines.mechanism_writer import mechanism_to_toml
+from loopcal.files.machines.mechanism_writer import mechanism_table
 from loopcal.files.machines.registry import machine_type
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.placement import ChainPlacement
@@ -31,14 +30,13 @@ def with_points(
     station: of an instrument, whose frame the coordinates are in; None:
     the first frame of the chain. Raises InputError for a machine that no file describes.
     """
-    data = tomllib.loads(mechanism_to_toml(mechanism))
+    data = mechanism_table(mechanism)
     if data["type"] == "function":
         raise InputError(
             f"{mechanism.name!r} is written as a function, so points of its body are unknown",
             code="unsupported",
             remedy="describe the arm in a mechanism file, as type = 'serial' or 'urdf'",
         )
-    data.pop("schema")
     if "instrument" not in data:
         data = _listed(data, mechanism)
     for name, point in points.items():
