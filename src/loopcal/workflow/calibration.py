@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from loopcal.document.plain import finite_only
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.document.verdict import QUESTIONS
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
@@ -380,7 +381,7 @@ class _Run:
             document,
             title=self.project.title,
             warnings=(*words, *document.warnings),
-            inputs=result_file.finite_only(self.project.inputs),
+            inputs=dict(self.project.inputs),
         )
         result = result.adding(lambda _: document, judge=lambda _: document)
         return _Finished(result, judgement, words)
@@ -467,7 +468,7 @@ def save_result(
         loopcal=versions["loopcal"],
         title=document.title if title is None else title,
         warnings=(*warnings, *document.warnings),
-        inputs=document.inputs if inputs is None else result_file.finite_only(inputs),
+        inputs=document.inputs if inputs is None else finite_only(inputs),
         versions=versions,
     )
     page = None

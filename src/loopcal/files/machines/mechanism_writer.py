@@ -41,7 +41,9 @@ def mechanism_to_toml(mechanism: Mechanism, folder: str | Path | None = None) ->
 
 def mechanism_table(mechanism: Mechanism) -> dict[str, Any]:
     """The table that describes a mechanism, as `mechanism_from_data` takes it."""
-    described = dict(mechanism.description or _function(mechanism))
+    described = dict(mechanism.description or {"type": "function"})
+    if described["type"] == "function":
+        described |= _declared(mechanism)
     held, described["joint"] = described.pop("held", ()), described.pop("joints", ())
     # A machine without instruments calibrates itself: its list is empty, not absent.
     none = {"instrument": []} if described.get("instrument") == [] else {}
@@ -59,9 +61,9 @@ def mechanism_table(mechanism: Mechanism) -> dict[str, Any]:
     return {"type": stated.pop("type"), "name": stated.pop("name"), **none, **stated}
 
 
-def _function(mechanism: Mechanism) -> dict[str, Any]:
+def _declared(mechanism: Mechanism) -> dict[str, Any]:
+    """What a file says of loops written in Python."""
     return {
-        "type": "function",
         "quantities": mechanism.quantities,
         "known": mechanism.pose_constants,
         "outputs": mechanism.outputs,

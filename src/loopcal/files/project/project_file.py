@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from loopcal.document.plain import finite_only
 from loopcal.errors import InputError
 from loopcal.files.machines.mechanism_file import (
     ParameterChange,
@@ -120,7 +120,7 @@ def read_project(
         verdict=verdict,
         planned=tables.made("plan", scope),
         simulation=simulation,
-        inputs=plain(data),
+        inputs=finite_only(data),
         compare={} if compared is None else compared.models(machine, place.at("compare")),
     )
 
@@ -179,12 +179,3 @@ def stated_mechanism(
     return mechanism_from_data(
         stated, mechanism_place, function=definition, parameters=parameters, change=change
     )
-
-
-def plain(value: Any) -> Any:
-    """TOML data as JSON can hold it: infinite numbers become the texts "inf" and "-inf"."""
-    if isinstance(value, dict):
-        return {key: plain(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [plain(inner) for inner in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

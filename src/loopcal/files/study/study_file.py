@@ -9,13 +9,14 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from loopcal.document.plain import finite_only
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.calibrate import refuse_noise
 from loopcal.estimation.fit import Fit
 from loopcal.files.machines.parameter_entries import by_dimension, changed, in_si, with_priors
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.project.noise_table import Noises, StatedNoise, noises
-from loopcal.files.project.project_file import plain, stated_mechanism
+from loopcal.files.project.project_file import stated_mechanism
 from loopcal.files.project.simulation_table import SimulationSettings
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
@@ -142,7 +143,7 @@ def _fingerprint(data: Mapping[str, Any], scenarios: Sequence[Scenario]) -> str:
     # Another version may fit the same draws otherwise.
     parts = [
         version(),
-        json.dumps(plain(content), sort_keys=True),
+        json.dumps(finite_only(content), sort_keys=True),
         str(machine.tape),
         *map(str, machine.parameters),
     ]

@@ -30,7 +30,7 @@ from loopcal.measurements.source import Source, row_name
 from loopcal.units import difference_to_si, to_si, unit
 
 File = str | Path | BinaryIO
-_NAMELESS = frozenset(("", "None", "nan"))
+NAMELESS = frozenset(("", "None", "nan"))
 """Ids made of cells without anything in them."""
 
 
@@ -141,9 +141,9 @@ def dataset_of(
 
 def _refuse_nameless(table: Table, keep: NDArray[np.int64], ids: Sequence[str]) -> None:
     """Raise InputError where a pose to keep has no id; ids of all rows."""
-    if _NAMELESS.isdisjoint(ids):
+    if NAMELESS.isdisjoint(ids):
         return
-    nameless = [i for i in keep.tolist() if ids[i] in _NAMELESS]
+    nameless = [i for i in keep.tolist() if ids[i] in NAMELESS]
     if nameless:
         raise InputError(
             "this pose has no id"

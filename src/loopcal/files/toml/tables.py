@@ -32,7 +32,6 @@ from loopcal.files.toml.model import (
     Finite,
     Model,
     NameOrNumber,
-    OneOf,
     OrPlain,
     Sd,
     UnitName,
@@ -130,7 +129,7 @@ def form(kind: Any, key: Key) -> Any:
     if kind is float:
         return Annotated[Value, alone_as("value")] if key.unit and not key.beside else _number(key)
     if kind in (str, int) and key.choices:
-        return Annotated[str, OneOf(key.choices)] if kind is str else Literal[key.choices]
+        return Literal[key.choices]
     if kind is int:
         return Annotated[int, Field(ge=key.low, le=key.high)]
     if kind is str and key.least:

@@ -8,9 +8,8 @@ from typing import Any
 
 WIDTH = 98
 """Characters of a line of comments."""
-SECTIONS = frozenset(
-    "mechanism joint instrument effect structure parameters prior data join columns noise".split()
-)
+_OF_A_MECHANISM = ("joint", "instrument", "effect", "structure", "parameters")
+SECTIONS = frozenset(("mechanism", *_OF_A_MECHANISM, "prior", "data", "join", "columns", "noise"))
 """Tables, and lists of tables, with lines of their own; others stand within a line."""
 NO_REMARKS: Mapping[str, Sequence[str]] = {}
 
