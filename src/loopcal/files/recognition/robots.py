@@ -13,12 +13,12 @@ from loopcal.files.machines.urdf import Branch, branches
 from loopcal.files.recognition.dh_table import Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
 from loopcal.files.recognition.layouts import named_joints, usual_joints
+from loopcal.files.recognition.vocabulary import words
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.rest import roll_pitch_yaw
 from loopcal.mechanisms.serial import tool_names
 
-_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link", "ee", "hand", "link_ee", "end_effector")
 _SIX = ("tx", "ty", "tz", "rz", "ry", "rx")
 """Motions that make any frame, in this order."""
 _PARALLEL = 1e-3
@@ -88,7 +88,7 @@ def _best_tip(fitting: Iterable[Branch]) -> Branch:
     Which of them matters little: where the target sits on it is estimated.
     """
     links = sorted(fitting, key=lambda b: b.beyond)
-    for word in _TIPS:
+    for word in words("links", "tip"):
         for link in links:
             if link.tip == word or link.tip.endswith(f"_{word}"):
                 return link

@@ -41,7 +41,7 @@ _AXES = frozenset(_POSITION).union(*_FORMS)
 _COMMANDED = frozenset(words("performance", "commanded"))
 _MEASURED = frozenset(words("performance", "measured"))
 _LABELS = meanings("performance_labels")
-_IDS = frozenset(("id", "no", "nr", "number", "name", "index"))
+_COUNTED = words("performance", "counted")
 _CONDITIONS = ("payload", "speed")
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0}
 TOGETHER = 1e-6
@@ -173,12 +173,9 @@ class _Columns:
         place = f"{self.table.name}, column {label!r}"
         stated_unit = heading(self.table.names[position]).unit
         if stated_unit is None and dimension not in units and ask is not None:
-            question, offered = (
-                f"Which unit has {label!r} of {self.table.name}?",
-                _OFFERED[dimension],
-            )
             # The answer holds for all columns of this dimension.
-            units[dimension] = offered[ask(question, offered)]
+            number = ask(f"Which unit has {label!r} of {self.table.name}?", _OFFERED[dimension])
+            units[dimension] = _OFFERED[dimension][number]
         chosen = stated_unit or units.get(dimension)
         if chosen is None:
             raise InputError(
@@ -258,7 +255,7 @@ def _role(stem: str) -> tuple[str, str] | None:
     label = _LABELS.get(words[0])
     if label is None or any(word in _AXES for word in words[1:]):
         return None
-    plain = len(words) == 1 or words[1] in _IDS
+    plain = len(words) == 1 or words[1] in _COUNTED
     return ("", label) if plain or label in (*_CONDITIONS, "time", "direction") else None
 
 
