@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
-from loopcal.errors import InputError
+from loopcal.errors import placed
 from loopcal.files.machines.attached import Effects, instruments
 from loopcal.files.machines.parameter_entries import PARAMETERS, StatedParameter, Units
 from loopcal.files.toml.place import Place, Scope
@@ -114,7 +114,5 @@ def looked_at(
     """
     at = place.at("instrument")
     looking = [point()] if entries is None else instruments(entries, machine, scope, at)
-    try:
+    with placed(at):
         return assemble(machine, looking, nominal)
-    except InputError as error:
-        raise error.at(str(at)) from None

@@ -46,7 +46,7 @@ def mechanism_table(mechanism: Mechanism) -> dict[str, Any]:
         described |= _declared(mechanism)
     held, described["joint"] = described.pop("held", ()), described.pop("joints", ())
     # A machine without instruments calibrates itself: its list is empty, not absent.
-    none = {"instrument": []} if described.get("instrument") == [] else {}
+    none: dict[str, Any] = {"instrument": []} if described.get("instrument") == [] else {}
     table = {
         "type": described["type"],
         "name": mechanism.name,

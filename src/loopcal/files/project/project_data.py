@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, placed
 from loopcal.files.paths import expanded
 from loopcal.files.project.data_table import (
     DataTable,
@@ -204,8 +204,6 @@ def _covariance(block: CovarianceColumns, values: Array, dataset: Dataset) -> Ar
             place=dataset.place(first),
             remedy="fill the columns, or exclude these poses (data.exclude)",
         )
-    try:
+    with placed(block.place):
         Noise({block.quantities: matrices})
-    except InputError as error:
-        raise error.at(block.place) from None
     return matrices

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, placed
 from loopcal.files.json_reader import read_json
 from loopcal.files.json_writer import marked_json
 from loopcal.mechanisms.mechanism import Mechanism
@@ -83,10 +83,8 @@ def _value(entry: Any, expected: str, place: str) -> float:
             remedy='give {"value": number, "unit": "..."}',
         )
     unit = entry.get("unit", expected) if isinstance(entry, dict) else expected
-    try:
+    with placed(place):
         fits = convertible(str(unit), expected)
-    except InputError as error:
-        raise error.at(place) from None
     if not fits:
         raise InputError(
             f"the true value is in {unit}, the parameter in {expected}",

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.document.plain import finite_only
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, placed
 from loopcal.estimation.calibrate import refuse_noise
 from loopcal.estimation.fit import Fit
 from loopcal.files.machines.parameter_entries import by_dimension, changed, in_si, with_priors
@@ -244,10 +244,8 @@ def _method(entry: MethodTable, mechanism: Mechanism, assumed: Noises, place: Pl
         )
     method_noise = _noise(entry.noise, mechanism, place.at("noise"), learnt=True)
     noise = assumed.followed_by(method_noise).noise()
-    try:
+    with placed(place):
         refuse_noise(fit, noise)
-    except InputError as error:
-        raise error.at(str(place)) from None
     return StudyMethod(
         entry.title,
         with_priors(mechanism, entry.prior, place.at("prior")),

@@ -340,7 +340,7 @@ def read_attained(
     time = _times(read)
 
     def kept(of_rows: Sequence[str]) -> tuple[str, ...]:
-        return tuple(of_rows[i] for i in rows)
+        return tuple(of_rows[i] for i in rows.tolist())
 
     by_name = {name: kept(label) for name, label in labels.items() if label is not None}
     return AttainedPoses(

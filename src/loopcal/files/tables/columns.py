@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Any
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, placed
 from loopcal.files.tables.table import ROW, Table
 from loopcal.keys import Key
 from loopcal.units import convertible, unit
@@ -162,14 +162,12 @@ def _checked(quantity: str, column: Column, other_unit: str | None) -> Column:
             remedy="state one of them",
         )
     readings_unit = column.unit or other_unit
-    try:
+    with placed(place):
         sd_unit = column.sd_unit or readings_unit
         fits = not (readings_unit and sd_unit) or convertible(readings_unit, sd_unit)
         for name in (readings_unit, sd_unit):
             if name:
                 unit(name)
-    except InputError as error:
-        raise error.at(place) from None
     if not fits:
         raise InputError(
             f"the sd is in {sd_unit}, the readings in {readings_unit}",
