@@ -29,7 +29,6 @@ from loopcal.files.tables.parquet import (
     READER,
     ParquetFile,
     begins_of,
-    columns_at,
     frame_of,
     parquet_files,
     prove,
@@ -38,7 +37,7 @@ from loopcal.files.tables.parquet import (
 from loopcal.files.tables.raw import sha256_of
 from loopcal.files.tables.readers import dataset_of
 from loopcal.files.tables.registry import reader_of
-from loopcal.files.tables.table import ROW, Table
+from loopcal.files.tables.table import ROW, Table, positions_of
 from loopcal.files.toml.place import Place
 from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning, check_dataset
@@ -238,8 +237,8 @@ def project_stream(project: Project) -> ParquetStream | None:
         )
     columns = specified({**spec.columns, **columns_aside(project)}, {})
     asked = wanted(columns, spec.pose)
-    names, positions = files[0].names, columns_at(files[0], asked, files[0].path.name)
-    prove(files, [names[i] for i in positions])
+    names = files[0].names
+    prove(files, [names[i] for i in positions_of(asked, names, files[0].path.name)])
     return ParquetStream(project, files, path.name)
 
 
@@ -285,7 +284,7 @@ def _ids(part: _Part, table: Table | None, pose: str | int | None) -> Sequence[s
 def _rows(part: _Part, columns: dict[str, Column], pose: str | int | None) -> Table:
     """The rows of a part as a table, only the columns asked for."""
     file = part.file
-    positions = columns_at(file, wanted(columns, pose), file.path.name)
+    positions = positions_of(wanted(columns, pose), file.names, file.path.name)
     frame = frame_of(file, [file.names[i] for i in positions], part.offset, part.rows)
     rows: NDArray[np.int64] = part.offset + 1 + np.arange(part.rows, dtype=np.int64)
     cells = dict(zip(positions, frame.get_columns(), strict=True))

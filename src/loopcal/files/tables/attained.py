@@ -23,7 +23,6 @@ from loopcal.files.recognition.vocabulary import meanings, words
 from loopcal.files.tables.readers import NAMELESS, read_table
 from loopcal.files.tables.table import Table
 from loopcal.measurements.attained import AttainedPoses
-from loopcal.measurements.source import row_name
 from loopcal.units import to_si, unit
 
 Array = NDArray[np.float64]
@@ -129,11 +128,6 @@ class _Columns:
     def __len__(self) -> int:
         return len(self.table.rows)
 
-    def place(self, row: int, position: int | None = None) -> str:
-        """File, row and column for a message."""
-        where = f"{self.table.name}, {row_name(int(self.table.rows[row]), self.table.begins)}"
-        return where if position is None else f"{where}, column {self.table.label(position)!r}"
-
     def has_position(self, kind: str, planar: bool) -> bool:
         return all((kind, name) in self.at for name in (_POSITION[:2] if planar else _POSITION))
 
@@ -205,7 +199,7 @@ class _Columns:
             raise InputError(
                 f"the cell of {label} is empty",
                 code="missing-reading",
-                place=self.place(empty[0], position),
+                place=self.table.place(empty[0], position),
                 remedy="fill it in, or remove the row",
             )
         return labels
@@ -391,7 +385,7 @@ def _from_table(
         raise InputError(
             f"the pose {names[twice]!r} is there twice",
             code="duplicate-name",
-            place=table.place(twice),
+            place=table.table.place(twice),
             remedy="give each commanded pose once",
         )
     at = {name: i for i, name in enumerate(names)}
@@ -400,7 +394,7 @@ def _from_table(
             raise InputError(
                 f"the pose {name!r} is not among the commanded ones",
                 code="mismatched-poses",
-                place=read.place(row),
+                place=read.table.place(row),
                 remedy=nearest(name, at),
             )
     index = [at[name] for name in pose]
@@ -422,7 +416,7 @@ def _times(read: _Columns) -> Array | None:
                 raise InputError(
                     f"{cell!r} is not a time",
                     code="invalid-value",
-                    place=read.place(row, position),
+                    place=read.table.place(row, position),
                     remedy="write 2026-03-01T08:30:00, or numbers under time [s], [min] or [h]",
                 ) from None
             # without a zone, so that no change of clocks in the night stretches an hour
@@ -443,7 +437,7 @@ def _times(read: _Columns) -> Array | None:
         raise InputError(
             "the time is missing",
             code="missing-reading",
-            place=read.place(int(unknown[0]), position),
+            place=read.table.place(int(unknown[0]), position),
             remedy="fill it in, or remove the row",
         )
     return np.asarray(values, dtype=np.float64)
@@ -464,7 +458,7 @@ def _refuse_unknown(read: _Columns, asked: Array) -> None:
         raise InputError(
             "the commanded position is missing",
             code="missing-reading",
-            place=read.place(int(unknown[0])),
+            place=read.table.place(int(unknown[0])),
             remedy="fill it in, or remove the row",
         )
 
@@ -478,7 +472,7 @@ def _refuse_two_places(read: _Columns, pose: tuple[str, ...], asked: Array) -> N
                 f"the pose {name!r} has another commanded position than in row "
                 f"{int(read.table.rows[at])}",
                 code="mismatched-poses",
-                place=read.place(row),
+                place=read.table.place(row),
                 remedy="name the poses apart, or correct the commanded position",
             )
 
@@ -494,7 +488,7 @@ def _refuse_repeated(
                 f"cycle {number!r} of the pose {group[0]!r} is there already, in row "
                 f"{int(read.table.rows[other])}",
                 code="duplicate-name",
-                place=read.place(row),
+                place=read.table.place(row),
                 remedy="number the cycles, or add a column that separates them (direction, block, "
                 "payload, speed)",
             )

@@ -22,7 +22,7 @@ from loopcal.files.tables.isolated import files_of
 from loopcal.files.tables.parquet import sha256_of_all
 from loopcal.files.tables.raw import sha256_of
 from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
-from loopcal.files.tables.table import Table, find_column
+from loopcal.files.tables.table import Table, positions_of
 
 Array = NDArray[np.float64]
 STILL = 0.4
@@ -119,8 +119,7 @@ def read_bag(
         medians = _medians(series, begin, stands + np.array([_MARGIN, -_MARGIN]))
         columns |= {f"{head}{axis}": medians[:, i] for i, axis in enumerate(_AXES[: series.width])}
     names = tuple(columns)
-    asked = range(1, len(names) + 1) if wanted is None else wanted
-    positions = sorted({find_column(column, names, len(names), path.name) for column in asked})
+    positions = positions_of(wanted, names, path.name)
     return Table(
         path.name,
         None,

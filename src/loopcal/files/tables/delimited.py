@@ -25,6 +25,7 @@ from loopcal.files.tables.dialect import (
     Dialect,
     Row,
     cut,
+    only_header,
     quote_error,
     recognise,
     spoken,
@@ -112,12 +113,7 @@ def _careful(text: Text, dialect: Dialect) -> Table:
         cells.append(line)
         numbers.append(row.number)
     if not cells:
-        raise InputError(
-            "there is a header, but no row of data",
-            code="no-data",
-            place=f"{text.name}, row {dialect.header_row}",
-            remedy="give one row per pose; if the row is data, state header = false",
-        )
+        raise only_header(f"{text.name}, row {dialect.header_row}")
     columns = {i: list(column) for i, column in enumerate(zip(*cells, strict=True))}
     return _table(text, dialect, columns, np.array(numbers, dtype=np.int64))
 

@@ -227,6 +227,16 @@ def is_header(cells: Sequence[Sequence[object]], decimal: str, place: str) -> bo
     )
 
 
+def only_header(place: str) -> InputError:
+    """The error for a table of which only the header is there."""
+    return InputError(
+        "there is a header, but no row of data",
+        code="no-data",
+        place=place,
+        remedy="give one row per pose; if the row is data, state header = false",
+    )
+
+
 def _check_header(names: tuple[str, ...], body: list[list[str]], row: Row, name: str) -> None:
     if body and all(len(cells) > len(names) for cells in body):
         raise InputError(

@@ -16,7 +16,7 @@ from loopcal.errors import InputError, nearest
 from loopcal.files.tables.cells import Cells
 from loopcal.files.tables.raw import existing_file, sha256_of
 from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
-from loopcal.files.tables.table import Table, find_column
+from loopcal.files.tables.table import Table, positions_of
 from loopcal.files.tables.unfolded import refuse_large_matlab
 from loopcal.measurements.source import file_name
 
@@ -126,8 +126,7 @@ def _from_vectors(
     columns: dict[str, Any], path: Path, part: str | None, wanted: Collection[str | int] | None
 ) -> Table:
     names, name = tuple(columns), file_name(path.name, part)
-    asked = range(1, len(names) + 1) if wanted is None else wanted
-    positions = sorted({find_column(column, names, len(names), name) for column in asked})
+    positions = positions_of(wanted, names, name)
     vectors = {i: columns[names[i]].ravel() for i in positions}
     lengths = {names[i]: len(vector) for i, vector in vectors.items()}
     if len(set(lengths.values())) != 1:

@@ -23,7 +23,7 @@ from loopcal.files.tables.cells import ids
 from loopcal.files.tables.isolated import from_child
 from loopcal.files.tables.raw import empty, existing_file, sha256_of, unreadable
 from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
-from loopcal.files.tables.table import ROW, Table, find_column
+from loopcal.files.tables.table import ROW, Table, find_column, positions_of
 
 if TYPE_CHECKING:
     import polars as pl
@@ -101,8 +101,7 @@ def read_parquet(
     total = sum(file.rows for file in files)
     if not total:
         raise empty(path.name)
-    asked = range(1, len(names) + 1) if wanted is None else wanted
-    positions = columns_at(files[0], asked, path.name)
+    positions = positions_of(wanted, names, path.name)
     column = None if pose in (None, ROW) else names[find_column(pose, names, len(names), path.name)]
     prove(files, {names[i] for i in positions} | ({column} if also and column else set()))
     frames: list[pl.DataFrame] = []
@@ -212,12 +211,6 @@ def _unfolded(column: pl.Series) -> int:
     if column.dtype in (pl.Boolean, pl.Null):
         return len(column)
     return int(column.estimated_size())
-
-
-def columns_at(file: ParquetFile, asked: Iterable[str | int], place: str) -> list[int]:
-    """Positions of the columns asked for, rising; InputError for one that is not there."""
-    width = len(file.names)
-    return sorted({find_column(column, file.names, width, place) for column in asked})
 
 
 def frame_of(file: ParquetFile, names: Sequence[str], offset: int, rows: int) -> pl.DataFrame:

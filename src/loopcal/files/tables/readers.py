@@ -26,7 +26,7 @@ from loopcal.files.tables.registry import reader_of, refuse_other_options
 from loopcal.files.tables.table import ROW, Table
 from loopcal.measurements.dataset import Array, Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
-from loopcal.measurements.source import Source, row_name
+from loopcal.measurements.source import Source
 from loopcal.units import difference_to_si, to_si, unit
 
 File = str | Path | BinaryIO
@@ -149,7 +149,7 @@ def _refuse_nameless(table: Table, keep: NDArray[np.int64], ids: Sequence[str]) 
             "this pose has no id"
             + (f", and {len(nameless) - 1} others have none either" if len(nameless) > 1 else ""),
             code="mismatched-poses",
-            place=f"{table.name}, {row_name(int(table.rows[nameless[0]]), table.begins)}",
+            place=table.place(nameless[0]),
             remedy="fill in the ids, or remove pose = ... to number the poses",
         )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from loopcal.errors import InputError, listed, nearest
 from loopcal.files.tables.cells import is_missing
-from loopcal.files.tables.dialect import is_header
+from loopcal.files.tables.dialect import is_header, only_header
 from loopcal.files.tables.raw import empty, existing_file, sha256_of
 from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
 from loopcal.files.tables.table import Table
@@ -51,12 +51,7 @@ def read_spreadsheet(
     if header is None:
         header = is_header([row for _, row in rows[:2]], mark, f"{name}, row {rows[0][0]}")
     if header and len(rows) == 1:
-        raise InputError(
-            "there is a header, but no row of data",
-            code="no-data",
-            place=f"{name}, row {rows[0][0]}",
-            remedy="give one row per pose; if the row is data, state header = false",
-        )
+        raise only_header(f"{name}, row {rows[0][0]}")
     body = rows[1:] if header else rows
     return Table(
         path.name,
