@@ -133,6 +133,13 @@ class DomainError(InputError):
     usual_code: Code = "outside-domain"
 
 
+def unknown_name(
+    words: str, name: str, names: Iterable[str], place: str | None = None
+) -> InputError:
+    """The error for a name that is none of those there are: what to do names the nearest."""
+    return InputError(words, code="unknown-name", place=place, remedy=nearest(name, names))
+
+
 @contextmanager
 def placed(place: object, *, unless_stated: bool = False) -> Iterator[None]:
     """Give what is raised inside its place in a file, ahead of the place that it states.

@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from loopcal.errors import InputError, nearest, placed
+from loopcal.errors import InputError, placed, unknown_name
 from loopcal.files.machines.parameter_entries import StatedParameter, by_dimension, changed
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.result.pair import refuse_stale
@@ -94,11 +94,11 @@ def mechanism_from_data(
     try:
         model = table_of(kind)
     except KeyError:
-        raise InputError(
+        raise unknown_name(
             f"there is no type {kind!r}" if named else "the mechanism's type is missing",
-            code="unknown-name",
-            place=str(place.at("type") if named else place),
-            remedy=nearest(kind, kinds()),
+            kind,
+            kinds(),
+            str(place.at("type") if named else place),
         ) from None
     entry = validated(model, dict(data), place)
     if kind == "function":

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.document.plain import finite_only
-from loopcal.errors import InputError, nearest, placed
+from loopcal.errors import InputError, placed, unknown_name
 from loopcal.estimation.calibrate import refuse_noise
 from loopcal.estimation.fit import Fit
 from loopcal.files.machines.parameter_entries import by_dimension, changed, in_si, with_priors
@@ -270,19 +270,16 @@ def _published(
     for method, errors in entry.errors.items():
         method_place = place.at("errors", method)
         if method not in names:
-            raise InputError(
-                f"there is no method {method!r} in this study",
-                code="unknown-name",
-                place=str(method_place),
-                remedy=nearest(method, names),
+            raise unknown_name(
+                f"there is no method {method!r} in this study", method, names, str(method_place)
             )
         for name in errors:
             if name not in free:
-                raise InputError(
+                raise unknown_name(
                     f"{name!r} is not an estimated parameter",
-                    code="unknown-name",
-                    place=str(method_place.at(name)),
-                    remedy=nearest(name, free),
+                    name,
+                    free,
+                    str(method_place.at(name)),
                 )
         errors_by_method[method] = {
             name: in_si(value, None, mechanism.parameters[name].unit, method_place.at(name), units)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, listed, nearest
+from loopcal.errors import InputError, listed, nearest, unknown_name
 from loopcal.files.recognition.headers import heading
 from loopcal.files.recognition.vocabulary import meanings, words
 from loopcal.files.tables.readers import NAMELESS, read_table
@@ -70,11 +70,7 @@ class _Stated:
     @classmethod
     def of(cls, units: str | None, angles: str | None, ask: Ask | None) -> _Stated:
         if angles is not None and angles not in ANGLES:
-            raise InputError(
-                f"the convention of angles {angles!r} is not known",
-                code="unknown-name",
-                remedy=nearest(angles, ANGLES),
-            )
+            raise unknown_name(f"the convention of angles {angles!r} is not known", angles, ANGLES)
         named = [] if units is None else [unit(name) for name in units.split(",")]
         by_dimension = {one.dimension: one.name for one in named}
         if len(by_dimension) < len(named) or not by_dimension.keys() <= _OFFERED.keys():

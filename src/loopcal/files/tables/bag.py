@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, listed, nearest
+from loopcal.errors import InputError, listed, unknown_name
 from loopcal.files.tables.isolated import files_of
 from loopcal.files.tables.parquet import sha256_of_all
 from loopcal.files.tables.raw import sha256_of
@@ -138,11 +138,8 @@ def _series(path: Path, topic: str | None) -> tuple[dict[str, _Series], dict[str
         topics = {c.topic: c.msgtype for c in bag.connections}
         measuring = [name for name, kind in topics.items() if kind in _MEASURED]
         if topic is not None and topic not in measuring:
-            raise InputError(
-                f"no topic {topic!r} measures a point or a pose",
-                code="unknown-name",
-                place=path.name,
-                remedy=nearest(topic, measuring),
+            raise unknown_name(
+                f"no topic {topic!r} measures a point or a pose", topic, measuring, path.name
             )
         read = [
             c

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Any
 
-from loopcal.errors import InputError, nearest, placed
+from loopcal.errors import InputError, nearest, placed, unknown_name
 from loopcal.files.tables.table import ROW, Table
 from loopcal.keys import Key
 from loopcal.units import convertible, unit
@@ -126,11 +126,8 @@ def _column(quantity: str, stated: ColumnLike) -> Column:
         keys = [field.name for field in fields(Column)]
         for key in stated:
             if key not in keys:
-                raise InputError(
-                    f"unknown key {key!r}",
-                    code="unknown-name",
-                    place=f"column of {quantity!r}",
-                    remedy=nearest(str(key), keys),
+                raise unknown_name(
+                    f"unknown key {key!r}", str(key), keys, f"column of {quantity!r}"
                 )
         if "column" not in stated:
             raise InputError(

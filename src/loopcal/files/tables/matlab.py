@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.files.tables.cells import Cells
 from loopcal.files.tables.raw import existing_file, sha256_of
 from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
@@ -35,12 +35,7 @@ def read_matlab(
     path = existing_file(path)
     variables, variable = _load(path), layout.variable
     if variable is not None and variable not in variables:
-        raise InputError(
-            f"there is no variable {variable!r}",
-            code="unknown-name",
-            place=path.name,
-            remedy=nearest(variable, variables),
-        )
+        raise unknown_name(f"there is no variable {variable!r}", variable, variables, path.name)
     chosen = variable or (next(iter(variables)) if len(variables) == 1 else None)
     if chosen is None:
         columns = {n: v for n, v in variables.items() if _is_vector(v)}

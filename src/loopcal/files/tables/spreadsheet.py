@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loopcal.errors import InputError, listed, nearest
+from loopcal.errors import InputError, listed, unknown_name
 from loopcal.files.tables.cells import is_missing
 from loopcal.files.tables.dialect import is_header, only_header
 from loopcal.files.tables.raw import empty, existing_file, sha256_of
@@ -67,12 +67,7 @@ def read_spreadsheet(
 def _title(titles: list[str], sheet: str | int | None, name: str) -> str:
     if isinstance(sheet, str):
         if sheet not in titles:
-            raise InputError(
-                f"there is no sheet {sheet!r}",
-                code="unknown-name",
-                place=name,
-                remedy=nearest(sheet, titles),
-            )
+            raise unknown_name(f"there is no sheet {sheet!r}", sheet, titles, name)
         return sheet
     number = 1 if sheet is None else sheet
     if not 1 <= number <= len(titles):
