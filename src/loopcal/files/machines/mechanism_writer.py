@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from loopcal.files.paths import relative
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.files.toml.writer import document
 from loopcal.keys import plain
@@ -29,7 +29,7 @@ def mechanism_to_toml(mechanism: Mechanism, folder: str | Path | None = None) ->
     """
     table = mechanism_table(mechanism)
     if folder is not None and SOURCE in table:
-        table[SOURCE] = _seen_from(folder, table[SOURCE])
+        table[SOURCE] = relative(table[SOURCE], folder)
     head = [
         f"{mechanism.name}: a mechanism file of loopcal, made by it.",
         "Lengths are in m, angles in rad, sds in the unit of their value.",
@@ -75,13 +75,6 @@ def source_file(mechanism: Mechanism) -> Path | None:
     """The file that a mechanism was read from, where it is known and still there."""
     path = Path((mechanism.description or {}).get(SOURCE, ""))
     return path if path.is_file() else None
-
-
-def _seen_from(folder: str | Path, path: str) -> str:
-    try:
-        return Path(os.path.relpath(path, folder)).as_posix()
-    except ValueError:  # on another drive
-        return path
 
 
 _BELOW = ("joint", "instrument", "effect", "structure")
