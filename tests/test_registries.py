@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import get_type_hints
 
 import pytest
 
@@ -12,7 +11,7 @@ from loopcal.files.exports.registry import EXPORTS
 from loopcal.files.programs.registry import DIALECTS
 from loopcal.files.project.data_table import DataTable
 from loopcal.files.tables.reader import Layout
-from loopcal.files.tables.registry import OPTIONS, READERS
+from loopcal.files.tables.registry import READERS
 from loopcal.keys import arguments
 from tests.command_line import run_here
 from tests.documented_rows import DOCS, block_of, check_block, markdown
@@ -39,8 +38,9 @@ def test_the_files_of_readings_are_those_of_the_rows() -> None:
 
 
 def test_each_option_of_a_reader_is_a_keyword_and_a_key_of_the_project() -> None:
-    assert set(get_type_hints(Layout)) == OPTIONS
-    assert {argument.name for argument in arguments(DataTable)} >= OPTIONS
+    layout = [argument.name for argument in arguments(Layout)]
+    assert set(layout) == {option for reader in READERS for option in reader.options}
+    assert {argument.name for argument in arguments(DataTable)} >= set(layout)
 
 
 def test_the_dialects_of_programs_are_those_of_the_rows() -> None:

@@ -27,6 +27,15 @@ def plain(value: Any) -> Any:
     return value
 
 
+def finite_only(value: Any) -> Any:
+    """Plain data without what JSON cannot say: infinity and NaN become text as TOML spells them."""
+    if isinstance(value, Mapping):
+        return {str(key): finite_only(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_only(inner) for inner in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def finite(value: float | None) -> float | None:
     """None for a number that is not finite: it stands for what is unknown or unbounded."""
     return value if value is not None and math.isfinite(value) else None

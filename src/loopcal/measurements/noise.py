@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import DatasheetSd, Tracker
 
@@ -68,11 +68,7 @@ class Noise:
         for key, how in self.estimate.items():
             _check_key(key)
             if how not in ESTIMATES:
-                raise InputError(
-                    f"estimate of {key!r} is {how!r}",
-                    code="unknown-name",
-                    remedy=nearest(how, ESTIMATES),
-                )
+                raise unknown_name(f"estimate of {key!r} is {how!r}", how, ESTIMATES)
 
     @classmethod
     def of(cls, noise: NoiseLike | None) -> Noise | None:

@@ -319,7 +319,7 @@ class _Run:
         return Result.of(
             fitted,
             title=self.project.title,
-            inputs=result_file.finite_only(self.project.inputs),
+            inputs=dict(self.project.inputs),
             about_readings=tuple(str(warning) for warning in warnings),
             errors=errors,
             tolerance=self.project.verdict.tolerance,

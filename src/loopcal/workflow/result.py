@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from loopcal.document.plain import finite_only
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.estimation import result as estimation
 from loopcal.estimation.fit_document import fit_document
@@ -134,7 +135,7 @@ def save_result(
         loopcal=versions["loopcal"],
         title=document.title if title is None else title,
         warnings=(*warnings, *document.warnings),
-        inputs=document.inputs if inputs is None else result_file.finite_only(inputs),
+        inputs=document.inputs if inputs is None else finite_only(inputs),
         versions=versions,
     )
     page = None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.exported import Exported, Placed
-from loopcal.errors import InputError, nearest
+from loopcal.errors import unknown_name
 from loopcal.files.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.files.exports.urdf import decimal
 from loopcal.files.programs.program import written
@@ -43,10 +43,8 @@ def zeros(exported: Exported, options: ExportOptions) -> ExportFiles:
     joints = [zero.joint for zero in exported.zeros]
     for name in options.counts:
         if name not in joints:
-            raise InputError(
-                f"counts are stated for {name!r}, which is not a joint",
-                code="unknown-name",
-                remedy=nearest(name, joints),
+            raise unknown_name(
+                f"counts are stated for {name!r}, which is not a joint", name, joints
             )
     head = ["joint", "unit", "correction", "U95", "pendant reads at the true zero"]
     head += ["counts", "determined"]

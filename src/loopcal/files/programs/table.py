@@ -26,6 +26,7 @@ from loopcal.files.programs.poses_text import (
 from loopcal.files.programs.program import Move, Number, Program, ProgramTarget, Span, written
 from loopcal.files.tables.cells import number
 from loopcal.files.tables.dialect import WHITESPACE, Dialect, Row, recognise
+from loopcal.files.tables.reader import Layout
 from loopcal.units import unit
 
 Array = NDArray[np.float64]
@@ -61,7 +62,7 @@ def read_table(text: str, name: str, axes: JointAxes) -> Program:
             "the table is empty", code="no-data", place=name, remedy="give one row per target"
         )
     delimiter = next((mark for mark in "\t;," if mark in rows[0].line), None)
-    dialect = recognise(rows[:100], name, delimiter=delimiter)
+    dialect = recognise(rows[:100], name, Layout(delimiter=delimiter))
     if rows[-1].number <= dialect.header_row:
         raise InputError(
             "there is a header, but no target",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from loopcal.errors import InputError
@@ -20,9 +20,12 @@ def write_new_project(folder: str | Path, kind: str) -> tuple[Path, ...]:
     return write_new_files(folder, template_files(kind, folder.as_posix()))
 
 
-def refuse_existing(folder: Path, names: Iterable[str]) -> None:
-    """Raise InputError where one of these files is there already."""
-    for name in names:
+def write_new_files(folder: Path, files: Mapping[str, str | bytes]) -> tuple[Path, ...]:
+    """Write the files of a new project, name -> contents, all or none.
+
+    Raises InputError where one of them is there already.
+    """
+    for name in files:
         if (folder / name).exists():
             raise InputError(
                 "the file exists and was not changed",
@@ -30,13 +33,5 @@ def refuse_existing(folder: Path, names: Iterable[str]) -> None:
                 place=str(folder / name),
                 remedy="name another folder, or remove the file",
             )
-
-
-def write_new_files(folder: Path, files: Mapping[str, str | bytes]) -> tuple[Path, ...]:
-    """Write the files of a new project, name -> contents, all or none.
-
-    Raises InputError where one of them is there already.
-    """
-    refuse_existing(folder, files)
     write_files(folder, files)
     return tuple(folder / name for name in files)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, placed
 from loopcal.files.machines.attached import Effects, Instruments
 from loopcal.files.machines.parameter_entries import PARAMETERS, PRIOR, StatedParameter, StatedPrior
 from loopcal.files.machines.registry import kinds, table_of
@@ -91,10 +91,8 @@ class CompareTable:
                     remedy="give each a unique name",
                 )
             by_name[stated.name] = stated
-            try:
+            with placed(at):
                 with_only(mechanism, by_name[stated.name])
-            except InputError as error:
-                raise error.at(str(at)) from None
         return by_name
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import unknown_name
 
 TEMPLATES = (
     "planar-two-link",
@@ -35,11 +35,7 @@ def template_files(kind: str, folder: str) -> Mapping[str, str]:
     for a type that there is no project for.
     """
     if kind not in TEMPLATES:
-        raise InputError(
-            f"there is no project of the type {kind!r}",
-            code="unknown-name",
-            remedy=nearest(kind, TEMPLATES),
-        )
+        raise unknown_name(f"there is no project of the type {kind!r}", kind, TEMPLATES)
     # a name that ends in .template keeps linters from taking an example for a module of ours
     shown = shlex.quote(" ".join(folder.split()))
     from importlib import resources

@@ -6,11 +6,9 @@ import re
 import unicodedata
 from dataclasses import dataclass
 
-from loopcal.files.recognition.vocabulary import meanings
+from loopcal.files.recognition.vocabulary import meanings, words
 
 _SPOKEN = meanings("units")
-_OPEN = ("grad", "grads", "grade", "grades")
-"""Degrees in one language, gon in another: the readings say which."""
 _OPENING, _CLOSING = re.compile(r"[\[({]"), re.compile(r"[\])}]")
 # NFKD takes accents away, but turns no letter of another alphabet into a word.
 _LETTERS = {"θ": "theta", "ϑ": "theta", "φ": "phi", "α": "alpha", "β": "beta", "Δ": "delta"}
@@ -39,15 +37,15 @@ def heading(text: str) -> Heading:
     for name_part, stated in (_in_brackets(name), _after_slash(name)):
         if (spoken := _unit(stated)) is not None:
             return Heading(text, stem(name_part), spoken)
-        if stated.strip().casefold() in _OPEN:
+        if stated.strip().casefold() in words("open", "angle"):
             return Heading(text, stem(name_part))
-    words = stem(name).split("_")
-    if len(words) > 1 and words[-1] in _SPOKEN and words[-1] not in ("s", "ms"):
-        unit = _unit(words[-1])
-        words = words[:-1]
-        if len(words) > 1 and words[-1] == "in":
-            words = words[:-1]
-    return Heading(text, "_".join(words), unit)
+    parts = stem(name).split("_")
+    if len(parts) > 1 and parts[-1] in _SPOKEN and parts[-1] not in ("s", "ms"):
+        unit = _unit(parts[-1])
+        parts = parts[:-1]
+        if len(parts) > 1 and parts[-1] == "in":
+            parts = parts[:-1]
+    return Heading(text, "_".join(parts), unit)
 
 
 def _in_brackets(name: str) -> tuple[str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.files.recognition.headers import stem
+from loopcal.files.recognition.vocabulary import words
 from loopcal.files.tables.cells import is_number
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.registry import TEXT, reader_of
@@ -22,11 +22,7 @@ _MOST, _FEWEST = 15, 4
 """Rows of titles at most, and columns of numbers that a table of readings has at least."""
 _MOST_BYTES = 20_000_000
 """Of a text that is searched for titles: it is read once for each row that may be one."""
-_SUMMARY = re.compile(
-    r"^(mean|average|avg|std|stdev|std_dev|sd|sigma|min|max|minimum|maximum|median|rms|sum|total"
-    r"|count|range|mittel|mittelwert|standardabweichung|stabw|summe|anzahl|moyenne|ecart_type|somme"
-    r"|prumer|median|soucet|media|promedio|desviacion)(_.*)?$"
-)
+_SUMMARY = tuple(f"{word}_" for word in words("rows", "summary"))
 
 
 def below_titles(path: Path, part: str | int | None) -> tuple[Table, str]:
@@ -35,7 +31,7 @@ def below_titles(path: Path, part: str | int | None) -> tuple[Table, str]:
     Raises the reader's InputError where the rows below hold no header either.
     """
     try:
-        table = read_table(path, part)
+        table = read_table(path, **({} if part is None else {reader_of(path).part: part}))
     except InputError:
         text_table = _text_below(path) if reader_of(path) is TEXT else None
         if text_table is None:
@@ -90,6 +86,6 @@ def _remark(name: str, count: int) -> str:
 def readings_of(columns: Sequence[Sequence[str]], count: int) -> NDArray[np.intp]:
     """Positions of the rows that are no summary; columns: of text and ids, each (count,)."""
     last = count
-    while last and any(_SUMMARY.match(stem(cells[last - 1])) for cells in columns):
+    while last and any(f"{stem(cells[last - 1])}_".startswith(_SUMMARY) for cells in columns):
         last -= 1
     return np.arange(last)

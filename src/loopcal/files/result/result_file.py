@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
@@ -159,17 +158,6 @@ def result_schema() -> dict[str, Any]:
     """JSON Schema (2020-12) of result.json."""
     schema = _adapter().json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
-
-
-def finite_only(value: Any) -> Any:
-    """Plain data without what JSON cannot say: infinity and NaN become text as TOML spells them."""
-    if isinstance(value, Mapping):
-        return {str(key): finite_only(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite_only(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    return value
 
 
 @cache

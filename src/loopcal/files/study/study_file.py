@@ -9,13 +9,14 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from loopcal.errors import InputError, nearest
+from loopcal.document.plain import finite_only
+from loopcal.errors import InputError, placed, unknown_name
 from loopcal.estimation.calibrate import refuse_noise
 from loopcal.estimation.fit import Fit
 from loopcal.files.machines.parameter_entries import by_dimension, changed, in_si, with_priors
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.project.noise_table import Noises, StatedNoise, noises
-from loopcal.files.project.project_file import plain, stated_mechanism
+from loopcal.files.project.project_file import stated_mechanism
 from loopcal.files.project.simulation_table import SimulationSettings
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
@@ -142,7 +143,7 @@ def _fingerprint(data: Mapping[str, Any], scenarios: Sequence[Scenario]) -> str:
     # Another version may fit the same draws otherwise.
     parts = [
         version(),
-        json.dumps(plain(content), sort_keys=True),
+        json.dumps(finite_only(content), sort_keys=True),
         str(machine.tape),
         *map(str, machine.parameters),
     ]
@@ -243,10 +244,8 @@ def _method(entry: MethodTable, mechanism: Mechanism, assumed: Noises, place: Pl
         )
     method_noise = _noise(entry.noise, mechanism, place.at("noise"), learnt=True)
     noise = assumed.followed_by(method_noise).noise()
-    try:
+    with placed(place):
         refuse_noise(fit, noise)
-    except InputError as error:
-        raise error.at(str(place)) from None
     return StudyMethod(
         entry.title,
         with_priors(mechanism, entry.prior, place.at("prior")),
@@ -271,19 +270,16 @@ def _published(
     for method, errors in entry.errors.items():
         method_place = place.at("errors", method)
         if method not in names:
-            raise InputError(
-                f"there is no method {method!r} in this study",
-                code="unknown-name",
-                place=str(method_place),
-                remedy=nearest(method, names),
+            raise unknown_name(
+                f"there is no method {method!r} in this study", method, names, str(method_place)
             )
         for name in errors:
             if name not in free:
-                raise InputError(
+                raise unknown_name(
                     f"{name!r} is not an estimated parameter",
-                    code="unknown-name",
-                    place=str(method_place.at(name)),
-                    remedy=nearest(name, free),
+                    name,
+                    free,
+                    str(method_place.at(name)),
                 )
         errors_by_method[method] = {
             name: in_si(value, None, mechanism.parameters[name].unit, method_place.at(name), units)
