@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +35,6 @@ from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.solve.solution import Solution
 from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
-
-if TYPE_CHECKING:
-    from loopcal.estimation.noise.terms import EstimatedTerm
 
 Array = NDArray[np.float64]
 
@@ -132,7 +129,7 @@ class NoiseEstimate:
             return self.variances.sensors
         at = fit_at(self.model, self.ratios)
         assert at is not None  # they were found there
-        return Estimate(self.ratios, at, True)
+        return Estimate(at)
 
     @cached_property
     def criterion(self) -> float:
@@ -147,23 +144,11 @@ class NoiseEstimate:
         assert at is not None
         return at.criterion + self.variances.terms.prior_criterion
 
-    @cached_property
-    def terms(self) -> tuple[EstimatedTerm, ...]:
-        """What the calibration says of each term."""
-        learnt = self.variances.terms
-        if learnt is None:
-            return ()
-        from loopcal.estimation.noise.terms import judged_terms
-
-        return judged_terms(learnt)
-
     def _by_sums(self) -> tuple[EstimatedSd, ...]:
         """What the sums of all poses say of the factor common to all noise."""
         learnt = self.variances.terms
         assert learnt is not None
-        from loopcal.estimation.noise.terms import curvature_sds
-
-        sd = 0.5 * float(curvature_sds(learnt)[0])
+        sd = 0.5 * float(learnt.sds[0])
         return tuple(
             EstimatedSd(c.name, c.quantities, ratio, ratio * sd, None, None, None)
             for c, ratio in zip(self.stated, self.factors.values(), strict=True)
