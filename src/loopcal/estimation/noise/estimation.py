@@ -83,10 +83,10 @@ class EstimatedSd:
     name: str
     quantities: tuple[int, ...]
     ratio: float
-    sd_of_ratio: float | None
-    upper_ratio: float | None
-    likelihood_ratio: float | None
-    p_value: float | None
+    sd_of_ratio: float | None = None
+    upper_ratio: float | None = None
+    likelihood_ratio: float | None = None
+    p_value: float | None = None
 
 
 @dataclass(frozen=True)
@@ -144,16 +144,6 @@ class NoiseEstimate:
         assert at is not None
         return at.criterion + self.variances.terms.prior_criterion
 
-    def _by_sums(self) -> tuple[EstimatedSd, ...]:
-        """What the sums of all poses say of the factor common to all noise."""
-        learnt = self.variances.terms
-        assert learnt is not None
-        sd = 0.5 * float(learnt.sds[0])
-        return tuple(
-            EstimatedSd(c.name, c.quantities, ratio, ratio * sd, None, None, None)
-            for c, ratio in zip(self.stated, self.factors.values(), strict=True)
-        )
-
     @property
     def factors(self) -> Mapping[str, float]:
         """Estimated over stated sd of each component, by name."""
@@ -174,13 +164,12 @@ class NoiseEstimate:
 
         Without statistics where the fit did not converge.
         """
+        plain = tuple(EstimatedSd(c.name, c.quantities, self.factors[c.name]) for c in self.stated)
         if not self.solution.status.converged:
-            return tuple(
-                EstimatedSd(c.name, c.quantities, self.factors[c.name], None, None, None, None)
-                for c in self.stated
-            )
-        if self.variances.by_sums:
-            return self._by_sums()
+            return plain
+        if self.variances.by_sums and self.variances.terms is not None:
+            sd = 0.5 * float(self.variances.terms.sds[0])  # of the factor common to all noise
+            return tuple(replace(one, sd_of_ratio=one.ratio * sd) for one in plain)
         unsure = {name for pair in self.alike for name in pair}
         return tuple(
             judged(self.model, self.sensor_estimate, i, component, component.name in unsure)
