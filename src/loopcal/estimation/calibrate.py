@@ -51,7 +51,7 @@ def calibrate(
     state = replace(state, trusted=trusted)
 
     def once(problem: Problem, most: int, tolerance: float | None) -> Solution:
-        limits = {"max_iterations": most, "tolerance": tolerance, "progress": progress}
+        limits: Any = {"max_iterations": most, "tolerance": tolerance, "progress": progress}
         if (loss := fit.robust_loss) is not None:
             return solve_robust(problem, loss, method=fit.solver, **limits)
         return fit.solver.solve(problem, **limits)

@@ -77,7 +77,7 @@ class Checkpoint(Generic[State]):
 
     def document(self) -> dict[str, Any]:
         """The checkpoint in plain lists, numbers and names; the state must be such itself."""
-        return _plain(asdict(self))
+        return {name: _plain(value) for name, value in asdict(self).items()}
 
     @classmethod
     def read(cls, document: Mapping[str, Any]) -> Checkpoint[Any]:

@@ -142,6 +142,7 @@ class _Solver(Generic[State]):
         self.tolerance = RELATIVE_STEP if tolerance is None else tolerance
         self.unknowns = merit.unknowns
         self.progress, self.reached = progress, reached
+        self.search: Checkpoint[State]
 
     def run(self, max_iterations: int, resume: Checkpoint[State] | None) -> End[State]:
         current = self._resumed(resume) if resume else self._first()
