@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 # docs/decisions/0052.
 FAULTY = 3
 """Iterations of the fit of a file that is at fault as a whole."""
+# Chosen, not derived: it only asks whether lengths end far off, not where exactly.
 TRIED, ROUGHLY = 30, 1e-2
 """Iterations, and tolerance, of the fit that shows whether only the drawing is far off."""
 LEARNT = 1e-5

@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 # Places on one line leave the turn about it open.
 _SPREAD = 0.05
 """Places of which one direction spreads less than this beside another show no rotation."""
+# Chosen, not derived: drawings and placements are right to centimetres.
 _ELSEWHERE = 0.1
 """A machine that misses by more [m] has its directions wrong."""
 

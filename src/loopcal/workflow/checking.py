@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Protocol
 
 from loopcal.errors import InputError
 from loopcal.estimation.plausible import refuse_other_units
@@ -16,11 +18,23 @@ from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.tables.writer import check_ending, table_bytes
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
-from loopcal.planning.cure import Cure, cure
+from loopcal.measurements.plan_settings import PlanSettings
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.prediction import Prediction, predict
 from loopcal.statistics.predictor import predictor_of
 from loopcal.workflow.projects import named_project, project_files
+
+
+class Cure(Protocol):
+    """What would raise a verdict that is not good; `str` says it in words."""
+
+    def document(self) -> Mapping[str, Any]:
+        """The same as JSON."""
+
+
+Cures = Callable[[Mechanism, Dataset, Noise, PlanSettings], Cure]
+"""Finds the cure of readings; raises InputError where nothing says where poses may be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +51,13 @@ class Checked:
     cure: Cure | None = None
 
 
-def run_check(project: str | Path, *, function: str | None = None) -> Checked:
+def run_check(
+    project: str | Path, *, function: str | None = None, cures: Cures | None = None
+) -> Checked:
     """What a project's readings can determine; nothing is fitted and nothing written.
 
-    Of a stream some are looked at, as a warning says.
+    Of a stream some are looked at, as a warning says. cures: finds what would raise a verdict that
+    is not good.
     Raises InputError for what cannot be used.
     """
     read = named_project(project, function)
@@ -56,14 +73,16 @@ def run_check(project: str | Path, *, function: str | None = None) -> Checked:
         raise error.at(read.name) from None
     done = replace(done, files=project_files(read, function))
     warnings = tuple(str(warning) for warning in loaded.warnings)
-    return Checked(done, read.title, warnings, _cure(done, read, loaded.dataset, noise))
+    return Checked(done, read.title, warnings, _cure(done, read, loaded.dataset, noise, cures))
 
 
-def _cure(done: Check, project: Project, data: Dataset, noise: Noise | None) -> Cure | None:
-    if done.verdict == "good" or noise is None:
+def _cure(
+    done: Check, project: Project, data: Dataset, noise: Noise | None, cures: Cures | None
+) -> Cure | None:
+    if done.verdict == "good" or noise is None or cures is None:
         return None
     try:
-        return cure(project.mechanism, data, noise, project.plan)
+        return cures(project.mechanism, data, noise, project.plan)
     except InputError:
         return None  # nothing says where poses may be
 

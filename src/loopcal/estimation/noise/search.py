@@ -21,6 +21,7 @@ from loopcal.estimation.noise.linear_model import MixedFit
 
 Array = NDArray[np.float64]
 Place = TypeVar("Place", bound=MixedFit)
+# Caps against an endless search: 30 halvings leave 1e-9 of a step. Chosen, not derived.
 _MOST, _HALVINGS = 200, 30
 SETTLED = 1e-10
 """A step is the last one if it promises the criterion less than this, or than its rounding."""
@@ -30,6 +31,7 @@ _ROUNDING = 1e-14
 _KEPT = 0.5
 """Where a step brings less than this of what it promised, or more than its inverse, the information
 matrix it came from does not serve any more."""
+# Above rounding, 1e-16, and far below any information that counts: chosen, not derived.
 _RIDGE = 1e-12
 """Of a component's own information, so that what only shows in a sum has a step of its own."""
 

@@ -31,8 +31,11 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.terms import Term
 
 Array = NDArray[np.float64]
+# A factor of e in the sd, where the quadratic model of the criterion holds at most. Chosen, not
+# derived.
 _FARTHEST = 2.0
 """No logarithm of a variance changes by more in one step."""
+# Chosen, not derived: an sd of 30 in the logarithm of a variance says nothing on it.
 _FLAT = 1e-3
 """Curvature below which a direction counts as flat."""
 

@@ -21,10 +21,13 @@ from loopcal.lazy import cached_property
 Array = NDArray[np.float64]
 _AT_BOUND = 1e-9
 """A step that leaves no more than this of a ratio above its bound leads to the bound."""
+# Chosen, not derived: an sd of 100 in the logarithm says nothing on the ratio.
 _OPEN = 1e-4
 """Information on the logarithm of a ratio, below which the data leave it open."""
+# Chosen, not derived: by chance alone chi-squared is larger in three cases of four.
 _NO_PULL = 0.1
 """Chi-squared with which the data hold a ratio at zero, below which it is there by chance."""
+# Chosen, not derived: only a tenth of the variance of each, 1 - 0.95^2, is its own.
 ALIKE = 0.95
 """Two estimates correlated beyond this cannot be separated by the data."""
 
