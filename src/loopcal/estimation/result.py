@@ -290,7 +290,8 @@ class Result:
         """What was learnt of each term of the mechanism; empty where nothing was."""
         if self.inherited is not None:
             return self.inherited.terms
-        return () if self.estimate is None else term_entries(self.mechanism, self.estimate.terms)
+        learnt = None if self.estimate is None else self.estimate.variances.terms
+        return () if learnt is None else term_entries(self.mechanism, learnt)
 
     def terms_with_parts(self) -> tuple[TermEntry, ...]:
         """With what each term does joint by joint."""

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
-from loopcal.estimation.calibrate import LEARNT, calibrate
+from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.inherited import UPDATED, Inherited
 from loopcal.estimation.methods.method import Method
@@ -38,6 +38,7 @@ from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.status import MOST_ITERATIONS
 from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.estimation.steps import LEARNT
 from loopcal.life.both_days import learnt
 from loopcal.life.earlier import Around, Coordinates, Earlier
 from loopcal.measurements.dataset import Dataset

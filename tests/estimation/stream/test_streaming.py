@@ -341,8 +341,8 @@ def test_so_does_a_search_from_afar_whatever_it_has_in_mind() -> None:
         start, data = drawn.off(0.3, 1.0, seed=seed), drawn.read(sds, seed=seed)
         fit = Fit(method="implicit-loop", start="nominal")
         kept += resumed_alike(start, data, Noise(sds), fit, 7)
-    assert sum(one.damping > 0.0 for one in kept) >= 3
-    assert sum(one.recent is not None for one in kept) >= 3
+    assert sum(one.course.damping > 0.0 for one in kept) >= 3
+    assert sum(one.course.recent is not None for one in kept) >= 3
 
 
 def resumed_alike(

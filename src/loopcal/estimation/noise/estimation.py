@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +35,6 @@ from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.solve.solution import Solution
 from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
-
-if TYPE_CHECKING:
-    from loopcal.estimation.noise.terms import EstimatedTerm
 
 Array = NDArray[np.float64]
 
@@ -92,10 +89,10 @@ class EstimatedSd:
     name: str
     quantities: tuple[int, ...]
     ratio: float
-    sd_of_ratio: float | None
-    upper_ratio: float | None
-    likelihood_ratio: float | None
-    p_value: float | None
+    sd_of_ratio: float | None = None
+    upper_ratio: float | None = None
+    likelihood_ratio: float | None = None
+    p_value: float | None = None
 
 
 @dataclass(frozen=True)
@@ -138,7 +135,7 @@ class NoiseEstimate:
             return self.variances.sensors
         at = fit_at(self.model, self.ratios)
         assert at is not None  # they were found there
-        return Estimate(self.ratios, at, True)
+        return Estimate(at)
 
     @cached_property
     def criterion(self) -> float:
@@ -152,28 +149,6 @@ class NoiseEstimate:
         at = fit_at(self.model, self.variances.ratios)
         assert at is not None
         return at.criterion + self.variances.terms.prior_criterion
-
-    @cached_property
-    def terms(self) -> tuple[EstimatedTerm, ...]:
-        """What the calibration says of each term."""
-        learnt = self.variances.terms
-        if learnt is None:
-            return ()
-        from loopcal.estimation.noise.terms import judged_terms
-
-        return judged_terms(learnt)
-
-    def _by_sums(self) -> tuple[EstimatedSd, ...]:
-        """What the sums of all poses say of the factor common to all noise."""
-        learnt = self.variances.terms
-        assert learnt is not None
-        from loopcal.estimation.noise.terms import curvature_sds
-
-        sd = 0.5 * float(curvature_sds(learnt)[0])
-        return tuple(
-            EstimatedSd(c.name, c.quantities, ratio, ratio * sd, None, None, None)
-            for c, ratio in zip(self.stated, self.factors.values(), strict=True)
-        )
 
     @property
     def factors(self) -> Mapping[str, float]:
@@ -195,13 +170,12 @@ class NoiseEstimate:
 
         Without statistics where the fit did not converge.
         """
+        plain = tuple(EstimatedSd(c.name, c.quantities, self.factors[c.name]) for c in self.stated)
         if not self.solution.status.converged:
-            return tuple(
-                EstimatedSd(c.name, c.quantities, self.factors[c.name], None, None, None, None)
-                for c in self.stated
-            )
-        if self.variances.by_sums:
-            return self._by_sums()
+            return plain
+        if self.variances.by_sums and self.variances.terms is not None:
+            sd = 0.5 * float(self.variances.terms.sds[0])  # of the factor common to all noise
+            return tuple(replace(one, sd_of_ratio=one.ratio * sd) for one in plain)
         unsure = {name for pair in self.alike for name in pair}
         return tuple(
             judged(self.model, self.sensor_estimate, i, component, component.name in unsure)

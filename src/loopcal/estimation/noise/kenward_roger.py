@@ -199,16 +199,7 @@ def _by_pose(estimate: NoiseEstimate) -> _Sensors:
     ratios = estimate.ratios
     at = projected(estimate.model, ratios)
     assert at is not None  # the estimate was made there
-    blocks, rank = at.blocks, at.root.shape[1]
-
-    def second(W: Array) -> Array:
-        total = np.zeros((rank, rank))
-        for Y, loadings, owner in blocks:
-            weights = W[np.ix_(owner, owner)] * (np.swapaxes(loadings, 1, 2) @ loadings)
-            total += (weights @ Y).reshape(-1, rank).T @ Y.reshape(-1, rank)
-        return total
-
-    return _Sensors(at.root, at.first, ratios, at.information, second)
+    return _Sensors(at.root, at.first, ratios, at.information, at.second)
 
 
 def _errors(sensors: _Sensors, first: Array, terms: Sequence[_Term]) -> Array:

@@ -62,15 +62,7 @@ def with_parts(
     corrections: Array,
     covariance: Array,
 ) -> tuple[TermEntry, ...]:
-    """The terms with what each does; arguments as in `term_parts`."""
-    parts = term_parts(problem, parameters, corrections, covariance)
-    return tuple(replace(term, parts=parts.get(term.name, ())) for term in terms)
-
-
-def term_parts(
-    problem: Problem, parameters: Array, corrections: Array, covariance: Array
-) -> dict[str, tuple[TermPart, ...]]:
-    """By term, what it does; the largest first.
+    """The terms with what each does; the largest first.
 
     parameters: (n_all,); corrections: (k, N); covariance: (n, n) of the estimated parameters [SI].
     """
@@ -94,10 +86,13 @@ def term_parts(
     if structure.smooth is not None:
         for name, unit in _TERMS.items():
             parts_by_term[name] = _remaining(at, structure.smooth, unit)
-    order = {
-        name: sorted(parts, key=lambda part: -part.size) for name, parts in parts_by_term.items()
-    }
-    return {name: tuple(parts) for name, parts in order.items() if parts}
+    return tuple(
+        replace(
+            term,
+            parts=tuple(sorted(parts_by_term.get(term.name, ()), key=lambda part: -part.size)),
+        )
+        for term in terms
+    )
 
 
 def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[TermPart]:

@@ -9,9 +9,11 @@ from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.in_memory import outside_domain
 from loopcal.estimation.solve.kernel import unload
+from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import without_state
 from loopcal.estimation.solve.reduction import Accumulator, overflowing, spectrum
 from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import Progress
 from loopcal.estimation.solve.status import MOST_ITERATIONS, Status
 from loopcal.estimation.solve.sweep import Sweeper
 
@@ -21,7 +23,12 @@ TOLERANCE = 1e-10
 
 
 def iterate_undamped(
-    problem: Problem, *, max_iterations: int = MOST_ITERATIONS, tolerance: float | None = None
+    problem: Problem,
+    *,
+    loss: Loss | None = None,
+    max_iterations: int = MOST_ITERATIONS,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
 ) -> Solution:
     """Full steps in parameters and corrections together, as the seed writes them.
 
@@ -29,6 +36,7 @@ def iterate_undamped(
     y_i <- Q_i (E_i - D_i dq), q <- q + dq, until neither moves. Nothing keeps a step from making
     things worse: the status then says "max_iterations" or "diverged", and the point is whatever
     was reached. Needs finite memory for all D_i at once, and every quantity measured or exact.
+    It knows no loss, which `Fit` refuses, and reports no progress.
 
     Raises InputError if a quantity is unmeasured.
     """

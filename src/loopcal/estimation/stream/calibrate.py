@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import End
 from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.sweep import NEAR
-from loopcal.estimation.steps import State, ended, examined, placed, prepared
+from loopcal.estimation.steps import State, examined, fitted, placed, prepared
 from loopcal.estimation.stream.chunks import Stream
 from loopcal.estimation.stream.last_pass import LastPass, Parts
 from loopcal.estimation.stream.learning import AsFitted, learn
@@ -64,36 +65,41 @@ def calibrate_stream(
     first, fit = stream.chunk(0), fit or Fit()
     fit = fit.changed(method=fit.among(first.data, first.noise)[0])
     refuse_unstreamable(fit)
-    search = _Search(progress, reached, resume)
+    search = _Search(fit, progress, reached, resume)
     with one_blas_thread():
         state = prepared(State(fit, mechanism, first.data, first.noise, stream.poses, whole=False))
         if not state.learns:
             state = examined(placed(state))
             task = _task(state.mechanism, AsFitted(stream, state.mechanism, fit), fit)
             with (executor or InProcess()).crew(do, task) as crew:
-                end = search.fitted(state, task, crew, task.problem(task.stream.chunk(0)))
-                result = LastPass(task, fit, end, end.sums.sizes).result(crew, parts)
-            return replace(result, faults=ended(state, end).faults)
+                state = fitted(state, partial(search.once, task, crew))
+                assert state.end is not None
+                result = LastPass(task, fit, state.end, state.end.sums.sizes).result(crew, parts)
+            return replace(result, faults=state.faults)
         learnt = learn(mechanism, stream, fit, progress)
         task = _task(learnt.mechanism, AsFitted(stream, learnt.mechanism, fit), fit, learnt.ratios)
         with (executor or InProcess()).crew(do, task) as crew:
             end, sizes = learnt.end, learnt.sizes
             if not learnt.stands_for_all:
                 begun = replace(task.problem(task.stream.chunk(0)), start=end.parameters)
-                end = search.fitted(state, task, crew, begun)
+                end = search.once(task, crew, begun, fit.max_iterations, fit.tolerance)
             return learnt.annotated(LastPass(task, fit, end, sizes).result(crew, parts))
 
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Listeners of a fit, and where an interrupted one goes on."""
+    """A fit of all chunks: its listeners, and where an interrupted one goes on."""
 
+    fit: Fit
     progress: Progress | None
     reached: Callable[[Checkpoint[bool]], None] | None
     resume: Checkpoint[bool] | None
 
-    def fitted(self, state: State, task: Task, crew: Crew, first: Problem) -> End[bool]:
-        """Where the fit of all chunks ends, from the start of the first one's problem."""
+    def once(
+        self, task: Task, crew: Crew, first: Problem, most: int, tolerance: float | None
+    ) -> End[bool]:
+        """Where the fit ends, from the start of the problem of the first chunk."""
+        robust_loss = self.fit.robust_loss
 
         def solved(start: Array, loss: Loss | None, stage: Stage) -> End[bool]:
             def kept(checkpoint: Checkpoint[bool]) -> None:
@@ -102,20 +108,19 @@ class _Search:
 
             return solve_with(
                 StreamMerit(task, crew, replace(first, start=start), loss),
-                max_iterations=state.most_iterations,
-                tolerance=state.fit.tolerance,
+                max_iterations=most,
+                tolerance=tolerance,
                 progress=self.progress,
                 reached=kept,
                 resume=self.resume if self.resume and self.resume.stage == stage.number else None,
             )
 
         def cost() -> float:
-            merit = StreamMerit(task, crew, first, state.fit.robust_loss)
+            merit = StreamMerit(task, crew, first, robust_loss)
             return summed(merit.evaluate(first.start, False, closing=NEAR), merit.unknowns)
 
         begin = Stage(self.resume.stage, self.resume.earlier) if self.resume else FIRST_STAGE
-        end = in_stages(solved, first.start, state.fit.robust_loss, cost, begin)
-        return replace(end, status=end.status.ended_early()) if state.hopeless else end
+        return in_stages(solved, first.start, robust_loss, cost, begin)
 
 
 def _task(mechanism: Mechanism, stream: Stream, fit: Fit, ratios: Ratios = ()) -> Task:
