@@ -12,7 +12,7 @@ import pytest
 import loopcal as lc
 from analyses.instruments import setup
 from loopcal.errors import InputError, NoTrustworthyResult
-from loopcal.statistics import verification
+from loopcal.statistics import another_day
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.replacing import Replaced, replaced
 from tests.reference.simulated import planar_arm
@@ -124,7 +124,7 @@ def test_a_misfit_that_no_change_explains_is_stated_without_a_cause(
         calls.append(1)
         return replaced(*args, **how)
 
-    monkeypatch.setattr(verification, "replaced", counted)
+    monkeypatch.setattr(another_day, "replaced", counted)
     data = lc.Dataset.from_arrays(rows | {output: rows[output][order]})
     found = lc.verify(known, data, noise=noise)
     assert found.verdict["consistent"].passed is False

@@ -13,11 +13,12 @@ from analyses.instruments import setup
 from analyses.verify import LEVEL, Rates, another_day, run
 from loopcal.errors import NoTrustworthyResult
 from loopcal.mechanisms.station import Station
+from loopcal.statistics.another_day import as_learnt
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.replacing import Freedom, mounted
 from loopcal.statistics.tolerance import Quantile, kept
-from loopcal.statistics.verification import as_learnt, verify
+from loopcal.statistics.verification import verify
 from tests.reference.machines import dh_arm
 from tests.reference.simulated import Simulated, ma1400, planar_arm
 from tests.reference.verdicts import finding_of

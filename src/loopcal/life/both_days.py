@@ -26,8 +26,8 @@ from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linea
 from loopcal.estimation.noise.variance_components import Component, Estimate, estimate_ratios
 from loopcal.estimation.result import Result
 from loopcal.life.earlier import Earlier, PriorRows
+from loopcal.statistics.another_day import day_problem, noise_of
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.verification import day_problem, noise_of
 
 Array = NDArray[np.float64]
 

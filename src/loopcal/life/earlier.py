@@ -31,10 +31,10 @@ from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.statistics.another_day import day_problem, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import root_of
 from loopcal.statistics.replacing import DETERMINED
-from loopcal.statistics.verification import day_problem, noise_of
 
 Array = NDArray[np.float64]
 _MOST = 3000

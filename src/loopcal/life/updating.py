@@ -43,10 +43,11 @@ from loopcal.life.earlier import Around, Coordinates, Earlier
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.parameters import ROLES
+from loopcal.statistics.another_day import Day, as_learnt, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.gauge import values_of
-from loopcal.statistics.replacing import Freedom, Replaced, replaced
-from loopcal.statistics.verification import as_learnt, day_problem, noise_of, verify
+from loopcal.statistics.replacing import Freedom, Replaced
+from loopcal.statistics.verification import verify
 from loopcal.statistics.verified import Verification
 
 Array = NDArray[np.float64]
@@ -129,11 +130,10 @@ def updated(
         stated, data = noise_of(calibrated), as_learnt(calibrated, data)
     data = with_latest(calibrated.mechanism, data)
     with one_blas_thread():
-        problem = day_problem(calibrated, data, stated)
-        freedom = Freedom.of(calibrated.mechanism, since.remounted)
+        day = Day.of(calibrated, data, stated, since.remounted)
         if not since.moved:
-            freedom = _without_placement(calibrated, freedom)
-        placed = replaced(problem, freedom)
+            day = replace(day, freedom=_without_placement(calibrated, day.freedom))
+        placed = day.placed()
         earlier = Earlier.of(calibrated)
     result: Result | None = None
     for _ in range(_ROUNDS):
