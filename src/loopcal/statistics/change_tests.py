@@ -34,12 +34,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import NoTrustworthyResult
-from loopcal.mechanisms.parameters import GEOMETRY
-from loopcal.mechanisms.structure.structured import driven_joints
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, POWER, Candidate, Change, WhatChanged
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.innovation import Innovation, Linearised
+from loopcal.statistics.possible_changes import BETWEEN_DAYS, possible, unit_of
 from loopcal.statistics.replacing import ASTRAY, Replaced
 
 Array = NDArray[np.float64]
@@ -61,7 +60,6 @@ _SAME = 1e-6
 """1 - |correlation| of two columns that are one."""
 _ROUNDING = 1e-12
 """Information along a direction of columns of length 1 that is rounding."""
-_TESTED = {*GEOMETRY, "mounting"}
 
 
 def what_changed(day: Day, linear: Linearised) -> WhatChanged | None:
@@ -105,13 +103,15 @@ def _verdict(p_value: float | None, changes: Sequence[Change], left: float | Non
 
 
 def _candidates(placement: Replaced) -> tuple[Candidate, ...]:
-    """Of candidates that do the same the first speaks: zeros of joints, then mountings."""
-    mechanism = placement.problem.mechanism
-    zeros = [Candidate(q, "zero", mechanism.quantities[q]) for q in driven_joints(mechanism)]
-    anew = dict(zip(mechanism.parameters.names, placement.anew, strict=True))
-    held = [p for p in mechanism.parameters if p.role in _TESTED and not anew[p.name]]
-    held.sort(key=lambda p: p.role != "mounting")
-    return (*zeros, *(Candidate(p.name, p.dimension or p.role, p.unit) for p in held))
+    """What may have changed of all that is held."""
+    problem = placement.problem
+    anew = dict(zip(problem.mechanism.parameters.names, placement.anew, strict=True))
+    changes = [(one.kind, *one.names) for one in possible(problem, BETWEEN_DAYS)]
+    return tuple(
+        Candidate(name, kind, unit_of(problem, name))
+        for kind, name in changes
+        if not anew.get(name, False)
+    )
 
 
 @dataclass(frozen=True, eq=False)
