@@ -17,10 +17,10 @@ import loopcal as lc
 from loopcal.cli import main
 from loopcal.execution.executor import InProcess
 from loopcal.figures.space import FIELD, space_layout
+from loopcal.presentation.text_table import Table
 from loopcal.report.life_pages import fleet_html, verification_html
 from loopcal.report.plan_page import plan_html
 from loopcal.report.study_page import study_html
-from loopcal.report.tables import Table
 from loopcal.report.templates import page
 from loopcal.studies.run import run_study
 from loopcal.workflow.calibration import write_result

@@ -43,6 +43,7 @@ from loopcal.life.earlier import Around, Coordinates, Earlier
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.parameters import ROLES
+from loopcal.small_samples import LearntCovariance, contrasts
 from loopcal.statistics.another_day import Day, as_learnt, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.gauge import values_of
@@ -55,7 +56,6 @@ DRIFTING = tuple(role for role in ROLES if role not in ("placement", "model erro
 """Roles of parameters that may drift."""
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
 _NOTHING, _NEWS = "The update changed no parameter of the machine", 0.01
-_RANK = 1e-12
 _ROUNDS, _SETTLED = 12, 2e-2
 """Most fits of an update, each begun near the end of the last. They have settled where parameters
 change by less than this share of an sd, and learnt variances by less than this share."""
@@ -306,15 +306,7 @@ class _Prior:
         C = root @ root.T + drift @ drift.T
         loose = (calibrated.undetermined * held)[free]
         open_ = np.hstack([loose, np.eye(len(C))[:, placed.anew[free]]])
-        sd = np.sqrt(np.maximum(np.diag(C), 0.0))
-        scale = np.where(sd > 0.0, sd, 1.0)
-        U, s, _ = np.linalg.svd(np.hstack([open_ / scale[:, None], np.zeros((len(C), 1))]))
-        K = U[:, int((s > 1e-9 * max(s.max(), 1e-300)).sum()) :].T / scale
-        values, vectors = np.linalg.eigh(K @ C @ K.T)
-        # Contrasts that yesterday determines exactly, such as fixed parameters, have no variance to
-        # whiten.
-        kept = values > _RANK * max(float(values.max(initial=0.0)), 1e-300)
-        rows = (vectors[:, kept] / np.sqrt(values[kept])).T @ K
+        rows, sd = contrasts(LearntCovariance.certain(C), open_), np.sqrt(np.diag(C))
         carried = rows @ (around.carried * held)[free]
         informed = (np.abs(rows).max(axis=0, initial=0.0) > 0.0) & (sd > 0.0)
         centre = np.where(placed.anew, placed.parameters, around.mean)

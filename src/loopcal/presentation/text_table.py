@@ -3,6 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Table:
+    """caption: what it holds; head: names of columns; rows: cells, the first names the row."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """As text: the caption stands over the names of the rows."""
+        return columns([[self.caption.lower(), *self.head[1:]], *self.rows])
 
 
 def columns(rows: Sequence[Sequence[str]]) -> list[str]:

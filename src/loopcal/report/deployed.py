@@ -13,7 +13,7 @@ from loopcal.figures.figure import Figure
 from loopcal.figures.planning import Line, by_number
 from loopcal.files.result.deployed import CORRECTION, EXPORT, PLAN, Deployed
 from loopcal.presentation.shown import factor, size, unit_shown, with_unit
-from loopcal.report.tables import Table
+from loopcal.presentation.text_table import Table
 
 Array = NDArray[np.float64]
 _MM = 1e3

@@ -8,7 +8,7 @@ from loopcal.figures.figure import Figure
 from loopcal.figures.history import Event, Line, Weighted, accuracy_chart, courses
 from loopcal.life.history import History, Trend
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
-from loopcal.report.tables import Table
+from loopcal.presentation.text_table import Table
 from loopcal.report.templates import page
 
 # Half of the 95 % interval of a normal distribution, in sds.

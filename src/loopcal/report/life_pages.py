@@ -8,13 +8,11 @@ from statistics import NormalDist
 
 import numpy as np
 
-from loopcal.document.tables import distances_shown
 from loopcal.figures.figure import Figure
 from loopcal.figures.life import Reach, changes, spread
 from loopcal.life.fleet import Fleet
-from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, chance, in_unit, size, unit_shown
-from loopcal.report.tables import Table
+from loopcal.presentation.text_table import Table
 from loopcal.report.templates import page
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.verified import Verification
@@ -35,7 +33,7 @@ def verification_html(verification: Verification, title: str, files: str) -> str
     what_changed = verification.changes
     lines = [] if what_changed is None else what_changed.lines()
     figures = [] if what_changed is None else change_figures(what_changed)
-    tables = [answers, *_tables(verification)]
+    tables = [answers, *(table for table in verification.tables() if table.rows)]
     about = {"files": files, "poses": len(verification.poses)}
     return _page(f"Verification of {title}", about, [verification.headline], figures, tables, lines)
 
@@ -122,35 +120,6 @@ def _reaches(what_changed: WhatChanged, unit: str) -> list[Reach]:
         half = None if change is None else in_unit(0.5 * (change.high - change.low), unit)
         reaches.append(Reach(one.words, in_unit(one.smallest, unit), value, half))
     return reaches
-
-
-def _tables(verification: Verification) -> list[Table]:
-    unit = unit_shown(verification.unit)
-    distances = {
-        "nominal": verification.nominal,
-        "calibrated": verification.calibrated,
-        "expected": verification.expected,
-    }
-    rows = tuple(
-        (n, *distances_shown(d, verification.unit)) for n, d in distances.items() if d is not None
-    )
-    tables = [Table("Accuracy", ("machine", f"mean [{unit}]", "rms", "95 %", "max"), rows)]
-    placed = tuple(
-        (
-            one.name,
-            by_sd(one.value, one.sd, one.unit),
-            "unknown" if one.sd is None else size(one.sd, one.unit, 2),
-            unit_shown(one.unit),
-        )
-        for one in verification.placed
-    )
-    worst = tuple(
-        (one.pose, size(one.distance, verification.unit), significant(one.chi_squared, 3))
-        for one in verification.worst
-    )
-    tables.append(Table("Placed anew", ("parameter", "value", "sd", "unit"), placed))
-    tables.append(Table("Worst poses", ("pose", f"distance [{unit}]", "chi-squared"), worst))
-    return [table for table in tables if table.rows]
 
 
 def _page(

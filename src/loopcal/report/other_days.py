@@ -11,7 +11,7 @@ import numpy as np
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.tables import distances_shown, shown_parameters
+from loopcal.document.tables import shown_parameters
 from loopcal.estimation.inherited import UPDATED
 from loopcal.figures.figure import Figure
 from loopcal.figures.life import narrowed
@@ -20,6 +20,7 @@ from loopcal.life.fleet import Fleet
 from loopcal.life.history import History
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, chance, in_unit, size, unit_shown
+from loopcal.presentation.text_table import Table
 from loopcal.report.history_page import history_figures, history_table
 from loopcal.report.life_pages import (
     UNITS,
@@ -28,8 +29,8 @@ from loopcal.report.life_pages import (
     fleet_tables,
     fleet_words,
 )
-from loopcal.report.tables import Table
 from loopcal.statistics.changed import WhatChanged
+from loopcal.statistics.verified import accuracy_table
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,10 @@ def _verification(document: Mapping[str, Any]) -> OtherDays:
         for name, answer in answers.items()
         if name != "headline" and answer["next"] and answer["passed"] is False
     ]
-    tables = [_accuracy(file, document["accuracy"])]
+    stated = {**document["accuracy"]}
+    unit = stated.pop("unit")
+    accuracies = {name: one and Distances(**one) for name, one in stated.items()}
+    tables = [accuracy_table(f"Accuracy: {file}", accuracies, unit)]
     if document["changes"] is None:
         return OtherDays(words, {}, tables)
     what_changed = WhatChanged.from_document(document["changes"], document["chi_squared"])
@@ -116,17 +120,6 @@ def _changes(file: str, what_changed: WhatChanged) -> Table:
         rows = [("no change is seen", "", "", "", chance(what_changed.test.p_value), "")]
     head = ("what changed", "change", "U95", "unit", "p", "not distinguishable at these poses")
     return Table(f"What changed: {file}", head, tuple(rows))
-
-
-def _accuracy(file: str, accuracy: Mapping[str, Any]) -> Table:
-    unit = accuracy["unit"]
-    rows = tuple(
-        (name, *distances_shown(Distances(**accuracy[name]), unit))
-        for name in ("nominal", "calibrated", "expected")
-        if accuracy[name] is not None
-    )
-    head = ("machine", f"mean [{unit_shown(unit)}]", "rms", "95 %", "max")
-    return Table(f"Accuracy: {file}", head, rows)
 
 
 def _history(document: Mapping[str, Any]) -> OtherDays:

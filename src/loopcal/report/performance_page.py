@@ -21,7 +21,7 @@ from loopcal.pose_performance.intervals import Estimate
 from loopcal.pose_performance.parts import ConditionPerformance
 from loopcal.pose_performance.result import METHOD, Performance
 from loopcal.pose_performance.summary import headline, overview, tables_of
-from loopcal.report.tables import Table
+from loopcal.presentation.text_table import Table
 from loopcal.report.templates import page
 
 MM = 1e3

@@ -14,7 +14,7 @@ from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.planning.planned import Plan
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import SHOWN, factor, in_unit, size, unit_shown
-from loopcal.report.tables import Table
+from loopcal.presentation.text_table import Table
 from loopcal.report.templates import page
 from loopcal.units import from_si
 

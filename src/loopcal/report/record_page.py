@@ -6,6 +6,7 @@ from loopcal.document.fit import ParameterEntry
 from loopcal.files.result.record_file import OPEN, manifest, sealed
 from loopcal.files.versions import version
 from loopcal.presentation.shown import NONE, by_sd, size, unit_shown
+from loopcal.presentation.text_table import Table
 from loopcal.report.record_content import (
     FIELDS,
     OPTIONAL,
@@ -15,7 +16,6 @@ from loopcal.report.record_content import (
     RecordContent,
     expanded,
 )
-from loopcal.report.tables import Table
 from loopcal.report.templates import environment, part
 from loopcal.report.top import accuracy_bars, readings
 

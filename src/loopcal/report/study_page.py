@@ -14,7 +14,7 @@ from loopcal.figures.figure import Figure
 from loopcal.figures.space import arrows
 from loopcal.files.atomic import write_files
 from loopcal.presentation.shown import in_unit, percent, size, unit_shown
-from loopcal.report.tables import Table
+from loopcal.presentation.text_table import Table
 from loopcal.report.templates import page
 from loopcal.studies.draws import first_draw
 from loopcal.studies.paired import Paired

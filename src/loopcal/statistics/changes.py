@@ -22,7 +22,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.model_error import modelled
 from loopcal.estimation.result import Result
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.case import Case, taken
+from loopcal.statistics.case import Case
 from loopcal.statistics.change_points import Shifts, apart, find_shifts
 from loopcal.statistics.outliers import find_poses
 from loopcal.statistics.shifted import shift_lines, with_shifts
@@ -147,10 +147,4 @@ def _modelled(
 
 def _kept(run_changes: Changes, case: Case, full: Case, kept: NDArray[np.intp]) -> Changes:
     gone = np.setdiff1d(np.arange(len(case.data)), kept)
-
-    def without(one: Case) -> Case:
-        if not gone.size:
-            return one
-        return replace(one, data=one.data.without_outliers(gone), noise=taken(one.noise, kept))
-
-    return replace(run_changes, case=without(full), plain=without(case), kept=kept)
+    return replace(run_changes, case=full.discarding(gone), plain=case.discarding(gone), kept=kept)

@@ -208,8 +208,4 @@ def _reading_noise(
         sd = np.zeros(T.shape[2])
         sd[list(outputs)] = np.sqrt(variance)
         return np.asarray(T * sd)
-    sd = np.where(np.isinf(problem.uncertainty.sd), 0.0, problem.uncertainty.sd)
-    G: Array = T * np.broadcast_to(sd, problem.readings.shape).T[:, None, :]
-    for block in problem.uncertainty.blocks:
-        G[:, :, block.indices] = T[:, :, block.indices] @ block.factor
-    return G
+    return problem.uncertainty.through(T)

@@ -14,7 +14,7 @@ from loopcal.document.verdict import Answer, answer_lines
 from loopcal.lazy import cached_property
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, chance, size, unit_shown
-from loopcal.presentation.text_table import columns
+from loopcal.presentation.text_table import Table
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Innovation
@@ -135,16 +135,15 @@ class Verification:
         answers = [a for a in self.verdict.values() if a.asked]
         return min(answers, key=lambda a: {False: 0, None: 1, True: 2}[a.passed]).words
 
+    @property
+    def _accuracies(self) -> dict[str, Distances | None]:
+        return {"calibrated": self.calibrated, "nominal": self.nominal, "expected": self.expected}
+
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
         innovation = self.innovation
         answers = {name: asdict(answer) for name, answer in self.verdict.items()}
-        accuracies = {
-            "calibrated": self.calibrated,
-            "nominal": self.nominal,
-            "expected": self.expected,
-        }
-        distances = {name: None if d is None else asdict(d) for name, d in accuracies.items()}
+        distances = {n: None if d is None else asdict(d) for n, d in self._accuracies.items()}
         return {
             "verdict": {**answers, "headline": self.headline},
             "findings": [asdict(one) for one in self.findings],
@@ -167,41 +166,37 @@ class Verification:
         lines = [self.headline, *answer_lines(self.verdict)]
         if self.changes is not None:
             lines += ["", *self.changes.lines()]
-        lines += ["", *self._accuracy_table()]
-        if self.placed:
-            lines += ["", *self._placed_table()]
-        lines += ["", *self._worst_table()]
+        accuracy, *others = self.tables()
+        unknown = ["accuracy unknown: too few of these poses have measured outputs"]
+        lines += ["", *(accuracy.lines if accuracy.rows else unknown)]
+        for table in others:
+            lines += ["", *table.lines]
         return "\n".join(lines)
 
-    def _accuracy_table(self) -> list[str]:
-        shown = unit_shown(self.unit)
-        rows = [["accuracy", f"mean [{shown}]", "rms", "95 %", "max"]]
-        accuracies = {
-            "nominal": self.nominal,
-            "calibrated": self.calibrated,
-            "expected": self.expected,
-        }
-        rows += [
-            [n, *distances_shown(d, self.unit)] for n, d in accuracies.items() if d is not None
-        ]
-        return (
-            columns(rows)
-            if len(rows) > 1
-            else ["accuracy unknown: too few of these poses have measured outputs"]
+    def tables(self) -> list[Table]:
+        """Accuracy, what was placed anew, and the worst poses."""
+        tables = [accuracy_table("Accuracy", self._accuracies, self.unit)]
+        placed = tuple(
+            (
+                one.name,
+                by_sd(one.value, one.sd, one.unit),
+                "unknown" if one.sd is None else size(one.sd, one.unit, 2),
+                unit_shown(one.unit),
+            )
+            for one in self.placed
         )
-
-    def _placed_table(self) -> list[str]:
-        rows = [["placed anew", "value", "sd", "unit"]]
-        for one in self.placed:
-            sd = "unknown" if one.sd is None else size(one.sd, one.unit, 2)
-            value = by_sd(one.value, one.sd, one.unit)
-            rows.append([one.name, value, sd, unit_shown(one.unit)])
-        return columns(rows)
-
-    def _worst_table(self) -> list[str]:
-        rows = [["worst poses", f"distance [{unit_shown(self.unit)}]", "chi-squared"]]
-        rows += [
-            [one.pose, size(one.distance, self.unit), significant(one.chi_squared, 3)]
+        if placed:
+            tables.append(Table("Placed anew", ("parameter", "value", "sd", "unit"), placed))
+        head = ("pose", f"distance [{unit_shown(self.unit)}]", "chi-squared")
+        worst = tuple(
+            (one.pose, size(one.distance, self.unit), significant(one.chi_squared, 3))
             for one in self.worst
-        ]
-        return columns(rows)
+        )
+        return [*tables, Table("Worst poses", head, worst)]
+
+
+def accuracy_table(caption: str, accuracies: Mapping[str, Distances | None], unit: str) -> Table:
+    """The accuracy [unit] of each machine for which it is known."""
+    head = ("machine", f"mean [{unit_shown(unit)}]", "rms", "95 %", "max")
+    stated = [(n, d) for n in ("nominal", "calibrated", "expected") if (d := accuracies[n])]
+    return Table(caption, head, tuple((n, *distances_shown(d, unit)) for n, d in stated))
