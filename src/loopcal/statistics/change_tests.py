@@ -69,20 +69,21 @@ def what_changed(day: Day, linear: Linearised) -> WhatChanged | None:
     """
     if linear.innovation().p_value is None:
         return None
-    begun = system = _System.of(_Searched(day, _candidates(linear.placement)), linear)
+    candidates = _candidates(linear.placement)
+    begun = system = _System.of(day, candidates, linear, np.zeros(len(candidates)))
     chosen: tuple[int, ...] = ()
     p_values: dict[int, float] = {}
     for _ in range(_MOST):
         tests = system.tests(chosen)
-        if not tests.order or tests.adjusted[tests.order[0]] >= LEVEL:
+        if not tests or min(tests.values()) >= LEVEL:
             break
-        several = [(*chosen, j) for j in system.tried(tests, chosen)]
+        several = [(*chosen, j) for j in system.tried([*tests], chosen)]
         fits = [(one, system.settled(one, _HALVED)) for one in several]
         best, trial = min(fits, key=lambda fit: fit[1].present)
         if trial.astray and trial.present > _HELPED * system.present:
             break
         chosen, system = best, trial.settled(best)
-        p_values[chosen[-1]] = float(tests.adjusted[chosen[-1]])
+        p_values[chosen[-1]] = tests[chosen[-1]]
         if kept := system.kept(chosen):
             chosen, system = kept, system.settled(kept)
     if system.astray and system.present > _EXPLAINED * begun.present:
@@ -115,45 +116,17 @@ def _candidates(placement: Replaced) -> tuple[Candidate, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Searched:
-    """The poses, and the m candidates."""
-
-    day: Day
-    candidates: tuple[Candidate, ...]
-
-    @property
-    def names(self) -> list[str]:
-        """Of the candidates."""
-        return [one.name for one in self.candidates]
-
-
-@dataclass(frozen=True)
-class _Spread:
-    """By how much S is larger than stated, and the degrees of freedom of that."""
-
-    scale: float
-    freedom: float
-
-
-@dataclass(frozen=True)
-class _Tests:
-    """Of single candidates: order by p-value, adjusted p-values (m,), NaN where not tested."""
-
-    order: tuple[int, ...]
-    adjusted: Array
-
-
-@dataclass(frozen=True, eq=False)
 class _System:
-    """The tests at some changes t (m,): G (m, m), g (m,) as if nothing had changed yet.
+    """The tests of m candidates at some changes t (m,): G (m, m), g (m,) as if nothing had changed.
 
     present: the innovation at t; value: that as if nothing had changed; visible: (m,); group: (m,)
     the first candidate with the same column; freedom: (m,) degrees of freedom of the variance of
-    each change; linear: the equations at t; every: all candidates together; spread: of these poses,
-    None where the stated one is taken.
+    each change; linear: the equations at t; every: all candidates together; scale: of S, by these
+    poses; scale_freedom: its degrees of freedom, None where the stated variances are taken.
     """
 
-    searched: _Searched
+    day: Day
+    candidates: tuple[Candidate, ...]
     G: Array
     g: Array
     t: Array
@@ -164,12 +137,16 @@ class _System:
     freedom: Array
     linear: Linearised
     every: Estimated
-    spread: _Spread | None
+    scale: float
+    scale_freedom: float | None
 
     @classmethod
-    def of(cls, searched: _Searched, linear: Linearised, t: Array | None = None) -> _System:
+    def of(
+        cls, day: Day, candidates: tuple[Candidate, ...], linear: Linearised, t: Array
+    ) -> _System:
         """The tests where the machine has changed by t."""
-        raw = linear.placement.columns(searched.names) / np.sqrt(linear.factor)
+        names = [one.name for one in candidates]
+        raw = linear.placement.columns(names) / np.sqrt(linear.factor)
         U = raw - linear.F @ (linear.solve @ raw)
         visible = np.linalg.norm(U, axis=0) > _VISIBLE * np.linalg.norm(raw, axis=0)
         G, g = linear.weighed(U, U), linear.weighed(U, linear.left)
@@ -180,7 +157,6 @@ class _System:
                 remedy="check that they belong to this machine, and their columns and units",
             )
         visible &= np.diag(G) > 0.0
-        t = np.zeros(len(g)) if t is None else t
         present = float(linear.weighed(linear.left, linear.left))
         # With e = e_0 - U t: |e_0|^2 = |e|^2 + 2 t^T g + t^T G t in the metric S^-1, g_0 = g + G t.
         value = present + float(t @ (2.0 * g + G @ t))
@@ -194,17 +170,16 @@ class _System:
         heads = np.unique(group[visible])
         ones = np.ones(len(heads))
         every = Estimated.of((g / scale)[heads], alike[np.ix_(heads, heads)], ones, _SAME)
-        spread, left = None, len(linear.e) - linear.rank - every.rank
-        calibrated = searched.day.calibrated
-        if (calibrated.carried or calibrated.rejected is not None) and left >= _ENOUGH:
+        wider, wider_freedom = 1.0, None
+        left = len(linear.e) - linear.rank - every.rank
+        if (day.calibrated.carried or day.calibrated.rejected is not None) and left >= _ENOUGH:
             wider = max((value - every.gain) / left, 1.0)
             learnt = linear.denominator((U / scale)[:, heads] @ every.root) or np.inf
             # Relative variances 2 / nu of independent errors of a scale add up.
-            spread = _Spread(wider, 1.0 / (1.0 / left + 1.0 / learnt))
+            wider_freedom = 1.0 / (1.0 / left + 1.0 / learnt)
             freedom = 1.0 / (1.0 / freedom + 1.0 / left)
-        return cls(
-            searched, G, g, t, present, value, visible, group, freedom, linear, every, spread
-        )
+        held = G, g, t, present, value, visible, group, freedom, linear, every
+        return cls(day, candidates, *held, wider, wider_freedom)
 
     def estimated(self, chosen: Sequence[int]) -> Estimated:
         """The changes of these candidates together."""
@@ -217,10 +192,9 @@ class _System:
     def innovation(self, chosen: Sequence[int]) -> Innovation:
         """The innovation after these changes."""
         explained = self.estimated(chosen).gain
-        if self.spread is not None:
-            value = (self.every.gain - explained) / self.spread.scale
-            freedom = self.every.rank - len(chosen)
-            return Innovation.of(max(value, 0.0), freedom, self.spread.freedom)
+        if self.scale_freedom is not None:
+            value = max((self.every.gain - explained) / self.scale, 0.0)
+            return Innovation.of(value, self.every.rank - len(chosen), self.scale_freedom)
         total = self.linear.innovation().value
         return self.linear.innovation(total - self.value + explained, len(chosen))
 
@@ -228,11 +202,6 @@ class _System:
     def astray(self) -> bool:
         """Whether the misfit is gross."""
         return self.present > ASTRAY * len(self.linear.e)
-
-    @property
-    def scale(self) -> float:
-        """Of S."""
-        return 1.0 if self.spread is None else self.spread.scale
 
     def tail(self, z: float, i: int) -> float:
         """p-value of a change of so many sds, either way."""
@@ -253,8 +222,9 @@ class _System:
         groups = len(np.unique(self.group[self.visible]))
         return self.quantile(0.5 * LEVEL / max(groups, 1), i)
 
-    def tests(self, chosen: Sequence[int]) -> _Tests:
-        """Each further candidate beside those that were accepted, one for each group."""
+    def tests(self, chosen: Sequence[int]) -> dict[int, float]:
+        """Adjusted p-values of the further candidates beside those that were accepted, one for each
+        group, the most significant first."""
         G, g, rows = self.G, self.g, list(chosen)
         heads = [i for i in np.unique(self.group[self.visible]).tolist() if i not in rows]
         X = self.estimated(chosen).covariance @ G[rows]
@@ -265,21 +235,19 @@ class _System:
         order = np.argsort(p, kind="stable")
         # The smallest of m counts m times, the next m - 1; none falls below the one before.
         holm = np.maximum.accumulate(p[order] * (len(p) - np.arange(len(p))))
-        adjusted = np.full(len(g), np.nan)
-        adjusted[np.array(seen, dtype=np.intp)[order]] = np.minimum(holm, 1.0)
-        return _Tests(tuple(seen[i] for i in order.tolist()), adjusted)
+        adjusted = np.minimum(holm, 1.0).tolist()
+        return {seen[i]: p_value for i, p_value in zip(order.tolist(), adjusted, strict=True)}
 
-    def tried(self, tests: _Tests, chosen: Sequence[int]) -> tuple[int, ...]:
+    def tried(self, order: Sequence[int], chosen: Sequence[int]) -> tuple[int, ...]:
         """The candidates whose fits are compared: the best one where the equations are linear.
 
         Where it leaves differences, changes may be too large for that: all zeros, and the best.
         """
-        best = tests.order[0]
-        p_value = self.innovation((*chosen, best)).p_value
+        p_value = self.innovation((*chosen, order[0])).p_value
         if p_value is None or p_value >= LEVEL:
-            return (best,)
-        zeros = [i for i in tests.order if self.searched.candidates[i].kind == "zero"]
-        return tuple(dict.fromkeys([*tests.order[:_TRIED], *zeros]))
+            return (order[0],)
+        zeros = [i for i in order if self.candidates[i].kind == "zero"]
+        return tuple(dict.fromkeys([*order[:_TRIED], *zeros]))
 
     def settled(self, chosen: Sequence[int], falling: float | None = None) -> _System:
         """Linearised where the accepted changes are the estimated ones.
@@ -296,10 +264,9 @@ class _System:
             moved = np.abs(t - system.t) * np.sqrt(np.diag(system.G))
             if moved.max() < _SETTLED:
                 break
-            changes = {n: v for n, v in zip(self.searched.names, t.tolist(), strict=True) if v}
+            changes = {self.candidates[i].name: float(t[i]) for i in np.flatnonzero(t)}
             try:
-                linear = self.searched.day.linearised(changes)
-                trial = _System.of(self.searched, linear, t)
+                trial = _System.of(self.day, self.candidates, self.day.linearised(changes), t)
             except NoTrustworthyResult:
                 break
             # 1: about what noise adds to a chi-squared by one degree of freedom.
@@ -321,7 +288,7 @@ class _System:
         together, changes = self.estimated(chosen), list[Change]()
         sizes, sds = together.size.tolist(), (np.sqrt(self.scale) * together.sds).tolist()
         for j, size, sd, p in zip(chosen, sizes, sds, p_values, strict=True):
-            one, half = self.searched.candidates[j], self.quantile(0.025, j) * sd
+            one, half = self.candidates[j], self.quantile(0.025, j) * sd
             alike, interval = self._alike(chosen, j), (size - half, size + half)
             changes.append(Change(one.name, one.kind, one.unit, size, sd, *interval, p, alike))
         return tuple(changes)
@@ -331,7 +298,7 @@ class _System:
         others = [i for i in chosen if i != j]
         limit = self.scale * self.critical(j) ** 2
         alike = []
-        for k, one in enumerate(self.searched.candidates):
+        for k, one in enumerate(self.candidates):
             if k in chosen or not self.visible[k]:
                 continue
             same = self.group[k] == self.group[j]
@@ -348,11 +315,11 @@ class _System:
 
     def tested(self) -> tuple[Candidate, ...]:
         """All candidates, with the smallest change that is seen with the stated power."""
-        adjusted, tested = self.tests(()).adjusted, []
-        for i, one in enumerate(self.searched.candidates):
+        tests, tested = self.tests(()), []
+        for i, one in enumerate(self.candidates):
             if self.visible[i]:
                 reach = self.critical(i) + self.quantile(1.0 - POWER, i)
                 smallest = float(reach * np.sqrt(self.scale / self.G[i, i]))
-                one = replace(one, p_value=float(adjusted[self.group[i]]), smallest=smallest)
+                one = replace(one, p_value=tests[int(self.group[i])], smallest=smallest)
             tested.append(one)
         return tuple(tested)
