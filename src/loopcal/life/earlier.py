@@ -45,20 +45,13 @@ _SHARE = 1e-9
 """Of the information: a prior that adds less adds nothing."""
 
 
-@dataclass(frozen=True)
-class Coordinates:
-    """values: phi(q) - p (n_all,); slopes: (n_all, n_all) derivatives by q."""
+@dataclass(frozen=True, eq=False)
+class Sloped:
+    """values (q,) and their derivatives (q, n) by the parameters: of coordinates phi(q) - p, or of
+    what a prior says in units of its sds."""
 
     values: Array
     slopes: Array
-
-
-@dataclass(frozen=True, eq=False)
-class PriorRows:
-    """rows (q, n) of steps of parameters, of unit variance, and their values (q,)."""
-
-    rows: Array
-    values: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +67,7 @@ class Seen:
     D: Array
     back: Array
 
-    def at(self, parameters: Array) -> Coordinates:
+    def at(self, parameters: Array) -> Sloped:
         """Of parameters (n_all,); these themselves where a loop has no value."""
         step = parameters - self.centre
         blocks = _blocks(self.problem, parameters)
@@ -82,9 +75,9 @@ class Seen:
         J = _rows(self.roots, [block.J for block in blocks])
         one = np.eye(len(step))
         if not (np.isfinite(e).all() and np.isfinite(J).all()):
-            return Coordinates(step, one)
+            return Sloped(step, one)
         values = step + self.back @ (e - self.D @ step)
-        return Coordinates(values, one + self.back @ (J - self.D))
+        return Sloped(values, one + self.back @ (J - self.D))
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +161,7 @@ class Earlier:
             return None
         return taken(day_problem(calibrated, calibrated.poses, noise_of(calibrated)), self.kept)
 
-    def prior(self, parameters: Array) -> PriorRows:
+    def prior(self, parameters: Array) -> Sloped:
         """What the earlier calibration knew beside its poses, of steps from parameters (n_all,)."""
         assert self.added is not None
         assert self.pull is not None
@@ -177,7 +170,7 @@ class Earlier:
         root = np.sqrt(values[kept])
         rows = (root[:, None] * V[:, kept].T) @ self.inverse
         away = self.inverse @ (parameters - self.begin)
-        return PriorRows(rows, -(root * (V[:, kept].T @ away)) - V[:, kept].T @ self.pull / root)
+        return Sloped(-(root * (V[:, kept].T @ away)) - V[:, kept].T @ self.pull / root, rows)
 
     def linear(
         self, calibrated: Calibrated, parameters: Array, components: Sequence[Sequence[int]]

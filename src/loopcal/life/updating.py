@@ -39,7 +39,7 @@ from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.status import MOST_ITERATIONS
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.life.both_days import learnt
-from loopcal.life.earlier import Around, Coordinates, Earlier
+from loopcal.life.earlier import Around, Earlier, Sloped
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.parameters import ROLES
@@ -47,7 +47,7 @@ from loopcal.small_samples import LearntCovariance, contrasts
 from loopcal.statistics.another_day import Day, as_learnt, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.gauge import values_of
-from loopcal.statistics.replacing import Freedom, Replaced
+from loopcal.statistics.replacing import Replaced, freed
 from loopcal.statistics.verification import verify
 from loopcal.statistics.verified import Verification
 
@@ -132,7 +132,8 @@ def updated(
     with one_blas_thread():
         day = Day.of(calibrated, data, stated, since.remounted)
         if not since.moved:
-            day = replace(day, freedom=_without_placement(calibrated, day.freedom))
+            standing = freed(calibrated.mechanism)
+            day = replace(day, freed=tuple(n for n in day.freed if n not in standing))
         placed = day.placed()
         earlier = Earlier.of(calibrated)
     result: Result | None = None
@@ -219,12 +220,6 @@ def _unchanged(calibrated: Calibrated, result: Result, placed: Replaced) -> str 
             "calibration's. Measure more poses, or state the drift that is expected."
         )
     return None
-
-
-def _without_placement(calibrated: Calibrated, freedom: Freedom) -> Freedom:
-    """What else was mounted anew: the instruments stand where they stood."""
-    standing = set(Freedom.of(calibrated.mechanism).names)
-    return Freedom(tuple(n for n in freedom.names if n not in standing))
 
 
 def _drifts(calibrated: Calibrated, drift: Mapping[str, float]) -> Array:
@@ -320,16 +315,16 @@ class _Prior:
             around.follows(placed.anew),
         )
 
-    def at(self, parameters: Array) -> Coordinates:
+    def at(self, parameters: Array) -> Sloped:
         """The rows (q,) and their derivatives (q, n)."""
         around, free = self.around, self.free
         if around.seen is None:
-            return Coordinates(self.rows @ (parameters - self.centre)[free], self.rows)
+            return Sloped(self.rows @ (parameters - self.centre)[free], self.rows)
         then = around.mean + self.follows @ (parameters - around.mean)
         coordinates = around.seen.at(then)
         away = coordinates.values - (around.mean - around.centre)
         slopes = (coordinates.slopes @ self.follows)[np.ix_(free, free)]
-        return Coordinates(self.rows @ away[free], self.rows @ slopes)
+        return Sloped(self.rows @ away[free], self.rows @ slopes)
 
     def widened(self, result: Result) -> Array:
         """(n, n) what the covariance of a fit gains: G wider G^T, G its change with the rows."""

@@ -16,20 +16,20 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Linearised, components_of
-from loopcal.statistics.replacing import Freedom, Replaced, replaced
+from loopcal.statistics.replacing import Replaced, freed, replaced
 
 
 @dataclass(frozen=True, eq=False)
 class Day:
     """The poses of another day, at a machine that is held but for what may stand elsewhere.
 
-    problem: at the calibrated parameters, all of which count as estimated; freedom: what is found
-    anew.
+    problem: at the calibrated parameters, all of which count as estimated; freed: names of what
+    is found anew.
     """
 
     calibrated: Calibrated
     problem: Problem
-    freedom: Freedom
+    freed: tuple[str, ...]
 
     @classmethod
     def of(
@@ -41,11 +41,11 @@ class Day:
     ) -> Day:
         """From the readings of that day; noise: theirs, else that of the calibration.
 
-        remounted: as in `Freedom.of`. Raises InputError where readings or sds are missing, and for
+        remounted: as in `freed`. Raises InputError where readings or sds are missing, and for
         a name that is not there.
         """
-        freedom = Freedom.of(calibrated.mechanism, remounted)
-        return cls(calibrated, day_problem(calibrated, data, noise), freedom)
+        names = freed(calibrated.mechanism, remounted)
+        return cls(calibrated, day_problem(calibrated, data, noise), names)
 
     @property
     def variance(self) -> float | None:
@@ -65,7 +65,7 @@ class Day:
                 start[names.index(name)] += change
         changed = _with_values(replace(problem, readings=readings), start)
         components = components_of(self.calibrated, order)
-        return replaced(changed, self.freedom, variance=self.variance, components=components)
+        return replaced(changed, self.freed, variance=self.variance, components=components)
 
     def linearised(self, changes: Mapping[str, float] = {}) -> Linearised:
         """The equations of the held machine where it is placed anew after these changes."""

@@ -24,15 +24,16 @@ and F has the denominator of Fai and Cornelius (`loopcal.small_samples`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal import chi_squared
 from loopcal.document.fit import NoiseEntry
 from loopcal.lazy import cached_property
+from loopcal.small_samples import f_tail
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import DETERMINED, Replaced
 
@@ -63,11 +64,8 @@ class Innovation:
         """With its p-value."""
         if freedom <= 0:
             return cls(value, max(freedom, 0), learnt, None)
-        if learnt is None:
-            return cls(value, freedom, None, chi_squared.tail(value, freedom))
-        from scipy.special import fdtrc
-
-        return cls(value, freedom, learnt, float(fdtrc(freedom, learnt, value / freedom)))
+        denominator = math.inf if learnt is None else learnt
+        return cls(value, freedom, learnt, f_tail(value, freedom, denominator))
 
 
 @dataclass(frozen=True, eq=False)

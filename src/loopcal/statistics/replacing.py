@@ -41,26 +41,19 @@ DETERMINED = 1e-9
 """Singular values so far below the largest are of directions that these poses do not show."""
 
 
-@dataclass(frozen=True)
-class Freedom:
-    """What may have changed since a calibration: names of the parameters that are found anew."""
+def freed(mechanism: Mechanism, remounted: bool | Sequence[str] = False) -> tuple[str, ...]:
+    """The parameters that are found anew: where every instrument stands, and what was mounted anew.
 
-    names: tuple[str, ...]
-
-    @classmethod
-    def of(cls, mechanism: Mechanism, remounted: bool | Sequence[str] = False) -> Freedom:
-        """Where every instrument stands, and what was mounted anew.
-
-        remounted: True for everything that instruments look at; or names of instruments, targets
-        or parameters (globs). Raises InputError for a name that is none of these.
-        """
-        names = [n for family in mechanism.families for n in family.standing]
-        if mechanism.placement is not None:
-            names += mechanism.placement.parameters
-        patterns = remounted if not isinstance(remounted, bool) else mounted(mechanism, remounted)
-        for name in (patterns,) if isinstance(patterns, str) else patterns:
-            names += _named(mechanism, name)
-        return cls(tuple(n for n in mechanism.parameters.names if n in names))
+    remounted: True for everything that instruments look at; or names of instruments, targets
+    or parameters (globs). Raises InputError for a name that is none of these.
+    """
+    names = [n for family in mechanism.families for n in family.standing]
+    if mechanism.placement is not None:
+        names += mechanism.placement.parameters
+    patterns = remounted if not isinstance(remounted, bool) else mounted(mechanism, remounted)
+    for name in (patterns,) if isinstance(patterns, str) else patterns:
+        names += _named(mechanism, name)
+    return tuple(n for n in mechanism.parameters.names if n in names)
 
 
 def mounted(mechanism: Mechanism, remounted: bool = True) -> tuple[str, ...]:
@@ -188,18 +181,18 @@ class Replaced:
 
 def replaced(
     problem: Problem,
-    freedom: Freedom,
+    names: Sequence[str],
     *,
     variance: float | None = None,
     components: Sequence[Sequence[int]] = (),
 ) -> Replaced:
     """The machine of a problem, at its start, placed anew by the problem's poses.
 
-    Raises NoTrustworthyResult where a loop has no value. problem: of which every parameter counts
-    as estimated; variance: of every loop equation, where
-    the readings are taken as exact; components: quantities whose noise is told apart in the rows.
+    problem: of which every parameter counts as estimated; names: of what is found anew; variance:
+    of every loop equation, where the readings are taken as exact; components: quantities whose
+    noise is told apart in the rows. Raises NoTrustworthyResult where a loop has no value.
     """
-    search = _Search(problem, freedom, variance, components)
+    search = _Search(problem, names, variance, components)
     lowest = search.lowest(search.begun())
     if lowest.merit > ASTRAY * len(lowest.e):
         starts = search.elsewhere(lowest.parameters)
@@ -233,14 +226,14 @@ class _Search:
     """The poses, what is free, and how loop equations are weighted."""
 
     problem: Problem
-    freedom: Freedom
+    names: Sequence[str]
     variance: float | None
     components: Sequence[Sequence[int]]
 
     @property
     def _free(self) -> list[int]:
         order = self.problem.mechanism.parameters.names
-        return [order.index(name) for name in self.freedom.names]
+        return [order.index(name) for name in self.names]
 
     def begun(self) -> Array:
         """Where points are best aligned; as calibrated where no points are seen, or too few."""
@@ -249,7 +242,7 @@ class _Search:
             parameters = placed(self.problem)[0].parameters
         except InputError:
             return values
-        values[free] = [parameters[name].nominal for name in self.freedom.names]
+        values[free] = [parameters[name].nominal for name in self.names]
         return values
 
     def at(self, values: Array, near: Replaced | None = None) -> Replaced:

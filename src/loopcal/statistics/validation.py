@@ -49,7 +49,7 @@ from loopcal.statistics.folds import (
     stated_sds,
 )
 from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive
-from loopcal.statistics.replacing import Freedom
+from loopcal.statistics.replacing import freed
 from loopcal.statistics.same_run import Run
 
 Array = NDArray[np.float64]
@@ -188,8 +188,7 @@ def planned(case: Case, scheme: Scheme) -> Plan:
     groups = grouped(case.mechanism, case.data, scheme.groups, sds)
     blocked = blocks_of(scheme, case.mechanism, case.data, groups) if scheme.blocks else None
     parts = parts_of(scheme, case.data, groups)
-    freedom = Freedom.of(case.mechanism) if scheme.place_anew else Freedom(())
-    if freedom.names:
+    if scheme.place_anew and freed(case.mechanism):
         placed = "the instrument is placed by the readings of the group"
         parts = replace(parts, words=f"{parts.words}; {placed}")
     return Plan(parts, blocked, groups, scheme.place_anew)

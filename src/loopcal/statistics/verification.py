@@ -29,7 +29,6 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.change_tests import what_changed
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
-from loopcal.statistics.replacing import Freedom
 from loopcal.statistics.tolerance import Quantile
 from loopcal.statistics.verified import Placed, Verification, WorstPose
 
@@ -100,7 +99,7 @@ def _verified(day: Day, tolerance: float | None) -> Verification:
         gain=gain,
         innovation=linear.innovation() if changes is None else changes.test,
         changes=changes,
-        placed=_placed(linear, day.freedom),
+        placed=_placed(linear, day.freed),
         worst=_worst(day.problem, distances, linear.by_pose().squares),
         quantile=None if distances is None else Quantile.of(distances),
         tolerance=tolerance,
@@ -127,7 +126,7 @@ def _worst(problem: Problem, distances: Array | None, squares: Array) -> tuple[W
     )
 
 
-def _placed(linear: Linearised, freedom: Freedom) -> tuple[Placed, ...]:
+def _placed(linear: Linearised, names: Sequence[str]) -> tuple[Placed, ...]:
     """What was found anew, with sds that include what is not known of the machine."""
     placement = linear.placement
     mechanism, g = placement.problem.mechanism, placement.directions.shape[1]
@@ -137,7 +136,7 @@ def _placed(linear: Linearised, freedom: Freedom) -> tuple[Placed, ...]:
     # solve F is 1 along what these poses determine, and less where the pseudoinverse leaves a gap.
     seen = np.abs(placement.directions @ (linear.solve @ linear.F)[:g, :g])
     order, entries = mechanism.parameters.names, []
-    for name in freedom.names:
+    for name in names:
         i = order.index(name)
         shown = abs(seen[i] - np.abs(placement.directions[i])).max(initial=0.0) < 1e-6
         entries.append(

@@ -20,7 +20,7 @@ from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.result.result_poses import poses_of_result, read_result_poses
 from loopcal.life.updating import Since, updated
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.replacing import Freedom, mounted
+from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verdict import refuses
 from loopcal.units import difference_to_si
 from loopcal.workflow.calibration import save_result
@@ -91,7 +91,7 @@ def run_update(
     poses = read_result_poses(folder, read.mechanism)
     calibrated = Calibrated.from_document(read.document, read.mechanism, poses, str(result))
     anew = (*mounted(read.mechanism, mounting.remounted), *mounting.anew)
-    Freedom.of(read.mechanism, anew)  # raises for a name that is not there
+    freed(read.mechanism, anew)  # raises for a name that is not there
     data, inputs = poses_of_result(readings, read.mechanism), read.document.inputs
     if data is None:
         inputs = _with_file(inputs, readings)

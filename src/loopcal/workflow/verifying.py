@@ -16,7 +16,7 @@ from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.result.result_poses import poses_of_result
 from loopcal.life.history import History
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.replacing import Freedom, mounted
+from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verification import check_tolerance, verify
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.history import note_history, verification_entry
@@ -56,7 +56,7 @@ def run_verification(
             "outputs",
         )
     changed = (*mounted(read.mechanism, remounted), *anew)
-    Freedom.of(read.mechanism, changed)  # raises for a name that is not there
+    freed(read.mechanism, changed)  # raises for a name that is not there
     data = poses_of_result(readings, read.mechanism)
     if data is None:
         data = read_new_readings(readings, read.document.inputs, read.mechanism, whole=True)
