@@ -23,7 +23,7 @@ from loopcal.errors import NoTrustworthyResult
 from loopcal.estimation.noise.estimation import judged
 from loopcal.estimation.noise.learning import learnt_entry
 from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
-from loopcal.estimation.noise.variance_components import Component, Estimate, estimate_ratios
+from loopcal.estimation.noise.variance_components import Component, estimate_ratios
 from loopcal.estimation.result import Result
 from loopcal.life.earlier import Earlier, Sloped
 from loopcal.statistics.another_day import day_problem, noise_of
@@ -73,7 +73,8 @@ def learnt(
         return None
     noise = list(calibrated.noise)
     for j, i in enumerate(which):
-        learnt_sd = judged(model, estimate, j, components[j], _unsure(estimate, j))
+        unsure = any(j in pair for pair in estimate.alike)
+        learnt_sd = judged(model, estimate, j, components[j], unsure)
         noise[i] = replace(learnt_entry(noise[i], learnt_sd, begun[i]), slopes=())
     noisy = (start > 0.0) & (estimate.ratios > 0.0)
     change = np.abs(np.log(estimate.ratios[noisy] / start[noisy])).max(initial=0.0)
@@ -86,10 +87,6 @@ def _begun(entry: NoiseEntry) -> float | None:
     if entry.source != "estimated":
         return None
     return entry.sd or entry.upper or None
-
-
-def _unsure(estimate: Estimate, which: int) -> bool:
-    return any(which in pair for pair in estimate.alike)
 
 
 def _model(

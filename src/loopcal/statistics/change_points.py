@@ -204,15 +204,10 @@ class _Search:
         followed = order_by_joints(joints) if any(step.ramp for step in steps) else 1.0
         cosines = path_cosines(joints)
         smooth = self._smooth(fit, steps, cosines) if cosines > _WAVES else []
-        return [
-            step
-            for step in steps
-            if (
-                step not in smooth
-                if not step.ramp
-                else followed < _FOLLOWED and step.candidate.change.kind in _INSTRUMENT
-            )
-        ]
+        clear = [step for step in steps if step.ramp or step not in smooth]
+        if followed < _FOLLOWED:
+            return [s for s in clear if not s.ramp or s.candidate.change.kind in _INSTRUMENT]
+        return [step for step in clear if not step.ramp]
 
     def _smooth(self, fit: Fitted, steps: Sequence[_Step], cosines: int = _WAVES) -> list[_Step]:
         """The steps that slow changes over the run explain, beside which only an edge counts."""

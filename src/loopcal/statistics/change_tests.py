@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import NoTrustworthyResult
+from loopcal.small_samples import f_tail, t_quantile
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, POWER, Candidate, Change, WhatChanged
 from loopcal.statistics.estimated import Estimated
@@ -203,24 +204,10 @@ class _System:
         """Whether the misfit is gross."""
         return self.present > ASTRAY * len(self.linear.e)
 
-    def tail(self, z: float, i: int) -> float:
-        """p-value of a change of so many sds, either way."""
-        from scipy.special import ndtr, stdtr
-
-        nu = self.freedom[i]
-        return 2.0 * float(ndtr(-z) if np.isinf(nu) else stdtr(nu, -z))
-
-    def quantile(self, chance: float, i: int) -> float:
-        """How many sds a change exceeds with this probability, one way."""
-        from scipy.special import ndtri, stdtrit
-
-        nu = self.freedom[i]
-        return -float(ndtri(chance) if np.isinf(nu) else stdtrit(nu, chance))
-
     def critical(self, i: int) -> float:
         """Of the most significant of all candidates [sds]."""
         groups = len(np.unique(self.group[self.visible]))
-        return self.quantile(0.5 * LEVEL / max(groups, 1), i)
+        return t_quantile(1.0 - LEVEL / max(groups, 1), self.freedom[i])
 
     def tests(self, chosen: Sequence[int]) -> dict[int, float]:
         """Adjusted p-values of the further candidates beside those that were accepted, one for each
@@ -231,7 +218,8 @@ class _System:
         left = np.diag(G) - (G[:, rows] * X.T).sum(axis=1)
         seen = [i for i in heads if left[i] > _VISIBLE * G[i, i]]
         score = g - g[rows] @ X
-        p = np.array([self.tail(abs(score[i]) / np.sqrt(self.scale * left[i]), i) for i in seen])
+        squares = np.square(score) / (self.scale * np.where(left > 0.0, left, 1.0))
+        p = np.array([f_tail(float(squares[i]), 1, self.freedom[i]) for i in seen])
         order = np.argsort(p, kind="stable")
         # The smallest of m counts m times, the next m - 1; none falls below the one before.
         holm = np.maximum.accumulate(p[order] * (len(p) - np.arange(len(p))))
@@ -288,7 +276,7 @@ class _System:
         together, changes = self.estimated(chosen), list[Change]()
         sizes, sds = together.size.tolist(), (np.sqrt(self.scale) * together.sds).tolist()
         for j, size, sd, p in zip(chosen, sizes, sds, p_values, strict=True):
-            one, half = self.candidates[j], self.quantile(0.025, j) * sd
+            one, half = self.candidates[j], t_quantile(0.95, self.freedom[j]) * sd
             alike, interval = self._alike(chosen, j), (size - half, size + half)
             changes.append(Change(one.name, one.kind, one.unit, size, sd, *interval, p, alike))
         return tuple(changes)
@@ -318,7 +306,7 @@ class _System:
         tests, tested = self.tests(()), []
         for i, one in enumerate(self.candidates):
             if self.visible[i]:
-                reach = self.critical(i) + self.quantile(1.0 - POWER, i)
+                reach = self.critical(i) + t_quantile(2.0 * POWER - 1.0, self.freedom[i])
                 smallest = float(reach * np.sqrt(self.scale / self.G[i, i]))
                 one = replace(one, p_value=tests[int(self.group[i])], smallest=smallest)
             tested.append(one)
