@@ -34,7 +34,7 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.statistics.another_day import day_problem, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import root_of
-from loopcal.statistics.replacing import DETERMINED
+from loopcal.statistics.replacing import least_squares
 
 Array = NDArray[np.float64]
 _MOST = 3000
@@ -102,7 +102,7 @@ class Around:
         (n_all,) moves so that the earlier loops stay closed."""
         moves, then = np.diag((~anew).astype(float)), anew & self.estimated
         if self.D is not None:
-            moves[np.ix_(then, ~anew)] = -_least_squares(self.D[:, then], self.D[:, ~anew])
+            moves[np.ix_(then, ~anew)] = -least_squares(self.D[:, then], self.D[:, ~anew])
         return moves
 
 
@@ -203,7 +203,7 @@ class Earlier:
         root, pull = self.root @ half, DR.T @ E - self.pull - self.added @ step
         carried = self.root
         if self.seen is not None:
-            carried = _least_squares(self.seen.at(centre).slopes, self.root)
+            carried = least_squares(self.seen.at(centre).slopes, self.root)
         mean = centre + root @ (half.T @ pull)
         seen = self._seen(centre, root)
         return Around(centre, mean, root, carried, seen, D, self.estimated)
@@ -218,7 +218,7 @@ class Earlier:
         parameters, then = np.where(anew, self.begin, today), anew & self.estimated
         for _ in range(_PLACINGS if self.problem is not None and then.any() else 0):
             E, D = self._equations(parameters)
-            parameters[then] += _least_squares(D[:, then], E[:, None])[:, 0]
+            parameters[then] += least_squares(D[:, then], E[:, None])[:, 0]
         return parameters
 
     def _closed(self, parameters: Array) -> Array:
@@ -250,14 +250,6 @@ class Earlier:
             return None
         D = _rows(roots, [block.J for block in blocks])
         return Seen(problem, centre, roots, D, root @ (D @ root).T)
-
-
-def _least_squares(A: Array, b: Array) -> Array:
-    """x (n, m) of the least |A x - b|, A (R, n), without directions that A does not show."""
-    scale = np.linalg.norm(A, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    x: Array = np.linalg.lstsq(A / scale, b, rcond=DETERMINED)[0] / scale[:, None]
-    return x
 
 
 def _blocks(problem: Problem, parameters: Array) -> Sequence[ModelBlock]:

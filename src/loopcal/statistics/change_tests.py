@@ -108,11 +108,11 @@ def _candidates(placement: Replaced) -> tuple[Candidate, ...]:
     """What may have changed of all that is held."""
     problem = placement.problem
     anew = dict(zip(problem.mechanism.parameters.names, placement.anew, strict=True))
-    changes = [(one.kind, *one.names) for one in possible(problem, BETWEEN_DAYS)]
     return tuple(
-        Candidate(name, kind, unit_of(problem, name))
-        for kind, name in changes
-        if not anew.get(name, False)
+        Candidate(name, one.kind, unit_of(problem, name))
+        for one in possible(problem, BETWEEN_DAYS)
+        for name in one.names
+        if not anew.get(name)
     )
 
 

@@ -210,15 +210,18 @@ def replaced(
     return lowest
 
 
-def _damped(A: Array, e: Array, damping: float) -> Array:
-    """The step that lowers |e - A step|, kept short by the damping (Marquardt 1963)."""
+def least_squares(A: Array, b: Array, damping: float = 0.0) -> Array:
+    """x (n, m) of the least |A x - b|, without directions that A (R, n) does not show; damping:
+    keeps it short (Marquardt 1963)."""
     scale = np.linalg.norm(A, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    # Rows below each other: A^T A would square the condition number.
-    rows = np.vstack([A / scale, np.sqrt(damping) * np.eye(A.shape[1])])
-    right = np.concatenate([e, np.zeros(A.shape[1])])
-    step: Array = np.linalg.lstsq(rows, right, rcond=DETERMINED)[0] / scale
-    return step
+    rows, n = A / scale, A.shape[1]
+    if damping:
+        # Rows below each other: A^T A would square the condition number.
+        rows = np.vstack([rows, np.sqrt(damping) * np.eye(n)])
+        b = np.concatenate([b, np.zeros((n, b.shape[1]))])
+    x: Array = np.linalg.lstsq(rows, b, rcond=DETERMINED)[0] / scale[:, None]
+    return x
 
 
 @dataclass(frozen=True)
@@ -264,7 +267,7 @@ class _Search:
             if not free or not damping < _MOST_DAMPING or not np.isfinite(lowest.merit):
                 break
             A = lowest.J[:, free]
-            step = _damped(A, lowest.e, damping)
+            step = least_squares(A, lowest.e[:, None], damping)[:, 0]
             promised = lowest.merit - float(np.square(lowest.e - A @ step).sum())
             if promised <= _SETTLED * lowest.merit:
                 break

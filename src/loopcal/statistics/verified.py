@@ -141,19 +141,13 @@ class Verification:
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
-        innovation = self.innovation
         answers = {name: asdict(answer) for name, answer in self.verdict.items()}
         distances = {n: None if d is None else asdict(d) for n, d in self._accuracies.items()}
         return {
             "verdict": {**answers, "headline": self.headline},
             "findings": [asdict(one) for one in self.findings],
             "accuracy": {"unit": self.unit, **distances},
-            "chi_squared": {
-                "value": innovation.value,
-                "degrees_of_freedom": innovation.degrees_of_freedom,
-                "learnt_freedom": innovation.learnt_freedom,
-                "p_value": innovation.p_value,
-            },
+            "chi_squared": asdict(self.innovation),
             "changes": None if self.changes is None else self.changes.document(),
             "placed": [asdict(one) for one in self.placed],
             "poses": len(self.poses),
