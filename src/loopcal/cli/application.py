@@ -52,6 +52,25 @@ def _named(option: typer.CallbackParam, value: str | None) -> str | None:
     return value
 
 
+ReadingsArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="FILE",
+        help="Readings of another day in the columns of the project, or another result.",
+    ),
+]
+RemountedOption = Annotated[
+    bool,
+    typer.Option("--remounted", help="Estimate everything that is mounted on the machine anew."),
+]
+AnewOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="Estimate this instrument's target, target or parameter anew; repeatable "
+        "[default: none].",
+    ),
+]
 HistoryOption = Annotated[
     str | None,
     typer.Option(

@@ -27,6 +27,7 @@ from loopcal.mechanisms.parameters import Parameter
 from loopcal.small_samples import LearntCovariance
 
 Array = NDArray[np.float64]
+# Sums in another order differ by some 1e-12: chosen, not derived, between that and any widening.
 _ALIKE = 1e-9
 # docs/decisions/0065.
 _COARSE = 0.5

@@ -35,10 +35,13 @@ from loopcal.statistics.possible_changes import ALONG_A_RUN, Possible, possible,
 from loopcal.statistics.run_order import order_by_joints, path_cosines
 
 Array = NDArray[np.float64]
+# Chosen, not derived: time and memory of the search.
 MOST_POSES = 5000
 """More poses are not searched: parts of a long run can be."""
+# Chosen, not derived: fewer poses are outliers, which have tests of their own.
 LEAST = 5
 """Poses between two changes, and before the first and after the last."""
+# Record 0054: p-value of a single test.
 UNREMARKABLE = 1e-3
 """A pose that is at least so probable fits."""
 # Six cosines, R^2 of 0.5 and e^10 below: record 0051.
@@ -50,6 +53,7 @@ it is one of an instrument."""
 _RARE = 10.0
 """By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
 the last joint does the same, and does it more often."""
+# A factor of e^7, about 1000, in p: chosen, not derived.
 _ALIKE = 7.0
 """An alternative whose log p is within this of the best explains the change about as well."""
 
@@ -90,6 +94,7 @@ class Shifts:
         return [f"shifts: {len(self.found)} ({rule})", *points]
 
 
+# The level is that of the search, 1 % family-wise (record 0051).
 NOT_SEARCHED = Shifts((), 0.01, 0)
 
 

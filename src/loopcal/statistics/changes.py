@@ -30,6 +30,7 @@ from loopcal.statistics.shifted import shift_lines, with_shifts
 # CERTAIN and MOST_OUTLIERS: record 0051.
 CERTAIN = 1e-6
 """Changes of so small a p-value, corrected for the search, are modelled; such poses discarded."""
+# Chosen, not derived: each further search costs a fit.
 ROUNDS = 2
 """Searches: the second on the fit with what the first found."""
 MOST_OUTLIERS = 0.03

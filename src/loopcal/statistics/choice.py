@@ -63,9 +63,11 @@ Array = NDArray[np.float64]
 # Record 0047.
 FOLDS, BLOCKS, FEWEST = 10, 5, 25
 """Parts at random, regions, and the different poses from which on regions are left out."""
+# Chosen, not derived: it saves half the fits of a candidate that is far behind.
 HOPELESS = 3.0
 """A costly candidate is discarded halfway whose rms is so many times that of the best, on poses at
 random and on regions."""
+# Chosen, not derived: a mean over fewer may be one over easy poses.
 _LEAST = 0.5
 """A candidate must predict this share of the poses."""
 

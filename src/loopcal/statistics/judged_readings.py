@@ -16,10 +16,13 @@ from loopcal.presentation.rounding import significant
 # Record 0054.
 RARE = 1e-3
 """p-value of a single test from which a result is not sound: several tests are made."""
+# Half as large in sd, a quarter in the square.
 LOOSE = 0.25
 """Chi-squared per degree of freedom of sds twice as large as the readings show."""
+# Chosen, not derived: 3 mm of a metre, more than the noise of any instrument here.
 SIZE = 3e-3
 """Relative sd of a size that only priors determine from which on its bias counts."""
+# Chosen, not derived: one good data set of a hundred; `analyses.alarms` counts all codes together.
 _CHANCE = 0.01
 """Share of good data sets with a pose so far off; the search for outliers names more."""
 # Record 0054; `analyses.residual_outliers` counts the good poses that are named.

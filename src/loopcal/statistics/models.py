@@ -43,6 +43,7 @@ from loopcal.statistics.verdict import judged_result
 Array = NDArray[np.float64]
 GEOMETRIC = "geometric"
 """The model without effects, always among those compared."""
+# Record 0013: Sivula, Magnusson and Vehtari (2020).
 ERRORS, LEAST = 2.0, 4.0
 """A model is refused that is behind by more than so many standard errors and by more than this."""
 

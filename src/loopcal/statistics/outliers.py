@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 SCALES = ("auto", "stated", "residual")
+# The level that the page states: docs/explanation/outliers.md.
 _LEVEL, _SCALE = 0.05, "auto"
 COLUMNS = "columns"
 """Under which a result remembers its columns that are wrong."""

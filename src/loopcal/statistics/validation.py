@@ -57,6 +57,7 @@ Array = NDArray[np.float64]
 NEARLY = 1e-2
 """Where sds of terms are learnt, or weights are found in rounds, refits converge to so many sds: no
 prediction moves by more than a hundredth of its error."""
+# Chosen, not derived: far below what a prediction shows.
 ENOUGH = 1e-5
 """Elsewhere: no prediction moves by more than a hundred-thousandth of its error."""
 

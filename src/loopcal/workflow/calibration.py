@@ -33,6 +33,7 @@ from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.calibrate import calibrate
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.verdict import judged, refuses
+from loopcal.workflow.keeping import Keeper
 from loopcal.workflow.projects import named_project, stored_files
 
 Addition = Callable[[ResultDocument], ResultDocument]
@@ -67,8 +68,8 @@ class Request:
     require: questions of the verdict that must be answered with yes, beside "sound"; folds: of a
     validation, instead of the project's; profile: parameters that get a profile interval, beside
     those of the project; compare: whether the project's models are compared, and the result is
-    that of the one recommended; report: whether report.html is written as well; history: folder to
-    which the result is added.
+    that of the one recommended; report: whether report.html is written as well; keeper: keeps the
+    result too.
     """
 
     method: str | None = None
@@ -79,7 +80,7 @@ class Request:
     profile: Sequence[str] = ()
     compare: bool = False
     report: bool = False
-    history: str | Path | None = None
+    keeper: Keeper | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,10 +268,8 @@ class _Run:
         # Cached properties: their refusals come now, not after an hour of fitting.
         _ = self.truth, self.fit
         refuse_foreign(*(self.folder / name for name in (*result_file.NAMES, "report.html")))
-        if self.request.history is not None:
-            from loopcal.files.history.folder import refuse_no_history
-
-            refuse_no_history(self.request.history)
+        if self.request.keeper is not None:
+            self.request.keeper.refuse()
         if self.executor and self.listeners.sharing:
             self.listeners.sharing(self.executor)
 
@@ -388,7 +387,7 @@ class _Run:
     def _written(self, done: _Finished) -> Calibration:
         """The result and its files."""
         written = save_result(
-            done.result, self.folder, report=self.request.report, history=self.request.history
+            done.result, self.folder, report=self.request.report, keeper=self.request.keeper
         )
         objection = self._objection(written.document)
         return Calibration(done.result, done.findings, written, done.warnings, objection)
@@ -453,9 +452,9 @@ def save_result(
     inputs: Mapping[str, Any] | None = None,
     warnings: tuple[str, ...] = (),
     report: bool = False,
-    history: str | Path | None = None,
+    keeper: Keeper | None = None,
 ) -> WrittenResult:
-    """`write_result` within a command; history: folder to which the result is added with it."""
+    """`write_result` within a command; keeper: keeps the result with its files."""
     document = result.document
     if document.verdict is None:
         document = judged(
@@ -475,16 +474,11 @@ def save_result(
         from loopcal.report.page import page_of
 
         page = page_of(result, folder)
-    if history is None:
+    if keeper is None:
         return result_file.write_result(result, document, folder, report=page)
-    from loopcal.workflow.history import calibration_entry, note_history
-    from loopcal.workflow.history import history as read_history
-
-    content = calibration_entry(document, result.calibrated, Path(folder) / "result.json")
-    written = result_file.write_result(
-        result, document, folder, report=page, entry=(history, content)
-    )
-    note_history(read_history(history), written.folder)
+    write = keeper.of_calibration(document, result.calibrated, Path(folder) / "result.json")
+    written = result_file.write_result(result, document, folder, report=page, write=write)
+    keeper.note(written.folder)
     return written
 
 

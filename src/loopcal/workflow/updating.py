@@ -11,7 +11,7 @@ from typing import Any
 from loopcal.document.result_document import WrittenResult
 from loopcal.errors import InputError, UsageError
 from loopcal.estimation.result import Result
-from loopcal.files.history.folder import is_history, refuse_no_history
+from loopcal.files.history.folder import is_history
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.outputs import refuse_foreign
 from loopcal.files.project.new_readings import read_new_readings
@@ -24,6 +24,7 @@ from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verdict import refuses
 from loopcal.units import difference_to_si
 from loopcal.workflow.calibration import save_result
+from loopcal.workflow.history import HistoryKeeper
 from loopcal.workflow.history import history as read_history
 
 # Possessive: no text makes the match back out (docs/decisions/0137).
@@ -71,8 +72,9 @@ def run_update(
     rest as in `update`.
     Raises InputError for what cannot be used.
     """
-    if history is not None:
-        refuse_no_history(history)
+    keeper = None if history is None else HistoryKeeper(history)
+    if keeper is not None:
+        keeper.refuse()
     usual = {} if drift or history is None else _usual(history)
     loops = None if function is None else load_function(function)
     read = read_result_folder(result, function=loops)
@@ -102,7 +104,7 @@ def run_update(
         raise error.at(str(readings)) from None
     title = read.document.title
     written = save_result(
-        done.result, target, title=title, inputs=inputs, report=report, history=history
+        done.result, target, title=title, inputs=inputs, report=report, keeper=keeper
     )
     verdict = written.document.verdict
     assert verdict is not None
