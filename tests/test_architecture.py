@@ -303,6 +303,35 @@ def test_no_modules_import_each_other() -> None:
     assert import_cycles(MODULES) == []
 
 
+COMPANIONS = ("life", "planning", "pose_performance", "studies", "deployment")
+"""What stands beside a calibration; the report and the start of a core command need none of it."""
+CORE_OF_REPORT = {
+    *("page", "tables", "drawn", "top", "parameters", "section", "source", "templates"),
+    "glossary",
+}
+
+
+def at_the_top(module: Module) -> Module:
+    """The module with what it imports as it is loaded, and nothing of its functions."""
+    loaded = [node for node in module.tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    return Module(module.name, "\n".join(map(ast.unparse, loaded)))
+
+
+def test_the_report_and_the_command_line_need_no_companion() -> None:
+    core = [m for m in MODULES if m.name in {f"report.{name}" for name in CORE_OF_REPORT}]
+    assert len(core) == len(CORE_OF_REPORT)
+    core += [at_the_top(m) for m in MODULES if m.layer == "cli"]
+    beside = {m.name for m in MODULES if m.layer == "report"} - {m.name for m in core}
+    far = [f"loopcal.{name}" for name in (*COMPANIONS, *beside)]
+    needed = [
+        f"{module.name}:{line} imports {name}"
+        for module in core
+        for line, name in module.imports()
+        if any(f"{name}.".startswith(f"{one}.") for one in far)
+    ]
+    assert needed == []
+
+
 def test_a_cycle_by_types_or_inside_a_function_is_found() -> None:
     one = Module("estimation.a", "if TYPE_CHECKING:\n    from loopcal.estimation.b import f")
     two = Module("estimation.b", "def f():\n    from loopcal.estimation.a import g")

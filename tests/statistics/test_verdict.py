@@ -56,7 +56,7 @@ def clean() -> ResultDocument:
     validation = lc.validate(
         off, data, noise=noise, full=result, folds=5, start="nominal", method="implicit-loop"
     )
-    return validation.added_to(lc.findings(result).added_to(result.document))
+    return lc.Result.of(result, validation=validation.entry).document
 
 
 def changed(value: Any, path: str, new: Any) -> Any:

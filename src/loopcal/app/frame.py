@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections.abc import Callable
 from contextlib import aclosing
+from pathlib import Path
 from typing import Any
 
 from nicegui import background_tasks, run, ui
@@ -24,69 +25,7 @@ SCRIPTS = {"/linked.js": "linked.js", "/fields.js": "fields.js"}
 TIP = 'anchor="center right" self="center left"'
 PATIENCE = 0.3
 """Seconds before a page says that it waits for files."""
-STYLE = """
-:root { --good: #17693a; --care: #8a4b00; --bad: #b3261e; --none: #525964; }
-body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; --none: #a8b0bb; }
-.js-plotly-plot svg text { fill: var(--none) !important; }
-body .nicegui-code-copy { opacity: 1; inset: 0.15rem 0.25rem auto auto; }
-body.body--light a.nicegui-link { color: #0b5cad; }
-.good { color: var(--good) !important; } .care { color: var(--care) !important; }
-.bad { color: var(--bad) !important; } .none { color: var(--none) !important; }
-.printed { white-space: pre-wrap; font-family: ui-monospace, monospace; font-size: 0.8rem;
-           overflow-wrap: anywhere; }
-.beside { display: flex; flex-wrap: wrap; gap: 1rem; width: 100%; align-items: flex-start; }
-.figures { flex: 3 1 420px; min-width: 0; } .acts { flex: 1 1 320px; min-width: 0; }
-.diagnose { display: grid; gap: 0.75rem 1rem; width: 100%; align-items: start;
-  grid-template: "main parts" auto "rest parts" 1fr / minmax(0, 3fr) minmax(20rem, 1fr); }
-.main { grid-area: main; } .parts { grid-area: parts; } .rest { grid-area: rest; }
-.parts { display: grid; gap: 0 1.5rem;
-         grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); }
-.ends { display: grid; gap: 0.25rem 1rem; width: 100%;
-        grid-template-columns: repeat(auto-fit, minmax(13rem, 1fr)); }
-@media (max-width: 1199px) {
-  .diagnose { grid-template: "main" auto "parts" auto "rest" auto / minmax(0, 1fr); }
-}
-.columns { display: grid; gap: 0.5rem 1rem; width: 100%; align-items: center;
-           grid-template-columns: fit-content(40%) minmax(7rem, 1fr) 5rem; }
-.columns > * { min-width: 0; } .q-select .q-field__native > span { white-space: normal; }
-.q-btn-group { flex-wrap: wrap; max-width: 100%; overflow-wrap: break-word; }
-.q-btn-group > .q-btn { max-width: 100%; }
-.tiles .linked { content-visibility: auto; contain-intrinsic-size: auto 300px; }
-.tiles { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr));
-         gap: 0.5rem; width: 100%; }
-.file { display: inline-flex; align-items: center; gap: 0.4rem; min-height: 44px; }
-.blank { background: #b3261e22; font-style: italic; } .cells td:last-child { color: var(--bad); }
-.difference { border: 1px solid #8886; padding: 0.5rem; max-height: 420px; overflow: auto; }
-.difference .gone { color: var(--bad); } .difference .come { color: var(--good); }
-body .q-footer.run { color: inherit; max-height: 40vh; overflow: auto; padding: 0.4rem 1rem; }
-body.body--light .q-footer.run { background: #f3f5f8; color: #1f2328; }
-body.body--dark .q-footer.run { background: #24282e; color: #e6e6e6; }
-body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem; }
-.q-page { overflow-wrap: anywhere; } .q-checkbox { max-width: 100%; }
-.q-uploader__list { min-height: 1.5rem; padding: 4px 8px; }
-.linked :is(.selectionlayer, .outline-controllers) { display: none; }
-.linked .select-outline { pointer-events: none !important; }
-.linked .pane { position: absolute; z-index: 2; cursor: crosshair; touch-action: none; }
-.linked .pane div { position: absolute; border: 2px dashed #d55e00; background: #d55e0022; }
-.provisional { border-left: 4px solid var(--care); padding: 0.25rem 0.75rem; width: 100%; }
-.command { max-width: 100%; } .command pre { padding-right: 2.5rem; white-space: pre-wrap; }
-.q-table td { white-space: normal; overflow-wrap: break-word; }
-.q-table td:first-child { overflow-wrap: anywhere; }
-.step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
-.q-btn { min-height: 44px; text-transform: none; }
-.q-btn:focus-visible { outline: 3px solid #0072b2; outline-offset: 2px; }
-@media (prefers-reduced-motion: reduce) {
-  * { transition-duration: 0.01ms !important; animation-duration: 0.01ms !important;
-      animation-iteration-count: 1 !important; }
-}
-@layer theme { /* of important rules the first layer wins */
-  body.body--light .q-btn.step { color: #1f2328 !important; }
-  body.body--dark .q-btn.step { color: #e6e6e6 !important; }
-  body.body--dark .text-primary, body.body--dark a { color: #7db9ff !important; }
-  body.body--dark .q-table__bottom .q-btn { color: inherit !important; }
-  body.body--dark .text-negative { color: #ff9a90 !important; }
-}
-"""
+STYLE = Path(__file__).with_name("scripts") / "style.css"
 
 
 async def build(session: Session) -> None:

@@ -15,72 +15,67 @@ from loopcal.app.views import check, data, deploy, diagnose, fit, history, plan,
 class Page:
     """words: what is done there; light: how its step stands; show: draws it."""
 
-    key: str
     label: str
     words: str
     light: Light
     show: Callable[[View], None]
 
+    @property
+    def key(self) -> str:
+        """Its name in the code."""
+        return self.label.lower()
+
 
 PAGES = (
     Page(
-        "robot",
         "Robot",
         "Describe the robot: a URDF, a table of Denavit-Hartenberg parameters, or a type.",
         steps.made("a robot"),
         robot.show,
     ),
     Page(
-        "data",
         "Data",
         "Give the readings. loopcal recognises columns and units; correct what is wrong.",
         steps.made("readings"),
         data.show,
     ),
     Page(
-        "plan",
         "Plan",
         "Choose which poses to measure. Skip this step if you have measured already.",
         steps.ran("plan", "which poses to measure"),
         plan.show,
     ),
     Page(
-        "check",
         "Check",
         "See what the readings can determine, before a fit.",
         steps.checked,
         check.show,
     ),
     Page(
-        "fit",
         "Fit",
         "Calibrate, and read whether you can use the result.",
         steps.fit,
         fit.show,
     ),
     Page(
-        "diagnose",
         "Diagnose",
         "Find what does not fit. Drag over points to select poses; all figures follow.",
         steps.of_result(steps.diagnose),
         diagnose.show,
     ),
     Page(
-        "validate",
         "Validate",
         "See how good the calibration is where nothing was measured.",
         steps.of_result(steps.validate),
         validate.show,
     ),
     Page(
-        "deploy",
         "Deploy",
         "Take the result to the robot: files for its controller, and corrected programs.",
         steps.of_result(steps.deploy),
         deploy.show,
     ),
     Page(
-        "history",
         "History",
         "See what was done here, undo it, and follow the machine over the years.",
         steps.of_result(steps.ran("history", "the machine over time")),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from loopcal.app.pictures import look
 from loopcal.errors import InputError
-from loopcal.figures.figure import axis, names, numbers
+from loopcal.figures.figure import axis, names, numbers, spots
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.outputs import levers, point_family, point_outputs, points
 from loopcal.presentation.shown import by_sd, factor, unit_shown, with_unit
@@ -121,15 +121,14 @@ def map_figure(region_map: Map) -> dict[str, Any] | None:
     keys = "xyz"[: len(region_map.at)]
     colour = {"color": numbers(region_map.sd / scale), "colorscale": "Viridis", "size": 5}
     bar = {"title": {"text": f"sd [{unit_shown('m')}]"}, "thickness": 12}
-    trace = {
-        "type": "scatter3d" if solid else "scatter",
-        "mode": "markers",
-        "marker": {**colour, "colorbar": bar},
-        "customdata": list(range(len(region_map.sd))),
-        "text": names([with_unit(float(s), "m") for s in region_map.sd]),
-        "hoverinfo": "text",
-        **{k: numbers(region_map.at[i]) for i, k in enumerate(keys)},
-    }
+    trace = spots(
+        "markers",
+        region_map.at,
+        marker={**colour, "colorbar": bar},
+        customdata=list(range(len(region_map.sd))),
+        text=names([with_unit(float(s), "m") for s in region_map.sd]),
+        hoverinfo="text",
+    )
     titles = {f"{k}axis": axis(f"{k} [m]") for k in keys}
     more = {"scene": {"aspectmode": "data", **titles}} if solid else titles
     return {"data": [trace], "layout": look(440, uirevision="map", **more), "config": PLAIN}

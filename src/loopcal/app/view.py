@@ -133,6 +133,11 @@ class View:
         """Begin a run of `loopcal LINE`."""
         return self.act(lambda: self.session.start(self.session.action(what, line)))
 
+    def files(self, ends: tuple[str, ...]) -> list[str]:
+        """Files of the folder itself that end so."""
+        names = (file.name for file in self.session.folder.listed())
+        return [name for name in names if "/" not in name and name.lower().endswith(ends)]
+
     def project_name(self) -> str:
         """Of the project file in the folder."""
         return self.session.folder.project.name

@@ -5,8 +5,6 @@ from __future__ import annotations
 from shlex import quote
 from typing import Annotated
 
-import typer
-
 from loopcal.cli.application import (
     ClusterOption,
     ForceOption,
@@ -17,6 +15,9 @@ from loopcal.cli.application import (
     ResultArgument,
     WorkersOption,
     app,
+    argument,
+    flag,
+    option,
     out_option,
 )
 from loopcal.cli.output import log, print_data, print_done, print_json, print_out
@@ -31,16 +32,13 @@ def calibrate(
     project: ProjectArgument,
     method: Annotated[
         str | None,
-        typer.Option(
-            metavar="METHOD",
-            help=f"Fit by {', '.join(METHODS)} [default: the project's fit.method].",
-        ),
+        option("METHOD", f"Fit by {', '.join(METHODS)} [default: the project's fit.method]."),
     ] = None,
     truth: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Compare with the truth of a simulation: print every parameter's error, true "
+        option(
+            "FILE",
+            "Compare with the truth of a simulation: print every parameter's error, true "
             "minus estimate.",
         ),
     ] = None,
@@ -55,44 +53,41 @@ def calibrate(
     mechanism: FunctionOption = None,
     require_identifiable: Annotated[
         bool,
-        typer.Option(
-            "--require-identifiable", help="Exit with code 4 unless every parameter is determined."
-        ),
+        flag("--require-identifiable", "Exit with code 4 unless every parameter is determined."),
     ] = False,
     require: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="QUESTION",
-            help="Exit with code 4 unless the verdict answers this with yes: sound, valid, better, "
+        option(
+            "QUESTION",
+            "Exit with code 4 unless the verdict answers this with yes: sound, valid, better, "
             "tolerance; repeatable or comma separated [default: sound must not fail].",
         ),
     ] = None,
     folds: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
+        option(
+            "N",
+            "Validate by N-fold cross-validation [default: the project's fit.validation].",
             min=2,
-            help="Validate by N-fold cross-validation [default: the project's fit.validation].",
         ),
     ] = None,
     profile: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="GLOB",
-            help="Compute profile likelihood intervals of these parameters; "
-            "repeatable [default: none].",
+        option(
+            "GLOB",
+            "Compute profile likelihood intervals of these parameters; repeatable [default: none].",
         ),
     ] = None,
     compare: Annotated[
         bool,
-        typer.Option(
+        flag(
             "--compare",
-            help="Compare the project's [[compare.model]] on held-out poses and calibrate with "
+            "Compare the project's [[compare.model]] on held-out poses and calibrate with "
             "the recommended one.",
         ),
     ] = False,
     no_report: Annotated[
-        bool, typer.Option("--no-report", help="Skip report.html and delete an existing one.")
+        bool, flag("--no-report", "Skip report.html and delete an existing one.")
     ] = False,
     workers: WorkersOption = None,
     cluster: ClusterOption = None,
@@ -132,7 +127,7 @@ def calibrate(
         )
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
     document = done.written.document
-    text = f"{document.title}\n{document}\n\n{done.findings.words()}"
+    text = f"{document.title}\n{document}\n\n{done.result.findings.words()}"
     print_done(document, as_json, text=text, where=where)
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
@@ -161,9 +156,7 @@ def check(
 @app.command()
 def predict(
     result: ResultArgument,
-    file: Annotated[
-        str, typer.Argument(metavar="FILE", help="Readings in the columns of the project.")
-    ],
+    file: Annotated[str, argument("FILE", "Readings in the columns of the project.")],
     out: Annotated[
         str | None,
         out_option(
@@ -191,35 +184,31 @@ def predict(
 
 @app.command()
 def compare(
-    a: Annotated[
-        str, typer.Argument(metavar="A", help="Folder of a calibration, or its result.json.")
-    ],
-    b: Annotated[str, typer.Argument(metavar="B", help="Another calibration of the same machine.")],
+    a: Annotated[str, argument("A", "Folder of a calibration, or its result.json.")],
+    b: Annotated[str, argument("B", "Another calibration of the same machine.")],
     poses: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Compare at these readings, in the columns of A's project [default: the poses "
+        option(
+            "FILE",
+            "Compare at these readings, in the columns of A's project [default: the poses "
             "of both].",
         ),
     ] = None,
     same_frame: Annotated[
         bool,
-        typer.Option(
+        flag(
             "--same-frame",
-            help="Compare the instrument's placement too; it must not have moved between A and B.",
+            "Compare the instrument's placement too; it must not have moved between A and B.",
         ),
     ] = False,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
     """Compare two calibrations of one machine: differences, their sds and their significance."""
-    from loopcal.files.machines.python_function import load_function
     from loopcal.workflow.public import compare as compared
     from loopcal.workflow.saved_result import read_result
 
-    loops = None if mechanism is None else load_function(mechanism)
-    first, second = (read_result(path, mechanism=loops) for path in (a, b))
+    first, second = (read_result(path, mechanism=mechanism) for path in (a, b))
     try:
         done = compared(first, second, poses=poses, align=not same_frame)
     except InputError as error:
@@ -231,9 +220,7 @@ def compare(
 def report(
     results: Annotated[
         list[str],
-        typer.Argument(
-            metavar="RESULT...", help="Folders of calibrations, or the result.json in them."
-        ),
+        argument("RESULT...", "Folders of calibrations, or the result.json in them."),
     ],
     out: Annotated[
         str | None,
@@ -253,25 +240,21 @@ def report(
 def noise(
     files: Annotated[
         list[str],
-        typer.Argument(
-            metavar="FILE...", help="Repeated readings of one pose, one series per file."
-        ),
+        argument("FILE...", "Repeated readings of one pose, one series per file."),
     ],
     project: Annotated[
         str | None,
-        typer.Option(
-            metavar="PROJECT", help="Take columns, units and loops from this project file."
-        ),
+        option("PROJECT", "Take columns, units and loops from this project file."),
     ] = None,
     columns: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME=UNIT,...",
-            help="Read these columns: S=rad,L=rad,x=m [default: all columns of numbers].",
+        option(
+            "NAME=UNIT,...",
+            "Read these columns: S=rad,L=rad,x=m [default: all columns of numbers].",
         ),
     ] = None,
     pose: Annotated[
-        str | None, typer.Option(metavar="COLUMN", help="Skip this column of ids [default: none].")
+        str | None, option("COLUMN", "Skip this column of ids [default: none].")
     ] = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
@@ -288,9 +271,7 @@ def simulate(
     project: ProjectArgument,
     out: Annotated[str, out_option("FILE", "Readings to write: .csv, .tsv or .parquet.")],
     force: ForceOption = False,
-    seed: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Seed of all random numbers [default: 0].")
-    ] = 0,
+    seed: Annotated[int, option("N", "Seed of all random numbers [default: 0].", min=0)] = 0,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
@@ -310,17 +291,11 @@ def simulate(
 
 @app.command()
 def new(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help="Folder of the project, NAME/project.toml.")
-    ],
-    mechanism: Annotated[
-        str | None, typer.Option(metavar="TYPE", help=f"One of {', '.join(TEMPLATES)}.")
-    ] = None,
+    name: Annotated[str, argument("NAME", "Folder of the project, NAME/project.toml.")],
+    mechanism: Annotated[str | None, option("TYPE", f"One of {', '.join(TEMPLATES)}.")] = None,
     performance: Annotated[
         bool,
-        typer.Option(
-            "--performance", help="Write a table to fill in for `loopcal performance` instead."
-        ),
+        flag("--performance", "Write a table to fill in for `loopcal performance` instead."),
     ] = False,
 ) -> None:
     """Write a commented project to start from, or a table for measurements of pose performance."""
@@ -349,48 +324,39 @@ def new(
 def init(
     files: Annotated[
         list[str],
-        typer.Argument(
-            metavar="FILE...", help="Readings, joined by pose ids or else by row order."
-        ),
+        argument("FILE...", "Readings, joined by pose ids or else by row order."),
     ],
-    urdf: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Take the robot from this URDF.")
-    ] = None,
+    urdf: Annotated[str | None, option("FILE", "Take the robot from this URDF.")] = None,
     dh: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Take the robot from this table of Denavit-Hartenberg parameters (a, d, alpha, "
-            "theta).",
+        option(
+            "FILE",
+            "Take the robot from this table of Denavit-Hartenberg parameters (a, d, alpha, theta).",
         ),
     ] = None,
     machine: Annotated[
         str | None,
-        typer.Option(metavar="TYPE", help="Take a type with nominal values (motoman-ma1400)."),
+        option("TYPE", "Take a type with nominal values (motoman-ma1400)."),
     ] = None,
     base: Annotated[
         str | None,
-        typer.Option(metavar="LINK", help="Link that does not move [default: the one that fits]."),
+        option("LINK", "Link that does not move [default: the one that fits]."),
     ] = None,
     tip: Annotated[
         str | None,
-        typer.Option(
-            metavar="LINK", help="Link that carries the target [default: the one that fits]."
-        ),
+        option("LINK", "Link that carries the target [default: the one that fits]."),
     ] = None,
     out: Annotated[str, out_option("DIR", "Write the project to this folder.")] = "calibration",
     force: ForceOption = False,
     sheet: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Sheet of a workbook, variable of a MATLAB file or measuring topic of a ROS bag "
+        option(
+            "NAME",
+            "Sheet of a workbook, variable of a MATLAB file or measuring topic of a ROS bag "
             "[default: the sheet with by far the most numbers].",
         ),
     ] = None,
-    run: Annotated[
-        bool, typer.Option("--run", help="Calibrate at once and open the report.")
-    ] = False,
+    run: Annotated[bool, flag("--run", "Calibrate at once and open the report.")] = False,
 ) -> None:
     """Recognise readings and a robot; write a finished project."""
     from loopcal.cli.asking import ask_on_terminal, open_page
@@ -412,7 +378,7 @@ def init(
 
 @app.command()
 def schema(
-    name: Annotated[str, typer.Argument(metavar="project|result", help="Which file.")],
+    name: Annotated[str, argument("project|result", "Which file.")],
 ) -> None:
     """Print the JSON Schema of project files, or of result.json."""
     from loopcal.workflow import projects

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
 from loopcal.cli.application import (
     AnewOption,
     ForceOption,
@@ -16,6 +14,9 @@ from loopcal.cli.application import (
     RemountedOption,
     ResultArgument,
     app,
+    argument,
+    flag,
+    option,
     out_option,
 )
 from loopcal.cli.output import log, print_done
@@ -32,20 +33,20 @@ def update(
     force: ForceOption = False,
     drift: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="ROLE=SD",
-            help="Allow this drift since: length=0.01mm, zero=20urad, mounting, scale, effect or "
+        option(
+            "ROLE=SD",
+            "Allow this drift since: length=0.01mm, zero=20urad, mounting, scale, effect or "
             "a parameter; repeatable [default: the rates of --history, else none].",
         ),
     ] = None,
     same_place: Annotated[
         bool,
-        typer.Option("--same-place", help="Keep the placement: the instrument was not moved."),
+        flag("--same-place", "Keep the placement: the instrument was not moved."),
     ] = False,
     remounted: RemountedOption = False,
     anew: AnewOption = None,
     no_report: Annotated[
-        bool, typer.Option("--no-report", help="Skip report.html and delete an existing one.")
+        bool, flag("--no-report", "Skip report.html and delete an existing one.")
     ] = False,
     machine_history: HistoryOption = None,
     as_json: JsonOption = False,
@@ -74,16 +75,14 @@ def update(
 
 @app.command()
 def history(
-    folder: Annotated[
-        str, typer.Argument(metavar="FOLDER", help="Folder of the history.")
-    ] = "machine.history",
+    folder: Annotated[str, argument("FOLDER", "Folder of the history.")] = "machine.history",
     add: Annotated[
         list[str] | None,
-        typer.Option(metavar="RESULT", help="Add this calibration; repeatable [default: none]."),
+        option("RESULT", "Add this calibration; repeatable [default: none]."),
     ] = None,
     event: Annotated[
         list[str] | None,
-        typer.Option(metavar="TEXT", help="Add this event; repeatable [default: none]."),
+        option("TEXT", "Add this event; repeatable [default: none]."),
     ] = None,
     out: Annotated[
         str | None, out_option("FILE", "Write the page to this file [default: FOLDER.html].")
@@ -102,9 +101,7 @@ def history(
 def fleet(
     results: Annotated[
         list[str],
-        typer.Argument(
-            metavar="RESULT...", help="Folders of calibrations, one of each machine, at least 3."
-        ),
+        argument("RESULT...", "Folders of calibrations, one of each machine, at least 3."),
     ],
     out: Annotated[
         str,
@@ -113,9 +110,7 @@ def fleet(
         ),
     ] = "fleet.toml",
     force: ForceOption = False,
-    no_report: Annotated[
-        bool, typer.Option("--no-report", help="Skip the page beside it, fleet.html.")
-    ] = False,
+    no_report: Annotated[bool, flag("--no-report", "Skip the page beside it, fleet.html.")] = False,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:

@@ -7,8 +7,10 @@ from pathlib import Path
 
 from loopcal.errors import UsageError
 from loopcal.files.atomic import write_atomic
+from loopcal.files.result.deployed import result_path
 from loopcal.report.page import report_html
 from loopcal.report.source import read_source
+from loopcal.workflow.report_sections import sections
 
 
 def run_report(results: Sequence[str | Path], out: str | Path | None) -> Path:
@@ -22,12 +24,7 @@ def run_report(results: Sequence[str | Path], out: str | Path | None) -> Path:
             "several results are given, but no file for their report",
             remedy="name it: --out report.html",
         )
-    page = report_html([read_source(path) for path in results])
-    path = Path(out) if out is not None else _folder(results[0]) / "report.html"
+    page = report_html([read_source(path) for path in results], sections)
+    path = Path(out) if out is not None else result_path(results[0]).with_name("report.html")
     write_atomic(path, page)
     return path
-
-
-def _folder(result: str | Path) -> Path:
-    path = Path(result)
-    return path.parent if path.name == "result.json" else path

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
 from loopcal.cli.application import (
     ClusterOption,
     ForceOption,
     FunctionOption,
     JsonOption,
     app,
+    argument,
+    option,
     out_option,
 )
 from loopcal.cli.output import print_done
@@ -19,16 +19,14 @@ from loopcal.cli.output import print_done
 
 @app.command()
 def study(
-    study: Annotated[
-        str, typer.Argument(metavar="STUDY", help="Study file (TOML); - reads standard input.")
-    ],
+    study: Annotated[str, argument("STUDY", "Study file (TOML); - reads standard input.")],
     draws: Annotated[
         int | None,
-        typer.Option(metavar="N", min=1, help="Draws per scenario [default: the study's]."),
+        option("N", "Draws per scenario [default: the study's].", min=1),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(metavar="N", min=1, help="Compute on N processes [default: one per core]."),
+        option("N", "Compute on N processes [default: one per core].", min=1),
     ] = None,
     cluster: ClusterOption = None,
     out: Annotated[

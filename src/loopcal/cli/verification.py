@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
 from loopcal.cli.application import (
     AnewOption,
     ForceOption,
@@ -16,6 +14,7 @@ from loopcal.cli.application import (
     RemountedOption,
     ResultArgument,
     app,
+    option,
     out_option,
 )
 from loopcal.cli.output import log, print_done
@@ -31,10 +30,7 @@ def verify(
     anew: AnewOption = None,
     tolerance: Annotated[
         float | None,
-        typer.Option(
-            metavar="MM",
-            help="Require that 95 % of poses lie within this distance [default: none].",
-        ),
+        option("MM", "Require that 95 % of poses lie within this distance [default: none]."),
     ] = None,
     out: Annotated[
         str | None, out_option("FILE", "Write a page with figures to this file [default: none].")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.figures.figure import axis, layout, names, numbers
+from loopcal.figures.figure import axis, ends, layout, names, numbers
 
 
 @dataclass(frozen=True)
@@ -32,19 +32,12 @@ class Bars:
         }
         if self.low is None or self.high is None:
             return made
-        intervals = [
-            # A missing end is drawn as the value itself: no line to that side.
-            (v, v if low is None else low, v if high is None else high)
-            for v, low, high in zip(self.values, self.low, self.high, strict=True)
-        ]
-        lines = {
-            "type": "data",
-            "symmetric": False,
-            "array": numbers(np.array([high - v for v, _, high in intervals])),
-            "arrayminus": numbers(np.array([v - low for v, low, _ in intervals])),
-            "thickness": 1.5,
-        }
-        return made | {"error_y": lines}
+        # A missing end is drawn as the value itself: no line to that side.
+        low, high = (
+            np.array([v if end is None else end for v, end in zip(self.values, s, strict=True)])
+            for s in (self.low, self.high)
+        )
+        return made | {"error_y": ends(np.array(self.values), low, high)}
 
 
 def bar_layout(height: int, title: str) -> dict[str, Any]:

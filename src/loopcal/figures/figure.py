@@ -50,9 +50,7 @@ class Figure:
         """A figure over the poses with a line before each of these: number from 1 -> its id."""
         if not poses:
             return self
-        line = {"type": "line", "xref": "x", "yref": "paper", "y0": 0, "y1": 1}
-        look = {"color": MARK, "width": 1.5, "dash": "dash"}
-        lines = [{**line, "x0": n - 0.5, "x1": n - 0.5, "line": look} for n in poses]
+        lines = [upright(n - 0.5, MARK, 1.5) | {"xref": "x"} for n in poses]
         listed = ", ".join(poses.values())
         words = f" Dashed line: something changed here (from pose {listed} on)."
         layout = {**self.layout, "shapes": lines}
@@ -109,6 +107,74 @@ def panel_title(name: str, words: str = "", most: int = 22) -> str:
 def names(texts: Sequence[str]) -> list[str]:
     """Several texts for plotly."""
     return [shown_text(text) for text in texts]
+
+
+def trace(
+    mode: str, name: str, x: Array | Sequence[Any], y: Array | Sequence[Any], **more: Any
+) -> dict[str, Any]:
+    """Points, lines or both in a plane; arrays to the digits of `numbers`, others as they are."""
+    at = {k: numbers(v) if isinstance(v, np.ndarray) else [*v] for k, v in (("x", x), ("y", y))}
+    return {"type": "scatter", "mode": mode, "name": shown_text(name), **at, **more}
+
+
+def spots(mode: str, at: Array, **more: Any) -> dict[str, Any]:
+    """Points (d, N) in a plane or in space, joined or not."""
+    kind = "scatter" if len(at) == 2 else "scatter3d"
+    return {"type": kind, "mode": mode, **dict(zip("xyz", map(numbers, at), strict=False)), **more}
+
+
+def upright(x: float | str, colour: str, width: float) -> dict[str, Any]:
+    """A dashed line over the whole height."""
+    look = {"color": colour, "width": width, "dash": "dash"}
+    return {"type": "line", "yref": "paper", "x0": x, "x1": x, "y0": 0, "y1": 1, "line": look}
+
+
+def interval(half: Array, thickness: float = 1.5) -> dict[str, Any]:
+    """Lines so far to both sides."""
+    return {"type": "data", "array": numbers(half), "thickness": thickness}
+
+
+def ends(values: Array, low: Array, high: Array, thickness: float = 1.5) -> dict[str, Any]:
+    """Lines from values down to low and up to high."""
+    below = {"symmetric": False, "arrayminus": numbers(values - low)}
+    return {**interval(high - values, thickness), **below}
+
+
+COLUMNS = 3
+"""Panels side by side."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One of several in rows of three. suffix: of its axes; left, top: its corner, in shares of the
+    figure; rows: how many there are."""
+
+    suffix: str
+    left: float
+    top: float
+    rows: int
+
+    @property
+    def axes(self) -> dict[str, str]:
+        """That a trace names to be drawn in it."""
+        return {"xaxis": f"x{self.suffix}", "yaxis": f"y{self.suffix}"}
+
+    def titled(self, text: str, right: float = 0.0, below: float = 0.0) -> dict[str, Any]:
+        """A title, so far right of its corner and below it."""
+        place = {"x": self.left + right, "y": self.top - below, "xref": "paper", "yref": "paper"}
+        return {"text": text, **place, "xanchor": "left", "yanchor": "bottom", "showarrow": False}
+
+
+def panels(count: int) -> list[Panel]:
+    """So many."""
+    rows = -(-count // COLUMNS)
+    cells = (divmod(i, COLUMNS) for i in range(count))
+    return [Panel(suffix(i), c / COLUMNS, 1.0 - r / rows, rows) for i, (r, c) in enumerate(cells)]
+
+
+def suffix(number: int) -> str:
+    """What names the axes of a panel, counted from 0, as plotly counts."""
+    return str(number + 1) if number else ""
 
 
 def axis(title: str, **more: Any) -> dict[str, Any]:

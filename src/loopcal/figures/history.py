@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,9 +14,11 @@ from loopcal.figures.figure import (
     Figure,
     axis,
     colours,
+    interval,
     layout,
-    numbers,
     shown_text,
+    trace,
+    upright,
 )
 from loopcal.presentation.wrapped import shortened
 
@@ -47,16 +49,15 @@ def courses(key: str, unit: str, lines: Sequence[Line], events: Sequence[Event])
     if not lines:
         return None
     colour = colours(line.name for line in lines)
-    data: list[Mapping[str, Any]] = [
-        {
-            "type": "scatter",
-            "mode": "lines+markers",
-            "name": shown_text(line.name),
-            "x": list(line.times),
-            "y": numbers(line.values - line.values[0]),
-            "error_y": {"type": "data", "array": numbers(line.half), "thickness": 1.2},
-            "line": {"color": colour[line.name]},
-        }
+    data = [
+        trace(
+            "lines+markers",
+            line.name,
+            line.times,
+            line.values - line.values[0],
+            error_y=interval(line.half, 1.2),
+            line={"color": colour[line.name]},
+        )
         for line in lines
     ]
     title = f"change since the first [{shown_text(unit)}]"
@@ -85,34 +86,14 @@ def accuracy_chart(
     unit: str, line: Line, weighted: Weighted | None, events: Sequence[Event]
 ) -> Figure:
     """The accuracy with its weighted mean and the limits of that."""
-    look: dict[str, Any] = {"type": "scatter", "x": list(line.times)}
-    data: list[Mapping[str, Any]] = [
-        {
-            **look,
-            "mode": "markers",
-            "name": "rms",
-            "y": numbers(line.values),
-            "marker": {"color": BEFORE},
-        }
-    ]
+    x = line.times
+    data = [trace("markers", "rms", x, line.values, marker={"color": BEFORE})]
     if weighted is not None:
         dashed = {"color": MARK, "dash": "dot"}
         data += [
-            {
-                **look,
-                "mode": "lines",
-                "name": "EWMA",
-                "y": numbers(weighted.smooth),
-                "line": {"color": AFTER},
-            },
-            {**look, "mode": "lines", "name": "limits", "y": numbers(weighted.low), "line": dashed},
-            {
-                **look,
-                "mode": "lines",
-                "y": numbers(weighted.high),
-                "line": dashed,
-                "showlegend": False,
-            },
+            trace("lines", "EWMA", x, weighted.smooth, line={"color": AFTER}),
+            trace("lines", "limits", x, weighted.low, line=dashed),
+            trace("lines", "limits", x, weighted.high, line=dashed, showlegend=False),
         ]
     return Figure(
         "accuracy",
@@ -131,12 +112,10 @@ def accuracy_chart(
 
 
 def _events(events: Sequence[Event]) -> dict[str, Any]:
-    line = {"type": "line", "yref": "paper", "y0": 0, "y1": 1}
-    look = {"color": MARK, "width": 1.5, "dash": "dash"}
     # Upright beside its line, so that neighbouring events do not cover each other.
     words = {"yref": "paper", "y": 1, "showarrow": False, "textangle": -90, "xanchor": "right"}
     return {
-        "shapes": [{**line, "x0": e.time, "x1": e.time, "line": look} for e in events],
+        "shapes": [upright(e.time, MARK, 1.5) for e in events],
         "annotations": [
             {**words, "x": e.time, "text": shown_text(shortened(e.words, EVENT))} for e in events
         ],

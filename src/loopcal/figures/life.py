@@ -16,10 +16,12 @@ from loopcal.figures.figure import (
     Figure,
     axis,
     colours,
+    interval,
     layout,
     names,
     numbers,
     shown_text,
+    trace,
 )
 
 
@@ -40,33 +42,14 @@ def changes(key: str, unit: str, candidates: Sequence[Reach]) -> Figure | None:
         return None
     shown = sorted(candidates, key=lambda one: -one.smallest)
     labels = names([one.name for one in shown])
-    data: list[Mapping[str, Any]] = [
-        {
-            "type": "bar",
-            "orientation": "h",
-            "name": "smallest change that is seen with 90 %",
-            "y": labels,
-            "x": numbers(np.array([one.smallest for one in shown])),
-            "marker": {"color": BEFORE},
-        }
-    ]
+    smallest = np.array([one.smallest for one in shown])
+    data = [_bars("smallest change that is seen with 90 %", smallest, labels, BEFORE)]
     changed = [one for one in shown if one.change is not None]
     if changed:
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": "change that was found, 95 % interval",
-                "y": names([one.name for one in changed]),
-                "x": numbers(np.array([abs(one.change or 0.0) for one in changed])),
-                "error_x": {
-                    "type": "data",
-                    "array": numbers(np.array([one.half or 0.0 for one in changed])),
-                    "thickness": 1.5,
-                },
-                "marker": {"color": MARK, "size": 9},
-            }
-        )
+        sizes, halves = np.array([(abs(o.change or 0.0), o.half or 0.0) for o in changed]).T
+        words, labels = "change that was found, 95 % interval", names([o.name for o in changed])
+        look = {"color": MARK, "size": 9}
+        data.append(trace("markers", words, sizes, labels, error_x=interval(halves), marker=look))
     return Figure(
         key,
         f"Changes in {unit}",
@@ -89,17 +72,8 @@ def narrowed(
         return None
     order = np.argsort(-before)
     labels = names([parameters[i] for i in order])
-    data = [
-        {
-            "type": "bar",
-            "orientation": "h",
-            "name": name,
-            "y": labels,
-            "x": numbers(sds[order]),
-            "marker": {"color": colour},
-        }
-        for name, sds, colour in (("before", before, BEFORE), ("updated", after, AFTER))
-    ]
+    stages = (("before", before, BEFORE), ("updated", after, AFTER))
+    data = [_bars(name, sds[order], labels, colour) for name, sds, colour in stages]
     return Figure(
         key,
         f"Sds in {unit} before and after the update",
@@ -120,19 +94,15 @@ def spread(parameters: Sequence[str], machines: Mapping[str, Array], unusual: se
     """Deviations of machines (n,) from the others, as normal deviates."""
     colour = colours(machines)
     labels = names(parameters)
+    plain, odd = {"size": 9, "symbol": "circle"}, {"size": 12, "symbol": "diamond"}
     data = [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": shown_text(name),
-            "x": numbers(values),
-            "y": labels,
-            "marker": {
-                "color": MARK if name in unusual else colour[name],
-                "size": 12 if name in unusual else 9,
-                "symbol": "diamond" if name in unusual else "circle",
-            },
-        }
+        trace(
+            "markers",
+            name,
+            values,
+            labels,
+            marker={"color": MARK, **odd} if name in unusual else {"color": colour[name], **plain},
+        )
         for name, values in machines.items()
     ]
     band = {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
@@ -153,3 +123,8 @@ def spread(parameters: Sequence[str], machines: Mapping[str, Array], unusual: se
             shapes=[{**band, "x0": -1.96, "x1": 1.96, **look}],
         ),
     )
+
+
+def _bars(name: str, values: Array, labels: Sequence[str], colour: str) -> dict[str, Any]:
+    level = {"type": "bar", "orientation": "h", "name": name}
+    return {**level, "y": labels, "x": numbers(values), "marker": {"color": colour}}

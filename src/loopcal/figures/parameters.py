@@ -8,7 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.figures.figure import AFTER, Array, Figure, axis, layout, names, numbers, shown_text
+from loopcal.figures.figure import (
+    AFTER,
+    Array,
+    Figure,
+    axis,
+    interval,
+    layout,
+    names,
+    numbers,
+    shown_text,
+    suffix,
+    trace,
+)
 
 WIDE = 1.96
 """Sds on each side of a normal 95 % interval."""
@@ -36,26 +48,17 @@ def changes(groups: Sequence[Change]) -> Figure | None:
     # Plotly places panels by shares of the width of the figure; gaps are left for their labels.
     width = 1.0 / len(groups)
     for i, group in enumerate(groups):
-        end = "" if i == 0 else str(i + 1)
+        end = suffix(i)
         domain = [i * width + (0.06 if i else 0.0), (i + 1) * width - 0.04]
         title = f"change [{shown_text(group.unit)}]"
         more[f"xaxis{end}"] = axis(title, domain=domain, zeroline=True, anchor=f"y{end}")
         more[f"yaxis{end}"] = axis(
             "", type="category", autorange="reversed", tickmode="linear", anchor=f"x{end}"
         )
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": shown_text(group.unit),
-                "x": numbers(group.changes),
-                "y": names(group.names),
-                "error_x": {"type": "data", "array": numbers(WIDE * group.sds), "thickness": 1.5},
-                "marker": {"color": AFTER, "size": 6},
-                "xaxis": f"x{end}",
-                "yaxis": f"y{end}",
-            }
-        )
+        look = {"error_x": interval(WIDE * group.sds), "marker": {"color": AFTER, "size": 6}}
+        axes = {"xaxis": f"x{end}", "yaxis": f"y{end}"}
+        labels = names(group.names)
+        data.append(trace("markers", group.unit, group.changes, labels, **look, **axes))
     most = max(len(g.names) for g in groups)
     sure = sum(int((np.abs(g.changes) > WIDE * g.sds).sum()) for g in groups)
     count = sum(len(g.names) for g in groups)

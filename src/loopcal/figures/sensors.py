@@ -8,21 +8,22 @@ from typing import Any
 import numpy as np
 
 from loopcal.figures.figure import (
+    COLUMNS,
     Array,
     Figure,
     axis,
     layout,
     names,
-    numbers,
     panel_title,
+    panels,
     shown_text,
+    suffix,
+    trace,
 )
 from loopcal.figures.thinning import POINTS, thinned
 
 NORMAL = "#8d8f96"
 """Colour of the normal curve."""
-COLUMNS = 3
-"""Panels side by side."""
 
 
 def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> Figure | None:
@@ -38,19 +39,17 @@ def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> F
     reach = min(max(4.0, *(float(np.abs(v).max()) for v in usable.values())), 12.0)
     curve = np.linspace(-reach, reach, 61)
     edges = np.linspace(-reach, reach, 41)
-    rows = -(-len(usable) // COLUMNS)
     data: list[dict[str, Any]] = []
     more: dict[str, Any] = {}
     titles = []
-    for i, (name, values) in enumerate(usable.items()):
-        row, column = divmod(i, COLUMNS)
-        suffix = str(i + 1) if i else ""
-        left, top = column / COLUMNS, 1.0 - row / rows
+    every = panels(len(usable))
+    rows = every[0].rows
+    for panel, (name, values) in zip(every, usable.items(), strict=True):
+        end, left, top = panel.suffix, panel.left, panel.top
         right, bottom = left + 0.88 / COLUMNS, top - 0.72 / rows
-        panel_axes = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
         quiet = {"showticklabels": False, "rangemode": "tozero", "title": {"text": ""}}
-        more[f"xaxis{suffix}"] = axis("", domain=[left, right], anchor=f"y{suffix}", nticks=5)
-        more[f"yaxis{suffix}"] = axis("", domain=[bottom, top], anchor=f"x{suffix}") | quiet
+        more[f"xaxis{end}"] = axis("", domain=[left, right], anchor=f"y{end}", nticks=5)
+        more[f"yaxis{end}"] = axis("", domain=[bottom, top], anchor=f"x{end}") | quiet
         counts = np.histogram(np.clip(values, -reach, reach), edges)[0]
         density = counts / (values.size * (edges[1] - edges[0]))
         normal = np.exp(-0.5 * curve**2) / np.sqrt(2.0 * np.pi)
@@ -59,32 +58,10 @@ def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> F
             (curve, normal, {"dash": "dot", "width": 2, "color": NORMAL}, "none"),
         ]
         for x, y, line, fill in lines:
-            data.append(
-                {
-                    "type": "scatter",
-                    "mode": "lines",
-                    "name": shown_text(name),
-                    "x": numbers(x),
-                    "y": numbers(y),
-                    "line": {"color": shades[name], **line},
-                    "fill": fill,
-                    "hoverinfo": "skip",
-                    **panel_axes,
-                }
-            )
+            look = {"line": {"color": shades[name], **line}, "fill": fill, "hoverinfo": "skip"}
+            data.append(trace("lines", name, x, y, **look, **panel.axes))
         rms = float(np.sqrt(np.square(values).mean()))
-        titles.append(
-            {
-                "text": panel_title(name, f"rms {rms:.2f}"),
-                "x": left,
-                "y": top,
-                "xref": "paper",
-                "yref": "paper",
-                "xanchor": "left",
-                "yanchor": "bottom",
-                "showarrow": False,
-            }
-        )
+        titles.append(panel.titled(panel_title(name, f"rms {rms:.2f}")))
     rms_text = ", ".join(
         f"{shown_text(n)} rms {np.sqrt(np.square(v).mean()):.2f}" for n, v in usable.items()
     )
@@ -118,25 +95,19 @@ def drift(
     for i, (name, values) in enumerate(usable.items()):
         chosen = thinned(values, max(POINTS * 4 // count, 300) if count > 4 else POINTS)
         words = words or chosen.words
-        suffix = "" if i == 0 else str(i + 1)
         top = 1.0 - i / count
         domain = [top - 0.88 / count, top]
-        more[f"yaxis{suffix}"] = axis(
+        more[f"yaxis{suffix(i)}"] = axis(
             panel_title(name, most=12), domain=domain, zeroline=True, nticks=4
         )
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": shown_text(name),
-                "showlegend": False,
-                "x": (chosen.index + 1).tolist(),
-                "y": numbers(values[chosen.index]),
-                "text": names([ids[j] for j in chosen.index]),
-                "marker": {"color": shades[name], "size": 3},
-                "yaxis": f"y{suffix}",
-            }
-        )
+        look = {
+            "showlegend": False,
+            "text": names([ids[j] for j in chosen.index]),
+            "marker": {"color": shades[name], "size": 3},
+            "yaxis": f"y{suffix(i)}",
+        }
+        at = (chosen.index + 1).tolist()
+        data.append(trace("markers", name, at, values[chosen.index], **look))
     anchor = "y" if count == 1 else f"y{count}"
     return Figure(
         "drift",

@@ -1,23 +1,9 @@
-"""Tables as lines of text."""
+"""Tables, and their lines of text."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-
-
-@dataclass(frozen=True)
-class Table:
-    """caption: what it holds; head: names of columns; rows: cells, the first names the row."""
-
-    caption: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-    @property
-    def lines(self) -> list[str]:
-        """As text: the caption stands over the names of the rows."""
-        return columns([[self.caption.lower(), *self.head[1:]], *self.rows])
 
 
 def columns(rows: Sequence[Sequence[str]]) -> list[str]:
@@ -33,3 +19,16 @@ def columns(rows: Sequence[Sequence[str]]) -> list[str]:
         ]
         lines.append("  ".join(cells).rstrip())
     return lines
+
+
+@dataclass(frozen=True)
+class Table:
+    """caption: what it holds; head: names of columns; rows: cells, the first names the row."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def lines(self) -> list[str]:
+        """As text; the caption stands where a page has the name of the first column."""
+        return columns([(self.caption.lower(), *self.head[1:]), *self.rows])

@@ -9,27 +9,24 @@ from loopcal.figures.history import Event, Line, Weighted, accuracy_chart, cours
 from loopcal.life.history import History, Trend
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
 from loopcal.presentation.text_table import Table
-from loopcal.report.templates import page
+from loopcal.report.section import Section, section_page
 
 # Half of the 95 % interval of a normal distribution, in sds.
 _WIDE = 1.96
+_ORDER = ("accuracy", "lengths", "angles", "others")
+"""Keys of the figures."""
 
 
 def history_html(history: History) -> str:
     """One self-contained page; nothing in it is asked of any network."""
-    entries = history.entries
-    return page(
-        "history.html",
-        title=f"History of {entries.folder.name}",
-        about={"folder": entries.folder.name, "entries": len(entries.whole)},
-        history={
-            "id": "h",
-            "figures": {figure.key: figure for figure in history_figures(history)},
-        },
-        skipped=entries.skipped,
-        outside=history.chart is not None and history.chart.outside,
-        entries=history_table(history),
-    )
+    entries, name = history.entries, history.entries.folder.name
+    outside = history.chart is not None and history.chart.outside
+    words = ["The accuracy is outside its limits (EWMA). Verify the machine."] if outside else []
+    words += [f"Skipped: {one.file}: {one.reason}" for one in entries.skipped]
+    figures = {one.key: one for one in history_figures(history)}
+    parts = [*map(figures.get, _ORDER), history_table(history)]
+    section = Section("h", f"History of {name}", words, parts)
+    return section_page("history", section, {"folder": name, "entries": len(entries.whole)})
 
 
 def history_figures(history: History) -> list[Figure]:

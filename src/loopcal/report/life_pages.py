@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from statistics import NormalDist
 
 import numpy as np
@@ -13,7 +12,7 @@ from loopcal.figures.life import Reach, changes, spread
 from loopcal.life.fleet import Fleet
 from loopcal.presentation.shown import by_sd, chance, in_unit, size, unit_shown
 from loopcal.presentation.text_table import Table
-from loopcal.report.templates import page
+from loopcal.report.section import Part, Section, section_page
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.verified import Verification
 
@@ -30,12 +29,12 @@ def verification_html(verification: Verification, title: str, files: str) -> str
             for name, a in verification.verdict.items()
         ),
     )
-    what_changed = verification.changes
-    lines = [] if what_changed is None else what_changed.lines()
-    figures = [] if what_changed is None else change_figures(what_changed)
-    tables = [answers, *(table for table in verification.tables() if table.rows)]
-    about = {"files": files, "poses": len(verification.poses)}
-    return _page(f"Verification of {title}", about, [verification.headline], figures, tables, lines)
+    parts: list[Part] = [answers, *(table for table in verification.tables if table.rows)]
+    if verification.changes is not None:
+        lines = "\n".join(verification.changes.lines())
+        parts = [lines, *change_figures(verification.changes), *parts]
+    section = Section("l", f"Verification of {title}", [verification.headline], parts)
+    return section_page("life", section, {"files": files, "poses": len(verification.poses)})
 
 
 def change_figures(what_changed: WhatChanged) -> list[Figure]:
@@ -49,9 +48,10 @@ def change_figures(what_changed: WhatChanged) -> list[Figure]:
 
 def fleet_html(fleet: Fleet, files: str) -> str:
     """One self-contained page: mean and spread of each parameter, and which machine is unusual."""
-    title = f"Machines of one type: {fleet.machine}"
     about = {"files": files, "poses": ", ".join(str(one.poses) for one in fleet.machines)}
-    return _page(title, about, [fleet_words(fleet)], [fleet_figure(fleet)], fleet_tables(fleet))
+    parts: list[Part] = [fleet_figure(fleet), *fleet_tables(fleet)]
+    title = f"Machines of one type: {fleet.machine}"
+    return section_page("life", Section("l", title, [fleet_words(fleet)], parts), about)
 
 
 def fleet_words(fleet: Fleet) -> str:
@@ -62,7 +62,13 @@ def fleet_words(fleet: Fleet) -> str:
 def fleet_figure(fleet: Fleet) -> Figure:
     """Deviations of each machine."""
     deviations = {
-        one.name: np.array([_normal(d.value, d.p_value) for d in one.deviations])
+        # inv_cdf is not defined at 0; 1e-300 is 37 sds, beyond any figure.
+        one.name: np.array(
+            [
+                math.copysign(NormalDist().inv_cdf(0.5 * min(max(d.p_value, 1e-300), 1.0)), d.value)
+                for d in one.deviations
+            ]
+        )
         for one in fleet.machines
     }
     unusual = {one.name for one in fleet.unusual}
@@ -103,12 +109,6 @@ def fleet_tables(fleet: Fleet) -> list[Table]:
     return [machines, parameters]
 
 
-def _normal(value: float, p_value: float) -> float:
-    """The normal deviate of the same sign and probability."""
-    # inv_cdf is not defined at 0; 1e-300 is 37 sds, beyond any figure.
-    return math.copysign(-NormalDist().inv_cdf(0.5 * min(max(p_value, 1e-300), 1.0)), value)
-
-
 def _reaches(what_changed: WhatChanged, unit: str) -> list[Reach]:
     changed = {one.name: one for one in what_changed.found}
     reaches = []
@@ -120,22 +120,3 @@ def _reaches(what_changed: WhatChanged, unit: str) -> list[Reach]:
         half = None if change is None else in_unit(0.5 * (change.high - change.low), unit)
         reaches.append(Reach(one.words, in_unit(one.smallest, unit), value, half))
     return reaches
-
-
-def _page(
-    title: str,
-    about: Mapping[str, object],
-    words: Sequence[str],
-    figures: Sequence[Figure],
-    tables: Sequence[Table],
-    lines: Sequence[str] = (),
-) -> str:
-    return page(
-        "life.html",
-        title=title,
-        about=about,
-        words=words,
-        lines=lines,
-        drawn={"id": "l", "figures": {figure.key: figure for figure in figures}},
-        tables=tables,
-    )

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,20 +15,17 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.document.verdict import UNJUDGED
 from loopcal.errors import UsageError
-from loopcal.estimation.inherited import UPDATED
 from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import Result
-from loopcal.files.result.deployed import OTHER_DAYS
 from loopcal.report import tables, top
-from loopcal.report.deployed import deployed_figures, deployed_tables, deployed_words
 from loopcal.report.drawn import distances, figures
 from loopcal.report.parameters import parameter_groups
+from loopcal.report.section import Section
 from loopcal.report.source import Source, source_of
 from loopcal.report.templates import page
 
-if TYPE_CHECKING:
-    from loopcal.report.other_days import OtherDays
-
+SectionsOf = Callable[[Source], Iterable[Section]]
+"""What a report says of a result beyond the calibration."""
 MOST = 8
 """So many results stand side by side; a browser draws some sixteen scenes in space at most."""
 QUESTIONS = {
@@ -41,11 +38,11 @@ LITTLE = 0.5
 """Sd over prior sd above which it is said that the data tell little."""
 
 
-def report_html(sources: Sequence[Source]) -> str:
+def report_html(sources: Sequence[Source], sections: SectionsOf = lambda _: ()) -> str:
     """The report of one result, or of several side by side.
 
-    Everything is inside: styles, program and data; nothing is asked of any network. Raises
-    UsageError for more results than a page can hold.
+    sections: what it says beyond the calibrations. Everything is inside: styles, program and data;
+    nothing is asked of any network. Raises UsageError for more results than a page can hold.
     """
     if not 1 <= len(sources) <= MOST:
         raise UsageError(
@@ -57,25 +54,28 @@ def report_html(sources: Sequence[Source]) -> str:
         sources = [
             replace(source, name=f"{n}: {source.name}") for n, source in enumerate(sources, 1)
         ]
+    results = [_result(source, sections(source), n) for n, source in enumerate(sources, 1)]
     return page(
         "report.html",
         title=", ".join(dict.fromkeys(source.title for source in sources)),
-        results=[_result(source, number) for number, source in enumerate(sources, 1)],
+        results=results,
+        sections={key: one.title for r in results for key, one in r["sections"].items()},
         comparison=tables.comparison_table(sources) if several else None,
         questions=QUESTIONS,
         about={},
     )
 
 
-def page_of(result: Result, folder: str | Path) -> Callable[[ResultDocument], str]:
+def page_of(
+    result: Result, folder: str | Path, sections: SectionsOf
+) -> Callable[[ResultDocument], str]:
     """Makes the report of a result from its document, before both are written to a folder."""
-    return lambda document: report_html([source_of(result, document, folder)])
+    return lambda document: report_html([source_of(result, document, folder)], sections)
 
 
-def _result(source: Source, number: int) -> dict[str, Any]:
+def _result(source: Source, sections: Iterable[Section], number: int) -> dict[str, Any]:
     """What the template says of one result."""
     document = source.document
-    later = _later(source)
     verdict = UNJUDGED if document.verdict is None else document.verdict
     before, after = (
         distances(source, d) if d else np.empty(0)
@@ -95,15 +95,8 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "record": top.record(source),
         "bars": top.accuracy_bars(document),
         "region": top.region_bars(source),
-        "figures": figures(source)
-        | deployed_figures(source.deployed)
-        | (dict(later.figures) if later else {}),
-        "deployed": {
-            "words": deployed_words(source.deployed),
-            "figures": list(deployed_figures(source.deployed)),
-            "tables": deployed_tables(source.deployed),
-        },
-        "later": later,
+        "figures": figures(source),
+        "sections": {section.key: section for section in sections},
         "accuracy": tables.accuracy_tables(document),
         "worst": tables.worst_table(source, before, after),
         "models": tables.model_table(document),
@@ -118,15 +111,6 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "method": method_named(document.method).description,
         "inputs": json.dumps(plain(document.inputs), indent=1, ensure_ascii=False),
     }
-
-
-def _later(source: Source) -> OtherDays | None:
-    noted = any(note.kind in OTHER_DAYS for note in source.deployed)
-    if not noted and source.document.method_label != UPDATED:
-        return None
-    from loopcal.report.other_days import other_days
-
-    return other_days(source.document, source.deployed)
 
 
 def identifiability_words(document: ResultDocument) -> list[str]:

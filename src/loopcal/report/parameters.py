@@ -85,10 +85,6 @@ def _line(entry: ParameterEntry, reach: float, document: ResultDocument) -> Line
     if entry.fixed or not reach:
         return Line(cells, entry.meaning)
     change, sd = 50.0 * (entry.value - entry.nominal) / reach, 50.0 * (entry.sd or 0.0) / reach
-    low, middle, high = (_within(50.0 + v) for v in (change - 2.0 * sd, change, change + 2.0 * sd))
+    low, middle, high = (min(max(50.0 + change + k * sd, 0.0), 100.0) for k in (-2.0, 0.0, 2.0))
     left, width = min(50.0, middle), abs(middle - 50.0)
     return Line(cells, entry.meaning, left, width, low, high, abs(change) > 50.0)
-
-
-def _within(value: float) -> float:
-    return min(max(value, 0.0), 100.0)

@@ -22,34 +22,30 @@ from loopcal.report.top import accuracy_bars, readings
 
 def record_page(content: RecordContent) -> str:
     """The page of a record, sealed with its SHA-256; nothing in it is asked of any network."""
-    texts, verdict = content.texts, content.verdict
+    texts = content.texts
+    fields = {
+        section: {
+            label: texts.get(key, UNSTATED)
+            for key, label in labels.items()
+            if key not in OPTIONAL or key in texts
+        }
+        for section, labels in FIELDS.items()
+    }
     html = (
         environment()
         .get_template("record.html")
         .render(
-            title=content.title,
-            number=content.number,
-            texts=texts,
-            fields={
-                section: {
-                    label: texts.get(key, UNSTATED)
-                    for key, label in fields.items()
-                    if key not in OPTIONAL or key in texts
-                }
-                for section, fields in FIELDS.items()
-            },
-            people={label: texts.get(key, UNSTATED) for key, label in PEOPLE.items()},
-            adjustment=texts.get("adjustment", UNSTATED),
-            note=texts.get("note"),
+            content=content,
             document=content.document,
+            verdict=content.verdict,
+            fields=fields,
+            people=PEOPLE,
+            unstated=UNSTATED,
             readings=readings(content.document),
-            verdict=verdict,
-            decided=verdict.tolerance.asked,
             rule=RULE,
             drawn=accuracy_bars(content.document),
             accuracy=_accuracy(content),
             parameters=_parameters(content),
-            files=content.files,
             manifest=manifest(content.files),
             seal=OPEN,
             version=version(),

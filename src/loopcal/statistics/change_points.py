@@ -142,7 +142,7 @@ def find_shifts(result: Result, *, level: float = 0.01, most: int = 8) -> Shifts
     if result.all_poses is not None or not 4 * LEAST <= count <= MOST_POSES:
         return replace(NOT_SEARCHED, level=level)
     with one_blas_thread():
-        return result.remembered(("shifts", level, most), lambda: _Search(result, level).run(most))
+        return _Search(result, level).run(most)
 
 
 def apart(point: ChangePoint, points: Sequence[ChangePoint]) -> bool:

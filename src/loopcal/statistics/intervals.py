@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.fit import IntervalEntry
-from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.problem.problem import Problem
@@ -75,18 +74,11 @@ class Interval:
         return IntervalEntry(self.level, *ends, self.differs)
 
 
-def with_intervals(
-    document: ResultDocument, intervals: Mapping[str, Interval | None]
-) -> ResultDocument:
-    """The document of a result with the intervals of its parameters; None: nothing bounds one."""
+def interval_entries(intervals: Mapping[str, Interval | None]) -> dict[str, IntervalEntry]:
+    """As a document holds them; None: nothing bounds a parameter."""
     level = next((i.level for i in intervals.values() if i is not None), 0.95)
     unbounded = IntervalEntry(level, (None, None), (None, None), differs=False)
-    entries = {name: unbounded if i is None else i.entry for name, i in intervals.items()}
-    parameters = tuple(
-        replace(p, interval=entries[p.name]) if p.name in entries else p
-        for p in document.parameters
-    )
-    return replace(document, parameters=parameters)
+    return {name: unbounded if i is None else i.entry for name, i in intervals.items()}
 
 
 def covariance_interval(result: Result, name: str, level: float = 0.95) -> Interval | None:

@@ -132,11 +132,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
     """
     stored, names = document.prediction, document.covariance.names
     if stored is None:
-        raise InputError(
-            f"{mechanism.name!r} has no outputs to predict: no instrument measures it",
-            code="no-outputs",
-            remedy="add the instrument whose readings are to be predicted, and calibrate again",
-        )
+        raise without_outputs(mechanism)
     readings = ReadingNoise.of(document.noise, document.noise_covariances, stored.unmeasured)
     if any(q in readings.sds and q not in mechanism.quantities for q in disturbances(mechanism)):
         mechanism = with_model_error(mechanism)
@@ -154,6 +150,15 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
         readings,
         usual,
         stored.typical,
+    )
+
+
+def without_outputs(mechanism: Mechanism) -> InputError:
+    """What to raise where predictions are asked of a machine that has no outputs."""
+    return InputError(
+        f"{mechanism.name!r} has no outputs to predict: no instrument measures it",
+        code="no-outputs",
+        remedy="add the instrument whose readings are to be predicted, and calibrate again",
     )
 
 

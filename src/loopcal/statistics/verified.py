@@ -9,7 +9,7 @@ from typing import Any
 from loopcal.document.accuracy import Distances
 from loopcal.document.catalogue import findings
 from loopcal.document.judgement import Fact, Figure, Finding, Question, Where, fact
-from loopcal.document.tables import distances_shown
+from loopcal.document.tables import machine_table
 from loopcal.document.verdict import Answer, answer_lines
 from loopcal.lazy import cached_property
 from loopcal.presentation.rounding import significant
@@ -135,19 +135,26 @@ class Verification:
         answers = [a for a in self.verdict.values() if a.asked]
         return min(answers, key=lambda a: {False: 0, None: 1, True: 2}[a.passed]).words
 
-    @property
-    def _accuracies(self) -> dict[str, Distances | None]:
-        return {"calibrated": self.calibrated, "nominal": self.nominal, "expected": self.expected}
-
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
+        innovation = self.innovation
         answers = {name: asdict(answer) for name, answer in self.verdict.items()}
-        distances = {n: None if d is None else asdict(d) for n, d in self._accuracies.items()}
+        accuracies = {
+            "calibrated": self.calibrated,
+            "nominal": self.nominal,
+            "expected": self.expected,
+        }
+        distances = {name: None if d is None else asdict(d) for name, d in accuracies.items()}
         return {
             "verdict": {**answers, "headline": self.headline},
             "findings": [asdict(one) for one in self.findings],
             "accuracy": {"unit": self.unit, **distances},
-            "chi_squared": asdict(self.innovation),
+            "chi_squared": {
+                "value": innovation.value,
+                "degrees_of_freedom": innovation.degrees_of_freedom,
+                "learnt_freedom": innovation.learnt_freedom,
+                "p_value": innovation.p_value,
+            },
             "changes": None if self.changes is None else self.changes.document(),
             "placed": [asdict(one) for one in self.placed],
             "poses": len(self.poses),
@@ -160,16 +167,23 @@ class Verification:
         lines = [self.headline, *answer_lines(self.verdict)]
         if self.changes is not None:
             lines += ["", *self.changes.lines()]
-        accuracy, *others = self.tables()
+        accuracy, placed, worst = self.tables
         unknown = ["accuracy unknown: too few of these poses have measured outputs"]
-        lines += ["", *(accuracy.lines if accuracy.rows else unknown)]
-        for table in others:
-            lines += ["", *table.lines]
+        lines += ["", *(accuracy.lines() if accuracy.rows else unknown)]
+        if placed.rows:
+            lines += ["", *placed.lines()]
+        lines += ["", *worst.lines()]
         return "\n".join(lines)
 
-    def tables(self) -> list[Table]:
+    @property
+    def tables(self) -> tuple[Table, Table, Table]:
         """Accuracy, what was placed anew, and the worst poses."""
-        tables = [accuracy_table("Accuracy", self._accuracies, self.unit)]
+        unit = self.unit
+        accuracies = {
+            "nominal": self.nominal,
+            "calibrated": self.calibrated,
+            "expected": self.expected,
+        }
         placed = tuple(
             (
                 one.name,
@@ -179,18 +193,12 @@ class Verification:
             )
             for one in self.placed
         )
-        if placed:
-            tables.append(Table("Placed anew", ("parameter", "value", "sd", "unit"), placed))
-        head = ("pose", f"distance [{unit_shown(self.unit)}]", "chi-squared")
         worst = tuple(
-            (one.pose, size(one.distance, self.unit), significant(one.chi_squared, 3))
+            (one.pose, size(one.distance, unit), significant(one.chi_squared, 3))
             for one in self.worst
         )
-        return [*tables, Table("Worst poses", head, worst)]
-
-
-def accuracy_table(caption: str, accuracies: Mapping[str, Distances | None], unit: str) -> Table:
-    """The accuracy [unit] of each machine for which it is known."""
-    head = ("machine", f"mean [{unit_shown(unit)}]", "rms", "95 %", "max")
-    stated = [(n, d) for n in ("nominal", "calibrated", "expected") if (d := accuracies[n])]
-    return Table(caption, head, tuple((n, *distances_shown(d, unit)) for n, d in stated))
+        return (
+            machine_table("Accuracy", unit, accuracies),
+            Table("Placed anew", ("parameter", "value", "sd", "unit"), placed),
+            Table("Worst poses", ("pose", f"distance [{unit_shown(unit)}]", "chi-squared"), worst),
+        )

@@ -8,18 +8,16 @@ from pathlib import Path
 from loopcal.errors import InputError
 from loopcal.estimation.plausible import refuse_other_units
 from loopcal.files.atomic import write_files
-from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import load_sample
-from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.tables.writer import check_ending, table_bytes
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.prediction import Prediction, predict
-from loopcal.statistics.predictor import predictor_of
 from loopcal.workflow.projects import named_project, project_files
+from loopcal.workflow.saved_result import read_result
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +67,8 @@ def run_prediction(
     if out is not None:
         # Refused ahead of the work, not after it.
         check_ending(out)
-    loops = None if function is None else load_function(function)
-    read = read_result_folder(result, function=loops)
-    try:
-        calibrated = predictor_of(read.document, read.mechanism)
-    except InputError as error:
-        raise error.at(str(read.path)) from None
-    data = read_new_readings(readings, read.document.inputs, read.mechanism)
-    done = predict(calibrated, data)
+    read = read_result(result, mechanism=function)
+    done = predict(read.predictor, read_new_readings(readings, read.inputs, read.mechanism))
     if out is not None:
         path = Path(out)
         write_files(path.parent, {path.name: table_bytes(done.columns(), path.suffix)})

@@ -14,11 +14,11 @@ from loopcal.errors import InputError
 from loopcal.files.atomic import Data
 from loopcal.files.history.folder import append_entries, read_entries, refuse_no_history
 from loopcal.files.result.deployed import HISTORY, note_deployed, result_path
-from loopcal.files.result.result_folder import read_result_folder
 from loopcal.life.history import History, verification_words
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.keeping import Writer
+from loopcal.workflow.saved_result import read_result
 
 _ELSEWHERE = ("placement", "effect", "model error")
 
@@ -84,7 +84,7 @@ def run_history(
 
     refuse_no_history(folder)
     page = Path(f"{str(folder).rstrip('/')}.html") if out is None else Path(out)
-    read = [read_result_folder(result) for result in add]
+    read = [read_result(result) for result in add]
     added = [("calibration", calibration_entry(r.document, r.mechanism, r.path)) for r in read]
     added += [("event", _event(words)) for words in events]
     # The page is of the entries as they will be, and comes with them or not at all.

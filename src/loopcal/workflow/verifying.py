@@ -8,16 +8,13 @@ from pathlib import Path
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import Data, write_all
-from loopcal.files.machines.python_function import load_function
-from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.deployed import VERIFICATION, note_deployed
-from loopcal.files.result.result_folder import read_result_folder
-from loopcal.files.result.result_poses import poses_of_result
-from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verification import check_tolerance, verify
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.keeping import Keeper, Writer
+from loopcal.workflow.readings import later_readings
+from loopcal.workflow.saved_result import read_result
 
 
 def run_verification(
@@ -40,9 +37,7 @@ def run_verification(
     check_tolerance(tolerance)
     if keeper is not None:
         keeper.refuse()
-    loops = None if function is None else load_function(function)
-    read = read_result_folder(result, function=loops)
-    calibrated = Calibrated.from_document(read.document, read.mechanism, None, str(result))
+    read = read_result(result, mechanism=function)
     units = {read.mechanism.quantities[q] for q in read.mechanism.outputs}
     if tolerance is not None and "m" not in units:
         raise InputError(
@@ -54,11 +49,9 @@ def run_verification(
         )
     changed = (*mounted(read.mechanism, remounted), *anew)
     freed(read.mechanism, changed)  # raises for a name that is not there
-    data = poses_of_result(readings, read.mechanism)
-    if data is None:
-        data = read_new_readings(readings, read.document.inputs, read.mechanism, whole=True)
+    data = later_readings(read, readings, None, whole=True)
     try:
-        verification = verify(calibrated, data, remounted=changed, tolerance=tolerance)
+        verification = verify(read.calibrated, data, remounted=changed, tolerance=tolerance)
     except InputError as error:
         raise error.at(str(readings)) from None
     verification = replace(verification, files={"result": str(result), "readings": str(readings)})

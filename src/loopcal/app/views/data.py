@@ -53,11 +53,7 @@ def show(view: View) -> None:
 
 def _recognise(view: View) -> None:
     kind, value = view.session.robot()
-    files = [
-        f.name
-        for f in view.session.folder.listed()
-        if f.name.lower().endswith(ENDS) and f.name != value and "/" not in f.name
-    ]
+    files = [name for name in view.files(ENDS) if name != value]
     if not files:
         ui.label(words.NO_READINGS)
         return

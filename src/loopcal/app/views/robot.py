@@ -54,11 +54,7 @@ def _choose(view: View) -> None:
     else:
         chosen = partial(view.session.choose_robot, shown)
         uploader(view, words.DROP_ROBOT.format(kind=KINDS[shown]), chosen)
-        options = [
-            f.name
-            for f in view.session.folder.listed()
-            if f.name.endswith(ENDS[shown]) and "/" not in f.name
-        ]
+        options = view.files(ENDS[shown])
     selected = value if kind == shown and value in options else None
     box = ui.select(options, value=selected, label=KINDS[shown], on_change=of_value).classes("w-96")
     box.props(f'aria-label="{KINDS[shown]}"')

@@ -152,8 +152,7 @@ def _another_day(view: View) -> None:
     heading(words.ANOTHER_DAY)
     ui.label(words.VERIFY).classes("text-body2")
     uploader(view, words.DROP_ANOTHER_DAY)
-    files = [f.name for f in view.session.folder.listed() if "/" not in f.name]
-    tables = [name for name in files if name.endswith(ENDS)]
+    tables = view.files(ENDS)
     if not tables:
         return
     result = view.session.folder.result.name

@@ -101,11 +101,8 @@ class LastPass:
             shown = self._shown(_joined([sample, worst]).in_order())
             note += f", and {len(worst.number)} more that fit badly"
         before, after = (distance.accuracy() for distance in accuracies)
-        return replace(
-            shown,
-            all_poses=AllPoses(poses, before, after, discrepancy, robust),
-            notes=(f"{note}.", NOT_SOUGHT) if stride > 1 else (NOT_SOUGHT,),
-        )
+        shown = replace(shown, all_poses=AllPoses(poses, before, after, discrepancy, robust))
+        return shown.noted(f"{note}.", NOT_SOUGHT) if stride > 1 else shown.noted(NOT_SOUGHT)
 
     def _shown(self, shown: _Shown) -> Result:
         """The result with the arrays of some poses."""
