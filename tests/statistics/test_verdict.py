@@ -34,9 +34,9 @@ from loopcal.document.verdict import UNASKED
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.presentation.wrapped import WIDTH
 from loopcal.statistics.judged_machine import off_the_drawing
+from loopcal.statistics.judged_readings import _by_few
 from loopcal.statistics.predictor import predictor
 from loopcal.statistics.region import region_of
-from loopcal.statistics.sound import _by_few
 from loopcal.statistics.verdict import findings_of, judged
 from tests.conftest import ROOT
 from tests.reference.machines import dh_arm

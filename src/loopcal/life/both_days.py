@@ -23,11 +23,11 @@ from loopcal.errors import NoTrustworthyResult
 from loopcal.estimation.noise.estimation import judged
 from loopcal.estimation.noise.learning import learnt_entry
 from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
-from loopcal.estimation.noise.variance_components import Component, Estimate, estimate_ratios
+from loopcal.estimation.noise.variance_components import Component, estimate_ratios
 from loopcal.estimation.result import Result
-from loopcal.life.earlier import Earlier, PriorRows
+from loopcal.life.earlier import Earlier, Sloped
+from loopcal.statistics.another_day import day_problem, noise_of
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.verification import day_problem, noise_of
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,8 @@ def learnt(
         return None
     noise = list(calibrated.noise)
     for j, i in enumerate(which):
-        learnt_sd = judged(model, estimate, j, components[j], _unsure(estimate, j))
+        unsure = any(j in pair for pair in estimate.alike)
+        learnt_sd = judged(model, estimate, j, components[j], unsure)
         noise[i] = replace(learnt_entry(noise[i], learnt_sd, begun[i]), slopes=())
     noisy = (start > 0.0) & (estimate.ratios > 0.0)
     change = np.abs(np.log(estimate.ratios[noisy] / start[noisy])).max(initial=0.0)
@@ -86,10 +87,6 @@ def _begun(entry: NoiseEntry) -> float | None:
     if entry.source != "estimated":
         return None
     return entry.sd or entry.upper or None
-
-
-def _unsure(estimate: Estimate, which: int) -> bool:
-    return any(which in pair for pair in estimate.alike)
 
 
 def _model(
@@ -124,17 +121,17 @@ def _model(
     blocks = (
         *(replace(block, J=block.J @ of_today) for block in new),
         *(replace(block, J=block.J @ of_then) for block in old),
-        *_rows(PriorRows(prior.rows @ of_then, prior.values)),
-        *_rows(PriorRows(unit / sds[:, None], np.zeros(len(sds)))),
+        *_rows(Sloped(prior.values, prior.slopes @ of_then)),
+        *_rows(Sloped(np.zeros(len(sds)), unit / sds[:, None])),
     )
     return LinearModel(blocks, np.zeros(n), np.zeros(n), len(components))
 
 
-def _rows(prior: PriorRows) -> tuple[ModelBlock, ...]:
+def _rows(prior: Sloped) -> tuple[ModelBlock, ...]:
     """Rows of unit variance, as poses whose covariance is known."""
     q = len(prior.values)
     none = np.zeros(0, dtype=np.intp)
     block = ModelBlock(
-        prior.values[:, None], prior.rows[:, None], np.ones((q, 1, 1)), np.zeros((q, 1, 0)), none
+        prior.values[:, None], prior.slopes[:, None], np.ones((q, 1, 1)), np.zeros((q, 1, 0)), none
     )
     return (block,) if q else ()

@@ -40,14 +40,16 @@ from loopcal.estimation.solve.status import MOST_ITERATIONS
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.estimation.steps import LEARNT
 from loopcal.life.both_days import learnt
-from loopcal.life.earlier import Around, Coordinates, Earlier
+from loopcal.life.earlier import Around, Earlier, Sloped
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.parameters import ROLES
+from loopcal.small_samples import LearntCovariance, contrasts
+from loopcal.statistics.another_day import Day, as_learnt, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.gauge import values_of
-from loopcal.statistics.replacing import Freedom, Replaced, replaced
-from loopcal.statistics.verification import as_learnt, day_problem, noise_of, verify
+from loopcal.statistics.replacing import Replaced, freed
+from loopcal.statistics.verification import verify
 from loopcal.statistics.verified import Verification
 
 Array = NDArray[np.float64]
@@ -55,7 +57,6 @@ DRIFTING = tuple(role for role in ROLES if role not in ("placement", "model erro
 """Roles of parameters that may drift."""
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
 _NOTHING, _NEWS = "The update changed no parameter of the machine", 0.01
-_RANK = 1e-12
 _ROUNDS, _SETTLED = 12, 2e-2
 """Most fits of an update, each begun near the end of the last. They have settled where parameters
 change by less than this share of an sd, and learnt variances by less than this share."""
@@ -130,11 +131,11 @@ def updated(
         stated, data = noise_of(calibrated), as_learnt(calibrated, data)
     data = with_latest(calibrated.mechanism, data)
     with one_blas_thread():
-        problem = day_problem(calibrated, data, stated)
-        freedom = Freedom.of(calibrated.mechanism, since.remounted)
+        day = Day.of(calibrated, data, stated, since.remounted)
         if not since.moved:
-            freedom = _without_placement(calibrated, freedom)
-        placed = replaced(problem, freedom)
+            standing = freed(calibrated.mechanism)
+            day = replace(day, freed=tuple(n for n in day.freed if n not in standing))
+        placed = day.placed()
         earlier = Earlier.of(calibrated)
     result: Result | None = None
     for _ in range(_ROUNDS):
@@ -222,12 +223,6 @@ def _unchanged(calibrated: Calibrated, result: Result, placed: Replaced) -> str 
     return None
 
 
-def _without_placement(calibrated: Calibrated, freedom: Freedom) -> Freedom:
-    """What else was mounted anew: the instruments stand where they stood."""
-    standing = set(Freedom.of(calibrated.mechanism).names)
-    return Freedom(tuple(n for n in freedom.names if n not in standing))
-
-
 def _drifts(calibrated: Calibrated, drift: Mapping[str, float]) -> Array:
     """(n_all,) sds [SI] of the drift of each parameter."""
     parameters = calibrated.mechanism.parameters
@@ -307,15 +302,7 @@ class _Prior:
         C = root @ root.T + drift @ drift.T
         loose = (calibrated.undetermined * held)[free]
         open_ = np.hstack([loose, np.eye(len(C))[:, placed.anew[free]]])
-        sd = np.sqrt(np.maximum(np.diag(C), 0.0))
-        scale = np.where(sd > 0.0, sd, 1.0)
-        U, s, _ = np.linalg.svd(np.hstack([open_ / scale[:, None], np.zeros((len(C), 1))]))
-        K = U[:, int((s > 1e-9 * max(s.max(), 1e-300)).sum()) :].T / scale
-        values, vectors = np.linalg.eigh(K @ C @ K.T)
-        # Contrasts that yesterday determines exactly, such as fixed parameters, have no variance to
-        # whiten.
-        kept = values > _RANK * max(float(values.max(initial=0.0)), 1e-300)
-        rows = (vectors[:, kept] / np.sqrt(values[kept])).T @ K
+        rows, sd = contrasts(LearntCovariance.certain(C), open_), np.sqrt(np.diag(C))
         carried = rows @ (around.carried * held)[free]
         informed = (np.abs(rows).max(axis=0, initial=0.0) > 0.0) & (sd > 0.0)
         centre = np.where(placed.anew, placed.parameters, around.mean)
@@ -329,16 +316,16 @@ class _Prior:
             around.follows(placed.anew),
         )
 
-    def at(self, parameters: Array) -> Coordinates:
+    def at(self, parameters: Array) -> Sloped:
         """The rows (q,) and their derivatives (q, n)."""
         around, free = self.around, self.free
         if around.seen is None:
-            return Coordinates(self.rows @ (parameters - self.centre)[free], self.rows)
+            return Sloped(self.rows @ (parameters - self.centre)[free], self.rows)
         then = around.mean + self.follows @ (parameters - around.mean)
         coordinates = around.seen.at(then)
         away = coordinates.values - (around.mean - around.centre)
         slopes = (coordinates.slopes @ self.follows)[np.ix_(free, free)]
-        return Coordinates(self.rows @ away[free], self.rows @ slopes)
+        return Sloped(self.rows @ away[free], self.rows @ slopes)
 
     def widened(self, result: Result) -> Array:
         """(n, n) what the covariance of a fit gains: G wider G^T, G its change with the rows."""

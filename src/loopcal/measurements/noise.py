@@ -193,6 +193,15 @@ class ReadingUncertainty:
         sd = self.sd if self.sd.shape[1] == 1 else self.sd[:, chosen]
         return ReadingUncertainty(sd, tuple(b.of(chosen) for b in self.blocks), self.sources)
 
+    def through(self, S: Array) -> Array:
+        """(N, o, k) a square root of the covariance of S (N, o, k) times the readings; what is
+        unmeasured causes none."""
+        sd = np.where(np.isinf(self.sd), 0.0, self.sd)
+        G: Array = S * sd.T[:, None, :]
+        for block in self.blocks:
+            G[:, :, block.indices] = S[:, :, block.indices] @ block.factor
+        return G
+
 
 def resolve_noise(
     noise: Noise,

@@ -153,6 +153,18 @@ class Calibrated:
         loose = np.abs(self.undetermined).max(axis=1, initial=0.0) > 0.0
         return np.asarray(loose | (np.diag(self.covariance.matrix) > 0.0))
 
+    def through(self, mechanism: Mechanism, M: Array) -> Calibrated:
+        """Of another description of the machine, whose parameters change by M (n, n_all) with
+        these."""
+        return replace(
+            self,
+            mechanism=mechanism,
+            covariance=self.covariance.through(M),
+            undetermined=M @ self.undetermined,
+            gain=None if self.gain is None else M @ self.gain @ M.T,
+            scatter=self.scatter and self.scatter.through(M),
+        )
+
     @property
     def stationed(self) -> Calibrated:
         """The same as a machine that can be placed anew (see `mechanisms.stationed`)."""
@@ -160,17 +172,9 @@ class Calibrated:
 
         made, size = stationed(self.mechanism), len(self.nominal)
         E = np.eye(len(made.parameters))[:, :size]
-        return replace(
-            self,
-            mechanism=made,
-            covariance=self.covariance.through(E),
-            undetermined=E @ self.undetermined,
-            nominal=E @ self.nominal,
-            # A new station is placed by nothing but the readings of the day: flat.
-            prior_sd=np.append(self.prior_sd, np.full(len(E) - size, math.inf)),
-            gain=None if self.gain is None else E @ self.gain @ E.T,
-            scatter=self.scatter and self.scatter.through(E),
-        )
+        # A new station is placed by nothing but the readings of the day: flat.
+        prior_sd = np.append(self.prior_sd, np.full(len(E) - size, math.inf))
+        return replace(self.through(made, E), nominal=E @ self.nominal, prior_sd=prior_sd)
 
     def drifted(self, sds: Array) -> Calibrated:
         """After parameters may have changed by so much (n_all,) [SI]."""

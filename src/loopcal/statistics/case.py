@@ -51,6 +51,14 @@ class Case:
         """Whether its calibration would seek faults of the file."""
         return not self.trusted and may_be_faulty(self.mechanism, self.data, self.noise, self.fit)
 
+    def discarding(self, outliers: Index) -> Case:
+        """The case without the poses at these positions."""
+        if not outliers.size:
+            return self
+        kept = np.setdiff1d(np.arange(len(self.data)), outliers)
+        data, noise = self.data.without_outliers(outliers), taken(self.noise, kept)
+        return replace(self, data=data, noise=noise)
+
     def calibrated(self, index: Index | None = None, progress: Progress | None = None) -> Result:
         """The calibration of these poses, by default of all; what copies are, all rows say.
 

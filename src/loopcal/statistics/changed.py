@@ -45,8 +45,8 @@ class Candidate:
     name: str
     kind: str
     unit: str
-    p_value: float | None
-    smallest: float | None
+    p_value: float | None = None
+    smallest: float | None = None
 
     @property
     def words(self) -> str:

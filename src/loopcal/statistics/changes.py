@@ -21,7 +21,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.model_error import modelled
 from loopcal.estimation.result import Result
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.case import Case, taken
+from loopcal.statistics.case import Case
 from loopcal.statistics.change_points import Shifts, apart, find_shifts
 from loopcal.statistics.outliers import find_poses
 from loopcal.statistics.shifted import shift_lines, with_shifts
@@ -105,10 +105,11 @@ def changes(case: Case, way: Fit, whole: Result) -> Changes:
         if not new:
             break
         try:
-            run_changes, whole = _modelled(case, way, replace(run_changes, searched=searched), new)
-            run_changes = replace(run_changes, whole=whole)
+            run_changes = _modelled(case, way, replace(run_changes, searched=searched), new)
         except (InputError, NoTrustworthyResult):
             break
+        assert run_changes.whole is not None
+        whole = run_changes.whole
     return run_changes
 
 
@@ -117,43 +118,39 @@ def _certain(point: ChangePoint, points: Sequence[ChangePoint]) -> bool:
     return point.p_value < CERTAIN and apart(point, points)
 
 
-def _modelled(
-    case: Case, way: Fit, run_changes: Changes, new: Sequence[ChangePoint]
-) -> tuple[Changes, Result]:
-    """The case with further changes, without what then does not fit; and the fit of the rest."""
+def _modelled(case: Case, way: Fit, run_changes: Changes, new: Sequence[ChangePoint]) -> Changes:
+    """The case with further changes and without what then does not fit, and its fit."""
     number = {pose: i + 1 for i, pose in enumerate(case.data.poses)}
     points = (replace(p, modelled=True, number=number[p.pose]) for p in new)
     modelled_points = tuple(sorted((*run_changes.points, *points), key=lambda point: point.number))
     made = with_shifts(case.mechanism, case.data, modelled_points, column=NUMBER)
     full = replace(case, mechanism=made.mechanism, data=made.data)
-    run_changes = replace(
-        run_changes, points=modelled_points, toml=shift_lines(case.data, modelled_points)
-    )
-    run_changes = _kept(run_changes, case, full, run_changes.kept)
-    machine = modelled(way, way.with_prior(run_changes.case.mechanism), len(run_changes.case.data))
+    part = _kept(case, full, run_changes.kept)
     # The machine has the prior already.
-    run_changes, way = replace(run_changes, made=machine), way.changed(prior=None)
-    fitted = replace(run_changes.case, mechanism=machine, fit=way).calibrated()
-    if not fitted.status.converged:
+    machine = modelled(way, way.with_prior(part.case.mechanism), len(part.case.data))
+    way = way.changed(prior=None)
+    whole = replace(part.case, mechanism=machine, fit=way).calibrated()
+    if not whole.status.converged:
         raise NoTrustworthyResult("the fit with the changes did not converge", code="not-converged")
-    tests = find_poses(fitted)  # columns were tried before
+    tests, outliers = find_poses(whole), dict(run_changes.outliers)  # columns were tried before
     bad = {one.pose: one for one in tests.found if one.p_value * tests.tested < CERTAIN}
-    if not bad or len(bad) + len(run_changes.outliers) > MOST_OUTLIERS * len(case.data):
-        return run_changes, fitted
-    kept = np.array([i for i in run_changes.kept if case.data.poses[i] not in bad], dtype=np.intp)
-    run_changes = _kept(
-        replace(run_changes, outliers={**run_changes.outliers, **bad}), case, full, kept
+    if bad and len(bad) + len(outliers) <= MOST_OUTLIERS * len(case.data):
+        kept = [i for i in part.kept if case.data.poses[i] not in bad]
+        part = _kept(case, full, np.array(kept, dtype=np.intp))
+        outliers |= bad
+        whole = replace(part.case, mechanism=machine, fit=way).calibrated()
+    return replace(
+        part,
+        points=modelled_points,
+        outliers=outliers,
+        searched=run_changes.searched,
+        toml=shift_lines(case.data, modelled_points),
+        whole=whole,
+        made=machine,
     )
-    fitted = replace(run_changes.case, mechanism=machine, fit=way).calibrated()
-    return run_changes, fitted
 
 
-def _kept(run_changes: Changes, case: Case, full: Case, kept: NDArray[np.intp]) -> Changes:
+def _kept(case: Case, full: Case, kept: NDArray[np.intp]) -> Changes:
+    """The poses at these positions, with the effects and without."""
     gone = np.setdiff1d(np.arange(len(case.data)), kept)
-
-    def without(one: Case) -> Case:
-        if not gone.size:
-            return one
-        return replace(one, data=one.data.without_outliers(gone), noise=taken(one.noise, kept))
-
-    return replace(run_changes, case=without(full), plain=without(case), kept=kept)
+    return Changes(full.discarding(gone), case.discarding(gone), kept)

@@ -335,10 +335,7 @@ def _by_readings(
     uncertainty = resolve_noise(
         noise, replace(data, readings=readings), names, solved.quantity_group
     )
-    sd = np.where(np.isinf(uncertainty.sd), 0.0, uncertainty.sd)
-    G = S * np.broadcast_to(sd, (len(names), len(data))).T[:, None, :]
-    for block in uncertainty.blocks:
-        G[:, :, block.indices] = S[:, :, block.indices] @ block.factor
+    G = uncertainty.through(S)
     turned = G.transpose(0, 2, 1)
     covariance = G @ turned
     return LearntCovariance(covariance, covariance, (G * slopes[:, None, None, :]) @ turned)

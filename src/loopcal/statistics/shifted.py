@@ -94,24 +94,20 @@ def ids_are_numbers(poses: Sequence[str]) -> bool:
 def _table(effect: Shift | Drift) -> list[str]:
     from loopcal.mechanisms.effects.drift import Shift
 
-    shift = isinstance(effect, Shift)
+    numbers = (
+        {"at": f"[{', '.join(f'{a:.12g}' for a in effect.at)}]"}
+        if isinstance(effect, Shift)
+        else {
+            key: f"{value:.12g}"
+            for key in ("since", "over", "until")
+            if (value := getattr(effect, key)) is not None
+        }
+    )
     return [
         "[[mechanism.effect]]",
-        f'type = "{"shift" if shift else "drift"}"',
+        f'type = "{"shift" if "at" in numbers else "drift"}"',
         f'name = "{effect.name}"',
         f"changing = [{', '.join(f'{chr(34)}{n}{chr(34)}' for n in effect.changing)}]",
         f'column = "{effect.column}"',
-        *(
-            [f"at = {_listed(effect.at)}"]
-            if isinstance(effect, Shift)
-            else [
-                f"{key} = {value:.12g}"
-                for key in ("since", "over", "until")
-                if (value := getattr(effect, key)) is not None
-            ]
-        ),
+        *(f"{key} = {value}" for key, value in numbers.items()),
     ]
-
-
-def _listed(at: Sequence[float]) -> str:
-    return "[" + ", ".join(f"{a:.12g}" for a in at) + "]"

@@ -16,6 +16,7 @@ from loopcal.estimation.result import Result
 from loopcal.statistics.answers import better, good_enough, valid
 from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.findings import Findings, findings
+from loopcal.statistics.judged_readings import Readings
 from loopcal.statistics.region import Span
 from loopcal.statistics.sound import SOUND
 
@@ -45,7 +46,8 @@ def findings_of(
     document: ResultDocument, tolerance: float | None = None, files: Mapping[str, str] = {}
 ) -> tuple[Finding, ...]:
     """All findings on a result, the gravest first; arguments as in `judged`."""
-    facts = [one for analysis in SOUND if (one := analysis(document))]
+    facts = Readings.of(document).facts()
+    facts += [one for analysis in SOUND if (one := analysis(document))]
     if all(CATALOGUE[one.code].severity == "info" for one in facts):
         facts.append(fact("sound"))
     others = (valid(document), better(document), good_enough(document, tolerance))

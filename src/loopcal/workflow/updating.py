@@ -16,7 +16,7 @@ from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_file import NAMES
 from loopcal.files.result.result_poses import poses_of_result
 from loopcal.life.updating import Since, updated
-from loopcal.statistics.replacing import Freedom, mounted
+from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verdict import refuses
 from loopcal.units import difference_to_si
 from loopcal.workflow.history import HistoryKeeper
@@ -87,7 +87,7 @@ def run_update(
         )
     refuse_foreign(*(target / name for name in (*NAMES, "report.html")))
     anew = (*mounted(read.mechanism, mounting.remounted), *mounting.anew)
-    Freedom.of(read.mechanism, anew)  # raises for a name that is not there
+    freed(read.mechanism, anew)  # raises for a name that is not there
     data, inputs = poses_of_result(readings, read.mechanism), read.inputs
     if data is None:
         inputs = _with_file(inputs, readings)

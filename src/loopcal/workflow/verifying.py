@@ -9,7 +9,7 @@ from pathlib import Path
 from loopcal.errors import InputError
 from loopcal.files.atomic import Data, write_all
 from loopcal.files.result.deployed import VERIFICATION, note_deployed
-from loopcal.statistics.replacing import Freedom, mounted
+from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verification import check_tolerance, verify
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.keeping import Keeper, Writer
@@ -48,7 +48,7 @@ def run_verification(
             "outputs",
         )
     changed = (*mounted(read.mechanism, remounted), *anew)
-    Freedom.of(read.mechanism, changed)  # raises for a name that is not there
+    freed(read.mechanism, changed)  # raises for a name that is not there
     data = later_readings(read, readings, None, whole=True)
     try:
         verification = verify(read.calibrated, data, remounted=changed, tolerance=tolerance)
