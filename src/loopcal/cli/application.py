@@ -88,6 +88,9 @@ HistoryOption = Annotated[
         callback=_named,
     ),
 ]
+NoReportOption = Annotated[
+    bool, flag("--no-report", "Skip report.html and delete an existing one.")
+]
 WorkersOption = Annotated[
     int | None,
     option("N", "Compute folds, models, profiles or chunks on N threads [default: 1].", min=1),

@@ -11,6 +11,7 @@ from loopcal.cli.application import (
     FunctionOption,
     HistoryOption,
     JsonOption,
+    NoReportOption,
     ProjectArgument,
     ResultArgument,
     WorkersOption,
@@ -86,9 +87,7 @@ def calibrate(
             "the recommended one.",
         ),
     ] = False,
-    no_report: Annotated[
-        bool, flag("--no-report", "Skip report.html and delete an existing one.")
-    ] = False,
+    no_report: NoReportOption = False,
     workers: WorkersOption = None,
     cluster: ClusterOption = None,
     machine_history: HistoryOption = None,

@@ -10,6 +10,7 @@ from loopcal.cli.application import (
     FunctionOption,
     HistoryOption,
     JsonOption,
+    NoReportOption,
     ReadingsArgument,
     RemountedOption,
     ResultArgument,
@@ -45,9 +46,7 @@ def update(
     ] = False,
     remounted: RemountedOption = False,
     anew: AnewOption = None,
-    no_report: Annotated[
-        bool, flag("--no-report", "Skip report.html and delete an existing one.")
-    ] = False,
+    no_report: NoReportOption = False,
     machine_history: HistoryOption = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,

@@ -177,7 +177,7 @@ def _parameters(document: ResultDocument) -> Figure | None:
     for unit in dict.fromkeys(p.unit for p in entries):
         group = [p for p in entries if p.unit == unit]
         off = np.array([p.value - p.nominal for p in group]) / factor(unit)
-        sds = np.array([np.nan if p.sd is None else p.sd for p in group]) / factor(unit)
+        sds = np.array([p.sd for p in group], dtype=float) / factor(unit)
         groups.append(Change(unit_shown(unit), [p.name for p in group], off, sds))
     return changes(groups)
 
