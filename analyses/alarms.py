@@ -72,7 +72,7 @@ def run(name: str, method: str, draw: int) -> dict[str, Any] | None:
         try:
             result = lc.calibrate(trial.mechanism, trial.readings, noise=noise, method=method)
             answer = lc.verdict(result).sound
-            document = lc.findings(result).added_to(result.document)
+            document = result.document
         except lc.InputError as refused:
             if method == "auto":
                 return found | {"sound": False, "codes": [refused.code], "words": str(refused)}

@@ -207,10 +207,10 @@ def length_on_screen(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return lines
 
 
-def import_cycles(modules: list[Module]) -> list[frozenset[str]]:
-    """Modules that import each other, imports for types and inside functions counted."""
+def imported_by(modules: list[Module]) -> dict[str, set[str]]:
+    """Module -> modules that it imports, imports for types and inside functions counted."""
     names = {module.name.removesuffix(".__init__") for module in modules}
-    below = {
+    return {
         (name := module.name.removesuffix(".__init__")): {
             part
             for _, target in module.imports()
@@ -221,12 +221,17 @@ def import_cycles(modules: list[Module]) -> list[frozenset[str]]:
         for module in modules
         if module.layer not in ABOVE_ALL
     }
-    reached = {name: _reached(name, below) for name in below}
+
+
+def import_cycles(modules: list[Module]) -> list[frozenset[str]]:
+    """Modules that import each other, imports for types and inside functions counted."""
+    below = imported_by(modules)
+    reached = {name: reached_from(name, below) for name in below}
     cycles = {frozenset(o for o in reached[n] if n in reached[o]) for n in below if n in reached[n]}
     return sorted(cycles, key=sorted)
 
 
-def _reached(name: str, below: dict[str, set[str]]) -> set[str]:
+def reached_from(name: str, below: dict[str, set[str]]) -> set[str]:
     """All modules that one imports, itself only if it imports itself by others."""
     found: set[str] = set()
     ahead = [*below[name]]
@@ -266,6 +271,13 @@ def method_names() -> set[str]:
 
 def test_there_is_a_package_to_look_at() -> None:
     assert {"__init__", "errors", "units"} <= {module.name for module in MODULES}
+
+
+def test_contributing_shows_the_layers() -> None:
+    page = PACKAGE.parents[1] / "CONTRIBUTING.md"
+    block = re.search(r"```text\n(cli\n.*?)\n```", page.read_text("utf-8"), re.DOTALL)
+    assert block is not None
+    assert [{*line.split(" | ")} for line in block[1].splitlines()] == [*map(set, LAYERS[::-1])]
 
 
 def test_every_folder_and_module_is_a_layer() -> None:

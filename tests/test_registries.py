@@ -15,7 +15,7 @@ from loopcal.files.tables.reader import Layout
 from loopcal.files.tables.registry import OPTIONS, READERS
 from loopcal.keys import arguments
 from tests.command_line import run_here
-from tests.documented_rows import DOCS, check_block, markdown
+from tests.documented_rows import DOCS, block_of, check_block, markdown
 
 
 def test_the_formats_of_exports_are_those_of_the_rows() -> None:
@@ -58,6 +58,11 @@ def test_the_dialects_of_programs_are_those_of_the_rows() -> None:
     check_block("how-to/correct-a-program.md", "dialects", markdown(head, rows))
 
 
+def test_an_empty_block_ends_at_its_own_end() -> None:
+    text = "<!-- a -->\n<!-- end -->\nwords\n<!-- b -->\n| c |\n<!-- end -->\n"
+    assert [block_of(mark).findall(text) for mark in "ab"] == [[""], ["| c |"]]
+
+
 def options_of(command: str) -> set[str]:
     """The options that the help of a command lists, those of every command aside."""
     text = run_here(command, "--help").stdout
@@ -68,6 +73,7 @@ def options_of(command: str) -> set[str]:
 def test_the_reference_names_each_option_of_a_command(command: str) -> None:
     text = (DOCS / "reference/command-line.md").read_text("utf-8")
     sections = dict(re.findall(r"^## loopcal ([a-z]+).*?\n(.*?)(?=^## |\Z)", text, re.M | re.S))
+    assert command in sections, f"docs/reference/command-line.md: add '## loopcal {command}'"
     missing = [option for option in options_of(command) if option not in sections[command]]
     assert missing == []
 

@@ -422,7 +422,7 @@ def test_folders_inside_are_told_and_not_looked_into(folder: Path) -> None:
     shutil.copy(folder / "poses" / "part-1.parquet", inside)
     told: list[str] = []
     done = run_calibration(folder / "project.toml", listeners=Listeners(warn=told.append))
-    assert done.warnings == tuple(told)
+    assert done.result.parts.about_readings == tuple(told)
     assert len(told) == 1
     assert "day-2/part-1.parquet" in told[0]
     (folder / "empty").mkdir()

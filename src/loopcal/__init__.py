@@ -11,8 +11,6 @@ from loopcal import import_path as _import_path  # noqa: F401  before anything e
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from loopcal.document import offers as _offers
-
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
     from loopcal.deployment.corrected import CorrectionBounds
@@ -29,7 +27,6 @@ if TYPE_CHECKING:
     from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
     from loopcal.estimation.fit import Fit
     from loopcal.estimation.residuals import Closure
-    from loopcal.estimation.result import Result
     from loopcal.estimation.solve.status import Status
     from loopcal.execution.cluster import Cluster
     from loopcal.execution.local import Processes, Threads
@@ -78,7 +75,6 @@ if TYPE_CHECKING:
     from loopcal.statistics.validation import Validation
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
-    from loopcal.workflow.calibration import write_result
     from loopcal.workflow.correcting import correct
     from loopcal.workflow.exporting import Export, export
     from loopcal.workflow.fleet import fleet
@@ -107,6 +103,7 @@ if TYPE_CHECKING:
         verify,
     )
     from loopcal.workflow.record import Record, record, verify_record
+    from loopcal.workflow.result import Result, write_result
     from loopcal.workflow.saved_result import SavedResult, read_result
 
 _HOME = {
@@ -123,7 +120,6 @@ _HOME = {
     "estimation.accuracy": ("Accuracy", "InstrumentAccuracy"),
     "estimation.residuals": ("Closure",),
     "estimation.fit": ("Fit",),
-    "estimation.result": ("Result",),
     "estimation.solve.status": ("Status",),
     "execution.cluster": ("Cluster",),
     "execution.local": ("Processes", "Threads"),
@@ -173,7 +169,7 @@ _HOME = {
     "statistics.prediction": ("Prediction",),
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
-    "workflow.calibration": ("write_result",),
+    "workflow.result": ("Result", "write_result"),
     "workflow.exporting": ("Export", "export"),
     "workflow.correcting": ("correct",),
     "workflow.plan_program": ("plan_program",),
@@ -323,23 +319,6 @@ __all__ = [
     "with_shifts",
     "write_result",
 ]
-
-
-_OFFERS = {
-    "plot": "workflow.saved_result:plots",
-    "fitted": "workflow.saved_result:fitted",
-    "save": "workflow.saved_result:save",
-    "predict": "workflow.public:predict",
-}
-"""What results offer that layers above them compute."""
-
-
-def _offer(name: str) -> Any:
-    module, _, function = _OFFERS[name].partition(":")
-    return getattr(import_module(f"loopcal.{module}"), function)
-
-
-_offers.connect(_offer)
 
 
 def __getattr__(name: str) -> Any:

@@ -13,6 +13,7 @@ from loopcal.chi_squared import quantile
 from loopcal.estimation.dependence.neighbours import in_order, likeness, near
 from loopcal.estimation.dependence.seen import Seen
 from loopcal.estimation.dependence.serial import Drift, Whole, _criterion, learnt_drift
+from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -139,7 +140,7 @@ def test_a_clean_result_keeps_its_covariance_and_does_not_warn() -> None:
     assert result.dependence is not None
     assert not result.dependence.warnings()
     assert np.array_equal(result.covariance, result.spectrum.covariance())
-    assert result.document.dependence == result.dependence
+    assert fit_document(result).dependence == result.dependence
 
 
 def test_a_robust_loss_is_not_tested() -> None:

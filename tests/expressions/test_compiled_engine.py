@@ -170,7 +170,7 @@ def test_rotations_are_made_whole_and_angles_once() -> None:
         v and name not in ("quantity", "known")
         for v, (name, _) in zip(varying(operations), operations, strict=True)
     )
-    assert (varying_operations, len(names)) == (559, 156)  # as decision 14 says
+    assert (varying_operations, len(names)) == (559, 156)  # fewer than 600: record 0001
 
 
 def test_the_environment_chooses_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:

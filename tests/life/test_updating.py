@@ -17,6 +17,7 @@ from analyses.verify import another_day
 from analyses.what_changed import NOISE, joints, measured
 from analyses.what_changed import arm as arm_as_drawn
 from loopcal.document.triangle import symmetric
+from loopcal.estimation.result import Result
 from loopcal.life.updating import update
 from loopcal.statistics.calibrated import Calibrated
 from tests.command_line import run_here as run
@@ -28,11 +29,11 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "motoman"
 FIRST, SECOND = np.arange(50), np.arange(50, 100)
 
 
-def values(result: lc.Result) -> np.ndarray:
+def values(result: Result) -> np.ndarray:
     return np.array([result.value[name] for name in result.estimated])
 
 
-def sds(result: lc.Result) -> np.ndarray:
+def sds(result: Result) -> np.ndarray:
     return np.array([result.sd[name] for name in result.estimated], dtype=float)
 
 
@@ -285,7 +286,7 @@ def test_an_update_that_says_nothing_new_says_so() -> None:
 
     def notes(day: lc.Dataset) -> list[str]:
         found = lc.update(first, day)
-        return [note for note in found.notes if "changed no parameter" in note]
+        return [note for note in found.parts.notes if "changed no parameter" in note]
 
     driven = {q: data.readings[q][:2] for q in ("phi2", "phi3")}
     expected = lc.simulate(first.calibrated, driven, noise=lc.Noise({"*": 0.0}), seed=0).dataset

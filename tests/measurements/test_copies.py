@@ -54,7 +54,7 @@ def test_copies_are_judged_by_all_rows_once() -> None:
     case = Case(ARM.truth, doubled(ARM.read(SDS, 1), 20), lc.Noise(SDS), Fit())
     part = case.calibrated(np.arange(10, 60))
     assert len(part.dataset) == 30
-    assert part.document.data.copied == ()
+    assert part.data_entry.copied == ()
 
 
 def test_methods_compete_on_rows_that_count_once() -> None:

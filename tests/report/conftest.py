@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.workflow.calibration import Request, run_calibration, write_result
+from loopcal.workflow.calibration import Request, run_calibration
+from loopcal.workflow.result import write_result
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 MARKUP = "<img/src=x/onerror=document.title='run'>"

@@ -11,7 +11,7 @@ import loopcal as lc
 from loopcal.estimation.result import Result
 from loopcal.report.page import report_html
 from loopcal.report.source import read_source
-from loopcal.workflow.calibration import write_result
+from loopcal.workflow.result import write_result
 from tests.golden_files import page_text
 
 MADE = lc.simulate(

@@ -23,7 +23,7 @@ from loopcal.report.plan_page import plan_html
 from loopcal.report.study_page import study_html
 from loopcal.report.templates import page
 from loopcal.studies.run import run_study
-from loopcal.workflow.calibration import write_result
+from loopcal.workflow.result import write_result
 from tests.browser import chromium, opened
 from tests.report.test_study_page import STUDY
 

@@ -177,7 +177,7 @@ def test_outliers_do_not_list_the_poses_that_a_shift_explains() -> None:
     found = lc.findings(result)
     assert [p.moved for p in found.shifts.found] == ["target"]
     assert [o.pose for o in found.outliers.found] == [data.poses[90]]
-    document = found.added_to(result.document)
+    document = result.document
     assert document.change_points is not None
     assert "shift" in document.change_points.toml
     assert "change-points" in {one.code for one in findings_of(document)}

@@ -46,7 +46,7 @@ def slipped(seed: int = 3, poses: int = 48, at: int = 28, wrong: int = 12) -> lc
 
 def told(data: lc.Dataset) -> lc.Result:
     case = Case(ARM, data, None, lc.Fit(method="auto"))
-    return choose(case, Scheme(folds=2, blocks=0)).calibrated
+    return lc.Result.of(choose(case, Scheme(folds=2, blocks=0)).result)
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def test_predictions_hold_after_the_last_change(
     moved = np.array([past.outputs[q] - found.outputs[q] for q in "xyz"])
     size = float(np.linalg.norm(list(SLIP.values())))
     assert np.linalg.norm(moved, axis=0).mean() == pytest.approx(size, rel=0.2)
-    result_file.write_result(result, findings.added_to(result.document), tmp_path)
+    result_file.write_result(result, result.document, tmp_path)
     lines = [",".join(["pose", *where])]
     lines += [
         f"{i}," + ",".join(map(repr, row))
@@ -149,7 +149,7 @@ def test_findings_keep_what_was_modelled_and_name_it_once(
 ) -> None:
     assert [p.modelled for p in findings.shifts.found] == [True]
     assert [o.pose for o in findings.outliers.found] == ["13"]
-    document = findings.added_to(result.document)
+    document = result.document
     assert [one.code for one in findings_of(document)].count("changes-modelled") == 1
     assert not any("along the run" in words for words in document.warnings)
 

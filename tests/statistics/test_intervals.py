@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.statistics.intervals import Interval, covariance_interval, intervals, with_intervals
+from loopcal.statistics.intervals import Interval, covariance_interval, interval_entries, intervals
 from tests.reference.simulated import planar_arm
 from tests.refusals import refused
 
@@ -137,7 +137,8 @@ def test_what_nothing_bounds_has_no_interval() -> None:
 
 def test_the_summary_and_the_document_tell_it() -> None:
     result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=LINE, method="implicit-loop")
-    document = with_intervals(result.document, intervals(result))
+    entries = interval_entries(intervals(result))
+    document = result.with_parts(intervals=entries).document
     assert "differs" in str(document)
     entry = document.parameters[0].interval
     assert entry is not None
@@ -150,7 +151,7 @@ def test_the_summary_and_the_document_tell_it() -> None:
 
 def test_what_nothing_bounds_is_shown_without_ends() -> None:
     result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=LINE, method="implicit-loop")
-    document = with_intervals(result.document, {"k": None})
+    document = result.with_parts(intervals=interval_entries({"k": None})).document
     entry = document.parameters[0].interval
     assert entry is not None
     assert entry.covariance == entry.profile == (None, None)

@@ -37,7 +37,7 @@ def test_the_exchanged_links_are_found_and_fit_worse(seed: int) -> None:
     assert other.of_result is not None
     assert other.of_result < other.chi_squared < 2.0 * other.of_result
     assert "another optimum" in lc.findings(result).words()
-    assert lc.findings(result).added_to(result.document).other_optima == (other,)
+    assert result.document.other_optima == (other,)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -131,7 +131,8 @@ def test_a_reading_that_nothing_controls_can_hide_any_error():
 def test_the_document_holds_the_worst_of_each_sensor():
     result = fitted(ARM.read(SDS, 1))
     found = told(result).reliability
-    entry = told(result).added_to(result.document).reliability
+    entry = lc.Result.of(result).document.reliability
+    assert entry is not None
     one = next(s for s in entry.sensors if s.quantity == "phi3")
     worst = int(np.argmax(found.effect["phi3"]))
     assert (one.pose, one.effect) == (found.poses[worst], found.effect["phi3"][worst])

@@ -55,7 +55,7 @@ def test_the_sd_of_a_prediction_is_that_of_one_position_however_many_stations_se
     before = lc.check(arm, data, noise=noise, prior=prior, start="nominal")
     assert len(before.expected_at_poses) == len(names)
     assert "as e sees it" in str(before)
-    stored = lc.findings(result).added_to(result.document).prediction
+    stored = result.document.prediction
     assert stored is not None
     assert stored.sd_at_poses == {"m": sds.max()}
 

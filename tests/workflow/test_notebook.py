@@ -15,6 +15,7 @@ import pytest
 import loopcal as lc
 from loopcal.document.aliases import ALIASES, INSTEAD
 from loopcal.document.notebook_html import result_html
+from loopcal.estimation.fit_document import fit_document
 from tests import golden_files as golden
 from tests.refusals import refused
 
@@ -197,15 +198,17 @@ def test_an_unknown_name_is_an_attribute_error(result: lc.Result) -> None:
     assert copy.copy(result).value == result.value
 
 
-def test_a_verdict_that_fails_says_what_failed_in_it(result: lc.Result) -> None:
+def test_a_verdict_that_fails_says_what_failed_in_it(
+    result: lc.Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Not that a result has no verdict."""
 
-    def judge(of: lc.Result) -> Any:
-        return of.title  # type: ignore[attr-defined]
+    def failing(*_: Any) -> Any:
+        return result.parts.no_such  # type: ignore[attr-defined]
 
-    failing = replace(result, judge=judge)
-    with pytest.raises(AttributeError, match="no attribute 'title'"):
-        _ = failing.verdict
+    monkeypatch.setattr("loopcal.workflow.result.judged", failing)
+    with pytest.raises(AttributeError, match="no attribute 'no_such'"):
+        _ = replace(result).verdict
 
 
 def test_a_table_of_parameters_can_be_pickled(result: lc.Result) -> None:
@@ -223,7 +226,7 @@ def test_a_notebook_shows_what_it_showed() -> None:
         lc.Answer(None, "no-tolerance", None, "No tolerance is stated.", None),
     )
     verdict = lc.Verdict(*answers, headline="Valid near the measured poses only.")
-    found = lc.calibrate(EXAMPLE, method="implicit-loop").document
+    found = fit_document(lc.calibrate(EXAMPLE, method="implicit-loop"))
     shown = result_html(replace(found, verdict=verdict, warnings=("Mind the step.",)))
     golden.check("notebook.html", shown.replace("><", ">\n<"))
 

@@ -50,7 +50,7 @@ def text(view: View, name: str, label: str, first: str = "") -> Any:
 
 def written(box: Any, then: Callable[[str], Any]) -> Any:
     """Call with what a user wrote into a field, at Enter and where it is left (fields.js)."""
-    # The field's value on the server may be that of a late update (docs/decisions/0134).
+    # The field's value on the server may be that of a late update (docs/decisions/0117).
     return box.on("commit", lambda event: then(event.args), js_handler="(e) => emit(e.detail)")
 
 

@@ -30,7 +30,7 @@ class Place:
         if self._box.is_deleted:
             return
         before = [*self._box.descendants()]
-        # Cleared but not removed: elements that are removed answer no click (docs/decisions/0134).
+        # Cleared but not removed: elements that are removed answer no click (docs/decisions/0117).
         self._box.default_slot.children.clear()
         self._box.update()
         background_tasks.create(self._forget(before))

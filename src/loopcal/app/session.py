@@ -20,6 +20,7 @@ from loopcal.app.worker import Command, Run, Worker
 from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files.machines.python_function import load_function
+from loopcal.files.programs.registry import BY_ENDING as PROGRAMS
 from loopcal.files.project.data_table import DataTable
 from loopcal.files.project.edits import with_changes, with_shift, with_value, without_poses
 from loopcal.files.project.project_data import LoadedData
@@ -85,7 +86,7 @@ class Session:
         with_loops: Collection[str] = (),
     ) -> None:
         self.with_loops = with_loops
-        self.folder = ProjectFolder(folder)
+        self.folder = ProjectFolder(folder, frozenset(PROGRAMS))
         self.function = None if function is None else _absolute(function)
         self._loops = None if function is None else load_function(function)
         self.news = News()

@@ -64,6 +64,21 @@ def _named(option: typer.CallbackParam, value: str | None) -> str | None:
     return value
 
 
+ReadingsArgument = Annotated[
+    str,
+    argument("FILE", "Readings of another day in the columns of the project, or another result."),
+]
+RemountedOption = Annotated[
+    bool,
+    flag("--remounted", "Estimate everything that is mounted on the machine anew."),
+]
+AnewOption = Annotated[
+    list[str] | None,
+    option(
+        "NAME",
+        "Estimate this instrument's target, target or parameter anew; repeatable [default: none].",
+    ),
+]
 HistoryOption = Annotated[
     str | None,
     option(

@@ -22,6 +22,7 @@ from loopcal.cli.application import (
     out_option,
 )
 from loopcal.cli.output import log, print_data, print_done, print_json, print_out
+from loopcal.cli.registry import cure_of, keeper
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.files.project.templates import TEMPLATES
@@ -109,7 +110,7 @@ def calibrate(
                 profile=profile or (),
                 compare=compare,
                 report=not no_report,
-                history=machine_history,
+                keeper=keeper(machine_history),
             ),
             out=out,
             function=mechanism,
@@ -125,7 +126,7 @@ def calibrate(
         )
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
     document = done.written.document
-    text = f"{document.title}\n{document}\n\n{done.findings.words()}"
+    text = f"{document.title}\n{document}\n\n{done.result.findings.words()}"
     print_done(document, as_json, text=text, where=where)
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
@@ -139,15 +140,16 @@ def check(
     from loopcal.workflow.checking import run_check
 
     done = run_check(project, function=mechanism)
+    cure, title = cure_of(done), done.project.title
     for warning in done.warnings:
         log(f"warning: {warning}")
     if as_json:
-        cured = None if done.cure is None else done.cure.document()
-        document = {"title": done.title, **done.check.document(), "cure": cured}
+        cured = None if cure is None else cure.document()
+        document = {"title": title, **done.check.document(), "cure": cured}
         print_json({**document, "warnings": [*done.warnings]})
     else:
-        more = "" if done.cure is None else f"\n\n{done.cure}"
-        print_out(f"{done.title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}")
+        more = "" if cure is None else f"\n\n{cure}"
+        print_out(f"{title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}")
 
 
 @app.command()
@@ -202,12 +204,10 @@ def compare(
     mechanism: FunctionOption = None,
 ) -> None:
     """Compare two calibrations of one machine: differences, their sds and their significance."""
-    from loopcal.files.machines.python_function import load_function
     from loopcal.workflow.public import compare as compared
     from loopcal.workflow.saved_result import read_result
 
-    loops = None if mechanism is None else load_function(mechanism)
-    first, second = (read_result(path, mechanism=loops) for path in (a, b))
+    first, second = (read_result(path, mechanism=mechanism) for path in (a, b))
     try:
         done = compared(first, second, poses=poses, align=not same_frame)
     except InputError as error:
@@ -286,52 +286,6 @@ def simulate(
         print_out(
             f"{poses} poses written to {done.file} (seed {seed}), the truth to {done.truth_file}"
         )
-
-
-@app.command()
-def study(
-    study: Annotated[str, argument("STUDY", "Study file (TOML); - reads standard input.")],
-    draws: Annotated[
-        int | None,
-        option("N", "Draws per scenario [default: the study's].", min=1),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        option("N", "Compute on N processes [default: one per core].", min=1),
-    ] = None,
-    cluster: ClusterOption = None,
-    out: Annotated[
-        str | None,
-        out_option(
-            "DIR",
-            "Write the draws to this folder, and resume from those in it [default: "
-            "NAME-study beside NAME.toml].",
-        ),
-    ] = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    mechanism: FunctionOption = None,
-) -> None:
-    """Run a Monte Carlo study: errors of one or more methods over many draws per scenario."""
-    from loopcal.cli.progress import Counted
-    from loopcal.cli.working import executor_of, try_cluster
-    from loopcal.report.study_page import PAGE, write_study_page
-    from loopcal.studies.run import run_study
-
-    executor = executor_of(workers, cluster)
-    with Counted() as progress:
-        done = run_study(
-            study,
-            draws=draws,
-            executor=executor,
-            sharing=try_cluster,
-            out=out,
-            function=mechanism,
-            progress=progress,
-        )
-    write_study_page(done)
-    where = f"written to {done.folder}: draws.parquet, summary.json, summary.txt, {PAGE}"
-    print_done(done, as_json, text=done.text, where=where)
 
 
 @app.command()

@@ -1,15 +1,18 @@
-"""The commands of a machine's life: verify, update, history, fleet."""
+"""The commands of a machine's life: update, history, fleet."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
 from loopcal.cli.application import (
+    AnewOption,
     ForceOption,
     FunctionOption,
     HistoryOption,
     JsonOption,
     NoReportOption,
+    ReadingsArgument,
+    RemountedOption,
     ResultArgument,
     app,
     argument,
@@ -19,63 +22,6 @@ from loopcal.cli.application import (
 )
 from loopcal.cli.output import log, print_done
 from loopcal.errors import NoTrustworthyResult
-
-ReadingsArgument = Annotated[
-    str,
-    argument("FILE", "Readings of another day in the columns of the project, or another result."),
-]
-RemountedOption = Annotated[
-    bool,
-    flag("--remounted", "Estimate everything that is mounted on the machine anew."),
-]
-AnewOption = Annotated[
-    list[str] | None,
-    option(
-        "NAME",
-        "Estimate this instrument's target, target or parameter anew; repeatable [default: none].",
-    ),
-]
-
-
-@app.command()
-def verify(
-    result: ResultArgument,
-    file: ReadingsArgument,
-    remounted: RemountedOption = False,
-    anew: AnewOption = None,
-    tolerance: Annotated[
-        float | None,
-        option("MM", "Require that 95 % of poses lie within this distance [default: none]."),
-    ] = None,
-    out: Annotated[
-        str | None, out_option("FILE", "Write a page with figures to this file [default: none].")
-    ] = None,
-    force: ForceOption = False,
-    machine_history: HistoryOption = None,
-    as_json: JsonOption = False,
-    mechanism: FunctionOption = None,
-) -> None:
-    """Verify a calibration with readings of another day, the instrument placed anew."""
-    from loopcal.workflow.verifying import run_verification
-
-    done = run_verification(
-        result,
-        file,
-        remounted=remounted,
-        anew=anew or (),
-        tolerance=None if tolerance is None else 1e-3 * tolerance,
-        out=out,
-        history=machine_history,
-        function=mechanism,
-    )
-    print_done(done, as_json)
-    if out is not None:
-        log(f"written to {out}")
-    if done.failed:
-        reasons = " ".join(answer.words for answer in done.failed)
-        raise NoTrustworthyResult(
-            reasons, code="not-verified", remedy=" ".join(a.next for a in done.failed if a.next)
-        )
 
 
 @app.command()

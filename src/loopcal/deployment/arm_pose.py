@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.deployment.rigid import crossing, inverse, pose
+from loopcal.deployment.rigid import crossing
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.expressions.tape import Tape
+from loopcal.mechanisms.placement import inverse, rigid
 
 Array = NDArray[np.float64]
 _BLOCK = 256
@@ -44,7 +45,7 @@ class ArmPose:
         """(N, 4, 4) at joints q (N, n) [rad, m]."""
         points, _, _ = self._points(q, (), Stage.VALUES)
         t, R = _frame(points)
-        return inverse(self.base) @ pose(R @ self.tool, t)
+        return inverse(self.base) @ rigid(R @ self.tool, t)
 
     def tool_on_body(self) -> Array:
         """(3,) where the tool's point is on the body, after the last change along the run [m]."""
@@ -57,7 +58,7 @@ class ArmPose:
         """(N, 4, 4) at joints q (N, n), and (N, 6, n) the twists by the joints."""
         points, by_joint, _ = self._points(q, (), Stage.BY_QUANTITY)
         t, R = _frame(points)
-        T = inverse(self.base) @ pose(R @ self.tool, t)
+        T = inverse(self.base) @ rigid(R @ self.tool, t)
         return T, _twist(R, by_joint, self.base[:3, :3].T)
 
     def twists(self, q: Array, names: Sequence[str] = ()) -> tuple[Array, Array]:

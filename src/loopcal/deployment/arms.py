@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.deployment.arm_pose import ArmPose
-from loopcal.deployment.rigid import of_yaw_pitch_roll
 from loopcal.deployment.tool import Tool
 from loopcal.errors import InputError, listed
 from loopcal.estimation.problem.alignment import align
@@ -28,7 +27,7 @@ from loopcal.mechanisms.limits import Limit, joint_limits
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.placement import rigid
 from loopcal.mechanisms.serial import places_itself
-from loopcal.mechanisms.station import Station
+from loopcal.mechanisms.station import Station, pose_of
 from loopcal.mechanisms.structure.structured import EFFECT
 
 Array = NDArray[np.float64]
@@ -125,7 +124,7 @@ def _machine(
         tuple(joints),
         _constants(looked_at, tape, at),
         np.eye(4) if station is None else product(station.steps, {}, values),
-        of_yaw_pitch_roll(tool.of_machine[3:]),
+        pose_of(tool.of_machine)[:3, :3],
     )
     beyond = set(calibrated.effects.get(EFFECT, ()))
     rigid = [0.0 if p.name in beyond else p.nominal for p in looked_at.parameters]
@@ -183,7 +182,7 @@ def _controller(
         joints,
         {},
         np.eye(4),
-        of_yaw_pitch_roll(tool.of_controller[3:]),
+        pose_of(tool.of_controller)[:3, :3],
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,21 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.deployment.arms import Arms
-from loopcal.deployment.corrected import Corrected
+from loopcal.deployment.corrected import Corrected, shown
 from loopcal.deployment.straight import StraightMove
+from loopcal.document.plain import plain
+from loopcal.files.programs.program import Noted
 from loopcal.presentation.shown import with_unit
 
 Array = NDArray[np.float64]
 _SHOWN = 10
 _REPEATED = "Inserted targets repeat the speed and zone of their move: an exact stop stops at each."
-
-
-@dataclass(frozen=True)
-class Left:
-    """A line that was found but not understood, and is left as it is."""
-
-    line: int
-    words: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +37,7 @@ class Correction:
     file: str
     kind: str
     lines: tuple[int, ...]
-    left: tuple[Left, ...] = ()
+    left: tuple[Noted, ...] = ()
     remarks: tuple[str, ...] = ()
     content: bytes = field(default=b"", repr=False)
     written: str | None = None
@@ -88,12 +82,10 @@ class Correction:
             counts = Counter(refusal.reason for _, _, refusal in refused)
             several = ", ".join(f"{n} {reason}" for reason, n in counts.most_common())
             lines.append(f"REFUSED  {_stay(len(refused), 'target')}: {several}")
-            lines += [f"  line {n}, {t}: {r.words}" for t, n, r in refused[:_SHOWN]]
-            lines += _more(len(refused))
+            lines += _first([f"line {n}, {t}: {r.words}" for t, n, r in refused])
         if self.left:
             lines.append(f"NOT UNDERSTOOD  {_stay(len(self.left), 'line')}")
-            lines += [f"  line {one.line}: {one.words}" for one in self.left[:_SHOWN]]
-            lines += _more(len(self.left))
+            lines += _first([f"line {one.line}: {one.words}" for one in self.left])
         return "\n".join([*lines, *self.remarks])
 
     def _numbers(self) -> list[str]:
@@ -107,8 +99,8 @@ class Correction:
             f"error before: median {_m(np.median(before))}, largest {_m(before.max())}; "
             f"turned by up to {_deg(turned.max())}",
             f"error left: {_left(after, corrected.after[done, 3:])}",
-            f"U95 of the reached point: {_spread(self.u95[done])}",
-            f"U95 of the reached turn: {_turns(corrected.reached.radial(3)[done])}",
+            f"U95 of the reached point: {_spread(self.u95[done], _m, 'moves')}",
+            f"U95 of the reached turn: {_spread(corrected.reached.radial(3)[done], _deg, 'turns')}",
             f"largest change of a joint: {_joint(step, self.arms.joints)}",
         ]
         beyond = corrected.extrapolated & done
@@ -132,8 +124,7 @@ class Correction:
         kept = [move for move in self.moves if move.why]
         if kept:
             lines.append(f"NOT INSERTED  {_stay(len(kept), 'move')} above the bound")
-            lines += [f"  line {move.line}: {move.why}" for move in kept[:_SHOWN]]
-            lines += _more(len(kept))
+            lines += _first([f"line {move.line}: {move.why}" for move in kept])
         if new and self.kind != "table":
             lines.append(_REPEATED)
         return lines
@@ -151,22 +142,20 @@ class Correction:
                     "target": name,
                     "line": self.lines[i],
                     "corrected": accepted,
-                    "refused": None
-                    if refusal is None
-                    else {"reason": refusal.reason, "words": refusal.words},
+                    "refused": plain(refusal),
                     "joints_before": self._named(corrected.targets.joints[i]),
                     "joints": self._named(corrected.joints[i]) if accepted else None,
-                    "pose": _rows(corrected.poses[i]) if accepted else None,
-                    "error_before": _list(corrected.before[i]),
-                    "error_left": _list(corrected.after[i]) if accepted else None,
-                    "u95": _list(half[i]) if accepted else None,
-                    "u95_point": _plain(shift[i]) if accepted else None,
-                    "u95_turn": _plain(turn[i]) if accepted else None,
-                    "ratio": _plain(corrected.ratio[i]),
+                    "pose": corrected.poses[i] if accepted else None,
+                    "error_before": corrected.before[i],
+                    "error_left": corrected.after[i] if accepted else None,
+                    "u95": half[i] if accepted else None,
+                    "u95_point": float(shift[i]) if accepted else None,
+                    "u95_turn": float(turn[i]) if accepted else None,
+                    "ratio": float(corrected.ratio[i]),
                     "extrapolated": bool(corrected.extrapolated[i]),
                 }
             )
-        return {
+        document: dict[str, Any] = {
             "file": self.file,
             "format": self.kind,
             "written": self.written,
@@ -174,14 +163,14 @@ class Correction:
             "corrected": int(corrected.done.sum()),
             "refused": int((~corrected.done).sum()),
             "readings_included": corrected.reached.readings,
-            "not_understood": [{"line": one.line, "words": one.words} for one in self.left],
-            "remarks": list(self.remarks),
+            "not_understood": self.left,
+            "remarks": self.remarks,
             "straight_moves": [
                 {
                     "line": move.line,
                     "from": corrected.targets.names[move.begin],
                     "to": corrected.targets.names[move.end],
-                    "error": _plain(move.error),
+                    "error": move.error,
                     "inserted": [self._named(q) for q in move.inserted],
                     "not_inserted": move.why or None,
                 }
@@ -189,17 +178,20 @@ class Correction:
             ],
             "targets": targets,
         }
+        written: dict[str, Any] = plain(document)
+        return written
 
-    def _named(self, q: Array) -> Mapping[str, float | None]:
-        return {name: _plain(v) for name, v in zip(self.arms.joints, q.tolist(), strict=True)}
+    def _named(self, q: Array) -> dict[str, float]:
+        return dict(zip(self.arms.joints, q.tolist(), strict=True))
 
 
 def _stay(count: int, what: str) -> str:
     return f"1 {what} stays as it is" if count == 1 else f"{count} {what}s stay as they are"
 
 
-def _more(count: int) -> list[str]:
-    return [f"  and {count - _SHOWN} more; --json lists all"] if count > _SHOWN else []
+def _first(rows: list[str]) -> list[str]:
+    more = [f"and {len(rows) - _SHOWN} more; --json lists all"] if len(rows) > _SHOWN else []
+    return [f"  {row}" for row in [*rows[:_SHOWN], *more]]
 
 
 def _m(value: float) -> str:
@@ -207,7 +199,7 @@ def _m(value: float) -> str:
 
 
 def _deg(value: float) -> str:
-    return f"{math.degrees(value):.3f} deg"
+    return shown(value, "rad")
 
 
 def _left(shifts: Array, turns: Array) -> str:
@@ -217,16 +209,10 @@ def _left(shifts: Array, turns: Array) -> str:
     return f"up to {_m(shifts.max())}, turned by up to {_deg(turned)} (the arm has too few joints)"
 
 
-def _spread(values: Array) -> str:
+def _spread(values: Array, text: Callable[[float], str], moved: str) -> str:
     if not np.isfinite(values).all():
-        return "unknown: a combination of parameters that moves it is not determined"
-    return f"median {_m(np.median(values))}, largest {_m(values.max())}"
-
-
-def _turns(values: Array) -> str:
-    if not np.isfinite(values).all():
-        return "unknown: a combination of parameters that turns it is not determined"
-    return f"median {_deg(float(np.median(values)))}, largest {_deg(float(values.max()))}"
+        return f"unknown: a combination of parameters that {moved} it is not determined"
+    return f"median {text(float(np.median(values)))}, largest {text(float(values.max()))}"
 
 
 def _joint(step: Array, joints: Mapping[str, str]) -> str:
@@ -234,15 +220,3 @@ def _joint(step: Array, joints: Mapping[str, str]) -> str:
     parts = [_deg(float(step[:, turning].max()))] if turning.any() else []
     parts += [_m(float(step[:, ~turning].max()))] if not turning.all() else []
     return ", ".join(parts)
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _list(values: Array) -> list[float | None]:
-    return [_plain(v) for v in values.tolist()]
-
-
-def _rows(T: Array) -> list[list[float | None]]:
-    return [_list(row) for row in T]

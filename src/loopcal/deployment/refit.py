@@ -38,6 +38,12 @@ class Goal:
     joints: Mapping[str, Array]
     points: Array
 
+    @classmethod
+    def of(cls, seen: SeenPoint, readings: Mapping[str, Array]) -> Goal:
+        """The point where readings of it are."""
+        joints = {step.joint: readings[step.joint] for step in seen.steps if step.joint}
+        return cls(seen, joints, seen.measured(readings))
+
 
 @dataclass(frozen=True, eq=False)
 class Refit:
@@ -51,10 +57,9 @@ class Refit:
 
     def distances(self, goals: Sequence[Goal]) -> Array:
         """[m] from the goals."""
-        return np.concatenate([np.linalg.norm(g.points - p, axis=1) for g, p in self._at(goals)])
-
-    def _at(self, goals: Sequence[Goal]) -> list[tuple[Goal, Array]]:
-        return [(g, _trace(g, self.values, self.offsets).points) for g in goals]
+        left = [g.points - _trace(g, self.values, self.offsets).points for g in goals]
+        lengths: Array = np.linalg.norm(np.concatenate(left), axis=1)
+        return lengths
 
 
 def refit(

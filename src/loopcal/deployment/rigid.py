@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.mechanisms.placement import rigid
+
 Array = NDArray[np.float64]
 
 
@@ -63,27 +65,6 @@ def quaternion_of(R: Array) -> Array:
     return signed
 
 
-def of_yaw_pitch_roll(angles: Array) -> Array:
-    """Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (..., 3) [rad] in this order."""
-    R: Array = np.broadcast_to(np.eye(3), (*angles.shape[:-1], 3, 3))
-    for i, axis in enumerate((2, 1, 0)):
-        R = R @ turned(angles[..., i, None] * np.eye(3)[axis])
-    return R
-
-
-def pose(R: Array, p: Array) -> Array:
-    """(..., 4, 4) of rotation matrices and origins."""
-    T = np.zeros((*p.shape[:-1], 4, 4))
-    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, p, 1.0
-    return T
-
-
-def inverse(T: Array) -> Array:
-    """The inverse motions."""
-    R = np.swapaxes(T[..., :3, :3], -1, -2)
-    return pose(R, -(R @ T[..., :3, 3, None])[..., 0])
-
-
 def between(T: Array, target: Array) -> Array:
     """(..., 6) the twist that leads from poses T to the target: shift and turn."""
     turn = turn_of(target[..., :3, :3] @ np.swapaxes(T[..., :3, :3], -1, -2))
@@ -93,4 +74,4 @@ def between(T: Array, target: Array) -> Array:
 def moved(T: Array, twist: Array, share: float) -> Array:
     """The poses a share of a twist onwards: the origin straight, the turn about one axis."""
     R = turned(share * twist[..., 3:]) @ T[..., :3, :3]
-    return pose(R, T[..., :3, 3] + share * twist[..., :3])
+    return rigid(R, T[..., :3, 3] + share * twist[..., :3])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.chain import Step, frames
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.outputs import point_outputs, points
 from loopcal.mechanisms.station import Station
@@ -64,35 +64,14 @@ def traced(
     values: Mapping[str, float],
 ) -> Traced:
     """A point at the end of a chain, at joint readings (N,) and parameter values [SI]."""
-    count = len(next(iter(joints.values())))
-    R = np.broadcast_to(np.eye(3), (count, 3, 3))
-    o = np.zeros((count, 3))
-    axes: list[tuple[Step, Array, Array]] = []
-    for step in steps:
-        amount = np.broadcast_to(step.amount(joints, values), (count,))
-        k = "xyz".index(step.motion[1])
-        axis = R[:, :, k]
-        axes.append((step, axis, o))
-        if step.motion[0] == "t":
-            o = o + axis * amount[:, None]
-        else:
-            R = _turned(R, k, amount)
+    *ahead, (R, o) = frames(steps, joints, values)
     t = np.array([values[n] for n in target] or [0.0, 0.0, 0.0])
     p = o + R @ t
     by: dict[str, Array] = {name: R[:, :, i] for i, name in enumerate(target)}
-    for step, axis, origin in axes:
+    for step, (axes, origin) in zip(steps, ahead, strict=True):
+        axis = axes[:, :, "xyz".index(step.motion[1])]
         column = axis if step.motion[0] == "t" else np.cross(axis, p - origin)
         for name, weight in ((step.parameter, step.sign), (step.joint, step.direction)):
             if name is not None:
                 by[name] = by.get(name, 0.0) + weight * column
     return Traced(p, by)
-
-
-def _turned(R: Array, k: int, angle: Array) -> Array:
-    """R times turns (N,) about the coordinate axis k."""
-    i, j = (k + 1) % 3, (k + 2) % 3
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    turned = R.copy()
-    turned[:, :, i] = c * R[:, :, i] + s * R[:, :, j]
-    turned[:, :, j] = c * R[:, :, j] - s * R[:, :, i]
-    return turned

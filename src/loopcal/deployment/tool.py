@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.deployment.rigid import of_yaw_pitch_roll
 from loopcal.errors import InputError
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.station import pose_of
 
 Array = NDArray[np.float64]
 CALIBRATED, NOMINAL = "calibrated", "nominal"
@@ -85,9 +85,8 @@ def tool_of(
 
 def _numbers(point: Sequence[str], turns: Sequence[str], values: Mapping[str, float]) -> Array:
     numbers = np.zeros(6)
-    for begin, names in ((0, point), (3, turns)):
-        for i, name in enumerate(names):
-            numbers[begin + i] = values[name]
+    numbers[: len(point)] = [values[name] for name in point]
+    numbers[3 : 3 + len(turns)] = [values[name] for name in turns]
     return numbers
 
 
@@ -95,6 +94,5 @@ def turning(tool: Tool) -> Array:
     """(3, 3) columns: the turns of the tool by each of rz, ry, rx, in the frame of the body."""
     rz, ry, _ = tool.of_machine[3:]
     # Rz Ry Rx: each turn is about the axis that the turns before it have left.
-    about_y = of_yaw_pitch_roll(np.array([rz, 0.0, 0.0]))
-    about_x = of_yaw_pitch_roll(np.array([rz, ry, 0.0]))
+    about_y, about_x = (pose_of((0.0, 0.0, 0.0, rz, turn, 0.0))[:3, :3] for turn in (0.0, ry))
     return np.stack([np.array([0.0, 0.0, 1.0]), about_y[:, 1], about_x[:, 0]], axis=1)

@@ -125,6 +125,16 @@ class ValidationEntry:
     blocked: ValidationEntry | None = None
     """The same for regions of the joint space left out one by one; null: not asked for."""
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Which parts could not be predicted, and why."""
+        sentences = tuple(
+            f"{'Block' if 'blocks' in self.scheme else 'Fold'} {part.number} of {self.parts} "
+            f"({part.poses} poses) is not validated: {part.reason}."
+            for part in self.failed
+        )
+        return sentences if self.blocked is None else (*sentences, *self.blocked.warnings)
+
 
 @dataclass(frozen=True)
 class ModelEntry:

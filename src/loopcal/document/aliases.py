@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.document.offers import offered
 from loopcal.small_samples import t_quantile
 
 ALIASES: Mapping[str, Callable[[Any], Any]] = {
     # scipy.optimize
     "success": lambda r: r.converged,
-    "message": lambda r: r.document.status.message,
-    "nit": lambda r: r.document.status.iterations,
+    "message": lambda r: r.unjudged.status.message,
+    "nit": lambda r: r.unjudged.status.iterations,
     "x": lambda r: np.array([r.value[name] for name in r.estimated]),
     # lmfit
     "best_values": lambda r: dict(r.value),
@@ -28,15 +27,15 @@ ALIASES: Mapping[str, Callable[[Any], Any]] = {
     "covar": lambda r: r.covariance,
     "chisqr": lambda r: r.chi_squared and r.chi_squared.value,
     "redchi": lambda r: r.chi_squared and r.chi_squared.variance_factor,
-    "best_fit": lambda r: offered("fitted")(r),
+    "best_fit": lambda r: r.fitted_outputs,
     "fit_report": lambda r: r.summary,
     # statsmodels
     "cov": lambda r: r.covariance,
     "cov_params": lambda r: lambda: r.covariance,
     "bse": lambda r: r.sd,
     "stderr": lambda r: r.sd,
-    "fittedvalues": lambda r: offered("fitted")(r),
-    "nobs": lambda r: r.document.data.used,
+    "fittedvalues": lambda r: r.fitted_outputs,
+    "nobs": lambda r: r.unjudged.data.used,
     "conf_int": lambda r: lambda alpha=0.05: confidence(r, alpha),
     # DataFrames and files
     "to_pandas": lambda r: r.params.to_pandas,

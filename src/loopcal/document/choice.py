@@ -10,7 +10,7 @@ from loopcal.document.dependence import Likeness
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.terms import TermEntry
 
-# Two-sided 3.29 of the normal distribution (record 0150).
+# Two-sided 3.29 of the normal distribution (record 0047).
 BEATEN = 3.3
 """Standard errors at p = 0.001: several rivals are tried."""
 

@@ -27,6 +27,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 
+# Chosen, not derived: it only asks whether lengths end far off, not where exactly.
 TRIED, ROUGHLY = 30, 1e-2
 """Iterations, and tolerance, of the fit that shows whether only the drawing is far off."""
 LEARNT = 1e-5

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.fit import CovarianceEntry, NoiseEntry, ParameterEntry, StatusEntry
+from loopcal.document.fit import CovarianceEntry, NoiseEntry, ParameterEntry
 from loopcal.document.plain import finite
 from loopcal.document.result_document import CoarseReadings, DataEntry, JoinedFile
 from loopcal.document.terms import TermEntry
@@ -18,7 +18,6 @@ from loopcal.document.triangle import lower
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.redundancy import UNCONTROLLED, Redundancy
-from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
 from loopcal.measurements.resolution import recorded_step
@@ -27,19 +26,15 @@ from loopcal.mechanisms.parameters import Parameter
 from loopcal.small_samples import LearntCovariance
 
 Array = NDArray[np.float64]
+# Sums in another order differ by some 1e-12: chosen, not derived, between that and any widening.
 _ALIKE = 1e-9
 # docs/decisions/0065.
 _COARSE = 0.5
 """Steps whose rounding alone is this share of an sd are not small against it."""
 
 
-def status_entry(status: Status) -> StatusEntry:
-    """How the fit ended."""
-    return StatusEntry(status.converged, status.reason, status.message, status.iterations)
-
-
 def parameter_entry(
-    parameter: Parameter, value: float, sd: float | None, error: float | None
+    parameter: Parameter, value: float, sd: float | None, degrees_of_freedom: float | None
 ) -> ParameterEntry:
     """One parameter; sd: None where fixed, infinite where not identifiable."""
     return ParameterEntry(
@@ -51,10 +46,11 @@ def parameter_entry(
         finite(parameter.prior_sd),
         parameter.fixed,
         None if sd is None else math.isfinite(sd),
-        error,
+        None,
         role=parameter.role,
         owner=parameter.owner,
         meaning=parameter.meaning,
+        degrees_of_freedom=finite(degrees_of_freedom),
     )
 
 

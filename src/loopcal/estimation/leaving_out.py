@@ -22,6 +22,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.mechanism import Mechanism
 
+# Chosen, not derived: far above the rounding of sums, far below a share that counts.
 _LITTLE = 1e-9
 """Share of a parameter's information that rounding may leave where only the poses left out have
 any: those of a station, of where it stands."""

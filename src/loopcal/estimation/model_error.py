@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from loopcal.measurements.dataset import Dataset
     from loopcal.mechanisms.mechanism import Mechanism
 
+# Chosen, not derived: the usual size; a start, from which sds are learnt.
 BEGIN = 1e-4
 """Learnt sds begin here [SI]: 0.1 mm, 0.1 mrad."""
 

@@ -1,12 +1,12 @@
-"""What a calibration found, and how far it can be believed: computed when it is first asked for."""
+"""A fit as one value, and what follows from it: computed when it is first asked for."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 from loopcal.document.choice import Chosen
 from loopcal.document.dependence import Dependence
 from loopcal.document.findings import ColumnFault, Identifiability
-from loopcal.document.fit import ClosureEntry, NoiseEntry
+from loopcal.document.fit import NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
-from loopcal.document.plain import finite
-from loopcal.document.result_document import SCHEMA, DataEntry, MechanismEntry, ResultDocument
+from loopcal.document.parts import Parts
+from loopcal.document.result_document import DataEntry
 from loopcal.document.terms import TermEntry
-from loopcal.document.verdict import Verdict
-from loopcal.document.views import Views
 from loopcal.errors import InputError
-from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
+from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, deviations
 from loopcal.estimation.all_poses import AllPoses
 from loopcal.estimation.dependence.dependence import (
     Depending,
@@ -30,27 +28,16 @@ from loopcal.estimation.dependence.dependence import (
     covariance_under,
     dependence,
 )
-from loopcal.estimation.document_parts import (
-    absorbed,
-    coarse_readings,
-    covariance_entry,
-    data_entry,
-    inputs_entry,
-    noise_entries,
-    parameter_entry,
-    shares,
-    status_entry,
-)
+from loopcal.estimation.document_parts import absorbed, data_entry, shares
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.identifiability import identifiability
 from loopcal.estimation.inherited import Inherited
-from loopcal.estimation.noise.learning import entries, joint_covariances, words
+from loopcal.estimation.noise.learning import entries, words
 from loopcal.estimation.noise.terms import term_entries
 from loopcal.estimation.noise.variances import all_learnt
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.redundancy import Redundancy, redundancy
 from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import RobustSums
@@ -67,20 +54,16 @@ if TYPE_CHECKING:
     from loopcal.estimation.noise.kenward_roger import LearntParameters
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
-Judge = Callable[["Result"], ResultDocument]
-Addition = Callable[[ResultDocument], ResultDocument]
-"""Adds to the document of a result what was found beside the fit."""
 
 
 @dataclass(frozen=True, eq=False)
-class Result(Views):
-    """The result of a calibration. Values are SI; mappings go by name.
+class Result:
+    """A fit. Values are SI; mappings go by name.
 
     fit: the settings; dataset: the readings; problem: with the sds used, solution: where the fit
     ended; stated: the problem with the sds as stated, estimate: what was learnt of them, None
-    where nothing was; all_poses: of a stream; notes: warnings beside those of the fit itself;
-    faults: of the file as a whole, found before the fit; inherited: of an update.
+    where nothing was; all_poses: of a stream; faults: of the file as a whole, found before the
+    fit; inherited: of an update; parts: what its document holds beside the fit.
     What follows from these is computed when it is first asked for.
     """
 
@@ -91,25 +74,17 @@ class Result(Views):
     stated: Problem
     estimate: NoiseEstimate | None = None
     all_poses: AllPoses | None = None
-    notes: tuple[str, ...] = ()
-    additions: tuple[Addition, ...] = ()
-    """What the document gains beyond the fit: a choice of method, a validation, a verdict."""
     taken_as_independent: bool = False
     """Whether the covariance ignores what residuals of neighbouring poses say, on request."""
     variance_factor_applied: bool = False
     """Whether covariance and sds were multiplied by the variance factor, on request."""
-    errors: Mapping[str, float] | None = None
-    """True minus estimated value of the parameters whose truth is known."""
     faults: tuple[ColumnFault, ...] = ()
     inherited: Inherited | None = None
-    judge: Judge | None = None
-    """What judges the result when its verdict is first asked for."""
-    memory: dict[object, Any] = field(default_factory=dict)
-    """What was found of this fit at some cost, shared by results that differ in words alone."""
+    parts: Parts = field(default_factory=Parts)
 
     def __getstate__(self) -> dict[str, Any]:
         """What a worker sends: the fields; what follows from them is computed where it is asked."""
-        return {one.name: getattr(self, one.name) for one in fields(self)} | {"memory": {}}
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @property
     def method(self) -> str:
@@ -431,7 +406,7 @@ class Result(Views):
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know before using the result."""
-        lines = [*self._data.warnings(), *self.identifiability.warnings()]
+        lines = [*self.data_entry.warnings(), *self.identifiability.warnings()]
         if self.status.converged and self.status.note:
             lines.insert(0, self.status.note)
         if self.mechanism.placement is not None:
@@ -443,21 +418,30 @@ class Result(Views):
             lines += words(self.estimate, self.noise, self.chi_squared_shares)
         if self.dependence is not None:
             lines += self.dependence.warnings()
-        return (*lines, *self.notes)
+        return (*lines, *self.parts.notes)
 
-    def noted(self, *notes: str) -> Result:
+    def with_parts(self, **parts: Any) -> Self:
+        """The same fit, with these beside it: fields of `Parts`."""
+        return replace(self, parts=replace(self.parts, **parts))
+
+    @property
+    def errors(self) -> Mapping[str, float] | None:
+        """True minus estimated value [SI] of the parameters whose truth is known."""
+        return self.parts.errors
+
+    def noted(self, *notes: str) -> Self:
         """The same result with further warnings."""
-        return replace(self, notes=(*self.notes, *notes))
+        return self.with_parts(notes=(*self.parts.notes, *notes))
 
-    def as_if_independent(self) -> Result:
+    def as_if_independent(self) -> Self:
         """The same result, whose covariance takes the errors of all poses as independent.
 
         The covariance of the methods as they were published; where residuals depend on the pose
         order it is too small.
         """
-        return replace(self, taken_as_independent=True, memory={})
+        return replace(self, taken_as_independent=True)
 
-    def with_variance_factor(self) -> Result:
+    def with_variance_factor(self) -> Self:
         """The same result with its covariance multiplied by the variance factor.
 
         For those who trust the proportions of the stated sds but not their size: the corrections
@@ -485,105 +469,19 @@ class Result(Views):
         return shares(self.corrections, self.reading_sds)
 
     @property
-    def _redundancy(self) -> Redundancy | None:
-        """What readings control of each other; None of a stream, a robust loss, exact readings."""
-        if self.all_poses is not None or self.fit.robust_loss is not None or self.fit.solver.exact:
-            return None
-        return redundancy(self.problem, self.pose_equations(), self.spectrum.covariance())
-
-    @property
     def calibrated(self) -> Mechanism:
         """The mechanism with the calibrated values as its nominal ones."""
         return self.mechanism.with_nominal(self.value)
 
     @property
-    def _data(self) -> DataEntry:
+    def data_entry(self) -> DataEntry:
+        """Which readings were used."""
         return data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities])
-
-    def remembered(self, what: object, compute: Callable[[], T]) -> T:
-        """What was found of this fit under this name, found once."""
-        if what not in self.memory:
-            self.memory[what] = compute()
-        return cast(T, self.memory[what])
-
-    def adding(self, *additions: Addition, judge: Judge | None = None) -> Result:
-        """The same result with a document that gains these, judged by this, else as before."""
-        result = replace(self, additions=(*self.additions, *additions), judge=judge or self.judge)
-        anew = {*vars(result), "document", "judged"}  # what else follows from the fit stays known
-        vars(result).update({n: value for n, value in vars(self).items() if n not in anew})
-        return result
 
     @property
     def chosen(self) -> Chosen | None:
         """What the method "auto" chose; None: the method was stated."""
-        return self.document.chosen
-
-    @cached_property
-    def judged(self) -> ResultDocument:
-        """The document with verdict and findings, if anything is there to judge it; it takes as
-        long as the search for outliers, change points and other optima."""
-        return self.document if self.judge is None else self.judge(self)
-
-    @property
-    def verdict(self) -> Verdict | None:
-        """Whether the result can be used, and for what; None: nothing was there to judge it."""
-        return self.judged.verdict
-
-    @cached_property
-    def document(self) -> ResultDocument:
-        """The result as result.json holds it, with what was added to it."""
-        with one_blas_thread():
-            document = self._document
-            for addition in self.additions:
-                document = addition(document)
-            return document
-
-    @cached_property
-    def _document(self) -> ResultDocument:
-        errors, loose = self.errors or {}, self.identifiability.loose
-        spread = self.learnt_covariance, self.spectrum.covariance()
-        shares, names = self.chi_squared_shares, self.mechanism.tape.quantities
-        noise = noise_entries(self.noise, shares, names, self._redundancy)
-        coarse = coarse_readings(self.dataset, noise, self.problem, self.pose_equations())
-        return ResultDocument(
-            schema=SCHEMA,
-            loopcal="",
-            title=None,
-            mechanism=MechanismEntry.of(self.mechanism),
-            method=self.method,
-            method_label=self.fit.label,
-            loss=self.loss,
-            status=status_entry(self.status),
-            parameters=tuple(
-                replace(
-                    parameter_entry(p, self.value[p.name], self.sd[p.name], errors.get(p.name)),
-                    degrees_of_freedom=finite(self.degrees_of_freedom[p.name]),
-                )
-                for p in self.mechanism.parameters
-            ),
-            covariance=covariance_entry(self.estimated, *spread, loose),
-            noise=noise,
-            noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
-            terms=self.terms_with_parts(),
-            sds_settled=None if self.estimate is None else self.estimate.settled,
-            model_discrepancy=self.model_discrepancy,
-            variance_factor_applied=self.variance_factor_applied,
-            restricted_criterion=self.restricted_criterion,
-            chi_squared=self.chi_squared,
-            closure=ClosureEntry(self.closure_before.entry, self.closure_after.entry),
-            accuracy=accuracy_entry(self.accuracy_before, self.accuracy_after),
-            validation=None,
-            dependence=self.dependence,
-            identifiability=self.identifiability,
-            observability=None,
-            prediction=None,
-            outliers=None,
-            column_faults=self.faults or None,
-            data=replace(self._data, coarse=coarse),
-            warnings=self.warnings,
-            inputs=inputs_entry(self.dataset, self.mechanism),
-            versions={},
-        )
+        return self.parts.chosen
 
     def __repr__(self) -> str:
         state = "converged" if self.status.converged else self.status.reason

@@ -11,7 +11,7 @@ p_instrument = S_1 S_2 ... S_n p_tool. Tz Rz means: first move along z, then tur
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -162,3 +162,29 @@ def product(
     for step in steps:
         T = T @ matrix(step, float(step.amount(joints, parameters)))
     return T
+
+
+def frames(
+    steps: Sequence[Step],
+    joints: Mapping[str, NDArray[np.float64]],
+    parameters: Mapping[str, float],
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """The frames ahead of each step and behind the last, at joint readings (N,).
+
+    Of each R (N, 3, 3) and the origin (N, 3), both in the first frame.
+    """
+    count = len(next(iter(joints.values())))
+    R, origin = np.broadcast_to(np.eye(3), (count, 3, 3)), np.zeros((count, 3))
+    yield R, origin
+    for step in steps:
+        amount = np.broadcast_to(step.amount(joints, parameters), (count,))[:, None]
+        if step.motion[0] == "t":
+            origin = origin + R[:, :, "xyz".index(step.motion[1])] * amount
+        else:
+            i, j = PLANES[step.motion[1]]
+            c, s = np.cos(amount), np.sin(amount)
+            turned = R.copy()
+            turned[:, :, i] = c * R[:, :, i] + s * R[:, :, j]
+            turned[:, :, j] = c * R[:, :, j] - s * R[:, :, i]
+            R = turned
+        yield R, origin

@@ -6,7 +6,7 @@ parameters, named after the station. The target is a point fixed to the moving b
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -142,6 +142,12 @@ Anchor = Annotated[
 ]
 Reading = Annotated[str | None, Key("Name of the reading. Default: the name of the instrument.")]
 Name = Annotated[str, Key("Name of the instrument; begins the names of what is its own.")]
+
+
+def pose_of(numbers: Sequence[float] | Array) -> Array:
+    """Tx Ty Tz Rz Ry Rx (4, 4) of x, y, z [m] and rz, ry, rx [rad]."""
+    steps = [Step(m, constant=float(v)) for m, v in zip(MOTIONS[3], numbers, strict=True)]
+    return product(steps, _NO_JOINTS, {})
 
 
 def placed_by(steps: Iterable[Step], owner: str) -> dict[str, Parameter]:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.mechanisms.chain import Step, product
-from loopcal.mechanisms.placement import rigid
+from loopcal.mechanisms.placement import inverse, rigid
 from loopcal.mechanisms.rest import RestChain
 
 Array = NDArray[np.float64]
@@ -169,9 +169,9 @@ def _placed(chain: RestChain, model: str) -> UrOrigins:
     origins, before = {}, base
     for link, axis, N in zip(LINKS, axes, nominal, strict=True):
         frame = _onto(axis, before @ N)
-        origins[link] = _inverse(before) @ frame
+        origins[link] = inverse(before) @ frame
         before = frame
-    return UrOrigins(model, origins, base, _inverse(before) @ tip)
+    return UrOrigins(model, origins, base, inverse(before) @ tip)
 
 
 def _base(first: Array, second: Array, height: float) -> Array:
@@ -196,7 +196,3 @@ def _onto(axis: Array, near: Array) -> Array:
     x = x / (float(np.linalg.norm(x)) or 1.0)
     origin = o + z * float(z @ (near[:3, 3] - o))
     return rigid(np.stack([x, np.cross(z, x), z], axis=1), origin)
-
-
-def _inverse(T: Array) -> Array:
-    return rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])

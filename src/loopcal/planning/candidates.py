@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,8 +167,8 @@ def _sifted(mechanism: Mechanism, poses: Dataset, site: PlanSettings) -> _Sifted
     if not rules.poses.any():
         return _Sifted(len(poses), refused)
     closed = closed.take(np.flatnonzero(rules.poses))
-    shown_quantities = [q for q in closed.readings if q in units and q not in computed]
-    shown_quantities = [q for q in shown_quantities if q in readings or q not in mechanism.implied]
+    hidden = computed | (mechanism.implied.keys() - readings.keys())
+    shown_quantities = [q for q in closed.readings if q in units and q not in hidden]
     shown_quantities.sort(key=lambda q: q not in readings)
     shown = Dataset.from_arrays(
         {q: closed.readings[q] for q in shown_quantities},
@@ -238,39 +238,23 @@ def _rounded(mechanism: Mechanism, readings: Mapping[str, Array]) -> dict[str, A
     return rounded
 
 
-def typical_sds(problem: Problem) -> Dataset | None:
-    """Measured poses with those sds that came with their readings; None where none did."""
-    names = problem.mechanism.tape.quantities
-    rows = [i for i, source in enumerate(problem.uncertainty.sources) if source == "reading"]
-    if not rows:
-        return None
+def typical_sds(problem: Problem) -> dict[str, float]:
+    """The medians of those sds that came with the readings of measured poses, by quantity."""
+    sources = problem.uncertainty.sources
     sds = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
-    return Dataset(
-        {names[i]: problem.readings[i] for i in rows},
-        {},
-        problem.poses,
-        {names[i]: sds[i] for i in rows},
-    )
+    rows = zip(problem.mechanism.tape.quantities, sources, sds, strict=True)
+    finite = {q: sd[np.isfinite(sd)] for q, source, sd in rows if source == "reading"}
+    return {q: float(np.median(sd)) for q, sd in finite.items() if sd.size}
 
 
-def with_sds(data: Dataset, like: Dataset | None) -> Dataset:
+def with_sds(data: Dataset, typical: Mapping[str, float]) -> Dataset:
     """The data with the typical sds of readings that came with their own."""
-    if like is None or not like.sds:
-        return data
-    sds = {}
-    for q, values in like.sds.items():
-        finite = values[np.isfinite(values)]
-        if q in data.readings and finite.size:
-            sds[q] = np.full(len(data), float(np.median(finite)))
-    return Dataset(data.readings, data.units, data.poses, sds, data.source)
+    sds = {q: np.full(len(data), sd) for q, sd in typical.items() if q in data.readings}
+    return replace(data, sds=sds) if typical else data
 
 
-def in_shares(driven: Dataset, everything: Dataset) -> Array:
-    """Readings (j, N) in shares of their ranges over all candidates."""
-    rows = []
-    for q, values in driven.readings.items():
-        every = everything.readings[q]
-        span = float(np.ptp(every)) if len(every) else 0.0
-        if span > 0.0 and math.isfinite(span):
-            rows.append(values / span)
-    return np.array(rows).reshape(-1, len(driven))
+def in_shares(driven: Dataset) -> Array:
+    """Readings (j, N) in shares of their ranges."""
+    spans = {q: float(np.ptp(v)) for q, v in driven.readings.items()}
+    shares = [driven.readings[q] / s for q, s in spans.items() if s > 0.0 and math.isfinite(s)]
+    return np.array(shares).reshape(-1, len(driven))

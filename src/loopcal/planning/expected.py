@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,8 +55,7 @@ def expected_curve(
     draw: Information, names: Sequence[str], chosen: Sequence[int], how: Criterion
 ) -> tuple[Expected, ...]:
     """After 1, 2, ... of the chosen poses, the one that lowers the criterion most always next."""
-    some = np.array(chosen)
-    sub = _only(draw, some)
+    sub = replace(draw, rows=draw.rows[list(chosen)])
     search = Search([sub], how)
     curve = []
     for count in range(1, len(chosen) + 1):
@@ -73,8 +73,7 @@ def to_validate(
     None where the others would not determine the parameters.
     """
     marked: list[int] = []
-    some = np.array(chosen)
-    subs = [_only(d, some) for d in draws]
+    subs = [replace(d, rows=d.rows[list(chosen)]) for d in draws]
     left = list(range(len(chosen)))
     for _ in range(round(SHARE * len(chosen))):
         costs = [
@@ -83,7 +82,7 @@ def to_validate(
         ]
         best = left[int(np.argmin(costs))]
         left.remove(best)
-        marked.append(int(some[best]))
+        marked.append(chosen[best])
     return frozenset(marked)
 
 
@@ -121,15 +120,3 @@ def _equivalent(sizes: Array, means: list[float], target: float) -> int | None:
             share = math.log(means[i - 1] / target) / math.log(means[i - 1] / mean)
             return round(float(sizes[i - 1] * (sizes[i] / sizes[i - 1]) ** share))
     return None
-
-
-def _only(draw: Information, some: Collection[int] | Array) -> Information:
-    return Information(
-        draw.rows[np.asarray(some)],
-        draw.start,
-        draw.tests,
-        draw.root,
-        draw.nuisance,
-        draw.interest,
-        draw.ridge,
-    )

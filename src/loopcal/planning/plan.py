@@ -99,7 +99,7 @@ def plan(
         count = poses + (0 if existing is None else len(existing))
         mechanism = structured(mechanism, discrepancy=vectors_for(count))
     with one_blas_thread():
-        measured = None if existing is None else _measured(mechanism, existing, sensor_noise)
+        measured = None if existing is None else measured_poses(mechanism, existing, sensor_noise)
         if measured is not None:
             mechanism = measured.start
         pool = _pool(mechanism, candidates, existing, settings)
@@ -111,8 +111,9 @@ def plan(
 
 
 @dataclass(frozen=True, eq=False)
-class _Measured:
-    """Poses already measured, closed at the mechanism with its instruments placed."""
+class Measured:
+    """Poses already measured; corrections: that close their loops; start: the mechanism with its
+    instruments placed."""
 
     problem: Problem
     corrections: Array
@@ -143,11 +144,12 @@ def _criterion(mechanism: Mechanism, stated: str | None) -> Criterion:
     return how  # type: ignore[return-value]
 
 
-def _measured(mechanism: Mechanism, existing: Dataset, noise: Noise) -> _Measured:
+def measured_poses(mechanism: Mechanism, existing: Dataset, noise: Noise) -> Measured:
+    """Poses already measured, as a plan adds to them."""
     machine, data = with_model(mechanism, existing, noise)
     problem = started(machine, data, noise, "auto")
     values = dict(zip(machine.parameters.names, problem.start.tolist(), strict=True))
-    return _Measured(problem, closed_corrections(problem), mechanism.with_nominal(values))
+    return Measured(problem, closed_corrections(problem), mechanism.with_nominal(values))
 
 
 def _pool(
@@ -166,7 +168,7 @@ def _pool(
 def pooled(
     mechanism: Mechanism,
     pool: Candidates,
-    measured: _Measured | None,
+    measured: Measured | None,
     noise: Noise,
     settings: PlanSettings,
 ) -> Pooled:
@@ -209,9 +211,11 @@ def _tests(mechanism: Mechanism, pool: Candidates, settings: PlanSettings) -> Da
     return pool.driven.take(pool.even[index])
 
 
-def _problem(mechanism: Mechanism, driven: Dataset, noise: Noise, like: Dataset | None) -> Problem:
+def _problem(
+    mechanism: Mechanism, driven: Dataset, noise: Noise, typical: Mapping[str, float]
+) -> Problem:
     closed = stated_candidates(mechanism, driven, PlanSettings()).closed
-    return as_problem(mechanism, with_sds(closed, like), noise)
+    return as_problem(mechanism, with_sds(closed, typical), noise)
 
 
 def as_problem(mechanism: Mechanism, closed: Dataset, noise: Noise) -> Problem:
@@ -224,11 +228,11 @@ def _at(
     mechanism: Mechanism,
     pool: Candidates,
     tests: Dataset,
-    measured: _Measured | None,
+    measured: Measured | None,
     noise: Noise,
 ) -> _Drawn:
-    like = None if measured is None else typical_sds(measured.problem)
-    problem = _problem(mechanism, pool.driven, noise, like)
+    typical = {} if measured is None else typical_sds(measured.problem)
+    problem = _problem(mechanism, pool.driven, noise, typical)
     rows = rows_of(problem, problem.start, np.zeros(problem.readings.shape))
     before = np.empty((0, *rows.shape[1:]))
     if measured is not None:
@@ -238,7 +242,7 @@ def _at(
         )
     T = np.empty((0, 1, rows.shape[2]))
     if mechanism.outputs:
-        at = _problem(mechanism, tests, noise, like)
+        at = _problem(mechanism, tests, noise, typical)
         T = end_point_rows(at, at.start, at.readings, at.pose_constants)
     roles = [mechanism.roles.get(n, "placement") for n in problem.names]
     counts = np.array([role not in ("placement", "model error") for role in roles])
@@ -253,7 +257,7 @@ def _depends(
     """Whether a draw of the parameters changes what these candidates say."""
     if not within_reach(other, pool.driven).all():
         return True
-    problem = _problem(other, pool.driven, noise, None)
+    problem = _problem(other, pool.driven, noise, {})
     rows = rows_of(problem, problem.start, np.zeros(problem.readings.shape))
     nominal_rows = first.rows[some] @ first.information.root
     drawn_rows = rows @ first.information.root
@@ -273,7 +277,7 @@ def _planned(
     bound = certificate(made.draws, chosen, how)
     curve = expected_curve(draw, names, chosen, how)
     marked = to_validate(made.draws, chosen, how)
-    shares = in_shares(pool.driven, pool.driven)[:, chosen]
+    shares = in_shares(pool.driven)[:, chosen]
     order = route(shares)
     way, before = travel(shares, order), travel(shares, list(range(len(chosen))))
     taken = pool.take([chosen[i] for i in order])

@@ -13,13 +13,12 @@ from loopcal.errors import InputError
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.plan_settings import PlanSettings
-from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.chain import frames, product
 from loopcal.mechanisms.mechanism import Family, Mechanism
-from loopcal.mechanisms.outputs import POLAR, point_outputs, points
-from loopcal.mechanisms.placement import rigid
+from loopcal.mechanisms.outputs import POLAR, cartesian_slopes, point_outputs, points
+from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.skeleton import target_names
 from loopcal.mechanisms.station import Station
-from loopcal.planning.information import cartesian_slopes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -98,10 +97,7 @@ def _base(mechanism: Mechanism, family: Family) -> Array:
     if not isinstance(station, Station):
         return np.eye(4)
     values = {p.name: p.nominal for p in mechanism.parameters}
-    shift = np.array([[float(v)] for v in station.seen(np.zeros(3), values)])
-    axes = [np.array(station.seen(axis, values), dtype=float) for axis in np.eye(3)]
-    R = np.array(axes).T - shift
-    return np.asarray(np.linalg.inv(rigid(R, shift[:, 0])))
+    return inverse(product(station.steps, {}, values))
 
 
 def _moved(T: Array, at: Array) -> Array:
@@ -113,28 +109,10 @@ def _moved(T: Array, at: Array) -> Array:
 def _links(mechanism: Mechanism, data: Dataset) -> list[Array]:
     """The joints (3, N) of a serial arm from its base on; none of other machines."""
     values = {p.name: p.nominal for p in mechanism.parameters}
-    T = np.broadcast_to(np.eye(4), (len(data), 4, 4))
-    joints: list[Array] = []
-    for step in mechanism.chain:
-        if step.joint is not None:
-            joints.append(T[:, :3, 3].T)
-        T = T @ _transforms(step, data, values)
-    return [*joints, T[:, :3, 3].T] if joints else []
-
-
-def _transforms(step: Step, data: Dataset, values: Mapping[str, float]) -> Array:
-    """One step in every pose, (N, 4, 4)."""
-    amount = np.broadcast_to(step.amount(data.readings, values), len(data))
-    T = np.repeat(np.eye(4)[None], len(data), axis=0)
-    i = "xyz".index(step.motion[1])
-    if step.motion[0] == "t":
-        T[:, i, 3] = amount
-        return T
-    j, k = (i + 1) % 3, (i + 2) % 3
-    T[:, j, j] = T[:, k, k] = np.cos(amount)
-    T[:, k, j] = np.sin(amount)
-    T[:, j, k] = -T[:, k, j]
-    return T
+    *ahead, (_, tip) = frames(mechanism.chain, data.readings, values)
+    pairs = zip(mechanism.chain, ahead, strict=True)
+    joints = [origin.T for step, (_, origin) in pairs if step.joint is not None]
+    return [*joints, tip.T] if joints else []
 
 
 def _incidence(
@@ -172,11 +150,8 @@ def _incidence(
 def _forbidden(mechanism: Mechanism, rows: Dataset, data: Dataset) -> Mask:
     units = {**mechanism.quantities, **mechanism.pose_constants}
     shared = [q for q in rows.readings if q in data.readings and q not in mechanism.outputs]
-    forbidden = np.zeros(len(data), dtype=bool)
-    for i in range(len(rows)):
-        near = np.ones(len(data), dtype=bool)
-        for q in shared:
-            gap = np.abs(data.readings[q] - rows.readings[q][i])
-            near &= ~(gap > NEAR.get(units[q], 1e-3))
-        forbidden |= near
-    return forbidden
+    near = np.ones((len(data), len(rows)), dtype=bool)
+    for q in shared:
+        gap = np.abs(data.readings[q][:, None] - rows.readings[q])
+        near &= ~(gap > NEAR.get(units[q], 1e-3))
+    return np.asarray(near.any(axis=1))

@@ -19,6 +19,7 @@ from loopcal.pose_performance.intervals import (
     NormalScatter,
     length_interval,
     repeatability,
+    size_interval,
 )
 from loopcal.pose_performance.parts import Block, Drift
 
@@ -97,9 +98,8 @@ def _change_of_accuracy(first: Array, last: Array, common: Array) -> Estimate:
     by_scatter = sum(float(a @ S @ a) for a, S in zip(u, scatters, strict=True))
     # An error common to both blocks moves the lengths by u_1 . e and u_0 . e.
     shared = float((u[1] - u[0]) @ common @ (u[1] - u[0]))
-    return _difference(
-        lengths[1] - lengths[0], by_scatter, by_scatter + shared, min(len(first), len(last)) - 1
-    )
+    degrees = min(len(first), len(last)) - 1.0
+    return size_interval(lengths[1] - lengths[0], by_scatter, by_scatter + shared, degrees)
 
 
 def _change_of_repeatability(first: Array, last: Array) -> Estimate:
@@ -111,12 +111,5 @@ def _change_of_repeatability(first: Array, last: Array) -> Estimate:
         variance += (
             figure.value**2 / (2.0 * scatter.degrees(len(part))) if scatter.sd > 0.0 else 0.0
         )
-    return _difference(
-        figures[1].value - figures[0].value, variance, variance, min(len(first), len(last)) - 1
-    )
-
-
-def _difference(value: float, by_scatter: float, whole: float, degrees: int) -> Estimate:
-    return length_interval(
-        np.array([value]), np.array([[whole]]), np.array([[by_scatter]]), float(degrees)
-    )
+    degrees = min(len(first), len(last)) - 1.0
+    return size_interval(figures[1].value - figures[0].value, variance, variance, degrees)

@@ -14,6 +14,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.statistics.candidates import NOMINAL
 from loopcal.statistics.tolerance import Quantile, kept
 
+# Record 0054.
 NEAR_ONLY = 3.0
 """Predicted sd in the working region over that at the measured poses from which a result is valid
 near these poses only: that of the alarm of single predictions."""

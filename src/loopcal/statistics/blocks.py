@@ -16,7 +16,9 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.folds import Index, Parts, Scheme, driven
 
 Array = NDArray[np.float64]
+# Chosen, not derived: k-means ends at a local optimum, and more starts cost time.
 _STARTS = 20
+# Chosen, not derived: a region of few poses says little, and its rms counts as much.
 _SMALLEST = 1 / 3
 """A clustering whose smallest block has less than this share of an even one is a poor choice."""
 

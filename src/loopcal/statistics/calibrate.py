@@ -14,7 +14,6 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case
-from loopcal.statistics.verdict import judged_result
 
 if TYPE_CHECKING:
     from loopcal.statistics.folds import Scheme
@@ -74,17 +73,15 @@ def calibrate(
     asked, stated_noise = Fit.of(fit, options), Noise.of(noise)
     if not asked.method.choice:
         _refuse_sharing(asked, scheme, executor)
-        result = calibrate_by_method(
+        return calibrate_by_method(
             mechanism, data, noise=stated_noise, fit=asked, progress=progress
         )
-        return result.adding(judge=judged_result)
     from loopcal.statistics.choice import choose
 
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
     case = Case(mechanism, data, stated_noise, asked)
-    result = choose(case, scheme, executor, iterated=progress).calibrated
-    return result.adding(judge=judged_result)
+    return choose(case, scheme, executor, iterated=progress).result
 
 
 def _refuse_sharing(fit: Fit, scheme: Scheme | None, executor: Executor | None) -> None:

@@ -38,10 +38,13 @@ from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_sys
 from loopcal.statistics.run_order import order_by_joints, path_cosines
 
 Array = NDArray[np.float64]
+# Chosen, not derived: time and memory of the search.
 MOST_POSES = 5000
 """More poses are not searched: parts of a long run can be."""
+# Chosen, not derived: fewer poses are outliers, which have tests of their own.
 LEAST = 5
 """Poses between two changes, and before the first and after the last."""
+# Record 0054: p-value of a single test.
 UNREMARKABLE = 1e-3
 """A pose that is at least so probable fits."""
 # Six cosines, R^2 of 0.5 and e^10 below: record 0051.
@@ -53,6 +56,7 @@ it is one of an instrument."""
 _RARE = 10.0
 """By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
 the last joint does the same, and does it more often."""
+# A factor of e^7, about 1000, in p: chosen, not derived.
 _ALIKE = 7.0
 """An alternative whose log p is within this of the best explains the change about as well."""
 
@@ -93,6 +97,7 @@ class Shifts:
         return [f"shifts: {len(self.found)} ({rule})", *points]
 
 
+# The level is that of the search, 1 % family-wise (record 0051).
 NOT_SEARCHED = Shifts((), 0.01, 0)
 
 
@@ -138,7 +143,7 @@ def find_shifts(result: Result, *, level: float = 0.01, most: int = 8) -> Shifts
     if result.all_poses is not None or not 4 * LEAST <= count <= MOST_POSES:
         return replace(NOT_SEARCHED, level=level)
     with one_blas_thread():
-        return result.remembered(("shifts", level, most), lambda: _Search(result, level).run(most))
+        return _Search(result, level).run(most)
 
 
 def apart(point: ChangePoint, points: Sequence[ChangePoint]) -> bool:

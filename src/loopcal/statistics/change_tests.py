@@ -44,17 +44,24 @@ Array = NDArray[np.float64]
 # Record 0053.
 _MOST = 3
 """Changes that are sought; with more the machine is calibrated anew."""
+# Chosen, not derived: a cap, and a step that changes no p-value.
 _ROUNDS, _SETTLED = 8, 1e-3
 """Linearisations of accepted changes, and the step [sds] that ends them."""
+# Chosen, not derived: each candidate costs linearisations; the likeliest come first.
 _TRIED = 3
+# Chosen, not derived: a candidate that does not halve it is not the cause.
 _HALVED = 0.5
 """What a linearisation leaves of the misfit, for the next one of a candidate that is compared."""
+# Chosen, not derived: what helps less may be chance. `analyses.what_changed` counts what is named.
 _HELPED, _EXPLAINED = 0.9, 0.1
 """What one change, and all together, leave at most of a misfit that stays gross."""
+# Chosen, not derived: a variance from fewer is unsure by more than its half.
 _ENOUGH = 5
 """Degrees of freedom from which the poses show their own variance."""
+# A change of 1000 sds would show as one sd. Chosen, not derived.
 _VISIBLE = 1e-6
 """Share of a column that the placement leaves, below which these poses do not show the change."""
+# Chosen, not derived: far above rounding, far below two columns that differ.
 _SAME = 1e-6
 """1 - |correlation| of two columns that are one."""
 _TESTED = {*GEOMETRY, "mounting"}

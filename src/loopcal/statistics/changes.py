@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from loopcal.document.change_points import ChangePoint, ChangePoints, when
 from loopcal.document.findings import Outlier
-from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.model_error import modelled
@@ -30,6 +29,7 @@ from loopcal.statistics.shifted import shift_lines, with_shifts
 # CERTAIN and MOST_OUTLIERS: record 0051.
 CERTAIN = 1e-6
 """Changes of so small a p-value, corrected for the search, are modelled; such poses discarded."""
+# Chosen, not derived: each further search costs a fit.
 ROUNDS = 2
 """Searches: the second on the fit with what the first found."""
 MOST_OUTLIERS = 0.03
@@ -74,14 +74,17 @@ class Changes:
             words += ", ".join(self.outliers)
         return words
 
-    def added_to(self, document: ResultDocument) -> ResultDocument:
-        """The document of a result of the case, with this."""
+    @property
+    def entry(self) -> ChangePoints | None:
+        """The changes that were modelled, as a document holds them; None without any."""
         if self.searched is None or not self.points:
-            return document
-        level, poses = self.searched.level, self.searched.tested
-        entry = ChangePoints(self.points, level, poses, self.toml)
-        discarded = tuple(self.outliers.values()) or None
-        return replace(document, change_points=entry, outliers=discarded)
+            return None
+        return ChangePoints(self.points, self.searched.level, self.searched.tested, self.toml)
+
+    @property
+    def discarded(self) -> tuple[Outlier, ...]:
+        """The outliers that were left out beside modelled changes."""
+        return tuple(self.outliers.values()) if self.entry else ()
 
 
 def unchanged(case: Case) -> Changes:

@@ -59,6 +59,7 @@ Array = NDArray[np.float64]
 # As in the search for change points (record 0051).
 FOLLOWED = 0.5
 """Share of the order of the poses from which a drift looks like an error of the machine."""
+# Chosen, not derived: a rule of thumb; below, residuals follow the model more than the noise.
 FEW = 3.0
 """Loop equations per parameter below which there is little to check the model against."""
 

@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.choice import Candidate, Chosen, beats
-from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.contradiction import CODE as CONTRADICTED
@@ -63,9 +62,11 @@ Array = NDArray[np.float64]
 # Record 0047.
 FOLDS, BLOCKS, FEWEST = 10, 5, 25
 """Parts at random, regions, and the different poses from which on regions are left out."""
+# Chosen, not derived: it saves half the fits of a candidate that is far behind.
 HOPELESS = 3.0
 """A costly candidate is discarded halfway whose rms is so many times that of the best, on poses at
 random and on regions."""
+# Chosen, not derived: a mean over fewer may be one over easy poses.
 _LEAST = 0.5
 """A candidate must predict this share of the poses."""
 
@@ -92,34 +93,11 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """What was chosen, over what, by how much; result: of the chosen candidate, which knows it;
-    changes: what happened during the run."""
+    """result: of the chosen candidate, with what was chosen, over what, by how much, and what
+    happened during the run, as its parts; validation: of that candidate."""
 
-    method: str
     result: Result
-    chosen: Chosen
     validation: Validation | None
-    nominal: Result | None
-    changes: Changes | None = None
-
-    @property
-    def calibrated(self) -> Result:
-        """The result of the chosen candidate, which tells of the choice."""
-        return self.result.adding(self.added_to)
-
-    def added_to(self, document: ResultDocument) -> ResultDocument:
-        """The document of the chosen candidate's result, with this."""
-        accuracy = document.accuracy
-        if accuracy is not None:
-            placed = self.nominal and self.nominal.accuracy_after
-            accuracy = replace(
-                accuracy,
-                nominal=placed.distances if placed else None,
-                noise_floor=noise_floor(self.result),
-            )
-        document = replace(document, method=self.method, chosen=self.chosen, accuracy=accuracy)
-        document = self.changes.added_to(document) if self.changes else document
-        return self.validation.added_to(document) if self.validation else document
 
 
 @one_blas_thread()  # candidates share the process: else its threads would differ from run to run
@@ -149,8 +127,7 @@ def choose(
         whole = judged[-1].whole
         if whole is not None and whole.faults:  # no candidate is of use
             words = f"{entrant.name}; nothing was compared: the file is at fault"
-            none = Chosen(entrant.name, (), words, ())
-            return Choice(case.fit.method.name, whole, none, None, None)
+            return Choice(_chosen(case, whole, Chosen(entrant.name, (), words, ())), None)
     case = replace(case, trusted=True)
     judged, run_changes, by = _searched(case, judged, [_begun(e, None) for e in waiting], iterated)
     near = next((one.whole for one in judged if one.whole and not one.failed), None)
@@ -172,15 +149,29 @@ def choose(
     _refuse(judged)
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
-    choice = replace(_choice(case, judged, plan), changes=run_changes)
-    words = choice.chosen.words + run_changes.words()
+    taken, chosen, validation = _choice(judged, plan, len(case.data))
+    assert taken.whole is not None
     exact = (one.failed for one in judged if one.error and one.error.code == CONTRADICTED)
-    chosen = replace(choice.chosen, words=words, contradicted=next(exact, None))
-    choice = replace(choice, chosen=chosen)
-    if other is None:
-        return choice
-    taken = next(one.entrant.case for one in judged if one.name == choice.chosen.method)
-    return replace(choice, validation=validated(taken, choice.result, other))
+    words = chosen.words + run_changes.words()
+    chosen = replace(chosen, words=words, contradicted=next(exact, None))
+    if other is not None:
+        validation = validated(taken.entrant.case, taken.whole, other)
+    nominal = next((one.whole for one in judged if one.entrant.drawn and not one.failed), None)
+    placed = nominal and nominal.accuracy_after
+    result = _chosen(case, taken.whole, chosen).with_parts(
+        nominal=placed and placed.distances,
+        change_points=run_changes.entry,
+        discarded=run_changes.discarded,
+        validation=validation and validation.entry,
+    )
+    return Choice(result, validation)
+
+
+def _chosen(case: Case, result: Result, chosen: Chosen) -> Result:
+    """The result of a candidate, with what is told of its choice."""
+    return result.with_parts(
+        method=case.fit.method.name, chosen=chosen, noise_floor=noise_floor(result)
+    )
 
 
 def _refuse(judged: Sequence[Judged]) -> None:
@@ -402,8 +393,10 @@ def _risk(one: Judged, plan: Plan, poses: int) -> Array:
     return risks
 
 
-def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
-    nominal = next((one.whole for one in judged if one.entrant.drawn and not one.failed), None)
+def _choice(
+    judged: Sequence[Judged], plan: Plan | None, poses: int
+) -> tuple[Judged, Chosen, Validation | None]:
+    """The candidate that is taken, what is told of the choice, and its validation."""
     if plan is None or not any(one.made for one in judged if not one.entrant.drawn):
         taken = _unvalidated(judged)
         assert taken.whole is not None
@@ -414,9 +407,8 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
                 "there are too few different poses" if plan is None else "fits without some failed"
             )
         words = f"{taken.name}; not validated: {why}"
-        chosen = Chosen(taken.name, _terms(taken), words, tuple(map(_bare, judged)))
-        return Choice(case.fit.method.name, taken.whole, chosen, None, nominal)
-    risks = {one.name: _risk(one, plan, len(case.data)) for one in judged if one.made}
+        return taken, Chosen(taken.name, _terms(taken), words, tuple(map(_bare, judged))), None
+    risks = {one.name: _risk(one, plan, poses) for one in judged if one.made}
     taken = _taken([one for one in judged if one.made], risks, plan)
     assert taken.whole is not None
     validations = {
@@ -443,8 +435,7 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
         if one.made and _score(risks[one.name]) < _score(risks[taken.name])
     ]
     words = _words(over, "" if best is None else best.unit, better)
-    chosen = Chosen(taken.name, _terms(taken), words, tuple(over))
-    return Choice(case.fit.method.name, taken.whole, chosen, validations[taken.name], nominal)
+    return taken, Chosen(taken.name, _terms(taken), words, tuple(over)), validations[taken.name]
 
 
 def _tell_order(judged: Sequence[Judged], ordered: Sequence[Judged], over: list[Candidate]) -> None:

@@ -21,9 +21,13 @@ from loopcal.small_samples import f_tail, t_quantile
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
+# The level that the pages state (docs/explanation/comparison.md, `analyses.compared`).
 SIGNIFICANT = 0.05
+# Chosen, not derived: beyond, what one calibration holds where the other measured rests on its
+# prior.
 FAR = 2.0
 """Regions differ where one calibration is so many times less certain in that of the other."""
+# Chosen, not derived: what fits a line.
 _NAMED = 3
 
 

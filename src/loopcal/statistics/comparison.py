@@ -59,8 +59,10 @@ from loopcal.statistics.compared import (
 from loopcal.statistics.gauge import carried, changes, difference, gauge, moved, values_of
 
 Array = NDArray[np.float64]
+# Chosen, not derived: covariances of poses by pairs; time and memory.
 MOST_POSES = 500
 """Common poses from each calibration, evenly thinned."""
+# Record 0066: Bancroft and Han (1977).
 _CHOOSES = 0.25
 """p-value below which the poses scatter more than the sds allow."""
 _RANK = 1e-12

@@ -10,7 +10,6 @@ from typing import Any
 from loopcal.document.accuracy import Distances
 from loopcal.document.change_points import ChangePoints
 from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
-from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -24,7 +23,7 @@ from loopcal.statistics.moved_by import sized
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
-from loopcal.statistics.outliers import Outliers, find_columns, find_outliers, find_poses
+from loopcal.statistics.outliers import Outliers, find_columns, find_poses, of_file
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
 from loopcal.statistics.region import Span, region_of
 from loopcal.statistics.reliability import ReadingReliability, reliability
@@ -57,32 +56,6 @@ class Findings:
     reliability: ReadingReliability | None = None
     scatter: Scatter | None = None
 
-    def added_to(self, document: ResultDocument) -> ResultDocument:
-        """The document of the result with these figures."""
-        shifts, accuracy = self.shifts, document.accuracy
-        moved = ChangePoints(shifts.found, shifts.level, shifts.tested, self.toml, shifts.unsure)
-        if accuracy is not None:
-            nominal = accuracy.nominal or self.nominal
-            accuracy = replace(accuracy, nominal=nominal, noise_floor=self.noise_floor)
-        return replace(
-            document,
-            accuracy=accuracy,
-            covariance=document.covariance
-            if self.scatter is None
-            else self.scatter.added_to(document.covariance),
-            change_points=moved,
-            identifiability=self.identifiability.added_to(document.identifiability),
-            observability=self.observability,
-            prediction=None
-            if self.predictor is None
-            else replace(self.predictor.entry, region=self.region),
-            outliers=self.outliers.found,
-            outlier_tests=self.outliers.tests,
-            reliability=None if self.reliability is None else self.reliability.entry,
-            column_faults=self.outliers.columns,
-            other_optima=self.optima,
-        )
-
     def words(self) -> str:
         """For the summary: one line each."""
         lines = [self.observability.words(), self.identifiability.index.words()]
@@ -105,21 +78,13 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
     solution = result.solution
     with one_blas_thread():
         prediction = predictor(result)
-        # side by side: the result keeps what they find
-        asked: tuple[Callable[[Result], object], ...] = (
-            find_columns,
-            find_poses,
-            _documented,
-            _shifts,
-        )
-        for heard in gathered(process_cores(), _asked, result, asked):
-            result.memory.update(heard.pop("memory"))
-            vars(result).update(heard)
-        outliers, shifts = find_outliers(result), _shifts(result)
-        if outliers.columns:
-            shifts = NOT_SEARCHED
-        earlier = result.document.change_points or ChangePoints((), shifts.level, 0)
-        modelled, discarded = earlier.found, result.document.outliers or ()
+        searches: tuple[Callable[[Result], Any], ...] = (find_columns, find_poses, _shifts)
+        columns, outliers, shifts = gathered(process_cores(), _searched, result, searches)
+        if columns:
+            outliers, shifts = of_file(columns), NOT_SEARCHED
+        parts = result.parts
+        earlier = parts.change_points or ChangePoints((), shifts.level, 0)
+        modelled = earlier.found
         new = tuple(sized(result, p) for p in shifts.found if apart(p, modelled))
         toml = earlier.toml + shift_lines(result.dataset, new)
         shifts = replace(shifts, found=tuple(sorted((*modelled, *new), key=lambda p: p.number)))
@@ -134,32 +99,26 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
             ),
             observability(result.information, solution.poses),
             prediction,
-            replace(outliers, found=(*discarded, *remaining)),
+            replace(outliers, found=(*parts.discarded, *remaining)),
             shifts,
             toml,
             () if result.all_poses is not None else other_optima(result),
             None if prediction is None else region_of(result, prediction, region),
-            None if result.all_poses is not None or result.chosen else nominal_distances(result),
+            None if result.all_poses is not None or parts.chosen else nominal_distances(result),
             None if result.all_poses is not None else noise_floor(result),
             reliability(result),
             scatter(result),
         )
 
 
-def _asked(result: Result, what: Callable[[Result], object]) -> dict[str, Any]:
-    """What the result holds afterwards: a copy of it may have been asked, in another process."""
-    what(result)
-    return dict(vars(result))
+def _searched(result: Result, search: Callable[[Result], Any]) -> Any:
+    return search(result)
 
 
 def _shifts(result: Result) -> Shifts:
     """What changed during the run, where no column is at fault."""
     able = result.status.converged and not result.faults
     return find_shifts(result) if able else NOT_SEARCHED
-
-
-def _documented(result: Result) -> None:
-    _ = result.document
 
 
 def _unit_sd(result: Result) -> float | None:

@@ -20,8 +20,10 @@ from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
 
 Index = NDArray[np.intp]
+# Chosen, not derived: controllers return to a pose within less, people choose poses farther apart.
 SAME = 1e-4
 """Driven readings that differ by no more than this share of their range are one pose, repeated."""
+# Two readings of one pose differ by more than 4 sds in 0.5 % of the cases, by sqrt(2) in sd.
 NOISY, MOST = 4.0, 0.01
 """The same holds for a difference of so many sds, but at most of this share of the range."""
 

@@ -28,9 +28,12 @@ from loopcal.units import from_si
 Array = NDArray[np.float64]
 SCHROER = 100.0
 """Condition number of the scaled system up to which poses are good. Schroer (1993)."""
+# Shares of the variance that the data took away: a tenth, and a half.
 SAYS_NOTHING, SAYS_LITTLE = 0.95, 0.7
 """Posterior over prior sd from which on the data said nothing, or little."""
+# Chosen, not derived: a tenth of the square of the largest, and what fits a line.
 _LEADING, _MOST_NAMED = 0.3, 4
+# Within 18 degrees. Chosen, not derived: a scale with small other parts is still one.
 _SAME = 0.95
 """Cosine from which on a direction is that of the size."""
 

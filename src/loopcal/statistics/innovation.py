@@ -37,10 +37,12 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import DETERMINED, Replaced
 
 Array = NDArray[np.float64]
+# Chosen, not derived: far above rounding, far below a step that counts.
 _UNSEEN = 1e-9
 """An undetermined step that moves the loops by less of what its parts move does not count."""
 _TAKEN_UP = 1e-6
 """A share of a pose's variance that is rounding: the placement takes up all of it."""
+# The mean is nu / (nu - 2), here 11 at most: chosen, not derived.
 _FEWEST = 2.2
 """Degrees of freedom, at least: below 2 the mean of F has no bound."""
 

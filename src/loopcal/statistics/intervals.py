@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.fit import IntervalEntry
-from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.problem.problem import Problem
@@ -39,11 +38,15 @@ from loopcal.mechanisms.parameters import matching
 from loopcal.small_samples import t_quantile
 
 Array = NDArray[np.float64]
+# Chosen, not derived: a tenth of a half width changes no decision.
 DIFFERS = 0.1
 """Share of the half width by which an end may differ before the interval is marked."""
+# Chosen, not derived: a hundredth of what DIFFERS looks at.
 _CLOSE = 1e-3
 """The root is found when the rise is right to this much of a standard deviation."""
+# Chosen, not derived: a cap.
 _MOST = 30
+# Chosen, not derived: an interval that ends farther out is open for any use.
 _FARTHEST = 1e3
 """Sds out to which a profile is followed."""
 
@@ -71,18 +74,11 @@ class Interval:
         return IntervalEntry(self.level, *ends, self.differs)
 
 
-def with_intervals(
-    document: ResultDocument, intervals: Mapping[str, Interval | None]
-) -> ResultDocument:
-    """The document of a result with the intervals of its parameters; None: nothing bounds one."""
+def interval_entries(intervals: Mapping[str, Interval | None]) -> dict[str, IntervalEntry]:
+    """As a document holds them; None: nothing bounds a parameter."""
     level = next((i.level for i in intervals.values() if i is not None), 0.95)
     unbounded = IntervalEntry(level, (None, None), (None, None), differs=False)
-    entries = {name: unbounded if i is None else i.entry for name, i in intervals.items()}
-    parameters = tuple(
-        replace(p, interval=entries[p.name]) if p.name in entries else p
-        for p in document.parameters
-    )
-    return replace(document, parameters=parameters)
+    return {name: unbounded if i is None else i.entry for name, i in intervals.items()}
 
 
 def covariance_interval(result: Result, name: str, level: float = 0.95) -> Interval | None:

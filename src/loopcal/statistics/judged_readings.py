@@ -11,8 +11,10 @@ from loopcal.presentation.rounding import significant
 # Record 0054.
 RARE = 1e-3
 """p-value of a single test from which a result is not sound: several tests are made."""
+# Half as large in sd, a quarter in the square.
 LOOSE = 0.25
 """Chi-squared per degree of freedom of sds twice as large as the readings show."""
+# Chosen, not derived: 3 mm of a metre, more than the noise of any instrument here.
 SIZE = 3e-3
 """Relative sd of a size that only priors determine from which on its bias counts."""
 

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from loopcal.document.accuracy import ModelEntry
 from loopcal.document.plain import finite
-from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import model_table, recommendation
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.fit import Fit
@@ -38,11 +37,11 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case
 from loopcal.statistics.folds import Scheme, grouped, stated_sds
 from loopcal.statistics.validation import Asked, Validation, ValidationOptions, validated
-from loopcal.statistics.verdict import judged_result
 
 Array = NDArray[np.float64]
 GEOMETRIC = "geometric"
 """The model without effects, always among those compared."""
+# Record 0013: Sivula, Magnusson and Vehtari (2020).
 ERRORS, LEAST = 2.0, 4.0
 """A model is refused that is behind by more than so many standard errors and by more than this."""
 
@@ -110,11 +109,6 @@ class ModelComparison:
         """Why this model."""
         return recommendation(self.entries)
 
-    def added_to(self, document: ResultDocument) -> ResultDocument:
-        """The document of the result with the recommended model, with this."""
-        document = replace(document, models=self.entries)
-        return self.validation.added_to(document) if self.validation else document
-
     def __str__(self) -> str:
         validation = self.validation
         unit = validation.accuracy.unit if validation and validation.accuracy else ""
@@ -176,9 +170,10 @@ def compare_models(
         raise errors[0]
     judged = _judged(compared, _groups(shared, asked.scheme))
     chosen = recommended(judged)
-    validation = next(m.validation for m in judged if m.name == chosen)
-    result = replace(fits[chosen], judge=partial(judged_result, validation=validation))
-    return ModelComparison(tuple(judged), chosen, result)
+    comparison = ModelComparison(tuple(judged), chosen, fits[chosen])
+    validation = comparison.validation and comparison.validation.entry
+    result = comparison.result.with_parts(models=comparison.entries, validation=validation)
+    return replace(comparison, result=result)
 
 
 def _validated(one: ComparedModel, fit: Result, run: Callable[[], Validation]) -> ComparedModel:

@@ -33,7 +33,7 @@ def noise_floor(result: Result) -> float | None:
     unknown = result.fit.solver.exact and result.inherited is None
     if unknown or not result.mechanism.outputs:
         return None
-    return result.remembered("noise floor", lambda: _floor(result))
+    return _floor(result)
 
 
 def excess(result: Result) -> float | None:

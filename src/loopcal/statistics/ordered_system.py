@@ -27,8 +27,11 @@ from loopcal.mechanisms.structure.smooth import Smooth
 from loopcal.mechanisms.structure.structured import DISCREPANCY
 
 Array = NDArray[np.float64]
+# Chosen, not derived: from two sds on a pose counts less, in so many rounds of weights.
 _HUBER, _ROUNDS = 2.0, 3
+# By decades: over all sizes at first, then beside the last one. Chosen, not derived.
 _RATIOS, _BESIDE = 10.0 ** np.arange(-4.0, 5.0), 10.0 ** np.arange(-1.0, 2.0)
+# An sd from ten values is sure to 1 / sqrt(20) = 22 %: chosen, not derived.
 _ENOUGH = 10
 """Poses for each equation of a pose, from which their scatter is taken as it is."""
 _ABSORBED = 1e-4

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 SCALES = ("auto", "stated", "residual")
+# The level that the page states: docs/explanation/outliers.md.
 _LEVEL, _SCALE = 0.05, "auto"
 COLUMNS = "columns"
 """Under which a result remembers its columns that are wrong."""
@@ -107,28 +108,25 @@ def find_outliers(result: Result, *, level: float = _LEVEL, scale: str = _SCALE)
             remedy=f"choose one of {', '.join(SCALES)}",
         )
     columns = find_columns(result)
-    if columns:
-        return Outliers((), level, 0, 1.0, False, columns)
-    return find_poses(result, level, scale)
+    return of_file(columns, level) if columns else find_poses(result, level, scale)
+
+
+def of_file(columns: tuple[ColumnFault, ...], level: float = _LEVEL) -> Outliers:
+    """Of a file that is at fault as a whole: no single pose is tested."""
+    return Outliers((), level, 0, 1.0, False, columns)
 
 
 def find_columns(result: Result) -> tuple[ColumnFault, ...]:
     """Columns that are wrong as a whole, sought where the fit may be a bad one."""
-
-    def columns_at_fault() -> tuple[ColumnFault, ...]:
-        with one_blas_thread():
-            hopeless = Search(result, _LEVEL, _SCALE).hopeless()
-            return column_faults(result.problem) if hopeless else ()
-
-    return result.faults or result.remembered(COLUMNS, columns_at_fault)
+    if result.faults:
+        return result.faults
+    with one_blas_thread():
+        hopeless = Search(result, _LEVEL, _SCALE).hopeless()
+        return column_faults(result.problem) if hopeless else ()
 
 
 def find_poses(result: Result, level: float = _LEVEL, scale: str = _SCALE) -> Outliers:
     """As `find_outliers` where all columns are right."""
-    return result.remembered(("poses", level, scale), lambda: _poses(result, level, scale))
-
-
-def _poses(result: Result, level: float, scale: str) -> Outliers:
     with one_blas_thread():
         search = Search(result, level, scale)
         fit, gone, tests = search.run()

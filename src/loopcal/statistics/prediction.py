@@ -33,6 +33,7 @@ from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
 from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
 
 Array = NDArray[np.float64]
+# Record 0054: valid up to 3.
 ALARM = 3.0
 """Extrapolation: the parameters' part of the sd is more than so many times that at 95 % of the
 calibration poses."""

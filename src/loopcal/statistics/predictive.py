@@ -35,8 +35,10 @@ from loopcal.small_samples import LearntCovariance, f_limit
 from loopcal.statistics.same_run import Run, SameRun
 
 Array = NDArray[np.float64]
+# Chosen, not derived: far above rounding, far below an effect that counts.
 _UNPREDICTABLE = 1e-6
 """A direction that the fit left open moves a loop, beside the largest effect of any direction."""
+# The level that all pages state.
 LEVEL = 0.95
 """Stated probability of a region."""
 

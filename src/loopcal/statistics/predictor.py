@@ -29,7 +29,9 @@ from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.stored_covariance import stored_covariance
 
 Array = NDArray[np.float64]
+# The 95 % point over 2000 poses is sure to half a per cent of them: sqrt(0.95 x 0.05 / 2000).
 _MOST_POSES = 2000
+# Chosen, not derived: far above rounding, far below an effect that counts.
 _UNSEEN = 1e-6
 """An undetermined direction moves an output if more than this share of its single effects is
 left when they are added up."""
@@ -130,11 +132,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
     """
     stored, names = document.prediction, document.covariance.names
     if stored is None:
-        raise InputError(
-            f"{mechanism.name!r} has no outputs to predict: no instrument measures it",
-            code="no-outputs",
-            remedy="add the instrument whose readings are to be predicted, and calibrate again",
-        )
+        raise without_outputs(mechanism)
     readings = ReadingNoise.of(document.noise, document.noise_covariances, stored.unmeasured)
     if any(q in readings.sds and q not in mechanism.quantities for q in disturbances(mechanism)):
         mechanism = with_model_error(mechanism)
@@ -152,6 +150,15 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
         readings,
         usual,
         stored.typical,
+    )
+
+
+def without_outputs(mechanism: Mechanism) -> InputError:
+    """What to raise where predictions are asked of a machine that has no outputs."""
+    return InputError(
+        f"{mechanism.name!r} has no outputs to predict: no instrument measures it",
+        code="no-outputs",
+        remedy="add the instrument whose readings are to be predicted, and calibrate again",
     )
 
 

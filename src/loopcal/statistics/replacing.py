@@ -27,14 +27,17 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.predictive import unmeasured_corrections
 
 Array = NDArray[np.float64]
+# Chosen, not derived: a cap, and what shows which start is best.
 _STEPS, _ROUGHLY = 100, 4
 """Steps at most, and those that tell which of several starts is best."""
 _SETTLED = 1e-9
 """Share of the sum of squares: a step that promises to lower it by less is not taken."""
+# Chosen, not derived: of unit columns; a step is then shorter than rounding shows.
 _MOST_DAMPING = 1e12
 # A mean square is about 1 where machine and sds are right.
 ASTRAY, _STARTS = 100.0, 10
 """A mean square from which on a misfit is gross; then so many other starts are tried."""
+# Chosen, not derived: far above rounding, far below a direction that poses show.
 DETERMINED = 1e-9
 """Singular values so far below the largest are of directions that these poses do not show."""
 

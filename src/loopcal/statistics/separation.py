@@ -31,11 +31,13 @@ from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+# Chosen, not derived: an interval of two such sds reaches zero.
 _UNCERTAIN = 0.5
 """Relative sd of an sd from which on an upper bound says more."""
 # Places on one line leave the turn about it open.
 _SPREAD = 0.05
 """Places of which one direction spreads less than this beside another show no rotation."""
+# Chosen, not derived: drawings and placements are right to centimetres.
 _ELSEWHERE = 0.1
 """A machine that misses by more [m] has its directions wrong."""
 

@@ -29,12 +29,14 @@ from loopcal.statistics.judged_readings import (
     undetected,
 )
 
+# Chosen, not derived: one good data set of a hundred; `analyses.alarms` counts all codes together.
 _CHANCE = 0.01
 """Share of good data sets with a pose so far off; the search for outliers names more."""
 # Record 0054; `analyses.residual_outliers` counts the good poses that are named.
 _UNLIKE = 1.5
 """Where residuals are the scale, a good pose may have so many times the usual variance: errors of
 joints act through lever arms of unlike length. The log of a p-value falls in proportion."""
+# Chosen, not derived: less is within what single regions differ by.
 WORSE = 1.5
 """Rms on poses not used over rms on poses used that is called too large."""
 # Record 0054; `analyses.small_changes` counts what the regions then hold.
@@ -43,8 +45,10 @@ SMALL = 0.5
 # Half an sd beside one in quadrature: 0.25 / (1 + 0.25) = 0.2.
 LEAST_SHARE = 0.2
 """The share of the variance that adds half an sd to errors, as in SMALL."""
+# Chosen, not derived: what fits a line.
 _NAMED = 3
 """Change points that a finding names."""
+# Chosen, not derived: what fits a line.
 _MODELLED = 2
 """Learnt effects that a result names."""
 _GEOMETRY = ("lengths", "angles")

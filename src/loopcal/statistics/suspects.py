@@ -21,6 +21,7 @@ from loopcal.statistics.causes import Suspect
 from loopcal.statistics.outlier_search import Search
 from loopcal.statistics.pose_tests import Fitted, PoseTests, misfit_of_rows, try_rows
 
+# Record 0054: p-value of a single test.
 UNREMARKABLE = 0.001
 """A pose whose statistic has at least this probability is explained."""
 JOINTS = "the joints"

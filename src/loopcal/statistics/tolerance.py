@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 from loopcal.document.judgement import Fact, Figure, fact
 
 Array = NDArray[np.float64]
+# The share that all pages state.
 SHARE = 0.95
 """Of all poses that shall lie within the tolerance."""
+# The level that all pages state.
 CONFIDENCE = 0.95
 _NORMAL = 1.6448536269514722
 """The quantile of the standard normal distribution at `SHARE`."""
+# Two distances have an sd with one degree of freedom, whose bounds say nothing.
 _FEWEST = 3
 
 

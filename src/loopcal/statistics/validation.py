@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.accuracy import Coverage, FailedPart, ValidationEntry
-from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
 from loopcal.estimation.dependence.dependence import Drifting
@@ -58,6 +57,7 @@ Array = NDArray[np.float64]
 NEARLY = 1e-2
 """Where sds of terms are learnt, or weights are found in rounds, refits converge to so many sds: no
 prediction moves by more than a hundredth of its error."""
+# Chosen, not derived: far below what a prediction shows.
 ENOUGH = 1e-5
 """Elsewhere: no prediction moves by more than a hundred-thousandth of its error."""
 
@@ -92,12 +92,7 @@ class Validation:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Which parts could not be predicted, and why."""
-        sentences = tuple(
-            f"{'Block' if 'blocks' in self.scheme else 'Fold'} {part.number} of {self.parts} "
-            f"({part.poses} poses) is not validated: {part.reason}."
-            for part in self.failed
-        )
-        return sentences if self.blocked is None else (*sentences, *self.blocked.warnings)
+        return self.entry.warnings
 
     @property
     def coverage(self) -> Coverage | None:
@@ -124,11 +119,6 @@ class Validation:
             self.coverage,
             None if self.blocked is None else self.blocked.entry,
         )
-
-    def added_to(self, document: ResultDocument) -> ResultDocument:
-        """The document of the result that was validated, with this."""
-        warnings = (*document.warnings, *self.warnings)
-        return replace(document, validation=self.entry, warnings=warnings)
 
 
 class ValidationOptions(FitOptions, SchemeOptions, total=False):

@@ -11,8 +11,10 @@ from loopcal.document.catalogue import CATALOGUE
 from loopcal.document.judgement import Finding, fact
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer, Verdict
+from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.result import Result
 from loopcal.statistics.answers import better, good_enough, valid
+from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.region import Span
 from loopcal.statistics.sound import SOUND
@@ -65,26 +67,9 @@ def verdict(
     range [SI] where the machine works, by default its joints' limits; found: the `findings` of the
     result, if they are at hand.
     """
-    made = judged_result(
-        result, validation=validation, tolerance=tolerance, region=region, result_findings=found
-    )
-    assert made.verdict is not None
-    return made.verdict
-
-
-def judged_result(
-    result: Result,
-    *,
-    validation: Validation | None = None,
-    tolerance: float | None = None,
-    region: Mapping[str, Span] | None = None,
-    result_findings: Findings | None = None,
-) -> ResultDocument:
-    """The document of a calibration with its verdict and findings.
-
-    result_findings: `found` of `verdict`, which has the other arguments too.
-    """
-    document = (result_findings or findings(result, region)).added_to(result.document)
+    parts = result.parts
     if validation is not None:
-        document = validation.added_to(document)
-    return judged(document, tolerance)
+        parts = replace(parts, validation=validation.entry)
+    document = calibration_document(fit_document(result), parts)
+    document = with_findings(document, found or findings(result, region))
+    return Verdict.of(findings_of(document, tolerance))

@@ -41,8 +41,10 @@ from loopcal.statistics.tolerance import Quantile
 from loopcal.statistics.verified import Placed, Verification, WorstPose
 
 Array = NDArray[np.float64]
+# Chosen, not derived: time against the scatter of what is drawn.
 _DRAWS = 200
 """Of the errors that the stated covariance leads one to expect."""
+# Chosen, not derived: what a reader looks at.
 _WORST = 5
 
 

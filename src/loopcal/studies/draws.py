@@ -143,7 +143,7 @@ def calibrated(method: StudyMethod, made: Simulation) -> Result:
     moves readings as far as such a fault would, the search takes fifty times as long as the fit.
     """
     case = Case(method.mechanism, made.dataset, method.noise, method.fit, trusted=True)
-    return choose(case).calibrated if method.fit.method.choice else case.calibrated()
+    return choose(case).result if method.fit.method.choice else case.calibrated()
 
 
 def _without_result(names: Sequence[str], reason: str, iterations: int) -> dict[str, str | float]:

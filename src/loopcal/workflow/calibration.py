@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from loopcal.document.result_document import ResultDocument, WrittenResult
@@ -15,11 +14,11 @@ from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.estimation.plausible import refuse_other_units
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import Result as FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress
 from loopcal.execution.executor import Executor
-from loopcal.files.outputs import one_command, refuse_foreign
+from loopcal.files.outputs import refuse_foreign
 from loopcal.files.project.fit_table import Validation
 from loopcal.files.project.project_data import LoadedData, load_dataset
 from loopcal.files.project.project_file import Project
@@ -27,16 +26,13 @@ from loopcal.files.project.stream import ParquetStream, project_stream
 from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.files.result import result_file
 from loopcal.files.result.residual_parts import NAME as RESIDUALS
-from loopcal.files.versions import versions as installed_versions
 from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning
-from loopcal.statistics.calibrate import calibrate
-from loopcal.statistics.findings import Findings, findings
-from loopcal.statistics.verdict import judged, refuses
+from loopcal.statistics.verdict import refuses
+from loopcal.workflow.keeping import Keeper
 from loopcal.workflow.projects import named_project, stored_files
+from loopcal.workflow.result import Result, save_result
 
-Addition = Callable[[ResultDocument], ResultDocument]
-"""Adds to the document of a result what was asked for beside the fit."""
 Pieces = Callable[[str, int, int], None]
 """Called with what is done in pieces, how many of them are done, and how many there are."""
 _UNCONVERGED = "the fit of all poses did not converge"
@@ -46,15 +42,12 @@ _UNCONVERGED = "the fit of all poses did not converge"
 class Calibration:
     """A calibration that was run and written.
 
-    written: where, and the content of result.json; findings: what its equations tell beyond the
-    parameters; warnings: about the readings; objection: why the result cannot be trusted, None
-    where it can.
+    written: where, and the content of result.json; objection: why the result cannot be trusted,
+    None where it can.
     """
 
     result: Result
-    findings: Findings
     written: WrittenResult
-    warnings: tuple[str, ...]
     objection: str | None
 
 
@@ -67,8 +60,8 @@ class Request:
     require: questions of the verdict that must be answered with yes, beside "sound"; folds: of a
     validation, instead of the project's; profile: parameters that get a profile interval, beside
     those of the project; compare: whether the project's models are compared, and the result is
-    that of the one recommended; report: whether report.html is written as well; history: folder to
-    which the result is added.
+    that of the one recommended; report: whether report.html is written as well; keeper: keeps the
+    result too.
     """
 
     method: str | None = None
@@ -79,7 +72,7 @@ class Request:
     profile: Sequence[str] = ()
     compare: bool = False
     report: bool = False
-    history: str | Path | None = None
+    keeper: Keeper | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +86,7 @@ class Listeners:
 
     sharing: Callable[[Executor], None] | None = None
     progress: Progress | None = None
-    fitted: Callable[[Result], None] | None = None
+    fitted: Callable[[FitResult], None] | None = None
     pieces: Pieces | None = None
     notice: Callable[[str], None] | None = None
     warn: Callable[[str], None] | None = None
@@ -140,23 +133,6 @@ def run_calibration(
             remedy="add --folds N or --profile GLOB, or leave out --workers and --cluster",
         )
     return run.in_memory() if stream is None else run.streamed(stream)
-
-
-@dataclass(frozen=True, eq=False)
-class _Done:
-    """A calibration, and what is added to its document."""
-
-    result: Result
-    add: tuple[Addition, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class _Finished:
-    """A calibration with everything that is told of it, before it is written."""
-
-    result: Result
-    findings: Findings
-    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,22 +187,21 @@ class _Run:
     @one_blas_thread()
     def in_memory(self) -> Calibration:
         """Calibrate from poses that are all in memory, and write the result."""
-        finished = self.finished()
-        return self._written(finished)
+        return self._written(self.finished())
 
-    def finished(self) -> _Finished:
+    def finished(self) -> Result:
         """Calibrate from poses that are all in memory."""
         self._begin()
         loaded = load_dataset(self.project)
         self._warn(loaded.warnings)
         try:
             refuse_other_units(self.project.mechanism, loaded.dataset, loaded.noise)
-            done = self._compared(loaded) if self.request.compare else self._calibrated(loaded)
+            fitted = self._compared(loaded) if self.request.compare else self._calibrated(loaded)
             if self.patterns:
-                done = self._profiled(done)
+                fitted = self._profiled(fitted)
         except InputError as error:
             raise error.at(self.project.name) from None
-        return self._finished(done, loaded.warnings)
+        return self._finished(fitted, loaded.warnings)
 
     def streamed(self, stream: ParquetStream) -> Calibration:
         """Calibrate from poses that come as a stream."""
@@ -250,10 +225,11 @@ class _Run:
             notice=self.listeners.notice,
         )
         try:
-            finished = self._finished(_Done(run.result), stream.warnings)
+            result = self._finished(run.result, stream.warnings)
+            _ = result.document  # the searches come before the check
             # Before result.json: another run may have removed the residuals of this one.
             run.parts.check()
-            done = self._written(finished)
+            done = self._written(result)
             # After it: a run that dies in between can still resume.
             run.finish()
         except BaseException:
@@ -267,10 +243,8 @@ class _Run:
         # Cached properties: their refusals come now, not after an hour of fitting.
         _ = self.truth, self.fit
         refuse_foreign(*(self.folder / name for name in (*result_file.NAMES, "report.html")))
-        if self.request.history is not None:
-            from loopcal.files.history.folder import refuse_no_history
-
-            refuse_no_history(self.request.history)
+        if self.request.keeper is not None:
+            self.request.keeper.refuse()
         if self.executor and self.listeners.sharing:
             self.listeners.sharing(self.executor)
 
@@ -283,60 +257,36 @@ class _Run:
         pieces = self.listeners.pieces
         return {"executor": self.executor, "progress": pieces and partial(pieces, what)}
 
-    def _chosen(self, loaded: LoadedData) -> _Done:
-        """The calibration by the method that poses not used choose, validated thereby."""
+    def _calibrated(self, loaded: LoadedData) -> FitResult:
+        """By a stated method or by the one that poses not used choose, validated where asked."""
         from loopcal.statistics.case import Case
         from loopcal.statistics.choice import choose
         from loopcal.statistics.folds import Scheme
+        from loopcal.statistics.validation import validated
 
         case = Case(self.project.mechanism, loaded.dataset, loaded.noise, self.fit)
-        scheme = None
+        progress, scheme = self.listeners.progress, None
         if self.validation is not None:
             poses = loaded.dataset.poses
             scheme = Scheme(**validation_arguments(self.project, self.validation, poses))
-        shared = self._shared("fits")
-        chosen = choose(case, scheme, **shared, iterated=self.listeners.progress).calibrated
-        self._fitted(chosen)
-        return _Done(chosen)
-
-    def _fitted(self, result: Result) -> None:
+        if self.fit.method.choice:
+            result = choose(case, scheme, **self._shared("fits"), iterated=progress).result
+        else:
+            result = case.calibrated(progress=progress)
         if self.listeners.fitted is not None:
             self.listeners.fitted(result)
-
-    def _calibrated(self, loaded: LoadedData) -> _Done:
-        if self.fit.method.choice:
-            return self._chosen(loaded)
-        result = calibrate(
-            self.project.mechanism,
-            loaded.dataset,
-            noise=loaded.noise,
-            fit=self.fit,
-            progress=self.listeners.progress,
-        )
-        self._fitted(result)
-        if self.validation is None:
-            return _Done(result)
+        if self.fit.method.choice or scheme is None:
+            return result
         if not result.status.converged:
-            return _Done(result.noted(f"Not validated: {_UNCONVERGED}."))
-        return self._validated(result, loaded)
-
-    def _validated(self, result: Result, loaded: LoadedData) -> _Done:
-        """The calibration of all poses, with its validation."""
-        from loopcal.statistics.validate import validate
-
-        assert self.validation is not None
-        options: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
-        poses = loaded.dataset.poses
-        options |= validation_arguments(self.project, self.validation, poses)
-        options |= self._shared("folds")
+            return result.noted(f"Not validated: {_UNCONVERGED}.")
         try:
-            validated = validate(self.project.mechanism, loaded.dataset, **options, full=result)
+            validation = validated(case, result, scheme, **self._shared("folds"))
         except NoTrustworthyResult as error:
             # A fold that fails leaves the calibration of all poses as it is.
-            return _Done(result.noted(f"Not validated: {error}"))
-        return _Done(result, (validated.added_to,))
+            return result.noted(f"Not validated: {error}")
+        return result.with_parts(validation=validation.entry)
 
-    def _compared(self, loaded: LoadedData) -> _Done:
+    def _compared(self, loaded: LoadedData) -> FitResult:
         """The calibration with the recommended one of the project's models."""
         from loopcal.statistics.models import compare_models
 
@@ -346,52 +296,42 @@ class _Run:
         asked = self.validation or Validation(folds=10)
         options |= validation_arguments(project, asked, loaded.dataset.poses)
         options |= self._shared("folds")
-        comparison = compare_models(project.mechanism, loaded.dataset, project.compare, **options)
-        return _Done(comparison.result, (comparison.added_to,))
+        return compare_models(project.mechanism, loaded.dataset, project.compare, **options).result
 
-    def _profiled(self, done: _Done) -> _Done:
-        from loopcal.statistics.intervals import intervals, with_intervals
+    def _profiled(self, result: FitResult) -> FitResult:
+        from loopcal.statistics.intervals import interval_entries, intervals
 
-        if not done.result.status.converged:
-            return replace(done, result=done.result.noted(f"No profile intervals: {_UNCONVERGED}."))
-        profiles = intervals(done.result, self.patterns, **self._shared("intervals"))
-        return replace(done, add=(*done.add, partial(with_intervals, intervals=profiles)))
+        if not result.status.converged:
+            return result.noted(f"No profile intervals: {_UNCONVERGED}.")
+        profiles = intervals(result, self.patterns, **self._shared("intervals"))
+        return result.with_parts(intervals=interval_entries(profiles))
 
-    def _finished(self, done: _Done, warnings: Sequence[DataWarning]) -> _Finished:
+    def _finished(self, fitted: FitResult, warnings: Sequence[DataWarning]) -> Result:
         """The result with everything that its files tell."""
-        result = done.result
         if self.project.fit.apply_variance_factor:
             try:
-                result = result.with_variance_factor()
+                fitted = fitted.with_variance_factor()
             except InputError as error:
                 raise error.at(self.project.name) from None
+        errors = None
         if self.truth is not None:
-            errors = {name: value - result.value[name] for name, value in self.truth.items()}
-            result = replace(result, errors=MappingProxyType(errors))
-        asked = self.project.verdict
-        judgement = findings(result, asked.region)
-        document = judgement.added_to(result.document)
-        for addition in done.add:
-            document = addition(document)
-        files = stored_files(self.project, self.function, self.folder)
-        document = judged(document, asked.tolerance, files)
-        words = tuple(str(warning) for warning in warnings)
-        document = replace(
-            document,
+            errors = {name: value - fitted.value[name] for name, value in self.truth.items()}
+        return Result.of(
+            fitted,
             title=self.project.title,
-            warnings=(*words, *document.warnings),
             inputs=result_file.finite_only(self.project.inputs),
+            about_readings=tuple(str(warning) for warning in warnings),
+            errors=errors,
+            tolerance=self.project.verdict.tolerance,
+            region=self.project.verdict.region,
+            files=stored_files(self.project, self.function, self.folder),
         )
-        result = result.adding(lambda _: document, judge=lambda _: document)
-        return _Finished(result, judgement, words)
 
-    def _written(self, done: _Finished) -> Calibration:
+    def _written(self, result: Result) -> Calibration:
         """The result and its files."""
-        written = save_result(
-            done.result, self.folder, report=self.request.report, history=self.request.history
-        )
-        objection = self._objection(written.document)
-        return Calibration(done.result, done.findings, written, done.warnings, objection)
+        request = self.request
+        written = save_result(result, self.folder, report=request.report, keeper=request.keeper)
+        return Calibration(result, written, self._objection(written.document))
 
     def _objection(self, document: ResultDocument) -> str | None:
         """Why the result must not be used, where that is so."""
@@ -420,73 +360,7 @@ def calibrated(project: Project) -> Result:
             place=project.name,
             remedy="use loopcal calibrate, which keeps its progress in a folder",
         )
-    return _Run(project, Request(), None, None, Listeners()).finished().result
-
-
-@one_command
-def write_result(
-    result: Result,
-    folder: str | Path,
-    *,
-    title: str | None = None,
-    inputs: Mapping[str, Any] | None = None,
-    warnings: tuple[str, ...] = (),
-    report: bool = False,
-    force: bool = False,
-) -> WrittenResult:
-    """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
-
-    The folder is made if need be. title, inputs (the project as it was read) and warnings go to
-    result.json, beside what the result says itself; `findings` and a verdict are added where it has
-    none. report: whether report.html comes with them; force: replace files that loopcal did not
-    write, keeping backups. Raises InputError, naming the file, the reason and a remedy, where they
-    cannot be written.
-    """
-    return save_result(result, folder, title=title, inputs=inputs, warnings=warnings, report=report)
-
-
-def save_result(
-    result: Result,
-    folder: str | Path,
-    *,
-    title: str | None = None,
-    inputs: Mapping[str, Any] | None = None,
-    warnings: tuple[str, ...] = (),
-    report: bool = False,
-    history: str | Path | None = None,
-) -> WrittenResult:
-    """`write_result` within a command; history: folder to which the result is added with it."""
-    document = result.document
-    if document.verdict is None:
-        document = judged(
-            findings(result).added_to(document), files={"result": Path(folder).name or "."}
-        )
-    versions = installed_versions()
-    document = replace(
-        document,
-        loopcal=versions["loopcal"],
-        title=document.title if title is None else title,
-        warnings=(*warnings, *document.warnings),
-        inputs=document.inputs if inputs is None else result_file.finite_only(inputs),
-        versions=versions,
-    )
-    page = None
-    if report:
-        from loopcal.report.page import page_of
-        from loopcal.workflow.report_sections import sections
-
-        page = page_of(result, folder, sections)
-    if history is None:
-        return result_file.write_result(result, document, folder, report=page)
-    from loopcal.workflow.history import calibration_entry, note_history
-    from loopcal.workflow.history import history as read_history
-
-    content = calibration_entry(document, result.calibrated, Path(folder) / "result.json")
-    written = result_file.write_result(
-        result, document, folder, report=page, entry=(history, content)
-    )
-    note_history(read_history(history), written.folder)
-    return written
+    return _Run(project, Request(), None, None, Listeners()).finished()
 
 
 def default_folder(project: Project) -> Path:

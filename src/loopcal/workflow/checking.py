@@ -8,33 +8,31 @@ from pathlib import Path
 from loopcal.errors import InputError
 from loopcal.estimation.plausible import refuse_other_units
 from loopcal.files.atomic import write_files
-from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import load_sample
-from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.tables.writer import check_ending, table_bytes
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
-from loopcal.planning.cure import Cure, cure
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.prediction import Prediction, predict
-from loopcal.statistics.predictor import predictor_of
 from loopcal.workflow.projects import named_project, project_files
+from loopcal.workflow.saved_result import read_result
 
 
 @dataclass(frozen=True, eq=False)
 class Checked:
     """A project that was looked at before any fit; warnings: about its readings.
 
-    cure: the poses that would raise a verdict that is not good; None where it is, or where nothing
-    says where poses may be.
+    data, noise: the readings of it that were looked at, and their sds, None where they are not
+    needed.
     """
 
     check: Check
-    title: str
+    project: Project
+    data: Dataset
+    noise: Noise | None
     warnings: tuple[str, ...]
-    cure: Cure | None = None
 
 
 def run_check(project: str | Path, *, function: str | None = None) -> Checked:
@@ -56,16 +54,7 @@ def run_check(project: str | Path, *, function: str | None = None) -> Checked:
         raise error.at(read.name) from None
     done = replace(done, files=project_files(read, function))
     warnings = tuple(str(warning) for warning in loaded.warnings)
-    return Checked(done, read.title, warnings, _cure(done, read, loaded.dataset, noise))
-
-
-def _cure(done: Check, project: Project, data: Dataset, noise: Noise | None) -> Cure | None:
-    if done.verdict == "good" or noise is None:
-        return None
-    try:
-        return cure(project.mechanism, data, noise, project.plan)
-    except InputError:
-        return None  # nothing says where poses may be
+    return Checked(done, read, loaded.dataset, noise, warnings)
 
 
 def run_prediction(
@@ -78,14 +67,8 @@ def run_prediction(
     if out is not None:
         # Refused ahead of the work, not after it.
         check_ending(out)
-    loops = None if function is None else load_function(function)
-    read = read_result_folder(result, function=loops)
-    try:
-        calibrated = predictor_of(read.document, read.mechanism)
-    except InputError as error:
-        raise error.at(str(read.path)) from None
-    data = read_new_readings(readings, read.document.inputs, read.mechanism)
-    done = predict(calibrated, data)
+    read = read_result(result, mechanism=function)
+    done = predict(read.predictor, read_new_readings(readings, read.inputs, read.mechanism))
     if out is not None:
         path = Path(out)
         write_files(path.parent, {path.name: table_bytes(done.columns(), path.suffix)})

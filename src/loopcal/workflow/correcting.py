@@ -19,14 +19,12 @@ from loopcal.deployment.corrected import (
     Targets,
     corrected,
 )
-from loopcal.deployment.correction import Correction, Left
+from loopcal.deployment.correction import Correction
 from loopcal.deployment.inverse import solve
-from loopcal.deployment.rigid import inverse
 from loopcal.deployment.solutions import solutions, with_turns
 from loopcal.deployment.straight import StraightMove, divided, line_errors
 from loopcal.deployment.tool import CALIBRATED, Tool, tool_of
 from loopcal.errors import InputError
-from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_atomic
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.outputs import refuse_foreign
@@ -44,9 +42,11 @@ from loopcal.files.project.new_readings import result_columns, result_pose_colum
 from loopcal.files.recognition.robots import dh_robot
 from loopcal.files.result.deployed import CORRECTION, note_deployed, result_path, was_corrected
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.predictor import Predictor, predictor
-from loopcal.workflow.resolved import readings, result_of
-from loopcal.workflow.saved_result import SavedResult
+from loopcal.mechanisms.placement import inverse
+from loopcal.statistics.predictor import Predictor
+from loopcal.workflow.readings import readings
+from loopcal.workflow.resolved import result_of
+from loopcal.workflow.views import Views
 
 Array = NDArray[np.float64]
 # 10 nm and 10 nrad: three decades below what an arm repeats.
@@ -80,7 +80,15 @@ def correct(
     joint. Raises InputError for what cannot be used. Source: Denavit-Hartenberg pose redefinition,
     doi 10.1177/16878132221090094.
     """
-    calibrated, nominal, inputs = _model_of(result_of(result))
+    measured = result_of(result)
+    if not isinstance(measured, Views):
+        raise InputError(
+            f"{result!r} is no result",
+            code="invalid-value",
+            remedy="give a result of calibrate, or the path of its folder",
+        )
+    calibrated, inputs = measured.predictor, measured.inputs
+    nominal = {p.name: p.nominal for p in measured.params.entries}
     if not isinstance(tool, str):
         tool = [*(1e-3 * float(v) for v in tool[:3]), *np.radians(tool[3:]).tolist()]
     seated = tool_of(calibrated.mechanism, nominal, tool)
@@ -102,12 +110,7 @@ def correct(
     placed = np.eye(4) if frame is None else pose_of_turns([*frame, 0.0, 0.0, 0.0][:6])
     wanted = _wanted(arms, program, placed, frame is not None)
     corrections = corrected(arms, calibrated, wanted, bounds, at)
-    # T_frame_target = T_base_frame^-1 T_base_target: programs state poses in their frame.
-    new = {
-        i: program.write(target, corrections.joints[i], inverse(placed) @ corrections.poses[i])
-        for i, target in enumerate(program.targets)
-        if corrections.refused[i] is None
-    }
+    # The correction may carry a joint across the border of a quadrant or turn.
     changed = tuple(
         Refusal("configuration-changed", "the corrected joints are in another configuration")
         if refusal is None and not program.fits(target, q)
@@ -116,9 +119,13 @@ def correct(
             program.targets, corrections.joints, corrections.refused, strict=True
         )
     )
-    # The correction may carry a joint across the border of a quadrant or turn.
-    new = {i: texts for i, texts in new.items() if changed[i] is None}
     corrections = replace(corrections, refused=changed)
+    # T_frame_target = T_base_frame^-1 T_base_target: programs state poses in their frame.
+    new = {
+        i: program.write(target, corrections.joints[i], inverse(placed) @ corrections.poses[i])
+        for i, target in enumerate(program.targets)
+        if changed[i] is None
+    }
     moves, ahead = _straight(arms, program, corrections, bounds.line), dict[int, list[list[str]]]()
     for index, move in moves.items():
         if len(move.inserted):
@@ -133,7 +140,7 @@ def correct(
         program.name,
         program.kind,
         tuple(target.line for target in program.targets),
-        tuple(Left(note.line, note.words) for note in program.noted),
+        program.noted,
         _remarks(seated, arms),
         program.edited(new, [*inserted(program, ahead), *mark]),
         moves=tuple(moves.values()),
@@ -165,27 +172,6 @@ def run_correct(
     name, document = Path(targets).name, done.document()
     note_deployed(result_path(result), CORRECTION, name, document, [done.content])
     return done
-
-
-def _model_of(result: Any) -> tuple[Predictor, dict[str, float], Mapping[str, Any]]:
-    """What is known of the machine, the drawing's values, and the project of the result."""
-    if isinstance(result, SavedResult):
-        nominal = {p.name: p.nominal for p in result.document.parameters}
-        return result.predictor, nominal, result.document.inputs
-    if not isinstance(result, Result):
-        raise InputError(
-            f"{result!r} is no result",
-            code="invalid-value",
-            remedy="give a result of calibrate, or the path of its folder",
-        )
-    calibrated = predictor(result)
-    if calibrated is None:
-        raise InputError(
-            f"{result.mechanism.name!r} has no outputs to predict",
-            code="no-outputs",
-            remedy="correct targets by the result of a measured arm",
-        )
-    return calibrated, {p.name: p.nominal for p in result.mechanism.parameters}, {}
 
 
 def _controller(

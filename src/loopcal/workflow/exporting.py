@@ -18,13 +18,11 @@ from loopcal.files.exports.placing import PlacedFiles, place_files
 from loopcal.files.exports.registry import EXPORTS, format_named
 from loopcal.files.exports.tables import ORIENTATIONS
 from loopcal.files.machines.mechanism_writer import source_file
-from loopcal.files.machines.python_function import load_function
 from loopcal.files.outputs import one_command
 from loopcal.files.result.deployed import EXPORT, PREVIEW, note_deployed
 from loopcal.presentation.shown import with_unit
-from loopcal.statistics.predictor import predictor
 from loopcal.workflow.resolved import result_of
-from loopcal.workflow.saved_result import SavedResult, read_result
+from loopcal.workflow.saved_result import read_result
 
 OFFSETS = ("origin", "file")
 
@@ -103,14 +101,10 @@ def export(
     one = format_named(to)
     _check_options(one, source, offsets, vendor, counts)
     calibration = result_of(result)
-    document = calibration.judged
-    if isinstance(calibration, SavedResult):
-        mechanism, poses = calibration.mechanism, calibration.poses
-        predicting = None if document.prediction is None else calibration.predictor
-    else:
-        mechanism, poses = calibration.calibrated, calibration.dataset
-        predicting = predictor(calibration)
-    machine = exported(document, mechanism, poses, predicting, offsets_apart=offsets == "file")
+    document, mechanism = calibration.document, calibration.machine
+    predictor = None if document.prediction is None else calibration.predictor
+    apart = offsets == "file"
+    machine = exported(document, mechanism, calibration.poses, predictor, offsets_apart=apart)
     options = ExportOptions(None if source is None else Path(source), vendor, dict(counts or {}))
     done = _written(one, machine, options, source_file(mechanism))
     files = {n: c.encode() if isinstance(c, str) else c for n, c in done.files.items()}
@@ -130,8 +124,7 @@ def run_export(
 ) -> Export:  # fmt: skip
     """`export` of a folder, by default into its folder `export`; function: the loops, for a machine
     written in Python. The report of the result shows it."""
-    loops = None if function is None else load_function(function)
-    read = read_result(result, mechanism=loops)
+    read = read_result(result, mechanism=function)
     done = export(read, to, out=read.path.parent / "export" if out is None else out, **options)
     if PREVIEW not in Path(out or "").parts:  # what is only looked at is not deployed
         note_deployed(read.path, EXPORT, done.format, done.document(), done.files.values())

@@ -6,19 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, UsageError
 from loopcal.estimation.inherited import UPDATED
-from loopcal.estimation.result import Result
 from loopcal.files.atomic import Data, write_all
-from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.start_writer import Start, start_to_toml
 from loopcal.files.result.deployed import FLEET, note_deployed, result_path
-from loopcal.files.result.result_folder import ReadResult, read_result_folder
 from loopcal.life.fleet import Fleet, learn
 from loopcal.life.measured_machine import MeasuredMachine
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.workflow.saved_result import SavedResult
+from loopcal.workflow.resolved import result_of
+from loopcal.workflow.result import Result
+from loopcal.workflow.saved_result import SavedResult, read_result
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +38,7 @@ def run_fleet(
 
     Raises InputError for what cannot be read, compared or written.
     """
-    loops = None if function is None else load_function(function)
-    comparison = learn(
-        [_read(read_result_folder(path, function=loops), str(path)) for path in results]
-    )
+    comparison = learn([_measured(read_result(path, mechanism=function), "") for path in results])
     # prior_sd is of one more machine: that of the spread is in it (docs/decisions/0084).
     starts = {p.name: Start(p.mean, p.prior_sd, p.unit) for p in comparison.parameters}
     remarks = (
@@ -77,26 +72,14 @@ def fleet(results: Sequence[Result | SavedResult | str | Path]) -> Fleet:
 
     Raises InputError for fewer than three results, and for machines of several types.
     """
-    return learn([_measured(one, f"result {i}") for i, one in enumerate(results, 1)])
+    return learn([_measured(result_of(one), f"result {i}") for i, one in enumerate(results, 1)])
 
 
-def _measured(result: Result | SavedResult | str | Path, name: str) -> MeasuredMachine:
-    if isinstance(result, Result):
-        calibrated = Calibrated.of(result, name)
-        return _machine(calibrated, result.document)
-    if isinstance(result, SavedResult):
-        return _read(result.folder, str(result.path.parent))
-    return _read(read_result_folder(result), str(result))
-
-
-def _read(read: ReadResult, name: str) -> MeasuredMachine:
-    return _machine(
-        Calibrated.from_document(read.document, read.mechanism, None, name), read.document
-    )
-
-
-def _machine(calibrated: Calibrated, document: ResultDocument) -> MeasuredMachine:
-    if not document.status.converged:
+def _measured(result: Result | SavedResult, name: str) -> MeasuredMachine:
+    """name: of a result in memory."""
+    document = result.unjudged
+    calibrated = Calibrated.of(result, name) if isinstance(result, Result) else result.calibrated
+    if not result.converged:
         raise InputError(
             f"the result {calibrated.name!r} did not converge",
             code="not-converged",

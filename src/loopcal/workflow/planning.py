@@ -19,8 +19,7 @@ from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables
 from loopcal.files.result.deployed import PLAN, note_deployed, result_path
-from loopcal.files.result.result_folder import read_result_folder
-from loopcal.files.result.result_poses import poses_of_result, read_result_poses
+from loopcal.files.result.result_poses import poses_of_result
 from loopcal.files.toml.place import Place
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
@@ -33,6 +32,7 @@ from loopcal.report.plan_page import plan_html
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.workflow.plan_program import program_writer
 from loopcal.workflow.projects import named_project
+from loopcal.workflow.resolved import result_of
 
 POSES, DOCUMENT, PAGE = "plan.csv", "plan.json", "plan.html"
 
@@ -118,7 +118,9 @@ def run_plan(
         )
     except InputError as error:
         raise error.at(read.name) from None
-    files: dict[str, str | bytes] = dict(_tables(made, read, folder))
+    # In the columns of the project, with the use of each pose.
+    tables = readings_tables(made.poses, read.data, {}, folder / POSES, {"use": made.use})
+    files: dict[str, str | bytes] = {**tables}
     document = marked({"title": read.title, **made.document()}, files)
     files[DOCUMENT] = marked_json(document)
     if request.report:
@@ -191,14 +193,11 @@ def of_calibration(result: Any) -> PlanningBasis:
 
 
 def _calibrated(result: Any) -> Calibrated:
-    if isinstance(result, Calibrated):
-        return result
+    result = result_of(result)
     if isinstance(result, Result):
         return Calibrated.of(result, "the result")
-    path = getattr(result, "path", result)
-    read = read_result_folder(path)
-    poses = read_result_poses(read.path.parent, read.mechanism)
-    return Calibrated.from_document(read.document, read.mechanism, poses, str(path))
+    calibrated: Calibrated = result.calibrated
+    return calibrated
 
 
 def candidates_of(project: Project, path: str | Path | None) -> Dataset | None:
@@ -209,8 +208,3 @@ def candidates_of(project: Project, path: str | Path | None) -> Dataset | None:
     if poses is not None:
         return poses
     return read_new_readings(path, project.inputs, project.mechanism)
-
-
-def _tables(made: Plan, project: Project, folder: Path) -> Mapping[str, bytes]:
-    """plan.csv in the columns of the project, with the use of each pose."""
-    return readings_tables(made.poses, project.data, {}, folder / POSES, {"use": made.use})

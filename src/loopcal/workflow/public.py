@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.plausible import refuse_other_units
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import Result as FitResult
 from loopcal.files.project import project_data
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
@@ -41,8 +41,13 @@ from loopcal.statistics import intervals as bounding
 from loopcal.statistics import reliability as redundancy
 from loopcal.statistics import validate as validating
 from loopcal.statistics import verdict as judge
+from loopcal.statistics.check import Check
 from loopcal.statistics.compared import Compared
+from loopcal.statistics.models import ModelComparison
+from loopcal.statistics.prediction import Prediction
 from loopcal.statistics.repeats import Repeats
+from loopcal.statistics.validation import Validation
+from loopcal.statistics.verified import Verification
 from loopcal.workflow.calibration import calibrated
 from loopcal.workflow.planning import (
     PlanningBasis,
@@ -51,16 +56,9 @@ from loopcal.workflow.planning import (
     of_calibration,
     settings_of,
 )
-from loopcal.workflow.resolved import (
-    Stated,
-    Units,
-    described,
-    fitted,
-    later_readings,
-    readings,
-    result_of,
-    stated,
-)
+from loopcal.workflow.readings import Units, later_readings, readings
+from loopcal.workflow.resolved import Stated, described, fitted, result_of, stated
+from loopcal.workflow.result import Result
 from loopcal.workflow.saved_result import SavedResult
 from loopcal.workflow.simulation import simulated
 
@@ -84,15 +82,15 @@ _ON_FIT = """
 
 
 def _on_machine(
-    function: Callable[..., Output], whole: Callable[[Project], Output] | None = None
-) -> Callable[..., Output]:
+    function: Callable[..., Any], whole: Callable[[Project], Any] | None = None
+) -> Callable[..., Any]:
     """whole: does for a project alone all that its file asks for."""
     takes = signature(function).parameters
 
     @wraps(function)
     def accepting(
         mechanism: Any, data: Any = None, *more: Any, units: Units = None, **options: Any
-    ) -> Output:
+    ) -> Any:
         if whole and data is None and not options:
             project = described(mechanism)
             if isinstance(project, Project):
@@ -100,15 +98,18 @@ def _on_machine(
         inputs = stated(mechanism, data, units)
         chosen = _with_stated(inputs, options, takes)
         refuse_other_units(inputs.mechanism, inputs.data, Noise.of(chosen.get("noise")))
-        output = function(inputs.mechanism, inputs.data, *more, **chosen)
-        return _titled(output, inputs.title) if isinstance(output, Result) else output
+        return _whole(function(inputs.mechanism, inputs.data, *more, **chosen), inputs.title)
 
     return _described(accepting, function, _ON_MACHINE)
 
 
-def _titled(result: Any, title: str | None) -> Any:
-    """A result whose document has the title of its project."""
-    return result.adding(lambda document: replace(document, title=title)) if title else result
+def _whole(output: Any, title: str | None = None) -> Any:
+    """With a document and a verdict, where a fit is returned; title: of its project."""
+    if isinstance(output, FitResult):
+        return Result.of(output, title=title)
+    if isinstance(output, ModelComparison):
+        return replace(output, result=_whole(output.result, title))
+    return output
 
 
 def _with_stated(
@@ -124,16 +125,14 @@ def _with_stated(
     return {**of_project, **rest}
 
 
-def _on_result(
-    function: Callable[..., Output], needed: str, *, whole: bool
-) -> Callable[..., Output]:
+def _on_result(function: Callable[..., Any], needed: str, *, whole: bool) -> Callable[..., Any]:
     """needed: what the function takes of a result from a folder; whole: read the outputs too."""
 
     @wraps(function)
-    def accepting(calibration: Any, data: Any, *, units: Units = None, **options: Any) -> Output:
+    def accepting(calibration: Any, data: Any, *, units: Units = None, **options: Any) -> Any:
         result = result_of(calibration)
         poses = later_readings(result, data, units, whole=whole)
-        return function(_taken(result, needed), poses, **options)
+        return _whole(function(_taken(result, needed), poses, **options))
 
     return _described(accepting, function, _ON_RESULT)
 
@@ -159,13 +158,13 @@ def _described(accepting: Described, function: Callable[..., Any], words: str) -
     return accepting
 
 
-calibrate = _on_machine(calibrating.calibrate, calibrated)
-check = _on_machine(checking.check)
-validate = _on_machine(validating.validate)
-compare_models = _on_machine(models.compare_models)
-predict = _on_result(prediction.predict, "predictor", whole=False)
-verify = _on_result(verification.verify, "calibrated", whole=True)
-update = _on_result(updating.update, "calibrated", whole=True)
+calibrate: Callable[..., Result] = _on_machine(calibrating.calibrate, calibrated)
+check: Callable[..., Check] = _on_machine(checking.check)
+validate: Callable[..., Validation] = _on_machine(validating.validate)
+compare_models: Callable[..., ModelComparison] = _on_machine(models.compare_models)
+predict: Callable[..., Prediction] = _on_result(prediction.predict, "predictor", whole=False)
+verify: Callable[..., Verification] = _on_result(verification.verify, "calibrated", whole=True)
+update: Callable[..., Result] = _on_result(updating.update, "calibrated", whole=True)
 findings = _on_fit(finding.findings)
 find_outliers = _on_fit(outliers.find_outliers)
 find_shifts = _on_fit(change_points.find_shifts)

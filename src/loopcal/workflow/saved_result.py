@@ -1,4 +1,4 @@
-"""A result read from its folder, and the figures that notebooks draw of any result."""
+"""A result read from its folder."""
 
 from __future__ import annotations
 
@@ -6,29 +6,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.goodness_of_fit import ChiSquared
-from loopcal.document.offers import Plots
 from loopcal.document.result_document import ResultDocument, WrittenResult
-from loopcal.document.verdict import Verdict
-from loopcal.document.views import Views
 from loopcal.errors import InputError
-from loopcal.estimation.result import Result
-from loopcal.files.machines.python_function import Loops
+from loopcal.files.machines.python_function import Loops, load_function
 from loopcal.files.result.result_file import read_result as read_document
-from loopcal.files.result.result_folder import ReadResult, read_result_folder
+from loopcal.files.result.result_folder import read_result_mechanism
 from loopcal.files.result.result_poses import read_result_poses
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.report.drawn import figures
-from loopcal.report.source import Source, read_source, source_of
+from loopcal.report.source import Source, read_source
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.predictor import Predictor, predictor_of
-from loopcal.workflow.calibration import write_result
+from loopcal.workflow.views import Views
 
 Array = NDArray[np.float64]
 
@@ -45,14 +41,9 @@ class SavedResult(Views):
     loops: Loops | Mechanism | None = field(default=None)
 
     @property
-    def judged(self) -> ResultDocument:
-        """The document: it was judged when it was written."""
+    def unjudged(self) -> ResultDocument:
+        """The document."""
         return self.document
-
-    @property
-    def verdict(self) -> Verdict | None:
-        """Whether the result can be used, and for what; None: an earlier version wrote it."""
-        return self.document.verdict
 
     @property
     def estimated(self) -> tuple[str, ...]:
@@ -85,15 +76,15 @@ class SavedResult(Views):
         """None where the method or the loss has none."""
         return self.document.chi_squared
 
-    @cached_property
-    def folder(self) -> ReadResult:
-        """With the calibrated mechanism. Raises InputError where mechanism.toml cannot be read."""
-        return read_result_folder(self.path, function=self.loops)
-
     @property
-    def mechanism(self) -> Mechanism:
+    def machine(self) -> Mechanism:
         """The calibrated mechanism."""
-        return self.folder.mechanism
+        return self.mechanism
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """The calibrated mechanism. Raises InputError where mechanism.toml cannot be read."""
+        return read_result_mechanism(self.path, self.document, self.loops)
 
     @cached_property
     def poses(self) -> Dataset | None:
@@ -119,50 +110,30 @@ class SavedResult(Views):
         """With what became of every reading. Raises InputError without residuals.csv."""
         return read_source(self.path)
 
+    def save(self, folder: str | Path, **options: Any) -> WrittenResult:
+        """Refused: it is saved already. Raises InputError."""
+        raise InputError(
+            f"this result is saved already: {self.path.parent}",
+            code="unsupported",
+            remedy="copy that folder",
+        )
+
     def __repr__(self) -> str:
         state = "converged" if self.converged else self.document.status.reason
         return f"<SavedResult {self.path.parent}: {self.document.method}, {state}>"
 
 
-def read_result(path: str | Path, *, mechanism: Loops | Mechanism | None = None) -> SavedResult:
+def read_result(
+    path: str | Path, *, mechanism: Loops | Mechanism | str | None = None
+) -> SavedResult:
     """A result from its folder, or from the result.json in it.
 
-    mechanism: of a result whose loops are Python code, for predictions. Raises InputError, naming
-    the place in the file, for anything that is no result.
+    mechanism: of a result whose loops are Python code, for predictions; "FILE.py:NAME" names it.
+    Raises InputError, naming the place in the file, for anything that is no result.
     """
     path = Path(path)
     # A result.json under another name is read as the file that it is.
     if path.name != "result.json" and path.suffix != ".json":
         path = path / "result.json"
-    return SavedResult(read_document(path), path, mechanism)
-
-
-def source(result: Result | SavedResult) -> Source:
-    """What the report shows of a result."""
-    if isinstance(result, SavedResult):
-        return result.source
-    return source_of(result, result.document, "result")
-
-
-def plots(result: Result | SavedResult) -> Plots:
-    """The figures of a result."""
-    return Plots(figures(source(result)))
-
-
-def fitted(result: Result | SavedResult) -> dict[str, Array]:
-    """Output -> (N,) values [SI] computed from the other readings of the poses used."""
-    table = source(result).table
-    return {n: table.readings[n] + d for n, d in table.differences_after.items()}
-
-
-def save(
-    result: Result | SavedResult, folder: str | Path, *, report: bool = True, force: bool = False
-) -> WrittenResult:
-    """`write_result` of a result in memory."""
-    if isinstance(result, SavedResult):
-        raise InputError(
-            f"this result is saved already: {result.path.parent}",
-            code="unsupported",
-            remedy="copy that folder",
-        )
-    return write_result(result, folder, report=report, force=force)
+    loops = load_function(mechanism) if isinstance(mechanism, str) else mechanism
+    return SavedResult(read_document(path), path, loops)

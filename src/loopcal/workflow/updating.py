@@ -10,21 +10,19 @@ from typing import Any
 
 from loopcal.document.result_document import WrittenResult
 from loopcal.errors import InputError, UsageError
-from loopcal.estimation.result import Result
-from loopcal.files.history.folder import is_history, refuse_no_history
-from loopcal.files.machines.python_function import load_function
+from loopcal.files.history.folder import is_history
 from loopcal.files.outputs import refuse_foreign
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_file import NAMES
-from loopcal.files.result.result_folder import read_result_folder
-from loopcal.files.result.result_poses import poses_of_result, read_result_poses
+from loopcal.files.result.result_poses import poses_of_result
 from loopcal.life.updating import Since, updated
-from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import Freedom, mounted
 from loopcal.statistics.verdict import refuses
 from loopcal.units import difference_to_si
-from loopcal.workflow.calibration import save_result
+from loopcal.workflow.history import HistoryKeeper
 from loopcal.workflow.history import history as read_history
+from loopcal.workflow.result import Result, save_result
+from loopcal.workflow.saved_result import read_result
 
 # Possessive: no text makes the match back out (docs/decisions/0137).
 _DRIFT = re.compile(r"\s*([^=\s]+)\s*=\s*([-+.\deE]++)\s*+([A-Za-zµ/]+)\s*")
@@ -71,11 +69,11 @@ def run_update(
     rest as in `update`.
     Raises InputError for what cannot be used.
     """
-    if history is not None:
-        refuse_no_history(history)
+    keeper = None if history is None else HistoryKeeper(history)
+    if keeper is not None:
+        keeper.refuse()
     usual = {} if drift or history is None else _usual(history)
-    loops = None if function is None else load_function(function)
-    read = read_result_folder(result, function=loops)
+    read = read_result(result, mechanism=function)
     folder = read.path.parent
     held = {p.name for p in read.mechanism.parameters if p.fixed}
     allowed = drifts(drift) | {name: sd for name, sd in usual.items() if name not in held}
@@ -88,26 +86,25 @@ def run_update(
             remedy="write it to another folder (--out)",
         )
     refuse_foreign(*(target / name for name in (*NAMES, "report.html")))
-    poses = read_result_poses(folder, read.mechanism)
-    calibrated = Calibrated.from_document(read.document, read.mechanism, poses, str(result))
     anew = (*mounted(read.mechanism, mounting.remounted), *mounting.anew)
     Freedom.of(read.mechanism, anew)  # raises for a name that is not there
-    data, inputs = poses_of_result(readings, read.mechanism), read.document.inputs
+    data, inputs = poses_of_result(readings, read.mechanism), read.inputs
     if data is None:
         inputs = _with_file(inputs, readings)
-        data = read_new_readings(readings, read.document.inputs, read.mechanism, whole=True)
+        data = read_new_readings(readings, read.inputs, read.mechanism, whole=True)
     try:
-        done = updated(calibrated, data, Since(mounting.moved, anew, allowed), None)
+        done = updated(read.calibrated, data, Since(mounting.moved, anew, allowed), None)
     except InputError as error:
         raise error.at(str(readings)) from None
     title = read.document.title
+    updated_result = Result.of(done.result)
     written = save_result(
-        done.result, target, title=title, inputs=inputs, report=report, history=history
+        updated_result, target, title=title, inputs=inputs, report=report, keeper=keeper
     )
     verdict = written.document.verdict
     assert verdict is not None
     bad = verdict.sound.words if refuses("sound", verdict.sound) else None
-    return UpdateDone(done.result, written, allowed, done.mixed or bad)
+    return UpdateDone(updated_result, written, allowed, done.mixed or bad)
 
 
 def drifts(texts: Sequence[str]) -> dict[str, float]:

@@ -8,18 +8,13 @@ from pathlib import Path
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import Data, write_all
-from loopcal.files.history.folder import append_entries, refuse_no_history
-from loopcal.files.machines.python_function import load_function
-from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.deployed import VERIFICATION, note_deployed
-from loopcal.files.result.result_folder import read_result_folder
-from loopcal.files.result.result_poses import poses_of_result
-from loopcal.life.history import History
-from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import Freedom, mounted
 from loopcal.statistics.verification import check_tolerance, verify
 from loopcal.statistics.verified import Verification
-from loopcal.workflow.history import note_history, verification_entry
+from loopcal.workflow.keeping import Keeper, Writer
+from loopcal.workflow.readings import later_readings
+from loopcal.workflow.saved_result import read_result
 
 
 def run_verification(
@@ -30,22 +25,19 @@ def run_verification(
     anew: Sequence[str] = (),
     tolerance: float | None = None,
     out: str | Path | None = None,
-    history: str | Path | None = None,
+    keeper: Keeper | None = None,
     function: str | None = None,
 ) -> Verification:
     """Check a result against readings in the columns of its project, or those of another result.
 
     remounted: everything that instruments look at; anew: further instruments, targets or
-    parameters; tolerance: [m]; out: file of a page with figures; history: folder to which this is
-    added.
+    parameters; tolerance: [m]; out: file of a page with figures; keeper: keeps this too.
     Raises InputError for what cannot be used.
     """
     check_tolerance(tolerance)
-    if history is not None:
-        refuse_no_history(history)
-    loops = None if function is None else load_function(function)
-    read = read_result_folder(result, function=loops)
-    calibrated = Calibrated.from_document(read.document, read.mechanism, None, str(result))
+    if keeper is not None:
+        keeper.refuse()
+    read = read_result(result, mechanism=function)
     units = {read.mechanism.quantities[q] for q in read.mechanism.outputs}
     if tolerance is not None and "m" not in units:
         raise InputError(
@@ -57,11 +49,9 @@ def run_verification(
         )
     changed = (*mounted(read.mechanism, remounted), *anew)
     Freedom.of(read.mechanism, changed)  # raises for a name that is not there
-    data = poses_of_result(readings, read.mechanism)
-    if data is None:
-        data = read_new_readings(readings, read.document.inputs, read.mechanism, whole=True)
+    data = later_readings(read, readings, None, whole=True)
     try:
-        verification = verify(calibrated, data, remounted=changed, tolerance=tolerance)
+        verification = verify(read.calibrated, data, remounted=changed, tolerance=tolerance)
     except InputError as error:
         raise error.at(str(readings)) from None
     verification = replace(verification, files={"result": str(result), "readings": str(readings)})
@@ -71,12 +61,12 @@ def run_verification(
 
         names = f"{read.path.parent.name}, {Path(readings).name}"
         files[Path(out)] = verification_html(verification, read.mechanism.name, names)
-    if history is None:
-        write_all(files)
-    else:
-        entry = verification_entry(verification, result, readings)
-        every = append_entries(history, [("verification", entry)], lambda _: files)
-        note_history(History(every), result)
+    write: Writer = write_all
+    if keeper is not None:
+        write = keeper.of_verification(verification, result, readings)
+    write(files)
+    if keeper is not None:
+        keeper.note(result)
     name = Path(readings)
     document = {"readings": name.name, **verification.document()}
     note_deployed(read.path, VERIFICATION, name.stem, document)

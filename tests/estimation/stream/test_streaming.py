@@ -437,7 +437,7 @@ def test_sds_learnt_from_some_poses_of_a_stream_weigh_all(monkeypatch: pytest.Mo
     monkeypatch.setattr(learning, "ENOUGH", 300)
     noise = Noise({"theta_*": 5e-5, "xyz": 3e-5}, estimate={"xyz": "group"})
     streamed = calibrate_stream(arm, Pieces(data, noise), fit=Fit(method="implicit-loop"))
-    assert any("learnt from 300 of these poses, one of every 2" in n for n in streamed.notes)
+    assert any("learnt from 300 of these poses, one of every 2" in n for n in streamed.parts.notes)
     (sd,) = {entry.sd for entry in streamed.noise if entry.source == "estimated"}
     stated = Noise({"theta_*": 5e-5, "xyz": sd})
     whole = calibrate(arm, data, noise=stated, method="implicit-loop")
@@ -494,7 +494,7 @@ def test_a_stream_with_learnt_terms_is_fitted_to_some_poses_and_judged_by_all(
     noise, known = Noise({"theta_*": 5e-5, "xyz": 1e-5}), prior.apply(arm)
     monkeypatch.setattr(learning, "ENOUGH", 200)
     streamed = calibrate_stream(known, Pieces(data, noise), fit=Fit(method="implicit-loop"))
-    assert any("used 200 of these poses, one of every 3" in note for note in streamed.notes)
+    assert any("used 200 of these poses, one of every 3" in note for note in streamed.parts.notes)
     part = calibrate(known, data.take(np.arange(0, 600, 3)), noise=noise, method="implicit-loop")
     assert [t.scale for t in streamed.terms] == pytest.approx(
         [t.scale for t in part.terms], rel=learning.NEARLY

@@ -23,7 +23,8 @@ from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Answer, Verdict
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.result import Result
+from loopcal.estimation.fit_document import fit_document
+from loopcal.estimation.result import Result as FitResult
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.result.pose_table import residuals_csv
 from loopcal.files.result.result_file import (
@@ -41,10 +42,9 @@ from loopcal.mechanisms.planar import planar_two_link
 from loopcal.mechanisms.prior import Prior
 from loopcal.simulation.poses import grid_poses
 from loopcal.simulation.simulate import simulate
-from loopcal.statistics.findings import findings
 from loopcal.statistics.prediction import predict
 from loopcal.statistics.predictor import predictor_of
-from loopcal.workflow.calibration import write_result
+from loopcal.workflow.result import Result, write_result
 from tests.refusals import refused
 
 NOISE = Noise({"?P": 1e-4, "phi?": 1e-3})
@@ -52,7 +52,7 @@ POSES = grid_poses({"phi2": np.arange(0, 6, 0.75), "phi3": np.arange(0.3, 6, 0.7
 MADE = simulate(planar_two_link(), POSES, noise=NOISE, seed=4, truth={"l2": 0.803})
 
 
-def loose() -> Result:
+def loose() -> FitResult:
     """One parameter has no effect at all, one is fixed, one has a prior."""
     mechanism = Mechanism.from_function(
         lambda x, p: p.a * x.u + p.b + p.c * 0.0 + p.d - x.v,
@@ -66,7 +66,7 @@ def loose() -> Result:
     return calibrate(fixed, data, noise=Noise({"*": 1e-3}), prior=prior)
 
 
-def with_gaps() -> Result:
+def with_gaps() -> FitResult:
     readings = {q: MADE.dataset[q].copy() for q in MADE.dataset.quantities}
     readings["xP"][3] = np.nan
     noise = Noise({"xP": 1e-4, "yP": 0.0, "phi?": 1e-3})
@@ -108,7 +108,7 @@ def test_every_result_keeps_to_the_published_schema_and_reads_back(
 
 def judged() -> ResultDocument:
     """A document with all that schema 2 added."""
-    document = RESULTS["implicit loop"]().document
+    document = fit_document(RESULTS["implicit loop"]())
     assert document.accuracy is not None
     far = document.accuracy.before
     answer = Answer(None, "undecided", 1.0, "Nobody asked.", None)
@@ -144,7 +144,7 @@ def test_a_document_with_all_of_schema_2_keeps_to_it_and_reads_back(tmp_path: Pa
 
 
 def test_a_file_of_schema_1_is_read(tmp_path: Path) -> None:
-    document, path = RESULTS["implicit loop"]().document, tmp_path / "result.json"
+    document, path = fit_document(RESULTS["implicit loop"]()), tmp_path / "result.json"
     old = plain(document) | {"schema": 1}
     for added in ("chosen", "terms", "verdict"):
         del old[added]
@@ -155,7 +155,7 @@ def test_a_file_of_schema_1_is_read(tmp_path: Path) -> None:
 
 def test_floats_are_the_same_bits() -> None:
     result = RESULTS["implicit loop"]()
-    document = json.loads(result_json(result.document))
+    document = json.loads(result_json(fit_document(result)))
     assert [p["value"] for p in document["parameters"]] == list(result.value.values())
     assert [p["sd"] for p in document["parameters"]] == list(result.sd.values())
     np.testing.assert_array_equal(document["covariance"]["matrix"], result.covariance)
@@ -163,7 +163,7 @@ def test_floats_are_the_same_bits() -> None:
 
 def test_what_is_unknown_is_null() -> None:
     result = loose()
-    document = plain(result.document)
+    document = plain(fit_document(result))
     by_name = {p["name"]: p for p in document["parameters"]}
     assert by_name["c"]["sd"] is None
     assert by_name["c"]["identifiable"] is False
@@ -184,14 +184,14 @@ def test_what_is_unknown_is_null() -> None:
 
 
 def test_the_basic_method_knows_neither_noise_nor_chi_squared() -> None:
-    document = plain(RESULTS["least squares"]().document)
+    document = plain(fit_document(RESULTS["least squares"]()))
     assert document["noise"] == []
     assert document["chi_squared"] is None
 
 
 def test_the_poses_left_out_are_listed() -> None:
     data = MADE.dataset.thin(2).exclude(["1", "5"])
-    document = plain(calibrate(planar_two_link(), data, noise=NOISE).document)
+    document = plain(fit_document(calibrate(planar_two_link(), data, noise=NOISE)))
     told = document["data"]
     assert told["used"] == len(data) == 30
     assert told["poses"] == 64
@@ -199,7 +199,7 @@ def test_the_poses_left_out_are_listed() -> None:
     assert told["every"] == 2
 
 
-def rows_of(result: Result) -> list[dict[str, str]]:
+def rows_of(result: FitResult) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(residuals_csv(result).decode())))
 
 
@@ -234,7 +234,7 @@ def test_the_three_files_are_written_and_the_mechanism_reads_back(tmp_path: Path
 
 def test_a_file_of_an_earlier_version_is_read_and_predicts(tmp_path: Path) -> None:
     result = RESULTS["implicit loop"]()
-    whole = findings(result).added_to(result.document)
+    whole = Result.of(result).document
     stored = plain(whole)
     for key in ("mechanism", "method_label"):
         del stored[key]
@@ -252,7 +252,7 @@ def test_a_file_of_an_earlier_version_is_read_and_predicts(tmp_path: Path) -> No
 
 
 def document_with(**changes: Any) -> dict[str, Any]:
-    return {**plain(RESULTS["implicit loop"]().document), **changes}
+    return {**plain(fit_document(RESULTS["implicit loop"]())), **changes}
 
 
 @pytest.mark.parametrize(
@@ -303,7 +303,7 @@ def test_a_matrix_that_does_not_fit_its_names_is_told(
     names = ("a", "b", "c")
     square, steps = ((1.0, 0.0, 0.0),) * 3, ((1.0, 1.0, 1.0),)
     result = RESULTS["implicit loop"]()
-    document = findings(result).added_to(result.document)
+    document = Result.of(result).document
     assert document.prediction is not None
     covariance = replace(document.covariance, names=names, matrix=square, scatter=square)
     ahead = replace(document.prediction, covariance=square, undetermined=steps)
@@ -356,7 +356,7 @@ def test_tables_hold_the_same_bits(rows: int, ending: str) -> None:
 
 
 def test_errors_of_the_parameters_are_kept() -> None:
-    result = replace(RESULTS["implicit loop"](), errors={"l2": 1e-5})
+    result = Result.of(RESULTS["implicit loop"](), errors={"l2": 1e-5})
     by_name = {p["name"]: p["error"] for p in plain(result.document)["parameters"]}
     assert by_name["l2"] == 1e-5
     assert by_name["l3"] is None

@@ -11,11 +11,9 @@ import numpy as np
 import loopcal as lc
 from loopcal.document.triangle import symmetric
 from loopcal.files.result.result_file import result_json, write_result
-from loopcal.files.result.result_folder import read_result_folder
 from loopcal.report.parameters import parameter_groups
 from loopcal.report.source import source_of
 from loopcal.report.tables import term_table
-from loopcal.statistics.findings import findings
 from loopcal.statistics.predictor import predictor_of
 
 NOISE = lc.Noise({"theta_*": 0.0, "xyz": 2e-5})
@@ -34,31 +32,31 @@ def arm(seed: int) -> lc.Result:
 
 def test_a_written_result_predicts_what_the_one_in_memory_does(tmp_path: Path) -> None:
     result, new = arm(3), lc.random_poses(ANGLES, 5, seed=9)
-    write_result(result, findings(result).added_to(result.document), tmp_path)
-    read = read_result_folder(tmp_path)
+    write_result(result, lc.Result.of(result).document, tmp_path)
+    read = lc.read_result(tmp_path)
     found = lc.predict(predictor_of(read.document, read.mechanism), new)
     now = lc.predict(result, new)
     for name in now.outputs:
         np.testing.assert_allclose(found.outputs[name], now.outputs[name], atol=1e-12)
         np.testing.assert_allclose(found.sd[name], now.sd[name], rtol=1e-9)
     np.testing.assert_allclose(found.denominator, now.denominator, rtol=0.02)
-    assert read.document.terms == findings(result).added_to(result.document).terms
+    assert read.document.terms == lc.Result.of(result).document.terms
 
 
 def test_symmetric_matrices_are_triangles_and_whole_rows_are_read_alike(tmp_path: Path) -> None:
     result, new = arm(3), lc.random_poses(ANGLES, 5, seed=9)
-    write_result(result, findings(result).added_to(result.document), tmp_path)
+    write_result(result, lc.Result.of(result).document, tmp_path)
     file = tmp_path / "result.json"
     content = json.loads(file.read_text("utf-8"))
     covariance, n = content["covariance"], len(result.estimated)
     assert [len(row) for row in covariance["matrix"]] == [n] * n
     assert [len(row) for row in covariance["plain"]] == [*range(1, n + 1)]
     assert max(map(len, file.read_text("utf-8").splitlines())) > 20 * n
-    short = read_result_folder(tmp_path)
+    short = lc.read_result(tmp_path)
     for rows in (covariance["plain"], *covariance["slopes"]):
         rows[:] = symmetric(rows).tolist()
     file.write_text(json.dumps(content, indent=1), "utf-8")
-    whole = read_result_folder(tmp_path)
+    whole = lc.read_result(tmp_path)
     assert file.stat().st_size > 1.8 * len(result_json(short.document))
     found = [lc.predict(predictor_of(r.document, r.mechanism), new) for r in (short, whole)]
     np.testing.assert_array_equal(found[0].covariance, found[1].covariance)

@@ -22,10 +22,14 @@ from loopcal.estimation.solve.solution import Solution
 Array = NDArray[np.float64]
 # docs/decisions/0050: family-wise.
 LEVEL = 0.001
+# Chosen, not derived: distances by pairs grow with the square, here to 32 MB.
 MOST_NEIGHBOURS = 2000
 """Poses among which neighbours in joint space are sought; of more, every second, third, ..."""
+# Chosen, not derived: where poses are as few as readings, canonical correlations are 1 by
+# themselves.
 _PAIRED = 3
 """Poses for each reading of two instruments from which their errors are compared."""
+# Chosen, not derived: a drift makes poses alike that are near in order; more leaves too few pairs.
 _APART = 0.1
 """Poses closer in order than this share of all are no neighbours in joint space."""
 _ROUNDING = 1e-14

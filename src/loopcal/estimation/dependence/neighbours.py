@@ -27,6 +27,7 @@ from loopcal.estimation.dependence.seen import Seen
 
 Array = NDArray[np.float64]
 Pairs = NDArray[np.intp]
+# Chosen, not derived: with fewer, the normal distribution of Moran's I is not to be believed.
 _LEAST = 10
 """Degrees of freedom and pairs that a test needs at least."""
 

@@ -37,6 +37,8 @@ GROSS = 10.0
 # One over the normal distribution's quantile of 3/4.
 NORMAL = 1.4826
 """The sd of normal values, over the median of their distances from the middle."""
+# Chosen, not derived: rounds of leaving poses aside, and steps of each. A placement in closed form
+# is near.
 _ROUNDS, _STEPS = 3, 10
 # As in docs/decisions/0046.
 _MOUNTED = 5e-3

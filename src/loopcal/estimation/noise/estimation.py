@@ -53,20 +53,26 @@ class Fitting(Protocol):
 _MOST, _SETTLED, _BETTER = 60, 1e-5, 1e-6
 """Rounds; what logarithms of ratios still change by, and the criterion, where a search has ended:
 near enough that searches which come to the same end do not seem better than each other."""
+# An sd tenfold off, either way. Chosen, not derived: the linearisation may have misled.
 _FAR = 100.0
 """A variance so many times the stated one, or less than it by as much, is checked again."""
+# Chosen, not derived: an early linearisation may call a variance zero that is not.
 _ROUGHLY, _SLOWLY = 0.1, 100.0
 """Variance ratios that change less than this are roughly right; early ones fall no faster."""
 NEAR, NEARBY, ROUGH = 1e-3, 1e-1, 1e-2
 """With terms, logarithms of variances still change by so much in the last round, far less than
 their uncertainty, the second where the search begins at those of nearly the same readings or has
 gone on for half of all rounds; the first fit ends so many sds near the optimum, the third."""
+# Chosen, not derived: looser fits cost rounds, tighter ones steps.
 _SHARE = 0.1
 """A rough fit ends so many sds near its optimum for each unit by which the logarithms change."""
+# Chosen, not derived: new sds may mend one failure; every further one costs a fit.
 _FAILURES = 1
 """So many fits in succession may end without converging."""
+# Residuals of 300 sds: chosen, not derived, beyond any sds that are only wrong.
 _HOPELESS = 1e5
 """An unconverged fit with whitened residuals this large (mean square) ends the search."""
+# Chosen, not derived: an interval of two such sds reaches zero.
 _UNCERTAIN = 0.5
 """Relative sd of an sd from which on an upper bound says more than the estimate."""
 

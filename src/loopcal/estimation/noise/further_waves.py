@@ -36,6 +36,7 @@ from loopcal.mechanisms.structure.smooth import Smooth
 from loopcal.mechanisms.structure.structured import DISCREPANCY
 
 Array = NDArray[np.float64]
+# docs/decisions/0049.
 _MOST = 60
 """Vectors k of the discrepancy and of the waves that follow, together."""
 

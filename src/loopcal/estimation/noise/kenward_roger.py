@@ -48,8 +48,11 @@ if TYPE_CHECKING:
     from loopcal.estimation.problem.pose_equations import PoseEquations
 
 Array = NDArray[np.float64]
+# Chosen, not derived: a variance that the data leave open must not make all others unsure.
 _WIDEST = 3.0
 """Sd of a ratio, at most, in units of the one that would explain all noise."""
+# Of a matrix with ones on its diagonal: no direction is a thousand times as unsure as alone.
+# Chosen, not derived.
 _RIDGE = 1e-6
 # docs/decisions/0049.
 ELSEWHERE = 0.5

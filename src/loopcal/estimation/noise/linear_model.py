@@ -32,6 +32,7 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.lazy import cached_property
 
 Array = NDArray[np.float64]
+# Chosen, not derived: squared 1e-14, some 50 roundings.
 KEPT = 1e-7
 """Directions of a triangle with a singular value this far below the largest do not count."""
 

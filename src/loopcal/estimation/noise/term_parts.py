@@ -31,6 +31,7 @@ from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import enumerated, with_unit
 
 Array = NDArray[np.float64]
+# Chosen, not derived: an even function of six joints gives each a sixth.
 _COUNTS = 0.2
 """Share of the variance of a smooth function from which a joint counts among its arguments."""
 _NOTHING = 1e-12

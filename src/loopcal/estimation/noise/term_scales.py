@@ -29,11 +29,15 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.terms import Term
 
 Array = NDArray[np.float64]
+# Caps against an endless search: 30 halvings leave 1e-9 of a step. Chosen, not derived.
 _MOST, _HALVINGS = 60, 30
 _SETTLED, _ROUNDING = 1e-9, 1e-14
 """A step is the last one if it promises the criterion less than this, or than its rounding."""
+# A factor of e in the sd, where the quadratic model of the criterion holds at most. Chosen, not
+# derived.
 _FARTHEST = 2.0
 """No logarithm of a variance changes by more in one step."""
+# Chosen, not derived: an sd of 30 in the logarithm of a variance says nothing on it.
 _FLAT = 1e-3
 """Curvature below which a direction counts as flat."""
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _QUANTILE = 1.959963984540054
 """Of the normal distribution, for 95 %."""
+# Chosen, not derived: far below any effect that readings show.
 _ABSENT = 1e-6
 """A term with this share of its expected sd has no effect."""
 

@@ -17,6 +17,7 @@ from loopcal.estimation.noise.linear_model import LinearModel, MixedFit, fit, sl
 from loopcal.estimation.noise.variance_components import Estimate, scoring_step
 
 Array = NDArray[np.float64]
+# Caps against an endless search: chosen, not derived.
 _MOST = 60
 """Steps of one profile, and of the search for a bound."""
 _ENOUGH, _SHARE, _ROUGHLY = 1e-6, 1e-7, 1e-3
@@ -26,7 +27,9 @@ the way to a bound than the third, which leaves its logarithm right to some 1e-4
 _KEPT = 0.5
 """Where a step brings less than this of what it promised, or more than its inverse, the information
 matrix it came from does not serve any more."""
+# A cap: 30 halvings leave 1e-9 of a step.
 _HALVINGS = 30
+# At 1e6 the rise is within 0.05 % of its limit, at 0.05 within 3 %.
 _FEW, _MANY = 0.05, 1e6
 """Degrees of freedom outside which the rise to a bound is at its limit."""
 _FARTHEST, _STRIDE = 20.0, 2.0

@@ -19,6 +19,7 @@ from loopcal.estimation.noise.linear_model import LinearModel, MixedFit, fit
 from loopcal.lazy import cached_property
 
 Array = NDArray[np.float64]
+# Caps against an endless search: 30 halvings leave 1e-9 of a step. Chosen, not derived.
 _MOST, _HALVINGS = 200, 30
 _SETTLED = 1e-10
 """A step is the last one if it promises the criterion less than this, or than its rounding."""
@@ -26,12 +27,16 @@ _ROUNDING = 1e-14
 """Of the criterion's size, so much is rounding."""
 _AT_BOUND = 1e-9
 """A step that leaves no more than this of a ratio above its bound leads to the bound."""
+# Above rounding, 1e-16, and far below any information that counts: chosen, not derived.
 _RIDGE = 1e-12
 """Of a component's own information, so that what only shows in a sum has a step of its own."""
+# Chosen, not derived: an sd of 100 in the logarithm says nothing on the ratio.
 _OPEN = 1e-4
 """Information on the logarithm of a ratio, below which the data leave it open."""
+# Chosen, not derived: by chance alone chi-squared is larger in three cases of four.
 _NO_PULL = 0.1
 """Chi-squared with which the data hold a ratio at zero, below which it is there by chance."""
+# Chosen, not derived: only a tenth of the variance of each, 1 - 0.95^2, is its own.
 ALIKE = 0.95
 """Two estimates correlated beyond this cannot be separated by the data."""
 

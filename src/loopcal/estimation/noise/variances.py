@@ -38,6 +38,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.solution import End
 
 Array = NDArray[np.float64]
+# Chosen, not derived: farther, the linearisation is not to be believed.
 _FARTHEST = 100.0
 """No variance grows more in one step."""
 

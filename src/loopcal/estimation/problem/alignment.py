@@ -17,12 +17,13 @@ from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 from loopcal.mechanisms.outputs import POLAR, point_outputs, points
 
 Array = NDArray[np.float64]
+# Chosen, not derived: outside any machine that fits on a floor, so that all its points are ahead.
 ASIDE = 10.0
 """Where a station that reads angles is thought to stand until it is placed [m]."""
 # docs/decisions/0023.
 TURNED = math.pi / 4.0
 """From a placement in the plane that is off by more [rad], fits may end at negative lengths."""
-# docs/decisions/0058 for the first.
+# docs/decisions/0052 for the first.
 _GROSS, _ROUNDS = 10.0, 10
 """Points so many times as far off as the middle one say nothing of where an instrument stands."""
 

@@ -17,6 +17,7 @@ from loopcal.mechanisms.serial import Joint, parameter_name
 
 _PARALLEL = 1e-3
 """Axes at a smaller angle [rad] or sine are parallel, as misaligned as robots are made."""
+# Chosen, not derived: along parallel axes a wider prior leaves d to the rounding of their angle.
 _WEAK = 0.1
 """A prior of d holds a joint only if its sd is at most this share of the largest length."""
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from loopcal.measurements.noise import ReadingUncertainty
 from loopcal.mechanisms.mechanism import Mechanism
 
-# docs/decisions/0058.
+# docs/decisions/0052.
 FEWEST = 3
 """Poses from which equal readings are no chance."""
 

@@ -20,15 +20,21 @@ from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
+# Every 30 degrees. Chosen, not derived: more starts find more ways to stand, for as much more time.
 _ROUND = 12
+# Chosen, not derived: as many as _ROUND bounds for one angle, more for several; each costs a
+# search.
 _MOST, _MOST_FROM_HOME = 72, 24
 """Starts for several angles, without and with a home among them."""
+# Chosen, not derived: a pose stays in the form of home unless another one is clearly better.
 _FAR_BETTER = 0.25
 _ELSEWHERE = 1e-3
 """Home is taken for wrong where elsewhere most poses close with so much of its misfit or less. One
 redundant reading closes by chance in some of a platform's forty ways to stand, if not in most."""
+# Chosen, not derived: every such pose costs a search.
 _ASTRAY = 100.0
 """A pose that home leaves with so many times the usual misfit may stand elsewhere."""
+# Chosen, not derived: enough to say where most poses close.
 _SAMPLE = 32
 """Poses of each pattern that are searched from everywhere."""
 

@@ -11,6 +11,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage
 
+# Chosen, not derived: below the noise of any instrument, above what closing leaves.
 _OPEN = 1e-6
 """Loops that stay this far from zero [m, rad] are open."""
 

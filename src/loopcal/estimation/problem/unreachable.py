@@ -16,7 +16,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.presentation.rounding import significant
 
 Array = NDArray[np.float64]
-# docs/decisions/0058 for the first.
+# docs/decisions/0052 for the first.
 _FAR, _LONG, _FEW, _NAMED = 30.0, 10.0, 0.1, 5
 
 

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 # docs/decisions/0002.
 MOST = 4
 """Steps that are remembered: so many directions may converge slowly."""
+# Chosen, not derived: a longer one leaves what four steps have shown.
 _LONGEST = 100.0
 """An accelerated step is at most so many times as long as the step itself."""
 

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 MOST_DAMPING = 1e8
 _RAISED, _RAISED_MOST = 2.0, 10.0
 """A rejected step raises the damping twofold, the next one fourfold, and so on up to tenfold."""
+# Chosen, not derived: 0.75 as in many trust-region methods, and every fall counts.
 _POOR, _GOOD = 0.0, 0.75
 """The damping rises when the merit rose, falls threefold when it fell, and tenfold when it fell by
 this share of what was predicted."""

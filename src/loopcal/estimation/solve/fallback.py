@@ -30,14 +30,17 @@ from loopcal.estimation.solve.status import MOST_ITERATIONS
 from loopcal.presentation.rounding import significant
 
 Array = NDArray[np.float64]
+# docs/decisions/0023.
 _POSES = 200
 """Starts are sought on so many of the poses at most."""
+# Chosen, not derived: time of a search whose end is fitted again.
 _MOST = 100
 """Iterations of a search for a start."""
 # Three radii with eight draws are the 24 starts of docs/decisions/0023.
 _RADII, _DRAWS, _SEARCH, _GLANCE = (0.1, 0.3, 1.0), 8, 50, 3
 """Several starts: so many at each radius, as shares of half a turn, of the largest length and of
 other parameters themselves; each is searched for so many iterations, after a misfit for few."""
+# Chosen, not derived: above what convergence leaves open, below what another optimum changes.
 _HIGHER = 1e-6
 # docs/decisions/0023.
 _MISFIT = 10.0

@@ -20,9 +20,12 @@ from loopcal.expressions.engine import Engine, LoopValues, Stage
 
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array], LoopValues]
+# Chosen, not derived: a cap; many starts are searched, so each has little time.
 _MOST = 40
+# Chosen, not derived: within it, closing the loops converges by itself.
 _SETTLED = 1e-6
 """A step this small [m, rad] ends the search; closing the loops goes on from there."""
+# Factors of ten as Marquardt (1963); damping of 1e8 leaves 1e-8 of a step.
 _FIRST, _SOFTER, _HARDER, _STUCK = 1e-3, 0.1, 10.0, 1e8
 """Damping beside the squared length of a column: at first, after good and bad steps, given up."""
 

@@ -58,10 +58,13 @@ RELATIVE_STEP = 1e-11
 suggest: parameters then have ten digits. With large noise a step gains only two or three."""
 _NEGLIGIBLE_STEP = 1e-6
 """The next step must be this small; if it no longer shrinks, only rounding is left."""
+# Chosen, not derived: steps of a fit that still converges shrink faster.
 _NO_LONGER = 0.8
 """The decrement no longer shrinks when it keeps this share from one step to the next."""
+# Chosen, not derived: earlier steps need no closed loops, later ones decide the end.
 _LAST_STEP = 0.1
 """Steps this small are taken with closed loops, so that the point they end at is final."""
+# Chosen, not derived: faster fits need no acceleration, and far from the end it misleads.
 _SLOW, _NEARBY = 0.1, 1.0
 """Steps are accelerated where the decrement keeps so much from one to the next, and the step is so
 many sds."""
@@ -75,12 +78,14 @@ than the linearised loops are known to hold, by more."""
 # docs/decisions/0002: limits are by progress, MOST_ITERATIONS is only the cap.
 _PATIENCE, _PROGRESS = 100, 1e-9
 """The search ends where so many iterations lower the merit by no more than this share of it."""
+# Chosen, not derived: residuals of 10 sds, of which the next step takes two thirds.
 _FAR, _EXPLAINED = 100.0, 0.9
 """Where whitened residuals are this large (mean square) and parameters explain this share of
 them, the loops need not be closed yet."""
 _ONCE, _NEAR, _CLOSED = np.inf, NEAR, NEGLIGIBLE
 """Loops are closed until what is left to correct is at most so many sds: after a single correction
 on the way, where that does not do, and at the end."""
+# Chosen, not derived: sums grow with the square of the parameters, closing loops does not.
 _WIDE = 100
 """With so many parameters, loops closed to the end cost little beside the sums over all poses."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+# docs/decisions/0002: a cap; fits end by progress.
 MOST_ITERATIONS = 1000
 """Iterations that a fit may take, unless the user says otherwise."""
 REASONS = {

@@ -29,6 +29,7 @@ from loopcal.expressions.engine import Engine, LoopValues, Stage, engine_for
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
+# Chosen, not derived: closing farther costs time, and a step is damped anyway.
 NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""
 _SEARCHED = 1024
@@ -37,6 +38,7 @@ _SEARCHED = 1024
 _ASTRAY, _ANEW, _NEARER = 25.0, 256, 0.999
 """A pose whose corrections cost so many times those of the middle pose may close nearer; so many of
 a block are tried; one does if it then costs at most this share."""
+# Chosen, not derived: rounding is alike in all poses.
 _SAMPLE = 64
 """Poses from which the rounding of loop values is estimated."""
 

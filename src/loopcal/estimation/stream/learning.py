@@ -96,16 +96,14 @@ class Learnt:
 
     def annotated(self, result: Result) -> Result:
         """The result of all poses, with what was learnt and from how many."""
-        part, notes = self.part, result.notes
+        part = self.part
         if self.every > 1:
             share = f"{part.solution.poses} of these poses, one of every {self.every}. "
             if self.stands_for_all:
-                notes += (f"The fit used {share}The accuracy is that of all poses.",)
+                result = result.noted(f"The fit used {share}The accuracy is that of all poses.")
             else:
-                notes += (f"The sds were learnt from {share}The fit used all poses.",)
-        return replace(
-            result, stated=part.stated, estimate=part.estimate, faults=part.faults, notes=notes
-        )
+                result = result.noted(f"The sds were learnt from {share}The fit used all poses.")
+        return replace(result, stated=part.stated, estimate=part.estimate, faults=part.faults)
 
 
 def learn(

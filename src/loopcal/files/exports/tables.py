@@ -15,6 +15,7 @@ from loopcal.document.exported import Exported, Placed
 from loopcal.errors import InputError, nearest
 from loopcal.files.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.files.exports.urdf import decimal
+from loopcal.files.programs.program import written
 from loopcal.measurements.poses import cell_text
 from loopcal.mechanisms.denavit import DenavitTable, dh_table, modified
 from loopcal.mechanisms.rest import quaternion, roll_pitch_yaw
@@ -59,7 +60,7 @@ def zeros(exported: Exported, options: ExportOptions) -> ExportFiles:
         counts = options.counts.get(zero.joint)
         pendant_counts = "" if counts is None else f"{round(value * counts):d}"
         # The true angle is the reading plus the offset, so the reading at the true zero is -offset.
-        cells = [_fixed(value), half, _fixed(-value), pendant_counts]
+        cells = [written(value, 6), half, written(-value, 6), pendant_counts]
         rows.append([zero.joint, unit, *cells, "yes" if zero.determined else "no"])
     return ExportFiles(
         {"zeros.csv": csv_text(rows), "accuracy.csv": accuracy_csv(exported)},
@@ -77,13 +78,8 @@ def _undetermined(exported: Exported) -> tuple[str, ...]:
     )
 
 
-def _fixed(value: float) -> str:
-    text = f"{value:.6f}"
-    return text.removeprefix("-") if float(text) == 0.0 else text
-
-
 def _rpy(R: Array) -> list[str]:
-    return [_fixed(math.degrees(v)) for v in roll_pitch_yaw(R)]
+    return [written(math.degrees(v), 6) for v in roll_pitch_yaw(R)]
 
 
 def _zyx(R: Array) -> list[str]:
@@ -132,7 +128,7 @@ def _placed(frames: Sequence[Placed], vendor: str | None) -> list[list[str]]:
     _, columns, turned = ORIENTATIONS[vendor or ""]
     rows = [["for the model", "frame", "in the frame", "x [mm]", "y [mm]", "z [mm]", *columns]]
     for placed in frames:
-        place = [_fixed(1e3 * v) for v in placed.T[:3, 3]]
+        place = [written(1e3 * v, 6) for v in placed.T[:3, 3]]
         turns = turned(placed.T[:3, :3]) if placed.turned else [""] * len(columns)
         rows.append([placed.model, placed.name, placed.seen_in, *place, *turns])
     return rows

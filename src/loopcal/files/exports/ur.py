@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import configparser
 import re
+from contextlib import suppress
 from pathlib import Path
 
 from loopcal.document.exported import Exported
-from loopcal.errors import InputError
+from loopcal.errors import Code, InputError
 from loopcal.files.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.files.exports.tables import frames_csv
 from loopcal.files.exports.urdf import decimal
@@ -32,6 +33,7 @@ from loopcal.mechanisms.universal_robots import (
 )
 
 MOST_BYTES = 100_000
+_SEED = 0xC70F6907  # of libstdc++
 # Possessive: a file of blanks cannot make the search back out (docs/decisions/0137).
 _HASH = re.compile(r"^[ \t]*+hash[ \t]*+:\s*+['\"]?(calib_\d+)", re.MULTILINE)
 _REMEDY = (
@@ -93,22 +95,14 @@ def read_calibration(path: Path, model: str) -> UrTable:
     try:
         parser.read_string(_text(path))
     except configparser.Error as error:
-        raise InputError(
-            f"this is not a calibration.conf: {str(error).splitlines()[0]}",
-            code="wrong-file-type",
-            place=place,
-            remedy=_REMEDY,
-        ) from None
+        words = f"this is not a calibration.conf: {str(error).splitlines()[0]}"
+        raise _refusal(words, "wrong-file-type", place) from None
     deltas = {}
     for key in ("theta", "d", "a", "alpha"):
         written = parser.get("mounting", f"delta_{key}", fallback=None)
         if written is None:
-            raise InputError(
-                f"calibration.conf has no delta_{key} in [mounting]",
-                code="missing-key",
-                place=place,
-                remedy=_REMEDY,
-            )
+            words = f"calibration.conf has no delta_{key} in [mounting]"
+            raise _refusal(words, "missing-key", place)
         deltas[key] = _six(written, f"delta_{key}", place)
     return drawing(model).changed(deltas)
 
@@ -120,26 +114,20 @@ def _six(text: str, key: str, place: str) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != 6 or not all(abs(v) < 1e6 for v in numbers):
-        raise InputError(
-            f"{key} is not six numbers in brackets",
-            code="invalid-number",
-            place=place,
-            remedy=_REMEDY,
-        )
+        raise _refusal(f"{key} is not six numbers in brackets", "invalid-number", place)
     return numbers
 
 
 def _text(path: Path) -> str:
     content = bytes_of(path, MOST_BYTES)
-    try:
-        if len(content) > MOST_BYTES:
-            raise UnicodeDecodeError("utf-8", content, 0, 1, "too long")
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(
-            "this is not a calibration.conf", code="wrong-file-type", place=shown(path),
-            remedy=_REMEDY,
-        ) from None  # fmt: skip
+    with suppress(UnicodeDecodeError):
+        if len(content) <= MOST_BYTES:
+            return content.decode("utf-8-sig")
+    raise _refusal("this is not a calibration.conf", "wrong-file-type", shown(path))
+
+
+def _refusal(words: str, code: Code, place: str) -> InputError:
+    return InputError(words, code=code, place=place, remedy=_REMEDY)
 
 
 def table_hash(table: UrTable) -> str:
@@ -153,12 +141,12 @@ def table_hash(table: UrTable) -> str:
     return f"calib_{_murmur(''.join(f'{v:g}' for row in numbers for v in row).encode())}"
 
 
-def _murmur(data: bytes, seed: int = 0xC70F6907) -> int:
+def _murmur(data: bytes) -> int:
     """MurmurHash64A."""
     # Unsigned 64-bit products of C++ wrap, those of Python do not.
     factor, mask = 0xC6A4A7935BD1E995, (1 << 64) - 1
     whole = len(data) // 8 * 8
-    h = (seed ^ (len(data) * factor)) & mask
+    h = (_SEED ^ (len(data) * factor)) & mask
     for i in range(0, whole, 8):
         k = int.from_bytes(data[i : i + 8], "little") * factor & mask
         h = (h ^ ((k ^ (k >> 47)) * factor & mask)) * factor & mask

@@ -18,9 +18,10 @@ import numpy as np
 from loopcal.document.exported import Exported
 from loopcal.errors import InputError, nearest
 from loopcal.files.exports.format import ExportFiles, ExportOptions, Format
-from loopcal.files.exports.xml_text import Edit, StartTag, XmlText
+from loopcal.files.exports.xml_text import StartTag, XmlText
 from loopcal.files.machines.safe_xml import children, content_of, read_xml
 from loopcal.files.machines.urdf import NO_URDF, joint_elements
+from loopcal.files.programs.program import Place, Span
 from loopcal.files.toml.reader import shown
 from loopcal.mechanisms.calibrated_origins import CalibratedOrigin
 from loopcal.mechanisms.origins import LinkJoint
@@ -59,7 +60,7 @@ def patched_urdf(path: str | Path, origins: Sequence[CalibratedOrigin]) -> Patch
         )
     )
     joints = joint_elements(root, place)
-    edits: list[Edit] = []
+    edits: list[Place] = []
     changed: list[str] = []
     rising: list[str] = []
     for one in origins:
@@ -117,7 +118,7 @@ def _check_same(one: CalibratedOrigin, joint: LinkJoint, place: str) -> None:
 
 def _edits(
     one: CalibratedOrigin, joint: LinkJoint, element: Any, tags: dict[Any, StartTag]
-) -> list[Edit]:
+) -> list[Place]:
     """What changes in a joint."""
     attributes: dict[str, str] = {}
     origin = next(iter(children(element, "origin")), None)
@@ -143,7 +144,7 @@ def _rotation(rpy: Sequence[float]) -> Any:
 
 def _written(
     attributes: dict[str, str], tag: str, element: Any, parent: StartTag, tags: dict[Any, StartTag]
-) -> list[Edit]:
+) -> list[Place]:
     """The edits that give an element, which may not be there, these attributes."""
     if not attributes:
         return []
@@ -151,14 +152,14 @@ def _written(
         prefix = parent.tag.rpartition(":")[0]
         name = f"{prefix}:{tag}" if prefix else tag
         words = "".join(f' {key}="{value}"' for key, value in attributes.items())
-        return [Edit(parent.after, parent.after, f"<{name}{words}/>")]
+        return [Place(Span(parent.after, parent.after), f"<{name}{words}/>")]
     start_tag = tags[element]
     edits = []
     for key, value in attributes.items():
         if key in start_tag.values:
-            edits.append(Edit(*start_tag.values[key], value))
+            edits.append(Place(start_tag.values[key], value))
         else:
-            edits.append(Edit(start_tag.end, start_tag.end, f' {key}="{value}"'))
+            edits.append(Place(Span(start_tag.end, start_tag.end), f' {key}="{value}"'))
     return edits
 
 
@@ -168,14 +169,10 @@ def numbers(values: Iterable[float], old: Sequence[float] | None = None, written
     old, written: values that stood there and their text, which is kept of those that are the same.
     """
     words = written.split()
-    kept = words if old is not None and len(words) == len(old) else None
-    texts = []
-    for i, value in enumerate(values):
-        if kept is not None and old is not None and old[i] == value:
-            texts.append(kept[i])
-        else:
-            texts.append(decimal(value))
-    return " ".join(texts)
+    if old is None or len(words) != len(old):
+        return " ".join(map(decimal, values))
+    kept = zip(values, old, words, strict=True)
+    return " ".join(word if value == before else decimal(value) for value, before, word in kept)
 
 
 def decimal(value: float) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from loopcal.errors import InputError
+from loopcal.files.programs.program import Place, Span, replaced
 
 # Comments and CDATA come first: what looks like a tag inside them is none.
 _TOKEN = re.compile(
@@ -35,22 +36,13 @@ class StartTag:
     """A start tag in a text: its tag as written, and where its parts stand.
 
     end: behind the tag and its blanks and attributes, ahead of "/>" or ">"; after: behind ">";
-    values: attribute as written -> begin and end of its value, without the quotes.
+    values: attribute as written -> its value, without the quotes.
     """
 
     tag: str
     end: int
     after: int
-    values: Mapping[str, tuple[int, int]]
-
-
-@dataclass(frozen=True)
-class Edit:
-    """A part of a text, from begin to end, and what takes its place."""
-
-    begin: int
-    end: int
-    text: str
+    values: Mapping[str, Span]
 
 
 @dataclass(frozen=True)
@@ -91,17 +83,11 @@ class XmlText:
             inside, begin = match["inside"], match.start("inside")
             end = begin + len(inside.removesuffix("/").rstrip())
             values = {
-                a[1]: tuple(begin + place for place in a.span(2 if a[2] is not None else 3))
+                a[1]: Span(*(begin + place for place in a.span(2 if a[2] is not None else 3)))
                 for a in _ATTRIBUTE.finditer(inside)
             }
-            spans = {name: (span[0], span[1]) for name, span in values.items()}
-            yield StartTag(match["tag"], end, match.end(), spans)
+            yield StartTag(match["tag"], end, match.end(), values)
 
-    def edited(self, edits: Sequence[Edit]) -> bytes:
+    def edited(self, edits: Sequence[Place]) -> bytes:
         """The bytes with the edits made."""
-        parts, at = [], 0
-        # Stable: attributes that are inserted at one place keep their order.
-        for edit in sorted(edits, key=lambda e: e.begin):
-            parts += [self.text[at : edit.begin], edit.text]
-            at = edit.end
-        return "".join([*parts, self.text[at:]]).encode(self.codec)
+        return replaced(self.text, Span(0, len(self.text)), edits).encode(self.codec)

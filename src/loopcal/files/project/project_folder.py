@@ -20,7 +20,6 @@ from typing import Any, BinaryIO
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
 from loopcal.files.paths import leads_into
-from loopcal.files.programs.registry import BY_ENDING as PROGRAMS
 from loopcal.files.result.deployed import FOLDER as NOTES
 from loopcal.files.result.deployed import corrected_of, made_of
 from loopcal.files.tables.raw import sha256_of
@@ -31,9 +30,9 @@ PROJECT = "project.toml"
 RESULT = "result.json"
 PLAN_DOCUMENT = "plan.json"
 RECORD = "record.html"
-TAKEN = {*READERS, *PROGRAMS, *(".urdf", ".xml", ".toml", ".conf", ".yaml", ".yml")}
-"""Endings of the files that are taken in: readings, programs, robots, projects and what an export
-patches. Nothing else is of use, and Python beside them could be run by other programs."""
+TAKEN = {*READERS, *(".urdf", ".xml", ".toml", ".conf", ".yaml", ".yml")}
+"""Endings of the files that are taken in: readings, robots, projects and what an export patches.
+Nothing else is of use, and Python beside them could be run by other programs."""
 _APPENDING = threading.Lock()
 
 
@@ -78,9 +77,10 @@ class Listed:
 
 @dataclass(frozen=True)
 class ProjectFolder:
-    """The folder; nothing outside it is touched."""
+    """The folder; nothing outside it is touched. also: further endings of files taken in."""
 
     path: Path
+    also: frozenset[str] = frozenset()
 
     @property
     def project(self) -> Path:
@@ -222,12 +222,13 @@ class ProjectFolder:
                 code="invalid-value",
                 remedy="rename the file",
             )
-        if Path(last).suffix.lower() not in TAKEN:
+        taken = TAKEN | self.also
+        if Path(last).suffix.lower() not in taken:
             raise InputError(
                 f"the ending {Path(last).suffix!r} is that of no file that loopcal reads",
                 code="wrong-file-type",
                 place=last,
-                remedy=f"give a file that ends in {', '.join(sorted(TAKEN))}",
+                remedy=f"give a file that ends in {', '.join(sorted(taken))}",
             )
         path = self.inside(last)
         if path.exists() and path.read_bytes() != content:

@@ -56,13 +56,13 @@ def write_result(
     folder: str | Path,
     *,
     report: Callable[[ResultDocument], str] | None = None,
-    entry: tuple[str | Path, Mapping[str, Any]] | None = None,
+    write: Callable[..., object] = write_all,
 ) -> WrittenResult:
     """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
 
     report: makes report.html of the document; without it an existing one is deleted, because it
-    describes another result. entry: folder of a history, and what is added to it, all or none with
-    the rest. The folder is made if need be. Raises InputError, naming the file, the
+    describes another result. write: does it, as `write_all` does, which may keep more with the
+    rest. The folder is made if need be. Raises InputError, naming the file, the
     reason and a remedy, where they cannot be written.
     """
     folder = Path(folder)
@@ -78,13 +78,7 @@ def write_result(
         for name, data in {**pair, **pages, RESULT: result_json(document)}.items()
     }
     remove = [] if pages else [folder / "report.html"]
-    if entry is None:
-        write_all(files, remove=remove)
-    else:
-        into, content = entry
-        from loopcal.files.history.folder import append_entries
-
-        append_entries(into, [("calibration", content)], lambda _: files, remove=remove)
+    write(files, remove=remove)
     return WrittenResult(folder, (*NAMES, *pages), document)
 
 

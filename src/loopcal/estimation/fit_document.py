@@ -1,0 +1,77 @@
+"""What a document holds of a fit alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from loopcal.document.fit import ClosureEntry, StatusEntry
+from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
+from loopcal.estimation.accuracy import accuracy_entry
+from loopcal.estimation.document_parts import (
+    coarse_readings,
+    covariance_entry,
+    inputs_entry,
+    noise_entries,
+    parameter_entry,
+)
+from loopcal.estimation.noise.learning import joint_covariances
+from loopcal.estimation.redundancy import Redundancy, redundancy
+from loopcal.estimation.result import Result
+from loopcal.estimation.solve.scratch import one_blas_thread
+
+
+@one_blas_thread()
+def fit_document(result: Result) -> ResultDocument:
+    """The document of a fit: what was added beside it, and a verdict, are not in it."""
+    status = result.status
+    spread = result.learnt_covariance, result.spectrum.covariance()
+    shares, names = result.chi_squared_shares, result.mechanism.tape.quantities
+    noise = noise_entries(result.noise, shares, names, _redundancy(result))
+    coarse = coarse_readings(result.dataset, noise, result.problem, result.pose_equations())
+    return ResultDocument(
+        schema=SCHEMA,
+        loopcal="",
+        title=None,
+        mechanism=MechanismEntry.of(result.mechanism),
+        method=result.method,
+        method_label=result.fit.label,
+        loss=result.loss,
+        status=StatusEntry(status.converged, status.reason, status.message, status.iterations),
+        parameters=tuple(
+            parameter_entry(
+                p, result.value[p.name], result.sd[p.name], result.degrees_of_freedom[p.name]
+            )
+            for p in result.mechanism.parameters
+        ),
+        covariance=covariance_entry(result.estimated, *spread, result.identifiability.loose),
+        noise=noise,
+        noise_covariances=() if result.fit.solver.exact else joint_covariances(result.problem),
+        terms=result.terms_with_parts(),
+        sds_settled=None if result.estimate is None else result.estimate.settled,
+        model_discrepancy=result.model_discrepancy,
+        variance_factor_applied=result.variance_factor_applied,
+        restricted_criterion=result.restricted_criterion,
+        chi_squared=result.chi_squared,
+        closure=ClosureEntry(result.closure_before.entry, result.closure_after.entry),
+        accuracy=accuracy_entry(result.accuracy_before, result.accuracy_after),
+        validation=None,
+        dependence=result.dependence,
+        identifiability=result.identifiability,
+        observability=None,
+        prediction=None,
+        outliers=None,
+        column_faults=result.faults or None,
+        data=replace(result.data_entry, coarse=coarse),
+        warnings=result.warnings,
+        inputs=inputs_entry(result.dataset, result.mechanism),
+        versions={},
+    )
+
+
+def _redundancy(result: Result) -> Redundancy | None:
+    """What readings control of each other; None of a stream, a robust loss, exact readings."""
+    if result.all_poses is not None or result.fit.robust_loss is not None:
+        return None
+    if result.fit.solver.exact:
+        return None
+    return redundancy(result.problem, result.pose_equations(), result.spectrum.covariance())

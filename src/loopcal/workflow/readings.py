@@ -1,0 +1,75 @@
+"""Readings as a user states them: a value, a table, a file, or the folder of a result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from loopcal.errors import InputError
+from loopcal.estimation.result import Result
+from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.result.result_poses import poses_of_result
+from loopcal.files.tables.readers import column_labels, read_dataset
+from loopcal.measurements.checks import refuse_implausible
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.tables import column_names
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import matching
+
+Units = Mapping[str, str] | None
+POSE = "pose"
+"""The column of pose ids of a table or file that no project describes."""
+
+
+def readings(data: Any, mechanism: Mechanism, units: Units = None) -> Dataset:
+    """A dataset of a table or a file, in the units stated or else in SI.
+
+    A column "pose" holds ids. Columns of a file that the mechanism does not know are left out.
+    Raises InputError where SI is implausible, with the likely unit.
+    """
+    if isinstance(data, Dataset):
+        if units:
+            raise InputError(
+                "units are given for a Dataset, whose values are SI already",
+                code="conflicting-keys",
+                remedy="remove units, or give them to Dataset.from_arrays",
+            )
+        return data
+    units_of = {**mechanism.quantities, **mechanism.pose_constants}
+    from_file = isinstance(data, str | Path)
+    names = column_labels(data) if from_file else column_names(data)
+    stated_units = {
+        name: unit for key, unit in (units or {}).items() for name in matching(key, names, "column")
+    }
+    # A machine may have a quantity of this name.
+    pose = POSE if POSE in names and POSE not in units_of else None
+    if from_file:
+        named = {q: q for q in units_of if q in names} or None
+        dataset = read_dataset(data, named, pose=pose, units=stated_units)
+    else:
+        dataset = Dataset.from_arrays(data, units=stated_units, poses=pose)
+    # A stated unit is believed; SI is only assumed.
+    refuse_implausible(dataset, {q: u for q, u in units_of.items() if q not in stated_units})
+    return dataset
+
+
+def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
+    """Further readings for a result; a path is read in the columns of its project.
+
+    whole: with the outputs. A folder of a result stands for the readings it was calibrated with.
+    """
+    if isinstance(data, Result | Dataset):
+        return data
+    mechanism: Mechanism = result.mechanism
+    folder = getattr(data, "path", None)
+    if isinstance(folder, Path):  # of a result
+        data = folder
+    if not isinstance(data, str | Path):
+        return readings(data, mechanism, units)
+    poses = poses_of_result(data, mechanism)
+    if poses is not None:
+        return poses
+    if units is None:
+        return read_new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
+    return readings(data, mechanism, units)

@@ -1,0 +1,139 @@
+"""What every result answers, whether it was just fitted or read from its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.aliases import aliased
+from loopcal.document.parameter_table import ParameterTable
+from loopcal.document.plain import plain
+from loopcal.document.result_document import ResultDocument
+from loopcal.document.verdict import Verdict
+from loopcal.errors import InputError
+from loopcal.figures.figure import Figure
+from loopcal.report.drawn import figures
+from loopcal.report.source import Source
+from loopcal.statistics.prediction import Prediction, predict
+from loopcal.workflow.readings import Units, later_readings
+
+if TYPE_CHECKING:
+    from loopcal.statistics.predictor import Predictor
+
+
+class Views:
+    """Tables, figures and texts of a result, from its document.
+
+    Names that users of SciPy, lmfit and statsmodels try first work as well, where they mean the
+    same (`loopcal.document.aliases`).
+    """
+
+    # At run time these would become defaults of fields with the same names in dataclasses below.
+    if TYPE_CHECKING:
+
+        @property
+        def document(self) -> ResultDocument: ...  # everything that result.json holds
+
+        @property
+        def unjudged(self) -> ResultDocument: ...  # at hand before any search for findings
+
+        @property
+        def predictor(self) -> Predictor: ...  # what predictions need of it
+
+        @property
+        def source(self) -> Source: ...  # what the report shows
+
+    @property
+    def converged(self) -> bool:
+        """Whether the point found is the optimum; `verdict` says whether it can be used."""
+        return self.unjudged.status.converged
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the result can be used, and for what; None: an earlier version wrote it."""
+        return self.document.verdict
+
+    @property
+    def inputs(self) -> Mapping[str, Any]:
+        """The project as it was read, in whose columns further readings come."""
+        return self.unjudged.inputs
+
+    @property
+    def params(self) -> ParameterTable:
+        """Every parameter by name [SI]: value, sd, nominal; as a DataFrame by `to_pandas()`."""
+        return ParameterTable(self.unjudged.parameters)
+
+    @property
+    def plot(self) -> Plots:
+        """The report's figures, as plotly figures: `result.plot.residuals()`."""
+        return Plots(figures(self.source))
+
+    @property
+    def fitted_outputs(self) -> dict[str, NDArray[np.float64]]:
+        """Output -> (N,) values [SI] computed from the other readings of the poses used."""
+        table = self.source.table
+        return {n: table.readings[n] + d for n, d in table.differences_after.items()}
+
+    def __str__(self) -> str:
+        return str(self.document)
+
+    def summary(self) -> str:
+        """The printed summary, headed by the verdict."""
+        return str(self)
+
+    def predict(self, data: Any, *, units: Units = None, **options: Any) -> Prediction:
+        """`loopcal.predict` of this result: outputs for readings, with their covariance."""
+        return predict(self.predictor, later_readings(self, data, units, whole=False), **options)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of result.json as plain data."""
+        content: dict[str, Any] = plain(self.document)
+        return content
+
+    def _repr_html_(self) -> str:
+        from loopcal.document.notebook_html import result_html
+
+        return result_html(self.document)
+
+    if not TYPE_CHECKING:  # a type checker shall still find misspelt names
+
+        def __getattr__(self, name: str) -> Any:
+            if hasattr(type(self), name):  # a property that failed: say what failed in it
+                return object.__getattribute__(self, name)
+            return aliased(self, name)
+
+
+@dataclass(frozen=True)
+class Plots:
+    """The report's figures of a result, as plotly figures; they show themselves in a notebook."""
+
+    drawn: Mapping[str, Figure]
+
+    def residuals(self) -> Any:
+        """Computed minus measured outputs pose by pose, before and after."""
+        return self._figure("residuals")
+
+    def space(self) -> Any:
+        """Arrows from measured to computed points, and the machine."""
+        return self._figure("arrows")
+
+    def parameters(self) -> Any:
+        """Changes of the parameters from their nominal values, with 95 % intervals."""
+        return self._figure("parameters")
+
+    def correlations(self) -> Any:
+        """Correlations of the estimated parameters, as a map."""
+        return self._figure("correlations")
+
+    def _figure(self, key: str) -> Any:
+        if key not in self.drawn:
+            raise InputError(
+                f"the result has no numbers for the figure {key!r}",
+                code="no-data",
+                remedy=f"draw one of: {', '.join(self.drawn)}",
+            )
+        return self.drawn[key].plotly()
