@@ -17,7 +17,7 @@ import loopcal as lc
 from loopcal.cli import main
 from loopcal.execution.executor import InProcess
 from loopcal.figures.space import FIELD, space_layout
-from loopcal.presentation.text_table import Table
+from loopcal.presentation.shown import Table
 from loopcal.report.life_pages import fleet_html, verification_html
 from loopcal.report.plan_page import plan_html
 from loopcal.report.study_page import study_html

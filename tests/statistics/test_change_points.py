@@ -19,7 +19,7 @@ from loopcal.document.change_points import Change, ChangePoint
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.mechanisms.station import Station
 from loopcal.statistics.estimated import log_tail
-from loopcal.statistics.moved_by import sized
+from loopcal.statistics.findings import sized
 from loopcal.statistics.verdict import findings_of
 from tests.estimation.test_real_data import RIGHT, left_arm, measured
 from tests.reference.simulated import MA1400_RANGES, ma1400

@@ -28,8 +28,7 @@ from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.outputs import cartesian
-from loopcal.mechanisms.station import Station
-from loopcal.mechanisms.stationed import stationed
+from loopcal.mechanisms.station import Station, stationed
 from loopcal.mechanisms.structure.structured import structured
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.another_day import Day

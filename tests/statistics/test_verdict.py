@@ -21,18 +21,21 @@ from loopcal.cli.application import app
 from loopcal.cli.registry import COMMANDS, loaded
 from loopcal.document.accuracy import Coverage
 from loopcal.document.catalogue import CATALOGUE
-from loopcal.document.change_points import Change, ChangePoint, ChangePoints
-from loopcal.document.choice import Candidate, Chosen
-from loopcal.document.dependence import Dependence, InstrumentDependence, Likeness
+from loopcal.document.change_points import (
+    Change,
+    ChangePoint,
+    ChangePoints,
+    Dependence,
+    InstrumentDependence,
+    Likeness,
+)
+from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, Undetermined
-from loopcal.document.goodness_of_fit import ChiSquared
-from loopcal.document.judgement import Fact
+from loopcal.document.fit import ChiSquared
 from loopcal.document.result_document import CoarseReadings, ResultDocument
-from loopcal.document.row import Row
-from loopcal.document.terms import TermEntry
-from loopcal.document.verdict import UNASKED
+from loopcal.document.verdict import UNASKED, Fact, Row
 from loopcal.mechanisms.limits import joint_limits
-from loopcal.presentation.wrapped import WIDTH
+from loopcal.presentation.shown import WIDTH
 from loopcal.statistics.judged_machine import off_the_drawing
 from loopcal.statistics.judged_readings import _by_few
 from loopcal.statistics.predictor import predictor

@@ -17,7 +17,7 @@ from loopcal.statistics.another_day import as_learnt
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.replacing import freed, mounted
-from loopcal.statistics.tolerance import Quantile, kept
+from loopcal.statistics.verdict import Quantile, kept
 from loopcal.statistics.verification import verify
 from tests.reference.machines import dh_arm
 from tests.reference.simulated import Simulated, ma1400, planar_arm

@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.figures.figure import axis, layout, names, numbers, spots, upright
-from loopcal.figures.thinning import thinned
+from loopcal.figures.figure import axis, layout, names, numbers, spots, thinned, upright
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.presentation.shown import factor, unit_shown
 from loopcal.report.drawn import pose_distances, seen_points
 from loopcal.report.source import Source
-from loopcal.statistics.shifted import ids_are_numbers
+from loopcal.statistics.changes import ids_are_numbers
 
 Array = NDArray[np.float64]
 MOST = 2_000

@@ -12,11 +12,9 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any, Generic, TypeVar
 
-from loopcal.app.action import Action
-from loopcal.app.news import News
-from loopcal.app.refits import Asked, Refits
+from loopcal.app.refits import Asked, News, Refits
 from loopcal.app.steps import State
-from loopcal.app.worker import Command, Run, Worker
+from loopcal.app.worker import Action, Command, Run, Worker
 from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files.machines.python_function import load_function
@@ -29,9 +27,9 @@ from loopcal.files.project.project_folder import RESULT, ProjectFolder
 from loopcal.files.project.stream import load_sample
 from loopcal.measurements.dataset import Dataset
 from loopcal.report.source import Source, read_source
+from loopcal.statistics.changes import COLUMN, ids_are_numbers
 from loopcal.statistics.continued import Ending
-from loopcal.statistics.shifted import COLUMN, ids_are_numbers
-from loopcal.workflow.refitting import Refit
+from loopcal.workflow.projects import Refit
 
 LOOKS_EVERY = 0.4
 """Seconds between looks at the folder, for what other programs change."""

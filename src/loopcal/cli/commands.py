@@ -25,7 +25,7 @@ from loopcal.cli.output import log, print_data, print_done, print_json, print_ou
 from loopcal.cli.registry import cure_of, keeper
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError
 from loopcal.estimation.methods.registry import METHODS
-from loopcal.files.project.templates import TEMPLATES
+from loopcal.files.project.new_project import TEMPLATES
 
 
 @app.command()
@@ -93,8 +93,7 @@ def calibrate(
     machine_history: HistoryOption = None,
 ) -> None:
     """Fit; write result.json, residuals.csv, mechanism.toml and report.html; print a summary."""
-    from loopcal.cli.progress import Progress
-    from loopcal.cli.working import executor_of, try_cluster
+    from loopcal.cli.progress import Progress, executor_of, try_cluster
     from loopcal.workflow.calibration import Listeners, Request, run_calibration
 
     with Progress() as progress:
@@ -230,7 +229,7 @@ def report(
     force: ForceOption = False,
 ) -> None:
     """Write one self-contained HTML page of one result, or of several side by side."""
-    from loopcal.cli.reporting import run_report
+    from loopcal.cli.output import run_report
 
     print_out(f"written to {run_report(results, out)}")
 
@@ -259,7 +258,7 @@ def noise(
     mechanism: FunctionOption = None,
 ) -> None:
     """Estimate sensor sds from repeated readings of one pose, separating drift from scatter."""
-    from loopcal.workflow.sensors import sensor_noise
+    from loopcal.workflow.simulation import sensor_noise
 
     done = sensor_noise(files, project=project, columns=columns, pose=pose, function=mechanism)
     print_done(done, as_json, text=done.text)
@@ -358,7 +357,7 @@ def init(
     run: Annotated[bool, flag("--run", "Calibrate at once and open the report.")] = False,
 ) -> None:
     """Recognise readings and a robot; write a finished project."""
-    from loopcal.cli.asking import ask_on_terminal, open_page
+    from loopcal.cli.output import ask_on_terminal, open_page
     from loopcal.workflow.beginning.initial import RobotFile, initial_project
 
     robot = RobotFile(urdf, dh, machine, base, tip)

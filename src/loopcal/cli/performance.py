@@ -67,7 +67,7 @@ def performance(
     as_json: JsonOption = False,
 ) -> None:
     """Compute pose accuracy, repeatability and drift of a robot after ISO 9283, with intervals."""
-    from loopcal.cli.asking import ask_on_terminal
+    from loopcal.cli.output import ask_on_terminal
     from loopcal.files.tables.attained import read_attained
     from loopcal.pose_performance.instrument import Figures, MeasuringErrors, tracker_of
     from loopcal.workflow.performance import run_performance

@@ -42,8 +42,7 @@ def study(
     mechanism: FunctionOption = None,
 ) -> None:
     """Run a Monte Carlo study: errors of one or more methods over many draws per scenario."""
-    from loopcal.cli.progress import Counted
-    from loopcal.cli.working import executor_of, try_cluster
+    from loopcal.cli.progress import Counted, executor_of, try_cluster
     from loopcal.report.study_page import PAGE, write_study_page
     from loopcal.studies.run import run_study
 

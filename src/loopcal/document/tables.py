@@ -13,11 +13,9 @@ from loopcal.document.accuracy import (
     ModelEntry,
     ValidationEntry,
 )
+from loopcal.document.choice import DECISIVE, TermEntry
 from loopcal.document.fit import NoiseEntry, ParameterEntry
-from loopcal.document.terms import DECISIVE, TermEntry
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import by_sd, percent, size, unit_shown
-from loopcal.presentation.text_table import Table, columns
+from loopcal.presentation.shown import Table, by_sd, columns, percent, significant, size, unit_shown
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,20 @@
 They are the same in memory as on a stream, which takes those before the fit with the poses of its
 first chunk. An interrupted run takes these again, for they cost little beside the fit, and resumes
 that from its checkpoint.
+
+Parallel axes in Denavit and Hartenberg's parameters, whose estimation has no solution.
+
+The common normal of two parallel axes lies anywhere along them. If the second one is misaligned by
+little, d, a, alpha and offset jump to values far from the nominal ones: a fit runs away or stalls.
+Hayati and Mirmirani (1985) therefore give such a joint a second angle, beta, in place of d.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -16,26 +24,26 @@ from numpy.typing import NDArray
 
 from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError
-from loopcal.estimation.contradiction import refuse_contradiction
 from loopcal.estimation.faults.misfit import at_start
 from loopcal.estimation.faults.search import PLAUSIBLE, UNREPAIRED, column_faults
-from loopcal.estimation.fit import Fit, Start
-from loopcal.estimation.model_error import modelled, used_noise, weighed
+from loopcal.estimation.fit import Fit, Start, modelled, used_noise, weighed
 from loopcal.estimation.noise.learning import components, with_model
+from loopcal.estimation.plausible import refuse_contradiction
 from loopcal.estimation.problem.alignment import begun
-from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
-from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.problem.problem import Problem, Weighting, build_problem
 from loopcal.estimation.problem.size import refuse_collapse
-from loopcal.estimation.problem.unreachable import refuse_unreachable
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.starting import refuse_unreachable
 from loopcal.estimation.solve.fallback import solve_or_fall_back
 from loopcal.estimation.solve.solution import End
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.serial import Joint, parameter_name
 
 if TYPE_CHECKING:
     from loopcal.estimation.noise.estimation import NoiseEstimate
+
 
 Array = NDArray[np.float64]
 # docs/decisions/0052.
@@ -252,3 +260,52 @@ def refuse_loss(fit: Fit) -> None:
             remedy="find the outliers with this loss first and exclude them, then estimate; or "
             'take the sds as given (leave out "estimate")',
         )
+
+
+_PARALLEL = 1e-3
+"""Axes at a smaller angle [rad] or sine are parallel, as misaligned as robots are made."""
+# Chosen, not derived: along parallel axes a wider prior leaves d to the rounding of their angle.
+_WEAK = 0.1
+"""A prior of d holds a joint only if its sd is at most this share of the largest length."""
+
+
+def refuse_parallel_axes(mechanism: Mechanism) -> None:
+    """Raise InputError for parallel consecutive axes between which d, d and alpha are free.
+
+    Only of revolute joints that follow each other without fixed motions, both "dh" or both "mdh".
+    """
+    by_name = {p.name: p for p in mechanism.parameters}
+    size = max((abs(p.nominal) for p in by_name.values() if p.unit == "m"), default=0.0)
+    joints = (mechanism.description or {}).get("joints", [])
+    for number, (one, two) in enumerate(pairwise(joints), 1):
+        if not (isinstance(one, Joint) and isinstance(two, Joint)) or one.after or two.before:
+            continue
+        if one.form != two.form or one.form not in ("dh", "mdh"):
+            continue
+        if "prismatic" in (one.kind, two.kind):
+            continue
+        # "mdh" turns by alpha before its joint: the alpha between the two is that of the second.
+        between = number if one.form == "dh" else number + 1
+        alpha = by_name.get(parameter_name(one.form, "alpha", between))
+        slides = [by_name.get(parameter_name(one.form, "d", i)) for i in (number, number + 1)]
+        if alpha is None or alpha.fixed or abs(math.sin(alpha.nominal)) > _PARALLEL:
+            continue
+        if all(d is not None and _is_free(d, _WEAK * size) for d in slides):
+            raise _parallel(one, two, number)
+
+
+def _is_free(parameter: Parameter, weak: float) -> bool:
+    return not parameter.fixed and parameter.prior_sd > weak
+
+
+def _parallel(one: Joint, two: Joint, number: int) -> InputError:
+    names = [parameter_name(one.form, "d", i) for i in (number, number + 1)]
+    remedy = f'give joint {one.name!r} the form = "hayati"'
+    if one.form == "mdh":
+        remedy = f'describe the arm by form = "dh", and joint {one.name!r} by form = "hayati"'
+    return InputError(
+        f"the axes of joints {one.name!r} and {two.name!r} are parallel, and {names[0]!r} and "
+        f"{names[1]!r} are both free: no readings can determine where their common normal lies",
+        code="not-identifiable",
+        remedy=f"{remedy}, or fix one of the two, or give them a prior sd of a few mm",
+    )

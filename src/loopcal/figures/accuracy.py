@@ -7,8 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.figures.figure import AFTER, BEFORE, Array, Figure, axis, colours, layout, names, trace
-from loopcal.figures.thinning import thinned
+from loopcal.figures.figure import (
+    AFTER,
+    BEFORE,
+    Array,
+    Figure,
+    axis,
+    colours,
+    layout,
+    names,
+    thinned,
+    trace,
+)
 
 BINS = 40
 

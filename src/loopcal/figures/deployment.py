@@ -6,8 +6,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loopcal.figures.bars import Bars, bar_layout
-from loopcal.figures.figure import AFTER, BEFORE, COLOURS, Array, Figure, axis, layout, names, trace
+from loopcal.figures.figure import (
+    AFTER,
+    BEFORE,
+    COLOURS,
+    Array,
+    Bars,
+    Figure,
+    axis,
+    bar_layout,
+    layout,
+    names,
+    trace,
+)
 
 
 def model_bars(models: Sequence[str], rms: Array, most: Array) -> Figure | None:

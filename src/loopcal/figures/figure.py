@@ -199,3 +199,77 @@ def plotly_javascript() -> str:
     from plotly.offline import get_plotlyjs
 
     return str(get_plotlyjs())
+
+
+# Bars side by side, one of each series at every name, with the lines of their intervals.
+
+
+@dataclass(frozen=True)
+class Bars:
+    """One series: a value at every name, and the ends of its interval, None where unknown."""
+
+    name: str
+    shade: str
+    values: Sequence[float]
+    low: Sequence[float | None] | None = None
+    high: Sequence[float | None] | None = None
+
+    def trace(self, labels: Sequence[str]) -> dict[str, Any]:
+        """In plotly's terms."""
+        made: dict[str, Any] = {
+            "type": "bar",
+            "name": self.name,
+            "x": names(labels),
+            "y": numbers(np.array(self.values)),
+            "marker": {"color": self.shade},
+        }
+        if self.low is None or self.high is None:
+            return made
+        # A missing end is drawn as the value itself: no line to that side.
+        low, high = (
+            np.array([v if end is None else end for v, end in zip(self.values, s, strict=True)])
+            for s in (self.low, self.high)
+        )
+        return made | {"error_y": ends(np.array(self.values), low, high)}
+
+
+def bar_layout(height: int, title: str) -> dict[str, Any]:
+    """Groups from zero; title: of the axis of values."""
+    return layout(
+        height,
+        barmode="group",
+        xaxis=axis("", type="category"),
+        yaxis=axis(title, rangemode="tozero"),
+    )
+
+
+# Which poses a figure shows where there are more than an eye, or a browser, can take.
+
+# Markers that a browser draws without delay.
+POINTS = 2000
+LARGEST = 50
+"""How many of the poses shown are those where the figure is largest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Thinned:
+    """index: (k,) poses to show, in order; words: what was left out, "" where nothing was."""
+
+    index: NDArray[np.intp]
+    words: str
+
+
+def thinned(sizes: NDArray[np.float64], most: int = POINTS) -> Thinned:
+    """At most `most` of the poses with sizes (N,): evenly chosen, and the largest; NaN are none."""
+    usable = np.flatnonzero(np.isfinite(sizes))
+    if usable.size <= most:
+        return Thinned(usable, "")
+    largest = min(LARGEST, most // 2)
+    even = usable[np.linspace(0, usable.size - 1, most - largest).astype(np.intp)]
+    top = usable[np.argsort(np.abs(sizes[usable]))[-largest:]]
+    index = np.union1d(even, top)
+    return Thinned(
+        index,
+        f" Shown are {index.size:,} of {usable.size:,} poses, evenly chosen, with the "
+        f"{largest} largest among them; all numbers of this report come from all poses.",
+    )

@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.figures.bars import Bars, bar_layout
 from loopcal.figures.figure import (
     AFTER,
     BEFORE,
     COLOURS,
     COLUMNS,
     Array,
+    Bars,
     Figure,
     axis,
+    bar_layout,
     colours,
     layout,
     panel_title,

@@ -25,9 +25,7 @@ from loopcal.planning.candidates import drawn, ranges_of, typical_sds, with_sds
 from loopcal.planning.information import information, rows_of
 from loopcal.planning.plan import as_problem, measured_poses
 from loopcal.planning.search import Search
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import SHOWN
-from loopcal.presentation.text_table import columns
+from loopcal.presentation.shown import SHOWN, columns, significant
 from loopcal.statistics.check import FEW
 from loopcal.statistics.identifiability import SCHROER
 from loopcal.units import from_si

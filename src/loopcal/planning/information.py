@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.pose_equations import pose_equations
-from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Accumulator, spectrum
 from loopcal.estimation.solve.sweep import NEAR, Sweeper

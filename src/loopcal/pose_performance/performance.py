@@ -26,7 +26,6 @@ from loopcal.pose_performance.accuracy import (
     covariance_of_mean,
     fitted_base,
 )
-from loopcal.pose_performance.drift import blocks_of, drift
 from loopcal.pose_performance.instrument import MeasuringErrors
 from loopcal.pose_performance.intervals import (
     LEVEL,
@@ -44,8 +43,10 @@ from loopcal.pose_performance.parts import (
     DistancePerformance,
     Drift,
     PosePerformance,
+    blocks_of,
+    drift,
 )
-from loopcal.pose_performance.result import Performance
+from loopcal.pose_performance.summary import Performance
 from loopcal.small_samples import t_quantile
 from loopcal.statistics.repeats import CLEAR, FEWEST, slow_p_value
 

@@ -12,8 +12,7 @@ from loopcal.figures.deployment import model_bars, target_errors
 from loopcal.figures.figure import Figure
 from loopcal.figures.planning import Line, by_number
 from loopcal.files.result.deployed import CORRECTION, EXPORT, PLAN, Deployed
-from loopcal.presentation.shown import factor, size, unit_shown, with_unit
-from loopcal.presentation.text_table import Table
+from loopcal.presentation.shown import Table, factor, size, unit_shown, with_unit
 from loopcal.report.section import Part, Section
 from loopcal.report.source import Source
 

@@ -13,8 +13,7 @@ from loopcal.document.tables import shown_parameters
 from loopcal.estimation.accuracy import Apart, by_pose, deviations, main_distances
 from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.figure import Figure, colours
-from loopcal.figures.parameters import Change, changes, correlations
-from loopcal.figures.sensors import drift, normalised
+from loopcal.figures.sensors import Change, changes, correlations, drift, normalised
 from loopcal.figures.space import Machine, arrows
 from loopcal.mechanisms.outputs import point_outputs, points
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels

@@ -12,22 +12,21 @@ import numpy as np
 from loopcal.document.accuracy import Distances
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import machine_table, shown_parameters
-from loopcal.estimation.inherited import UPDATED
+from loopcal.estimation.result import UPDATED
 from loopcal.figures.figure import Figure
 from loopcal.figures.life import narrowed
 from loopcal.files.result.deployed import FLEET, HISTORY, VERIFICATION
 from loopcal.life.fleet import Fleet
 from loopcal.life.history import History
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import by_sd, chance, in_unit, size, unit_shown
-from loopcal.presentation.text_table import Table
-from loopcal.report.history_page import history_figures, history_table
+from loopcal.presentation.shown import Table, by_sd, chance, in_unit, significant, size, unit_shown
 from loopcal.report.life_pages import (
     UNITS,
     change_figures,
     fleet_figure,
     fleet_tables,
     fleet_words,
+    history_figures,
+    history_table,
 )
 from loopcal.report.section import Section
 from loopcal.report.source import Source

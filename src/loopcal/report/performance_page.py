@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from loopcal.figures.bars import Bars
-from loopcal.figures.figure import Figure
+from loopcal.figures.figure import Bars, Figure
 from loopcal.figures.pose_performance import (
     SHADES,
     Cloud,
@@ -18,9 +17,15 @@ from loopcal.figures.pose_performance import (
 from loopcal.measurements.attained import AttainedPoses
 from loopcal.pose_performance.intervals import Estimate
 from loopcal.pose_performance.parts import ConditionPerformance
-from loopcal.pose_performance.result import METHOD, Performance
-from loopcal.pose_performance.summary import Rows, headline, overview, tables_of
-from loopcal.presentation.text_table import Table
+from loopcal.pose_performance.summary import (
+    METHOD,
+    Performance,
+    Rows,
+    headline,
+    overview,
+    tables_of,
+)
+from loopcal.presentation.shown import Table
 from loopcal.report.section import Section
 from loopcal.report.templates import page
 

@@ -11,9 +11,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, points
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.planning.planned import Plan
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import SHOWN, in_unit, size, unit_shown
-from loopcal.presentation.text_table import Table
+from loopcal.presentation.shown import SHOWN, Table, in_unit, significant, size, unit_shown
 from loopcal.report.deployed import planned
 from loopcal.report.section import Section, section_page
 from loopcal.units import from_si

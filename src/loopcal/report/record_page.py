@@ -5,8 +5,7 @@ from __future__ import annotations
 from loopcal.document.fit import ParameterEntry
 from loopcal.files.result.record_file import OPEN, manifest, sealed
 from loopcal.files.versions import version
-from loopcal.presentation.shown import NONE, by_sd, size, unit_shown
-from loopcal.presentation.text_table import Table
+from loopcal.presentation.shown import NONE, Table, by_sd, size, unit_shown
 from loopcal.report.record_content import (
     FIELDS,
     OPTIONAL,

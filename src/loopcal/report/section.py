@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from loopcal.figures.figure import Figure
-from loopcal.presentation.text_table import Table
+from loopcal.presentation.shown import Table
 from loopcal.report.templates import page
 
 Part = Table | Figure | str | None

@@ -13,8 +13,7 @@ from loopcal.figures.distributions import ErrorBar, error_bars
 from loopcal.figures.figure import Figure
 from loopcal.figures.space import arrows
 from loopcal.files.atomic import write_files
-from loopcal.presentation.shown import in_unit, percent, size, unit_shown
-from loopcal.presentation.text_table import Table
+from loopcal.presentation.shown import Table, in_unit, percent, size, unit_shown
 from loopcal.report.section import Section
 from loopcal.report.templates import page
 from loopcal.studies.draws import first_draw

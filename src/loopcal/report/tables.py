@@ -18,8 +18,16 @@ from loopcal.document.tables import (
     shown_parameters,
     term_rows,
 )
-from loopcal.presentation.shown import NONE, by_sd, chance, percent, size, unit_shown, with_unit
-from loopcal.presentation.text_table import Table
+from loopcal.presentation.shown import (
+    NONE,
+    Table,
+    by_sd,
+    chance,
+    percent,
+    size,
+    unit_shown,
+    with_unit,
+)
 from loopcal.report.source import Source
 
 Array = NDArray[np.float64]

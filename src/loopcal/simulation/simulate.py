@@ -17,8 +17,7 @@ from loopcal.measurements.source import Source
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.closing import close_loops, reachable
-from loopcal.simulation.orientations import measured, parallel, unstated_orientations
-from loopcal.simulation.poses import stream
+from loopcal.simulation.poses import measured, parallel, stream, unstated_orientations
 
 Array = NDArray[np.float64]
 

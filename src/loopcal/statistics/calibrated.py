@@ -9,10 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.fit import NoiseEntry
-from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.choice import TermEntry
+from loopcal.document.fit import ChiSquared, NoiseEntry
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.terms import TermEntry
 from loopcal.document.triangle import symmetric
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
@@ -168,7 +167,7 @@ class Calibrated:
     @property
     def stationed(self) -> Calibrated:
         """The same as a machine that can be placed anew (see `mechanisms.stationed`)."""
-        from loopcal.mechanisms.stationed import stationed
+        from loopcal.mechanisms.station import stationed
 
         made, size = stationed(self.mechanism), len(self.nominal)
         E = np.eye(len(made.parameters))[:, :size]

@@ -28,7 +28,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.presentation.wrapped import wrapped
+from loopcal.presentation.shown import wrapped
 from loopcal.statistics.estimated import log_tail
 from loopcal.statistics.ordered_system import Fitted, ordered_system
 from loopcal.statistics.possible_changes import ALONG_A_RUN, Possible, possible, unit_of

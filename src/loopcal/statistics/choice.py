@@ -30,17 +30,15 @@ from numpy.typing import NDArray
 from loopcal.document.choice import Candidate, Chosen, beats
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
-from loopcal.estimation.contradiction import CODE as CONTRADICTED
 from loopcal.estimation.dependence.dependence import likenesses
+from loopcal.estimation.plausible import CODE as CONTRADICTED
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import helping, process_cores
-from loopcal.presentation.shown import by_sd, size, unit_shown
-from loopcal.presentation.wrapped import shortened
-from loopcal.statistics.candidates import Entrant, entrants
-from loopcal.statistics.case import Case
+from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
+from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.catalogue import findings
-from loopcal.document.judgement import Fact, Finding, Where, fact
 from loopcal.document.plain import finite
+from loopcal.document.verdict import Fact, Finding, Where, fact
 from loopcal.lazy import cached_property
-from loopcal.presentation.rounding import rounded_by_sd, significant
-from loopcal.presentation.shown import SHOWN, percent
-from loopcal.presentation.text_table import columns
+from loopcal.presentation.shown import SHOWN, columns, percent, rounded_by_sd, significant
 from loopcal.small_samples import f_tail, t_quantile
 from loopcal.units import from_si
 

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.chi_squared import tail
-from loopcal.document.judgement import Fact, Where, fact
+from loopcal.document.verdict import Fact, Where, fact
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.alignment import align
@@ -148,7 +148,7 @@ def _check_same(a: Mechanism, b: Mechanism) -> None:
 
 def _unstationed(one: Calibrated) -> Calibrated:
     """An updated arm of transitions, its geometry where it stands: as others describe it."""
-    from loopcal.mechanisms.stationed import unstationed
+    from loopcal.mechanisms.station import unstationed
 
     before, made = one.mechanism, unstationed(one.mechanism)
     if made is before:

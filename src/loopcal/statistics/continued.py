@@ -18,10 +18,8 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.candidates import Entrant, entrants
-from loopcal.statistics.case import Case
-from loopcal.statistics.changes import NUMBER
-from loopcal.statistics.shifted import with_shifts
+from loopcal.statistics.case import Case, Entrant, entrants
+from loopcal.statistics.changes import NUMBER, with_shifts
 from loopcal.statistics.validation import NEARLY
 
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from loopcal.document.fit import ParameterEntry
-from loopcal.document.judgement import Fact, Figure, Where, fact
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import f_limit

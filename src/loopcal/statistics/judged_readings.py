@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from loopcal.document.choice import DECISIVE
 from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
-from loopcal.document.judgement import Fact, Where, fact
 from loopcal.document.result_document import DataEntry, ResultDocument
-from loopcal.document.terms import DECISIVE
+from loopcal.document.verdict import Fact, Where, fact
 from loopcal.mechanisms.structure.structured import DISCREPANCY
-from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import significant
 
 # Record 0054.
 RARE = 1e-3

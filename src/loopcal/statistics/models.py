@@ -32,7 +32,7 @@ from loopcal.estimation.result import Result
 from loopcal.execution.executor import Executor, Progress
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
-from loopcal.mechanisms.effects.model import Model, with_only
+from loopcal.mechanisms.effects.effect import Model, with_only
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case
 from loopcal.statistics.folds import Scheme, grouped, stated_sds

@@ -20,8 +20,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import solve
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import significant, with_unit
 
 Array = NDArray[np.float64]
 # The arc leaves its tangent by 0.02^2 / 2 of the lever, 0.2 mm of a metre: chosen, not derived.

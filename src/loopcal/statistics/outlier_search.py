@@ -22,7 +22,7 @@ from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.solution import Solution
-from loopcal.statistics.blocks import blocks
+from loopcal.statistics.folds import blocks
 from loopcal.statistics.pose_tests import Fitted, PoseTests, independent, pose_tests, settle
 
 Array = NDArray[np.float64]

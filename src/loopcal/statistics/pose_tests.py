@@ -25,8 +25,7 @@ from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equati
 from loopcal.estimation.problem.problem import Problem, left_unmeasured, taken
 from loopcal.estimation.products import rows_times
 from loopcal.estimation.redundancy import UNCONTROLLED
-from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
-from loopcal.estimation.solve.reduced import Closed
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE, Closed
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]

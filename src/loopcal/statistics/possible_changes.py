@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from loopcal.estimation.problem.problem import Problem
 from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import ChainPlacement
-from loopcal.mechanisms.station import Station
-from loopcal.mechanisms.stationed import BASE
+from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.structured import driven_joints
 
 

@@ -27,8 +27,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import significant, with_unit
 from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
 from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
 

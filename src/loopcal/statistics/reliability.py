@@ -17,8 +17,8 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.change_points import Reliability, SensorReliability
 from loopcal.document.plain import finite
-from loopcal.document.reliability import Reliability, SensorReliability
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times

@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 
 from loopcal.document.accuracy import Coverage
 from loopcal.document.change_points import ChangePoint, hold, when
-from loopcal.document.judgement import Fact, Figure, Where, fact
+from loopcal.document.choice import DECISIVE, TermEntry
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.terms import DECISIVE, TermEntry
+from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.presentation.shown import percent
 from loopcal.statistics.judged_machine import far_from_nominal, off_the_drawing, prior_tension
 from loopcal.statistics.judged_readings import (

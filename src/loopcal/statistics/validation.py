@@ -27,7 +27,7 @@ from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.leaving_out import leaving_out
 from loopcal.estimation.prediction import output_differences
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Weighting
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Executor, Progress, gathered
@@ -35,7 +35,6 @@ from loopcal.execution.forked import process_cores
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.statistics.another_day import Day
-from loopcal.statistics.blocks import blocks_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.case import Case, of_poses, taken
 from loopcal.statistics.folds import (
@@ -43,13 +42,13 @@ from loopcal.statistics.folds import (
     Parts,
     Scheme,
     SchemeOptions,
+    blocks_of,
     grouped,
     parts_of,
     stated_sds,
 )
-from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive
+from loopcal.statistics.predictive import LEVEL, Held, Predictive, Run, held_problem, predictive
 from loopcal.statistics.replacing import freed
-from loopcal.statistics.same_run import Run
 
 Array = NDArray[np.float64]
 # Record 0061.

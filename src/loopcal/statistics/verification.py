@@ -29,7 +29,7 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.change_tests import what_changed
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
-from loopcal.statistics.tolerance import Quantile
+from loopcal.statistics.verdict import Quantile
 from loopcal.statistics.verified import Placed, Verification, WorstPose
 
 Array = NDArray[np.float64]

@@ -8,17 +8,23 @@ from typing import Any
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.catalogue import findings
-from loopcal.document.judgement import Fact, Figure, Finding, Question, Where, fact
 from loopcal.document.tables import machine_table
-from loopcal.document.verdict import Answer, answer_lines
+from loopcal.document.verdict import (
+    Answer,
+    Fact,
+    Figure,
+    Finding,
+    Question,
+    Where,
+    answer_lines,
+    fact,
+)
 from loopcal.lazy import cached_property
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import by_sd, chance, size, unit_shown
-from loopcal.presentation.text_table import Table
+from loopcal.presentation.shown import Table, by_sd, chance, significant, size, unit_shown
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Innovation
-from loopcal.statistics.tolerance import Quantile, kept
+from loopcal.statistics.verdict import Quantile, kept
 
 _QUESTIONS: tuple[Question, ...] = ("consistent", "better", "tolerance")
 

@@ -25,7 +25,7 @@ from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import ParquetStream, project_stream
 from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.files.result import result_file
-from loopcal.files.result.residual_parts import NAME as RESIDUALS
+from loopcal.files.result.pose_table import NAME as RESIDUALS
 from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.verdict import refuses

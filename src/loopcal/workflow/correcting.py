@@ -19,11 +19,10 @@ from loopcal.deployment.corrected import (
     Targets,
     corrected,
 )
-from loopcal.deployment.correction import Correction
+from loopcal.deployment.correction import Correction, StraightMove, divided, line_errors
 from loopcal.deployment.inverse import solve
+from loopcal.deployment.rigid import CALIBRATED, Tool, tool_of
 from loopcal.deployment.solutions import solutions, with_turns
-from loopcal.deployment.straight import StraightMove, divided, line_errors
-from loopcal.deployment.tool import CALIBRATED, Tool, tool_of
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from loopcal.errors import InputError, UsageError
-from loopcal.estimation.inherited import UPDATED
+from loopcal.estimation.result import UPDATED
 from loopcal.files.atomic import Data, write_all
 from loopcal.files.result.deployed import FLEET, note_deployed, result_path
 from loopcal.files.toml.writer import document

@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from loopcal.document.judgement import Finding
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.verdict import Finding
 from loopcal.errors import InputError
 from loopcal.files.atomic import Data
 from loopcal.files.history.folder import append_entries, read_entries, refuse_no_history
@@ -80,7 +80,7 @@ def run_history(
 
     Raises InputError for what cannot be read or written; nothing was added then.
     """
-    from loopcal.report.history_page import history_html
+    from loopcal.report.life_pages import history_html
 
     refuse_no_history(folder)
     page = Path(f"{str(folder).rstrip('/')}.html") if out is None else Path(out)

@@ -13,8 +13,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_all
 from loopcal.files.json_writer import marked, marked_json
-from loopcal.files.outputs import refuse_foreign
-from loopcal.files.paths import expanded
+from loopcal.files.outputs import expanded, refuse_foreign
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from loopcal.estimation.inherited import UPDATED
+from loopcal.estimation.result import UPDATED
 from loopcal.files.result.deployed import OTHER_DAYS
 from loopcal.report.section import Section
 from loopcal.report.source import Source

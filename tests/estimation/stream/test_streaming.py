@@ -15,15 +15,14 @@ from loopcal.errors import Code
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.checkpoint import Checkpoint
-from loopcal.estimation.stream import learning
+from loopcal.estimation.stream import calibrate as learning
 from loopcal.estimation.stream.calibrate import calibrate_stream
-from loopcal.estimation.stream.chunks import Chunk
 from loopcal.estimation.stream.last_pass import Parts
+from loopcal.estimation.stream.merit import Chunk
 from loopcal.execution.executor import AHEAD, Executor
 from loopcal.execution.local import Processes, Threads
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
-from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
 from loopcal.mechanisms.prior import Prior
 from loopcal.mechanisms.structure.structured import structured
 from loopcal.simulation.poses import random_poses

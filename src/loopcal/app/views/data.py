@@ -10,9 +10,8 @@ from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.cells import bad_cells, columns
-from loopcal.app.controls import folded, offer, text
+from loopcal.app.controls import folded, offer, text, uploader
 from loopcal.app.pictures import joints_of, machine_figure, moved
-from loopcal.app.uploads import uploader
 from loopcal.app.view import View, heading, table
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project

@@ -9,14 +9,23 @@ from pathlib import Path
 from nicegui import ui
 
 from loopcal.app import words
-from loopcal.app.controls import choice, download, offer, page, printed, pulses, text, written
-from loopcal.app.uploads import uploader
+from loopcal.app.controls import (
+    choice,
+    download,
+    offer,
+    page,
+    printed,
+    pulses,
+    text,
+    uploader,
+    written,
+)
 from loopcal.app.view import View, heading
 from loopcal.files.exports.registry import EXPORTS
 from loopcal.files.exports.tables import ORIENTATIONS
 from loopcal.files.programs.registry import BY_ENDING
 from loopcal.files.result.deployed import PREVIEW
-from loopcal.presentation.wrapped import shortened
+from loopcal.presentation.shown import shortened
 
 LONGEST = 400
 """Lines of a difference that are shown."""

@@ -9,8 +9,8 @@ import numpy as np
 from nicegui import ui
 
 from loopcal.app import words
+from loopcal.app.controls import uploader
 from loopcal.app.pictures import joints_of, machine_figure, moved
-from loopcal.app.uploads import uploader
 from loopcal.app.view import View, heading, table
 from loopcal.files.machines.registry import drawn
 from loopcal.files.project.project_file import Project

@@ -19,8 +19,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.alignment import align, can_be_placed, placed, seen_points
-from loopcal.estimation.problem.problem import Problem, taken
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting, taken
 from loopcal.estimation.residuals import residuals
 from loopcal.estimation.solve.solver import solve
 from loopcal.estimation.solve.sweep import Sweeper

@@ -31,8 +31,8 @@ from loopcal.estimation.faults.misfit import (
     unread,
 )
 from loopcal.estimation.problem.alignment import can_be_placed, seen_points
+from loopcal.estimation.problem.constants import standing
 from loopcal.estimation.problem.problem import Problem, taken
-from loopcal.estimation.problem.standing import standing
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Family
 from loopcal.presentation.shown import enumerated, size, unit_shown

@@ -2,7 +2,7 @@
 
 from loopcal.estimation.methods.implicit_loop import METHOD as IMPLICIT_LOOP
 from loopcal.estimation.methods.method import Method
-from loopcal.estimation.solve.seed_iteration import iterate_undamped
+from loopcal.estimation.solve.fallback import iterate_undamped
 
 METHOD = Method(
     name="implicit-loop-undamped",

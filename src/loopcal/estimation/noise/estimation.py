@@ -30,8 +30,7 @@ from loopcal.estimation.noise.variances import (
     scales_of,
     with_scales,
 )
-from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.solve.solution import Solution
 from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty

@@ -23,8 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.products import rows_times, rows_times_upper
 from loopcal.estimation.solve.kernel import eliminate, loadings
 from loopcal.estimation.solve.reduction import WELL_CONDITIONED, inverse_of_upper

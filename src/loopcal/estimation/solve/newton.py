@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.solve.block import Block, BlockNoise
-from loopcal.estimation.solve.gauss_newton import UNMEASURED_SCALE
-from loopcal.estimation.solve.reduced import Closed
+from loopcal.estimation.solve.gauss_newton import UNMEASURED_SCALE, Closed
 from loopcal.expressions.derivative import lagrangian_gradient
 from loopcal.expressions.engine import Engine, Stage, engine_for
 from loopcal.expressions.tape import Tape

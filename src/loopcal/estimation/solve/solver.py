@@ -28,9 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.solve.acceleration import accelerated
 from loopcal.estimation.solve.checkpoint import Checkpoint, Point
-from loopcal.estimation.solve.course import MOST_DAMPING
+from loopcal.estimation.solve.course import MOST_DAMPING, accelerated
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
@@ -44,8 +43,7 @@ from loopcal.estimation.solve.merit import (
 )
 from loopcal.estimation.solve.reduction import hardly_determined, overflowing, spectrum, vanished
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
-from loopcal.estimation.solve.solution import End, Solution
-from loopcal.estimation.solve.status import MOST_ITERATIONS, Status, weakness
+from loopcal.estimation.solve.solution import MOST_ITERATIONS, End, Solution, Status, weakness
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
 Array = NDArray[np.float64]

@@ -19,11 +19,10 @@ from loopcal.estimation.problem.patterns import Pattern, Poses
 from loopcal.estimation.problem.problem import BLOCK, Problem
 from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.block_kernel import BlockKernel, Reduce, kernel_for
-from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE, Closed, Reduced
 from loopcal.estimation.solve.kernel import unweighted, whiten
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import NAMED, NONE_FAILED, Evaluation, Failed
-from loopcal.estimation.solve.reduced import Closed, Reduced
 from loopcal.estimation.solve.reduction import Accumulator, overflowing
 from loopcal.expressions.engine import Engine, LoopValues, Stage, engine_for
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty

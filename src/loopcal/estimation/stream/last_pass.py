@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.chi_squared import quantile
-from loopcal.estimation.accuracy_tally import AccuracyTally
+from loopcal.estimation.accuracy import AccuracyTally
 from loopcal.estimation.all_poses import AllPoses
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
@@ -20,8 +20,7 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.robust import RobustSums
 from loopcal.estimation.solve.solution import End
-from loopcal.estimation.stream.chunks import Chunk, joined
-from loopcal.estimation.stream.merit import Task
+from loopcal.estimation.stream.merit import Chunk, Task, joined
 from loopcal.execution.executor import Crew, in_order
 from loopcal.measurements.dataset import Dataset
 

@@ -11,7 +11,7 @@ from loopcal.files.toml.tables import ByType, Make, built, table
 from loopcal.mechanisms.effects.effect import Effect, with_effects
 from loopcal.mechanisms.machine import Instrument, Machine
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.stationed import standing
+from loopcal.mechanisms.station import standing
 
 
 def _effects() -> Mapping[str, Make]:

@@ -152,7 +152,7 @@ def mechanism_from_data(
 
 
 def _seen_from(mechanism: Mechanism, station: str, place: Place) -> Mechanism:
-    from loopcal.mechanisms.stationed import stationed
+    from loopcal.mechanisms.station import stationed
 
     placed = {f.placement.name for f in mechanism.families if isinstance(f.placement, Station)}
     if station in placed and isinstance(mechanism.placement, ChainPlacement):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from loopcal.files.paths import relative
+from loopcal.files.outputs import relative
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.files.toml.writer import document
 from loopcal.keys import plain

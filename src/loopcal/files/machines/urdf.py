@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed, nearest, unknown_name
 from loopcal.files.machines.safe_xml import at, children, local, read_xml
 from loopcal.files.toml.reader import shown
-from loopcal.mechanisms.axes import fixed_frame
-from loopcal.mechanisms.chain import product, refuse_long_chain
+from loopcal.mechanisms.chain import fixed_frame, product, refuse_long_chain
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.origins import KINDS, LinkJoint, Mimic, joint_chain
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, placed
-from loopcal.files.paths import expanded
+from loopcal.files.outputs import expanded
 from loopcal.files.project.data_table import (
     DataTable,
     FileTable,

@@ -16,16 +16,15 @@ from loopcal.files.machines.mechanism_file import (
 )
 from loopcal.files.machines.parameter_entries import changed, prior_sds, with_priors
 from loopcal.files.machines.python_function import Loops
-from loopcal.files.paths import expanded
+from loopcal.files.outputs import expanded
 from loopcal.files.project.data_table import DataTable, data_files
 from loopcal.files.project.fit_table import FitTable
 from loopcal.files.project.noise_table import Noises, noises
-from loopcal.files.project.plan_table import PlanTable
-from loopcal.files.project.verdict_table import VerdictTable
+from loopcal.files.project.plan_table import PlanTable, VerdictTable
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
 from loopcal.measurements.plan_settings import PlanSettings
-from loopcal.mechanisms.effects.model import Model
+from loopcal.mechanisms.effects.effect import Model
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameters
 

@@ -16,13 +16,12 @@ from loopcal.files.machines.registry import kinds, table_of
 from loopcal.files.project.data_table import DataTable
 from loopcal.files.project.fit_table import FitTable
 from loopcal.files.project.noise_table import NOISE, StatedNoise
-from loopcal.files.project.plan_table import PlanTable
+from loopcal.files.project.plan_table import PlanTable, VerdictTable
 from loopcal.files.project.simulation_table import SimulationTable
-from loopcal.files.project.verdict_table import VerdictTable
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.tables import ByType, table
 from loopcal.keys import Key
-from loopcal.mechanisms.effects.model import Model, with_only
+from loopcal.mechanisms.effects.effect import Model, with_only
 from loopcal.mechanisms.mechanism import Mechanism
 
 

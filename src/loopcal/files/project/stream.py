@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.files.paths import expanded
+from loopcal.files.outputs import expanded
 from loopcal.files.project.project_data import (
     LoadedData,
     believed,
@@ -47,7 +47,7 @@ from loopcal.measurements.source import Source
 from loopcal.mechanisms.outputs import measured_points
 
 if TYPE_CHECKING:
-    from loopcal.estimation.stream.chunks import Chunk
+    from loopcal.estimation.stream.merit import Chunk
 
 LARGE = 2_000_000
 """Rows from which on a file is read in chunks unless the project says otherwise."""
@@ -141,7 +141,7 @@ class ParquetStream:
         Raises InputError where its file is not there, or not the one of the beginning.
         """
         loaded = self._loaded(self._parts[number])
-        from loopcal.estimation.stream.chunks import Chunk
+        from loopcal.estimation.stream.merit import Chunk
 
         return Chunk(loaded.dataset, loaded.noise)
 

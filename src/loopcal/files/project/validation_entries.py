@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from loopcal.errors import InputError
-from loopcal.files.paths import expanded
+from loopcal.files.outputs import expanded
 from loopcal.files.project.fit_table import Validation
 from loopcal.files.project.project_data import LoadedData, load_dataset
 from loopcal.files.project.project_file import Project

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.headers import Heading, heading
-from loopcal.files.recognition.vocabulary import meanings, words
+from loopcal.files.recognition.headers import Heading, heading, meanings, words
 from loopcal.files.tables.cells import is_missing
 from loopcal.files.tables.readers import read_table
 from loopcal.units import unit

@@ -13,16 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, short
-from loopcal.files.recognition.headers import Heading, heading, stem
-from loopcal.files.recognition.titles import below_titles, readings_of
-from loopcal.files.recognition.vocabulary import words
+from loopcal.files.recognition.headers import (
+    Heading,
+    below_titles,
+    heading,
+    readings_of,
+    stem,
+    words,
+)
 from loopcal.files.tables.registry import reader_of
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.poses import pose_id
 from loopcal.measurements.resolution import written_step
 from loopcal.measurements.tables import as_numbers, column, column_names
-from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import significant
 
 Array = NDArray[np.float64]
 _IDS = frozenset(words("columns", "pose"))

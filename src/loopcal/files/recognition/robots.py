@@ -12,8 +12,8 @@ from loopcal.errors import InputError
 from loopcal.files.machines.urdf import Branch, branches
 from loopcal.files.recognition.dh_table import Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
+from loopcal.files.recognition.headers import words
 from loopcal.files.recognition.layouts import named_joints, usual_joints
-from loopcal.files.recognition.vocabulary import words
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.rest import roll_pitch_yaw

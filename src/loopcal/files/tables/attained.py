@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, nearest, unknown_name
-from loopcal.files.recognition.headers import heading
-from loopcal.files.recognition.vocabulary import meanings, words
+from loopcal.files.recognition.headers import heading, meanings, words
 from loopcal.files.tables.readers import NAMELESS, read_table
 from loopcal.files.tables.table import Table
 from loopcal.measurements.attained import AttainedPoses

@@ -19,8 +19,7 @@ from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.atomic import write_files
 from loopcal.files.machines.mechanism_file import mechanism_from_data
-from loopcal.files.outputs import refuse_foreign
-from loopcal.files.paths import relative
+from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.fields import Source, sources_of
 from loopcal.files.recognition.joins import Fields, joined
@@ -33,8 +32,8 @@ from loopcal.measurements.datasheet import rounding_sd
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, output_groups
+from loopcal.presentation.shown import columns as in_columns
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
-from loopcal.presentation.text_table import columns as in_columns
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.check import FEW, check
 from loopcal.statistics.region import ranges_of, sds_in

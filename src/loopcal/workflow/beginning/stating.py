@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import NEAR, TURNED, Bodies, Mounted, see_points
-from loopcal.files.paths import relative
+from loopcal.files.outputs import relative
 from loopcal.files.recognition.fields import Field, column_key, names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.robots import Robot
@@ -21,8 +21,7 @@ from loopcal.files.toml.reader import SCHEMA
 from loopcal.files.toml.writer import document
 from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
 from loopcal.mechanisms.structure.structured import MOUNTED
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import significant, with_unit
 from loopcal.units import from_si, unit
 from loopcal.workflow.beginning.meanings import Meaning, polar
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
