@@ -111,7 +111,7 @@ test-lowest: ## the suite on the oldest dependencies that pyproject.toml allows,
 		print(*(re.sub(">=([^,]*).*", r"==\1", bound) for bound in bounds), sep="\n")' > $(LOWEST)
 	@PIP_CONSTRAINT=$(LOWEST) $(MAKE) --no-print-directory install VENV=.venv-lowest EXTRAS=test
 	@$(MAKE) --no-print-directory suite VENV=.venv-lowest \
-		LEFT_OUT="--ignore=src/loopcal/app --ignore=src/loopcal/files/project/edits.py"
+		LEFT_OUT="--ignore=src/loopcal/app --ignore=src/loopcal/companions/app/edits.py"
 
 # A PATH with everything on it but what builds the engine.
 BARE := $(CURDIR)/.cache/bare

@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from loopcal.app.session import Session
 from loopcal.cli.run import main as command
+from loopcal.companions.app.session import Session
 from loopcal.files.project.project_file import read_project
 from loopcal.report.source import read_source
 

@@ -28,8 +28,8 @@ import loopcal as lc
 from analyses import gauntlet_truth as truth
 from analyses.gauntlet_truth import Arm, Link, drawn, random_placement
 from analyses.written import write_block
-from loopcal.deployment.inverse import solve
-from loopcal.deployment.rigid import between
+from loopcal.companions.robot.inverse import solve
+from loopcal.companions.robot.rigid import between
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.serial import Joint, parameter_name, serial_machine
 

@@ -24,11 +24,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.companions.robot.exports.format import ExportOptions
+from loopcal.companions.robot.exports.simulators import mjcf, sdf
+from loopcal.companions.robot.exports.urdf import patched_urdf
 from loopcal.document.exported import Exported
 from loopcal.errors import InputError
-from loopcal.files.exports.format import ExportOptions
-from loopcal.files.exports.simulators import mjcf, sdf
-from loopcal.files.exports.urdf import patched_urdf
 from loopcal.files.machines.urdf import Branch, branches, read_urdf
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.origins import calibrated_origins, joint_chain

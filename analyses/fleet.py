@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.life.fleet import Fleet, learn
-from loopcal.life.measured_machine import MeasuredMachine
+from loopcal.companions.life.fleet import Fleet, learn
+from loopcal.companions.life.measured_machine import MeasuredMachine
 from loopcal.mechanisms.planar import planar_two_link
 
 Array = NDArray[np.float64]

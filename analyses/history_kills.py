@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from loopcal.files.history.folder import read_entries
+from loopcal.companions.life.history_folder import read_entries
 
 WRITER = """
 import sys
-from loopcal.files.history.folder import append_entry
+from loopcal.companions.life.history_folder import append_entry
 while True:
     entry = append_entry(sys.argv[1], "event", {"words": "x" * 20000})
     print(entry.sequence, flush=True)

@@ -24,7 +24,7 @@ from shutil import copytree, rmtree
 from typing import Any
 
 from loopcal.cli import main as loopcal
-from loopcal.files.history.folder import read_entries
+from loopcal.companions.life.history_folder import read_entries
 
 EVENTS = ("open", "os.rename", "os.link", "os.remove", "os.mkdir", "os.rmdir")
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT

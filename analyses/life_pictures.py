@@ -18,8 +18,9 @@ import pytest
 
 import loopcal as lc
 from analyses.what_changed import NOISE, arm, joints, measured
-from loopcal.files.history.folder import append_entry
-from loopcal.report.life_pages import fleet_html, history_html, verification_html
+from loopcal.companions.life.history_folder import append_entry
+from loopcal.companions.life.pages import fleet_html, history_html
+from loopcal.report.verification_page import verification_html
 from tests.browser import chromium, opened
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pictures"

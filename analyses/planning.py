@@ -99,10 +99,10 @@ def beside_random(case: Case, candidates: int, planned: int, random: int, sets: 
 
 def promised_by_random(case: Case, candidates: int, number: int, sets: int) -> list[float]:
     """Mean predicted variance of random sets of the candidates, over the same test poses."""
+    from loopcal.companions.planning.candidates import drawn, ranges_of
+    from loopcal.companions.planning.plan import pooled
+    from loopcal.companions.planning.search import criterion_value
     from loopcal.measurements.noise import Noise
-    from loopcal.planning.candidates import drawn, ranges_of
-    from loopcal.planning.plan import pooled
-    from loopcal.planning.search import criterion_value
 
     settings = case.settings(candidates)
     pool = drawn(case.mechanism, ranges_of(case.mechanism, case.ranges, None), settings)

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from loopcal.companions.performance.accuracy import Group, Means, fitted_base
+from loopcal.companions.performance.instrument import Figures, MeasuringErrors, tracker_of
+from loopcal.companions.performance.intervals import Estimate, NormalScatter
+from loopcal.companions.performance.parts import ConditionPerformance
+from loopcal.companions.performance.performance import pose_performance
 from loopcal.measurements.attained import AttainedPoses
-from loopcal.pose_performance.accuracy import Group, Means, fitted_base
-from loopcal.pose_performance.instrument import Figures, MeasuringErrors, tracker_of
-from loopcal.pose_performance.intervals import Estimate, NormalScatter
-from loopcal.pose_performance.parts import ConditionPerformance
-from loopcal.pose_performance.performance import pose_performance
 
 Array = NDArray[np.float64]
 CORNERS = np.array([(0, 0, 0), (1, 1, 1), (-1, 1, 1), (-1, -1, -1), (1, -1, -1)], dtype=float)

@@ -29,8 +29,8 @@ from problems import six_axis
 from tables import write_into
 
 from loopcal import Cluster, Processes, Threads, calibrate, validate
+from loopcal.companions.studies.run import run_study
 from loopcal.execution.executor import Executor, InProcess
-from loopcal.studies.run import run_study
 
 WORKERS = 2
 DOCUMENT = Path(__file__).parent.parent / "docs" / "how-to" / "clusters.md"

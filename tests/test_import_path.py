@@ -42,8 +42,8 @@ if __name__ == "__main__":
 WORKER = """
 import sys, threading
 from pathlib import Path
-from loopcal.app.worker import Action
-from loopcal.app.worker import Worker
+from loopcal.companions.app.worker import Action
+from loopcal.companions.app.worker import Worker
 from loopcal.import_path import leave_folder
 from loopcal.cli import run
 if __name__ == "__main__":

@@ -7,8 +7,8 @@ import re
 import pytest
 
 from loopcal.cli.registry import COMMANDS, loaded, name_of, with_loops
-from loopcal.files.exports.registry import EXPORTS
-from loopcal.files.programs.registry import DIALECTS
+from loopcal.companions.robot.exports.registry import EXPORTS
+from loopcal.companions.robot.programs.registry import DIALECTS
 from loopcal.files.project.data_table import DataTable
 from loopcal.files.tables.reader import Layout
 from loopcal.files.tables.registry import READERS

@@ -13,8 +13,22 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
-    from loopcal.deployment.corrected import CorrectionBounds
-    from loopcal.deployment.correction import Correction
+    from loopcal.companions.life.fleet import Fleet
+    from loopcal.companions.life.fleet_files import fleet
+    from loopcal.companions.life.history import History
+    from loopcal.companions.life.history_files import history
+    from loopcal.companions.life.public import update
+    from loopcal.companions.performance.run import performance
+    from loopcal.companions.performance.summary import Performance
+    from loopcal.companions.planning.planned import Plan
+    from loopcal.companions.planning.program import plan_program
+    from loopcal.companions.planning.public import plan
+    from loopcal.companions.record.record import Record, record, verify_record
+    from loopcal.companions.record.record_file import RecordCheck
+    from loopcal.companions.robot.correct_files import correct
+    from loopcal.companions.robot.corrected import CorrectionBounds
+    from loopcal.companions.robot.correction import Correction
+    from loopcal.companions.robot.export_files import Export, export
     from loopcal.document.change_points import ChangePoint, Dependence
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
     from loopcal.document.fit import ChiSquared, NoiseEntry
@@ -33,10 +47,7 @@ if TYPE_CHECKING:
     from loopcal.files.machines.mechanism_file import read_mechanism
     from loopcal.files.project.project_data import LoadedData
     from loopcal.files.project.project_file import Project, read_project
-    from loopcal.files.result.record_file import RecordCheck
     from loopcal.files.tables.readers import read_dataset
-    from loopcal.life.fleet import Fleet
-    from loopcal.life.history import History
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
@@ -51,8 +62,6 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
-    from loopcal.planning.planned import Plan
-    from loopcal.pose_performance.summary import Performance
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
@@ -71,12 +80,6 @@ if TYPE_CHECKING:
     from loopcal.statistics.validation import Validation
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
-    from loopcal.workflow.correcting import correct
-    from loopcal.workflow.exporting import Export, export
-    from loopcal.workflow.fleet import fleet
-    from loopcal.workflow.history import history
-    from loopcal.workflow.performance import performance
-    from loopcal.workflow.plan_program import plan_program
     from loopcal.workflow.public import (
         calibrate,
         check,
@@ -88,42 +91,37 @@ if TYPE_CHECKING:
         findings,
         intervals,
         load_dataset,
-        plan,
         predict,
         reliability,
         repeated_readings,
         simulate,
-        update,
         validate,
         verdict,
         verify,
     )
-    from loopcal.workflow.record import Record, record, verify_record
     from loopcal.workflow.result import Result, write_result
     from loopcal.workflow.saved_result import SavedResult, read_result
 
 _HOME = {
-    "deployment.corrected": ("CorrectionBounds",),
-    "deployment.correction": ("Correction",),
-    "document.goodness_of_fit": ("ChiSquared",),
-    "document.change_points": ("ChangePoint",),
-    "document.dependence": ("Dependence",),
+    "companions.robot.corrected": ("CorrectionBounds",),
+    "companions.robot.correction": ("Correction",),
+    "document.change_points": ("ChangePoint", "Dependence"),
     "document.findings": ("ColumnFault", "Identifiability", "Outlier", "Undetermined"),
-    "document.fit": ("NoiseEntry",),
+    "document.fit": ("ChiSquared", "NoiseEntry"),
     "document.result_document": ("ResultDocument", "WrittenResult"),
     "document.parameter_table": ("ParameterTable",),
     "errors": ("InputError", "LoopcalError"),
     "estimation.accuracy": ("Accuracy", "InstrumentAccuracy"),
     "estimation.residuals": ("Closure",),
     "estimation.fit": ("Fit",),
-    "estimation.solve.status": ("Status",),
+    "estimation.solve.solution": ("Status",),
     "execution.cluster": ("Cluster",),
     "execution.local": ("Processes", "Threads"),
     "expressions.trace": ("TraceError",),
     "expressions.vectors": (
         *("cross", "dot", "norm", "rot_x", "rot_y", "rot_z", "rotate", "vector"),
     ),
-    "files.result.record_file": ("RecordCheck",),
+    "companions.record.record_file": ("RecordCheck",),
     "files.tables.readers": ("read_dataset",),
     "files.machines.mechanism_file": ("read_mechanism",),
     "files.project.project_data": ("LoadedData",),
@@ -132,20 +130,18 @@ _HOME = {
     "measurements.datasheet": ("Tracker", "encoder_sd", "tracker_covariance"),
     "measurements.noise": ("Noise",),
     "measurements.plan_settings": ("Box", "PlanSettings", "Sight"),
-    "planning.planned": ("Plan",),
-    "mechanisms.effects.effect": ("with_effects",),
-    "mechanisms.effects.model": ("Model",),
+    "companions.planning.planned": ("Plan",),
+    "mechanisms.effects.effect": ("Model", "with_effects"),
     "mechanisms.machine": ("Instrument", "Machine", "assemble"),
     "mechanisms.mechanism": ("Mechanism",),
-    "mechanisms.motoman": ("motoman_ma1400",),
     "mechanisms.parameters": ("Parameter", "Parameters"),
-    "mechanisms.planar": ("planar_two_link",),
+    "mechanisms.planar": ("motoman_ma1400", "planar_two_link"),
     "mechanisms.prior": ("Prior",),
     "mechanisms.redundancy": ("fix_redundant",),
     "mechanisms.serial": ("Joint", "serial_arm"),
     "mechanisms.structure.structured": ("structured",),
     "mechanisms.terms": ("Term",),
-    "pose_performance.result": ("Performance",),
+    "companions.performance.summary": ("Performance",),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation",),
     "statistics.check": ("Check",),
@@ -160,28 +156,30 @@ _HOME = {
     "statistics.change_points": ("Shifts",),
     "statistics.outliers": ("Outliers",),
     "statistics.reliability": ("ReadingReliability",),
-    "statistics.shifted": ("Shifted", "with_shifts"),
+    "statistics.changes": ("Shifted", "with_shifts"),
     "statistics.findings": ("Findings",),
     "statistics.prediction": ("Prediction",),
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.result": ("Result", "write_result"),
-    "workflow.exporting": ("Export", "export"),
-    "workflow.correcting": ("correct",),
-    "workflow.plan_program": ("plan_program",),
-    "workflow.performance": ("performance",),
+    "companions.robot.export_files": ("Export", "export"),
+    "companions.robot.correct_files": ("correct",),
+    "companions.planning.program": ("plan_program",),
+    "companions.performance.run": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
-        *("find_shifts", "findings", "intervals", "load_dataset", "plan", "predict"),
-        *("reliability", "repeated_readings", "simulate", "update", "validate", "verdict"),
+        *("find_shifts", "findings", "intervals", "load_dataset", "predict"),
+        *("reliability", "repeated_readings", "simulate", "validate", "verdict"),
         "verify",
     ),
-    "workflow.record": ("Record", "record", "verify_record"),
-    "workflow.fleet": ("fleet",),
-    "life.fleet": ("Fleet",),
-    "workflow.history": ("history",),
-    "life.history": ("History",),
+    "companions.record.record": ("Record", "record", "verify_record"),
+    "companions.life.fleet_files": ("fleet",),
+    "companions.life.fleet": ("Fleet",),
+    "companions.life.history_files": ("history",),
+    "companions.life.history": ("History",),
     "workflow.saved_result": ("SavedResult", "read_result"),
+    "companions.planning.public": ("plan",),
+    "companions.life.public": ("update",),
 }
 _NAMESPACES = ("effects", "instruments", "machines")
 _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from loopcal.app import words
-from loopcal.app.pictures import SIZE, Errors
+from loopcal.companions.app import words
+from loopcal.companions.app.pictures import SIZE, Errors
 from loopcal.report.source import read_source
 from tests.app.pointing import AT_REST, Hand, new_page
 from tests.app.serving import Served
@@ -60,7 +60,7 @@ def test_a_frame_selects_also_the_poses_that_are_not_drawn(
     assert whole is not None
     frame = {"x": [10.5, 20.5], "y": [0.0, float(whole.size.max())]}
     assert whole.framed((whole.numbers, whole.size), frame) is None  # plotly has named them all
-    monkeypatch.setattr("loopcal.app.pictures.MOST", 12)
+    monkeypatch.setattr("loopcal.companions.app.pictures.MOST", 12)
     few = Errors.of(source, selected=range(5, 49))
     assert few is not None
     assert len(few.drawn) <= 12

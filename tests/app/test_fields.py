@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from loopcal.app import words
-from loopcal.files.project.project_folder import LOG
+from loopcal.companions.app import words
+from loopcal.companions.app.project_folder import LOG
 from tests.app.pointing import Hand, new_page
 from tests.app.serving import Served
 from tests.app.test_in_a_browser import STEPS, select

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from loopcal.app.guard import COOKIE, LARGEST, Guard, Rules
+from loopcal.companions.app.guard import COOKIE, LARGEST, Guard, Rules
 
 
 def scope(kind: str = "http", query: str = "", **headers: str) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def test_an_upload_has_a_largest_size() -> None:
 def test_an_upload_of_no_stated_length_ends_where_it_is_too_large(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("loopcal.app.guard.LARGEST", 10)
+    monkeypatch.setattr("loopcal.companions.app.guard.LARGEST", 10)
     seen: list[str] = []
 
     async def reads(_: Any, receive: Any, send: Any) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.app.guard import LARGEST
+from loopcal.companions.app.guard import LARGEST
 from tests.app.serving import Served, asked, serving
 
 SHAKE = (

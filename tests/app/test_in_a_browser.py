@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from loopcal.app import words
+from loopcal.companions.app import words
 from tests.app.conftest import SCRIPT
 from tests.app.contrast import weak_texts
 from tests.app.pointing import Hand, new_page

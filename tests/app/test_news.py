@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.app.refits import News
-from loopcal.app.session import Session
+from loopcal.companions.app.refits import News
+from loopcal.companions.app.session import Session
 from tests.app.plain_command import command
 
 pytest.importorskip("tomlkit", reason="tomlkit is absent; `pip install .[app]` installs it")

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.app.session import Session
+from loopcal.companions.app.project_folder import LOG, NAME, FolderLock, ProjectFolder
+from loopcal.companions.app.session import Session
+from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.reader import read_program
+from loopcal.companions.robot.programs.registry import BY_ENDING as PROGRAMS
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
 from loopcal.files.outputs import INSIDE
-from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.reader import read_program
-from loopcal.files.programs.registry import BY_ENDING as PROGRAMS
-from loopcal.files.project.project_folder import LOG, NAME, FolderLock, ProjectFolder
 from tests.app.plain_command import command
 from tests.command_line import run_here
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from analyses.app_robustness import finished, killed, made
-from loopcal.app.frame import stand
-from loopcal.app.session import Session
-from loopcal.app.steps import State
-from loopcal.app.worker import Action
 from loopcal.cli.registry import with_loops
+from loopcal.companions.app.frame import stand
+from loopcal.companions.app.project_folder import Entry
+from loopcal.companions.app.session import Session
+from loopcal.companions.app.steps import State
+from loopcal.companions.app.worker import Action
 from loopcal.errors import InputError
 from loopcal.files.outputs import INSIDE
-from loopcal.files.project.project_folder import Entry
 from tests.app.plain_command import command
 
 pytest.importorskip("tomlkit", reason="tomlkit is absent; `pip install .[app]` installs it")
@@ -140,7 +140,7 @@ def test_a_kill_loses_nothing_that_was_confirmed(tmp_path: Path, seed: int) -> N
 def test_a_fault_in_an_act_is_shown_in_a_sentence_and_logged(
     folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    view_module = pytest.importorskip("loopcal.app.view", reason="NiceGUI is absent")
+    view_module = pytest.importorskip("loopcal.companions.app.view", reason="NiceGUI is absent")
     said: list[str] = []
     monkeypatch.setattr(view_module, "_tell", said.append)
     view = view_module.View(Session(folder, command))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.app.session import Session
+from loopcal.companions.app.session import Session
 from loopcal.errors import InputError
 
 PROJECT = """\

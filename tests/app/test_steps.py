@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.app.frame import stand
-from loopcal.app.session import Session
-from loopcal.app.steps import LIGHTS, State
-from loopcal.files.project.project_folder import Entry
+from loopcal.companions.app.frame import stand
+from loopcal.companions.app.project_folder import Entry
+from loopcal.companions.app.session import Session
+from loopcal.companions.app.steps import LIGHTS, State
 from tests.app.plain_command import command
 from tests.command_line import run_here
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-import loopcal.app
+import loopcal.companions.app
 
-APP = Path(loopcal.app.__file__).parent
+APP = Path(loopcal.companions.app.__file__).parent
 PAGES = [*sorted((APP / "views").glob("*.py")), *(APP / f"{n}.py" for n in ("frame", "uploads"))]
 
 

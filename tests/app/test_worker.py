@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.app.worker import Action, Busy, Run, Worker
+from loopcal.companions.app.worker import Action, Busy, Run, Worker
 from tests.app.plain_command import command
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.cli.export import _counts
 from loopcal.cli.run import main
-from loopcal.files.exports.registry import EXPORTS
+from loopcal.companions.robot.export_commands import _counts
+from loopcal.companions.robot.exports.registry import EXPORTS
 from tests.command_line import run_here as run
 from tests.refusals import refused
 

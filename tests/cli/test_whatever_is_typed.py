@@ -16,13 +16,13 @@ import pytest
 
 from analyses.hostile_inputs import PYTHON, VALUES
 from loopcal.cli import main
+from loopcal.companions.life.history_files import history
+from loopcal.companions.life.history_folder import append_entry, read_entries
+from loopcal.companions.life.pages import history_html
 from loopcal.errors import InputError
-from loopcal.files.history.folder import append_entry, read_entries
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.python_function import load_function
 from loopcal.mechanisms.limits import joint_limits
-from loopcal.report.life_pages import history_html
-from loopcal.workflow.history import history
 
 LONG = "n" * 300
 

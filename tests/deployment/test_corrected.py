@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 import loopcal as lc
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
-from loopcal.deployment.arms import arms_of
-from loopcal.deployment.inverse import solve
-from loopcal.deployment.rigid import between, tool_of, turn_of, turned
+from loopcal.companions.robot.arms import arms_of
+from loopcal.companions.robot.inverse import solve
+from loopcal.companions.robot.rigid import between, tool_of, turn_of, turned
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.mechanisms.placement import ChainPlacement, rigid
 from loopcal.mechanisms.planar import motoman_joints

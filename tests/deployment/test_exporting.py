@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.deployment import exporting
-from loopcal.deployment.exporting import exported
-from loopcal.deployment.refit import Goal, refit, seen_points, separable, traced
+from loopcal.companions.robot import exporting
+from loopcal.companions.robot.exporting import exported
+from loopcal.companions.robot.refit import Goal, refit, seen_points, separable, traced
 from loopcal.mechanisms.chain import product
 from loopcal.statistics.predictor import predictor
 from tests.refusals import refused
@@ -79,7 +79,7 @@ def test_zeros_that_make_an_arm_worse_are_warned_of(rigid, monkeypatch):
     zeros, nominal = machine.of("zeros and tool"), machine.of("nominal")
     swapped = (replace(zeros, model="nominal"), replace(nominal, model="zeros and tool"))
     worse = replace(machine, accuracy=(*swapped, *machine.accuracy[2:]))
-    monkeypatch.setattr("loopcal.workflow.exporting.exported", lambda *_, **__: worse)
+    monkeypatch.setattr("loopcal.companions.robot.export_files.exported", lambda *_, **__: worse)
     assert any("worse at the measured poses" in w for w in lc.export(rigid, to="zeros").warnings)
     assert not any("worse" in words for words in lc.export(rigid, to="dh").warnings)
 

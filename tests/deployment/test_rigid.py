@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from loopcal.deployment.rigid import (
+from loopcal.companions.robot.rigid import (
     between,
     moved,
     quaternion_of,

@@ -10,10 +10,10 @@ import pytest
 import loopcal as lc
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
-from loopcal.deployment.inverse import solve
-from loopcal.deployment.rigid import between, moved
-from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.reader import read_program
+from loopcal.companions.robot.inverse import solve
+from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.reader import read_program
+from loopcal.companions.robot.rigid import between, moved
 
 NAMES = [f"q{i}" for i in range(1, 7)]
 ROWS = ["above,20,-10,15,40,50,-30,joint", "across,55,-5,-5,30,60,-10,linear"]

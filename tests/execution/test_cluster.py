@@ -20,13 +20,13 @@ import pytest
 
 import loopcal as lc
 from loopcal.cli.progress import executor_of, try_cluster
+from loopcal.companions.studies import study_parts
+from loopcal.companions.studies.run import run_study
 from loopcal.errors import Code
 from loopcal.execution.cluster import Cluster, _Opening, versions
 from loopcal.execution.executor import InProcess, gathered
 from loopcal.execution.local import Processes, Threads
 from loopcal.expressions import choice
-from loopcal.files.study import study_parts
-from loopcal.studies.run import run_study
 from tests.command_line import environment, run
 from tests.dask_cluster import DaskCluster, dask_cluster
 from tests.execution import pieces

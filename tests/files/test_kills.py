@@ -13,10 +13,10 @@ import pytest
 
 import loopcal as lc
 from analyses.kills_at_file_operations import PROJECT, child, content, left
-from loopcal.app.session import Session
 from loopcal.cli import main
+from loopcal.companions.app.session import Session
+from loopcal.companions.life.history_folder import append_entries, read_entries
 from loopcal.errors import InputError
-from loopcal.files.history.folder import append_entries, read_entries
 from tests.refusals import refused
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks here")

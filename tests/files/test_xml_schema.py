@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.files.xml_schema import check_against, schema_version
+from loopcal.companions.record.xml_schema import check_against, schema_version
 from tests.refusals import refused
 
 XS = 'xmlns:xs="http://www.w3.org/2001/XMLSchema"'

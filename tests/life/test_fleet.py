@@ -12,9 +12,9 @@ import pytest
 
 import loopcal as lc
 from analyses.fleet import POSES, drawn, fleets
-from loopcal.life.fleet import learn
-from loopcal.life.measured_machine import MeasuredMachine, machine_parameters
-from loopcal.life.spread import Spread
+from loopcal.companions.life.fleet import learn
+from loopcal.companions.life.measured_machine import MeasuredMachine, machine_parameters
+from loopcal.companions.life.spread import Spread
 from loopcal.statistics.calibrated import Calibrated
 from tests.command_line import run_here as run
 from tests.life.test_updating import PROJECT

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.files.history.folder import append_entry
-from loopcal.life.history import chart, drift_rate
-from loopcal.report.life_pages import history_html
+from loopcal.companions.life.history import chart, drift_rate
+from loopcal.companions.life.history_folder import append_entry
+from loopcal.companions.life.pages import history_html
 from tests.command_line import run_here as run
 from tests.life.test_updating import PROJECT
 

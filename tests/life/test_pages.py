@@ -7,7 +7,7 @@ from dataclasses import replace
 import plotly.graph_objects as go
 
 import loopcal as lc
-from loopcal.report.life_pages import change_figures, verification_html
+from loopcal.report.verification_page import change_figures, verification_html
 from tests.reference.simulated import planar_arm
 from tests.statistics.test_comparison import elsewhere, sds_of
 

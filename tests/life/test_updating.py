@@ -16,9 +16,9 @@ from analyses.instruments import setup
 from analyses.verify import another_day
 from analyses.what_changed import NOISE, joints, measured
 from analyses.what_changed import arm as arm_as_drawn
+from loopcal.companions.life.updating import update
 from loopcal.document.triangle import symmetric
 from loopcal.estimation.result import Result
-from loopcal.life.updating import update
 from loopcal.statistics.calibrated import Calibrated
 from tests.command_line import run_here as run
 from tests.reference.simulated import planar_arm

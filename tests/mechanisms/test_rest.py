@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from loopcal.files.exports.tables import dh_table, modified
+from loopcal.companions.robot.exports.tables import dh_table, modified
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.origins import LinkJoint, Mimic, calibrated_origins, joint_chain
 from loopcal.mechanisms.rest import (

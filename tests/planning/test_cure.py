@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.companions.planning.cure import Cure, cure
 from loopcal.mechanisms.planar import planar_two_link
-from loopcal.planning.cure import Cure, cure
 
 NEAR = {"phi2": (0.0, 0.05), "phi3": (1.0, 1.05)}
 WIDE = {"phi2": (-1.0, 1.0), "phi3": (0.3, 2.0)}

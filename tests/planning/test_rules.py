@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.companions.planning.candidates import drawn, ranges_of, stated_candidates
 from loopcal.measurements.plan_settings import Box, PlanSettings, Sight
-from loopcal.planning.candidates import drawn, ranges_of, stated_candidates
 from tests.refusals import refused
 
 INF = math.inf

@@ -10,12 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from analyses.pose_performance import CASES, condition_coverage, coverage, distance_coverage
+from loopcal.companions.performance.accuracy import Group, Means, fitted_base, frame_effect
+from loopcal.companions.performance.instrument import Figures, MeasuringErrors, tracker_of
+from loopcal.companions.performance.intervals import NormalScatter, length_interval, repeatability
+from loopcal.companions.performance.performance import pose_performance
+from loopcal.companions.performance.summary import overview
 from loopcal.measurements.attained import AttainedPoses
-from loopcal.pose_performance.accuracy import Group, Means, fitted_base, frame_effect
-from loopcal.pose_performance.instrument import Figures, MeasuringErrors, tracker_of
-from loopcal.pose_performance.intervals import NormalScatter, length_interval, repeatability
-from loopcal.pose_performance.performance import pose_performance
-from loopcal.pose_performance.summary import overview
 from tests.refusals import refused
 
 CROSS = 1e-3 * np.array([[0.13, 0, 0], [0.07, 0, 0], [0.1, 0.04, 0], [0.1, -0.04, 0]])

@@ -15,14 +15,15 @@ import pytest
 
 import loopcal as lc
 from loopcal.cli import main
+from loopcal.companions.life.pages import fleet_html
+from loopcal.companions.planning.page import plan_html
+from loopcal.companions.studies.page import study_html
+from loopcal.companions.studies.run import run_study
 from loopcal.execution.executor import InProcess
 from loopcal.figures.space import FIELD, space_layout
 from loopcal.presentation.shown import Table
-from loopcal.report.life_pages import fleet_html, verification_html
-from loopcal.report.plan_page import plan_html
-from loopcal.report.study_page import study_html
 from loopcal.report.templates import page
-from loopcal.studies.run import run_study
+from loopcal.report.verification_page import verification_html
 from loopcal.workflow.result import write_result
 from tests.browser import chromium, opened
 from tests.report.test_study_page import STUDY

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.companions.life.fleet import Fleet
+from loopcal.companions.life.fleet_files import run_fleet
+from loopcal.companions.life.history import History
+from loopcal.companions.life.history_files import run_history
+from loopcal.companions.life.other_days import other_days
+from loopcal.companions.life.report_sections import sections
+from loopcal.companions.life.update_files import run_update
 from loopcal.figures.figure import Figure
 from loopcal.files.result.deployed import FLEET, HISTORY, VERIFICATION, read_deployed
-from loopcal.life.fleet import Fleet
-from loopcal.life.history import History
-from loopcal.report.other_days import other_days
 from loopcal.report.page import report_html
 from loopcal.report.source import read_source
 from loopcal.statistics.changed import WhatChanged
-from loopcal.workflow.fleet import run_fleet
-from loopcal.workflow.history import run_history
-from loopcal.workflow.report_sections import sections
-from loopcal.workflow.updating import run_update
 from loopcal.workflow.verifying import run_verification
 from tests.command_line import run_here as run
 

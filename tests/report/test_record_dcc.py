@@ -19,20 +19,20 @@ import pytest
 from lxml import etree
 
 import loopcal as lc
-from loopcal.document.result_document import ResultDocument
-from loopcal.document.verdict import Answer
-from loopcal.files.result.record_file import RecordFile, check_record
-from loopcal.files.result.result_file import read_result
-from loopcal.files.xml_schema import check_against
-from loopcal.report.record_content import (
+from loopcal.companions.record.content import (
     FIELDS,
     OTHERS,
     PEOPLE,
     expanded,
     record_content,
 )
-from loopcal.report.record_dcc import NEEDED, record_dcc
-from loopcal.report.record_page import record_page
+from loopcal.companions.record.dcc import NEEDED, record_dcc
+from loopcal.companions.record.page import record_page
+from loopcal.companions.record.record_file import RecordFile, check_record
+from loopcal.companions.record.xml_schema import check_against
+from loopcal.document.result_document import ResultDocument
+from loopcal.document.verdict import Answer
+from loopcal.files.result.result_file import read_result
 from tests.refusals import refused
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

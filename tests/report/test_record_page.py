@@ -12,13 +12,7 @@ from pathlib import Path
 import pytest
 
 import loopcal as lc
-from loopcal.document.result_document import ResultDocument
-from loopcal.document.verdict import Answer
-from loopcal.files.project.project_schema import RecordTable
-from loopcal.files.result.record_file import OPEN, RecordFile, check_record
-from loopcal.files.result.result_file import read_result
-from loopcal.keys import arguments
-from loopcal.report.record_content import (
+from loopcal.companions.record.content import (
     FIELDS,
     OPTIONAL,
     OTHERS,
@@ -27,7 +21,13 @@ from loopcal.report.record_content import (
     UNSTATED,
     record_content,
 )
-from loopcal.report.record_page import record_page
+from loopcal.companions.record.page import record_page
+from loopcal.companions.record.record_file import OPEN, RecordFile, check_record
+from loopcal.document.result_document import ResultDocument
+from loopcal.document.verdict import Answer
+from loopcal.files.project.project_schema import RecordTable
+from loopcal.files.result.result_file import read_result
+from loopcal.keys import arguments
 from loopcal.small_samples import t_quantile
 from tests.browser import chromium
 from tests.refusals import refused

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from loopcal.companions.studies.page import PAGE, study_html, words, write_study_page
+from loopcal.companions.studies.run import StudyDone, run_study
 from loopcal.execution.executor import InProcess
-from loopcal.report.study_page import PAGE, study_html, words, write_study_page
-from loopcal.studies.run import StudyDone, run_study
 from tests.browser import chromium, opened
 
 STUDY = """

@@ -14,13 +14,13 @@ import polars as pl
 import pytest
 
 import loopcal as lc
+from loopcal.companions.studies import study_parts
+from loopcal.companions.studies.draws import run_draws, seed_of
+from loopcal.companions.studies.run import run_study
+from loopcal.companions.studies.study_file import read_study
 from loopcal.execution.executor import InProcess
 from loopcal.execution.local import Processes
-from loopcal.files.study import study_parts
-from loopcal.files.study.study_file import read_study
 from loopcal.simulation.simulate import simulate
-from loopcal.studies.draws import run_draws, seed_of
-from loopcal.studies.run import run_study
 from tests.command_line import environment, run
 from tests.refusals import refused
 

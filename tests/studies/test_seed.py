@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopcal.files.study.study_file import Scenario, Study, read_study
+from loopcal.companions.studies.draws import run_draws
+from loopcal.companions.studies.study_file import Scenario, Study, read_study
+from loopcal.companions.studies.tables import ScenarioTable, tables
 from loopcal.mechanisms.prior import Prior
-from loopcal.studies.draws import run_draws
-from loopcal.studies.tables import ScenarioTable, tables
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("xA", "yA", "l2", "l3", "phi20", "phi30")

@@ -12,14 +12,14 @@ import loopcal as lc
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.cli import main
-from loopcal.cli.output import run_report
-from loopcal.deployment.inverse import solve
-from loopcal.deployment.rigid import quaternion_of
+from loopcal.cli.reporting import run_report
+from loopcal.companions.robot.correct_files import run_correct
+from loopcal.companions.robot.export_files import run_export
+from loopcal.companions.robot.inverse import solve
+from loopcal.companions.robot.programs.corrected import MARK
+from loopcal.companions.robot.programs.poses_text import turns_of_pose
+from loopcal.companions.robot.rigid import quaternion_of
 from loopcal.files.outputs import command
-from loopcal.files.programs.corrected import MARK
-from loopcal.files.programs.poses_text import turns_of_pose
-from loopcal.workflow.correcting import run_correct
-from loopcal.workflow.exporting import run_export
 from tests.refusals import refused
 
 NAMES = [f"q{i}" for i in range(1, 7)]

@@ -12,8 +12,8 @@ import pytest
 from lxml import etree
 
 import loopcal as lc
+from loopcal.companions.robot.exports.registry import EXPORTS
 from loopcal.errors import InputError
-from loopcal.files.exports.registry import EXPORTS
 from loopcal.workflow.calibration import Request, run_calibration
 from loopcal.workflow.projects import new_project
 from loopcal.workflow.simulation import run_simulation

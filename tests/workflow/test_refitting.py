@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from loopcal.companions.app.edits import with_shift, with_value, without_poses
 from loopcal.errors import InputError
-from loopcal.files.project.edits import with_shift, with_value, without_poses
 from loopcal.report.source import read_source
 from loopcal.statistics.continued import Ending
 from loopcal.workflow.calibration import Calibration, run_calibration

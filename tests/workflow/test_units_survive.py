@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.companions.life.update_files import run_update
 from loopcal.units import from_si
 from loopcal.workflow.checking import run_prediction
-from loopcal.workflow.updating import run_update
 from loopcal.workflow.verifying import run_verification
 from tests.reference.simulated import planar_arm
 from tests.refusals import refused

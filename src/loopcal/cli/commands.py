@@ -22,7 +22,8 @@ from loopcal.cli.application import (
     out_option,
 )
 from loopcal.cli.output import log, print_data, print_done, print_json, print_out
-from loopcal.cli.registry import cure_of, keeper
+from loopcal.cli.registry import keeper
+from loopcal.companions import called
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.files.project.new_project import TEMPLATES
@@ -139,7 +140,7 @@ def check(
     from loopcal.workflow.checking import run_check
 
     done = run_check(project, function=mechanism)
-    cure, title = cure_of(done), done.project.title
+    cure, title = called("cure_of")(done), done.project.title
     for warning in done.warnings:
         log(f"warning: {warning}")
     if as_json:
@@ -229,7 +230,7 @@ def report(
     force: ForceOption = False,
 ) -> None:
     """Write one self-contained HTML page of one result, or of several side by side."""
-    from loopcal.cli.output import run_report
+    from loopcal.cli.reporting import run_report
 
     print_out(f"written to {run_report(results, out)}")
 
@@ -303,9 +304,7 @@ def new(
             remedy="loopcal new NAME --mechanism serial, or loopcal new NAME --performance",
         )
     if mechanism is None:
-        from loopcal.workflow.performance import new_performance
-
-        (table,) = new_performance(name)
+        (table,) = called("new_performance")(name)
         print_out(
             f"written: {table}\n\nFill in the measured x, y, z, then:\n"
             f"  loopcal performance {quote(str(table))}"
@@ -357,7 +356,7 @@ def init(
     run: Annotated[bool, flag("--run", "Calibrate at once and open the report.")] = False,
 ) -> None:
     """Recognise readings and a robot; write a finished project."""
-    from loopcal.cli.output import ask_on_terminal, open_page
+    from loopcal.cli.asking import ask_on_terminal, open_page
     from loopcal.workflow.beginning.initial import RobotFile, initial_project
 
     robot = RobotFile(urdf, dh, machine, base, tip)

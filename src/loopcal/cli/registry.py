@@ -9,50 +9,40 @@ from typing import TYPE_CHECKING, get_type_hints
 from typer.models import CommandInfo
 
 from loopcal.cli.application import FunctionOption, app
+from loopcal.companions import called, load
 
 if TYPE_CHECKING:
-    from loopcal.planning.cure import Cure
-    from loopcal.workflow.checking import Checked
     from loopcal.workflow.keeping import Keeper
 
 COMMANDS = {
     **dict.fromkeys(("calibrate", "check", "predict", "compare", "report", "noise"), "commands"),
     "simulate": "commands",
-    "study": "studying",
+    "study": "companions.studies.commands",
     **dict.fromkeys(("new", "init", "schema"), "commands"),
-    "correct": "correct",
-    "export": "export",
+    "correct": "companions.robot.correct_commands",
+    "export": "companions.robot.export_commands",
     "verify": "verification",
-    **dict.fromkeys(("update", "history", "fleet"), "life"),
-    "performance": "performance",
-    "plan": "planning",
-    "record": "record",
-    "app": "app",
+    **dict.fromkeys(("update", "history", "fleet"), "companions.life.commands"),
+    "performance": "companions.performance.commands",
+    "plan": "companions.planning.commands",
+    "record": "companions.record.commands",
+    "app": "companions.app.commands",
 }
-"""Command -> module of this folder, in the order of the help."""
+"""Command -> its module, of this folder or of a companion, in the order of the help."""
 
 
 def keeper(folder: str | None) -> Keeper | None:
     """What keeps a result in the history of this folder."""
-    if folder is None:
-        return None
-    from loopcal.workflow.history import HistoryKeeper
-
-    return HistoryKeeper(folder)
-
-
-def cure_of(checked: Checked) -> Cure | None:
-    """The poses that would raise a verdict that is not good; None where nothing is known."""
-    from loopcal.workflow import curing
-
-    return curing.cure_of(checked)
+    made: Keeper | None = None if folder is None else called("HistoryKeeper")(folder)
+    return made
 
 
 def loaded(names: Iterable[str]) -> list[CommandInfo]:
     """Of these names the commands, all where none is one."""
     asked = [name for name in names if name in COMMANDS] or [*COMMANDS]
     for module in dict.fromkeys(COMMANDS[name] for name in asked):
-        import_module(f"loopcal.cli.{module}")  # its commands join as it is imported
+        beside = module.removeprefix("companions.")  # its commands join as it is imported
+        _ = import_module(f"loopcal.cli.{module}") if beside == module else load(beside)
     joined = {name_of(command): command for command in app.registered_commands}
     return [joined[name] for name in asked]
 

@@ -17,12 +17,8 @@ from loopcal.files.project import project_data
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.readers import read_dataset
-from loopcal.life import updating
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
-from loopcal.measurements.plan_settings import PlanSettings
-from loopcal.planning import plan as planning
-from loopcal.planning.planned import Plan
 from loopcal.simulation import simulate as simulating
 from loopcal.simulation.simulate import Simulation
 from loopcal.statistics import calibrate as calibrating
@@ -49,14 +45,7 @@ from loopcal.statistics.repeats import Repeats
 from loopcal.statistics.validation import Validation
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.calibration import calibrated
-from loopcal.workflow.planning import (
-    PlanningBasis,
-    basis_of,
-    candidates_of,
-    of_calibration,
-    settings_of,
-)
-from loopcal.workflow.readings import Units, later_readings, readings
+from loopcal.workflow.readings import Units, later_readings
 from loopcal.workflow.resolved import Stated, described, fitted, result_of, stated
 from loopcal.workflow.result import Result
 from loopcal.workflow.saved_result import SavedResult
@@ -125,7 +114,7 @@ def _with_stated(
     return {**of_project, **rest}
 
 
-def _on_result(function: Callable[..., Any], needed: str, *, whole: bool) -> Callable[..., Any]:
+def on_result(function: Callable[..., Any], needed: str, *, whole: bool) -> Callable[..., Any]:
     """needed: what the function takes of a result from a folder; whole: read the outputs too."""
 
     @wraps(function)
@@ -162,9 +151,8 @@ calibrate: Callable[..., Result] = _on_machine(calibrating.calibrate, calibrated
 check: Callable[..., Check] = _on_machine(checking.check)
 validate: Callable[..., Validation] = _on_machine(validating.validate)
 compare_models: Callable[..., ModelComparison] = _on_machine(models.compare_models)
-predict: Callable[..., Prediction] = _on_result(prediction.predict, "predictor", whole=False)
-verify: Callable[..., Verification] = _on_result(verification.verify, "calibrated", whole=True)
-update: Callable[..., Result] = _on_result(updating.update, "calibrated", whole=True)
+predict: Callable[..., Prediction] = on_result(prediction.predict, "predictor", whole=False)
+verify: Callable[..., Verification] = on_result(verification.verify, "calibrated", whole=True)
 findings = _on_fit(finding.findings)
 find_outliers = _on_fit(outliers.find_outliers)
 find_shifts = _on_fit(change_points.find_shifts)
@@ -216,43 +204,6 @@ def simulate(
     if "start" not in options:
         chosen.pop("start", None)  # of a fit
     return simulating.simulate(inputs.mechanism, inputs.data, seed=seed, **chosen)
-
-
-@wraps(planning.plan)
-def plan(
-    mechanism: Any,
-    poses: int = 30,
-    *,
-    candidates: Any = None,
-    existing: Any = None,
-    units: Units = None,
-    **options: Any,
-) -> Plan:
-    """`plan`, of paths and projects too."""
-    description = described(mechanism)
-    if isinstance(description, Project):
-        basis = basis_of(description, existing)
-        options.setdefault("settings", settings_of(description))
-    elif (
-        existing is None or isinstance(existing, Dataset | Mapping) or hasattr(existing, "columns")
-    ):
-        machine = getattr(description, "mechanism", description)
-        data = None if existing is None else readings(existing, machine, units)
-        basis = PlanningBasis(
-            machine, options.pop("noise", getattr(description, "noise", None)), data
-        )
-    else:
-        basis = of_calibration(existing)
-    options.setdefault("noise", basis.noise)
-    options["settings"] = basis.settled(options.get("settings") or PlanSettings())
-    if candidates is not None:
-        if isinstance(description, Project) and isinstance(candidates, str | Path):
-            candidates = candidates_of(description, candidates)
-        else:
-            candidates = readings(candidates, basis.mechanism, units)
-    return planning.plan(
-        basis.mechanism, poses, candidates=candidates, existing=basis.existing, **options
-    )
 
 
 @wraps(repeats.repeated_readings)

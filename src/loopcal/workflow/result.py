@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from loopcal.companions import called
 from loopcal.document.plain import finite_only
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.estimation import result as estimation
@@ -141,9 +142,8 @@ def save_result(
     page = None
     if report:
         from loopcal.report.page import page_of
-        from loopcal.workflow.report_sections import sections
 
-        page = page_of(result, folder, sections)
+        page = page_of(result, folder, called("sections"))
     if keeper is None:
         return result_file.write_result(result, document, folder, report=page)
     write = keeper.of_calibration(document, result.calibrated, Path(folder) / "result.json")

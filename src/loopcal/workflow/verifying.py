@@ -57,7 +57,7 @@ def run_verification(
     verification = replace(verification, files={"result": str(result), "readings": str(readings)})
     files: dict[Path, Data] = {}
     if out is not None:
-        from loopcal.report.life_pages import verification_html
+        from loopcal.report.verification_page import verification_html
 
         names = f"{read.path.parent.name}, {Path(readings).name}"
         files[Path(out)] = verification_html(verification, read.mechanism.name, names)

@@ -13,10 +13,10 @@ import pytest
 from lxml import etree
 from scipy.spatial.transform import Rotation
 
+from loopcal.companions.robot.exports.format import ExportOptions, place_files
+from loopcal.companions.robot.exports.registry import EXPORTS, format_named
+from loopcal.companions.robot.exports.tables import ORIENTATIONS
 from loopcal.document.exported import Exported, Placed, ZeroOffset
-from loopcal.files.exports.format import ExportOptions, place_files
-from loopcal.files.exports.registry import EXPORTS, format_named
-from loopcal.files.exports.tables import ORIENTATIONS
 from loopcal.files.machines.urdf import read_urdf
 from loopcal.files.outputs import command
 from loopcal.mechanisms.origins import LinkJoint, calibrated_origins, joint_chain

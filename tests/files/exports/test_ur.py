@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
-from loopcal.document.exported import Exported
-from loopcal.files.exports.format import ExportOptions
-from loopcal.files.exports.ur import (
+from loopcal.companions.robot.exports.format import ExportOptions
+from loopcal.companions.robot.exports.ur import (
     LINKS,
     MODELS,
     UrTable,
@@ -22,6 +21,7 @@ from loopcal.files.exports.ur import (
     ur,
     ur_origins,
 )
+from loopcal.document.exported import Exported
 from loopcal.files.machines.urdf import read_urdf
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.origins import joint_chain

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from loopcal.files.exports.urdf import decimal, patched_urdf
+from loopcal.companions.robot.exports.urdf import decimal, patched_urdf
 from loopcal.files.machines.urdf import read_urdf
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.origins import calibrated_origins, joint_chain

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from analyses.history_kills import killed
-from loopcal.files.history.folder import append_entry, read_entries
+from loopcal.companions.life.history_folder import append_entry, read_entries
 from loopcal.files.tables import raw
 from tests.refusals import refused
 

@@ -12,6 +12,9 @@ import polars as pl
 import pytest
 
 from analyses.hostile_inputs import doubling_schema
+from loopcal.companions.record.xml_schema import check_against
+from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.reader import read_program
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files import guarded as module
 from loopcal.files.guarded import Stopped, guarded
@@ -19,14 +22,11 @@ from loopcal.files.json_reader import read_json
 from loopcal.files.machines import safe_xml, urdf
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.machines.urdf import branches
-from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.reader import read_program
 from loopcal.files.recognition.headers import below_titles
 from loopcal.files.tables import raw
 from loopcal.files.tables.readers import read_dataset
 from loopcal.files.toml import reader
 from loopcal.files.toml.reader import read_toml
-from loopcal.files.xml_schema import check_against
 from tests.refusals import refused
 
 READING = "tests.files.hostile.reading"

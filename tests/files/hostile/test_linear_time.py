@@ -13,11 +13,11 @@ import pytest
 
 from analyses.hostile_inputs import FRAGMENTS
 from loopcal import errors
+from loopcal.companions.robot.exports import ur
+from loopcal.companions.robot.programs import program
+from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.registry import BY_ENDING, DIALECTS
 from loopcal.errors import InputError, LoopcalError
-from loopcal.files.exports import ur
-from loopcal.files.programs import program
-from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.registry import BY_ENDING, DIALECTS
 from loopcal.files.recognition import headers
 from loopcal.files.recognition.headers import heading
 from loopcal.files.tables import cells
@@ -105,7 +105,10 @@ def passed(ending: str, text: str, monkeypatch: pytest.MonkeyPatch) -> int:
     """Characters that the searches of a reader pass over, those of `finditer` aside."""
     seen: list[int] = []
     with monkeypatch.context() as patch:
-        for module in (MODULES[ending], importlib.import_module("loopcal.files.programs.copying")):
+        for module in (
+            MODULES[ending],
+            importlib.import_module("loopcal.companions.robot.programs.copying"),
+        ):
             for name, own in vars(module).copy().items():
                 if isinstance(own, re.Pattern) or own is re:
                     patch.setattr(module, name, Watched(own, seen))

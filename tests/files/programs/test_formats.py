@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from loopcal.companions.robot.programs.copying import inserted
+from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.program import Move, Program
+from loopcal.companions.robot.programs.reader import read_program
+from loopcal.companions.robot.programs.registry import BY_ENDING
 from loopcal.errors import InputError
-from loopcal.files.programs.copying import inserted
-from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.program import Move, Program
-from loopcal.files.programs.reader import read_program
-from loopcal.files.programs.registry import BY_ENDING
 from tests.refusals import refused
 
 AXES = JointAxes({f"q{i}": "rad" for i in range(1, 7)}, pulses=(1000.0, -500.0, 800, 700, 600, 400))

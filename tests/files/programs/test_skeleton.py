@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.reader import read_program
-from loopcal.files.programs.registry import WRITTEN
-from loopcal.workflow.plan_program import program_of_stops
+from loopcal.companions.planning.program import program_of_stops
+from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.reader import read_program
+from loopcal.companions.robot.programs.registry import WRITTEN
 from tests.refusals import refused
 
 ARMS = {

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.program import Program, text_of, written
-from loopcal.files.programs.table import read_table
+from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.program import Program, text_of, written
+from loopcal.companions.robot.programs.table import read_table
 from loopcal.files.tables.columns import Column
 from tests.refusals import refused
 

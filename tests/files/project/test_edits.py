@@ -6,8 +6,8 @@ import tomllib
 
 import pytest
 
+from loopcal.companions.app.edits import with_changes, with_shift, with_value, without_poses
 from loopcal.errors import InputError
-from loopcal.files.project.edits import with_changes, with_shift, with_value, without_poses
 
 pytest.importorskip("tomlkit", reason="tomlkit is absent; `pip install .[app]` installs it")
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from loopcal.companions.app.project_folder import FolderLock
 from loopcal.errors import InputError
-from loopcal.files.project.project_folder import FolderLock
 
 HOLDS = """
 import sys
 from pathlib import Path
-from loopcal.files.project.project_folder import FolderLock
+from loopcal.companions.app.project_folder import FolderLock
 lock = FolderLock(Path(sys.argv[1]), "http://there")
 print("held", flush=True)
 sys.stdin.read()

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from loopcal.companions.app.project_folder import LOG, ProjectFolder
 from loopcal.errors import InputError
-from loopcal.files.project.project_folder import LOG, ProjectFolder
 
 
 def test_a_change_can_be_taken_back_to_the_last_byte(tmp_path: Path) -> None:

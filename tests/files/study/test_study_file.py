@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from loopcal.companions.studies.study_file import Study, read_study
 from loopcal.errors import InputError
-from loopcal.files.study.study_file import Study, read_study
 
 HEAD = """schema = 1
 [mechanism]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopcal.files.exports.tables import csv_text
+from loopcal.companions.robot.exports.tables import csv_text
 from loopcal.files.tables.readers import read_dataset
 from loopcal.files.tables.writer import LARGE, table_bytes
 from loopcal.measurements.poses import cell_text, pose_id

@@ -26,7 +26,7 @@ from loopcal.files.tables.table import Table
 
 @cache
 def _tables() -> dict[str, dict[str, Any]]:
-    return tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
+    return tomllib.loads(Path(__file__).with_name("vocabulary.toml").read_text("utf-8"))
 
 
 def words(table: str, meaning: str) -> tuple[str, ...]:

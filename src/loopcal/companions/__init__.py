@@ -1,0 +1,28 @@
+"""What stands beside the core, each in a folder of its own: it imports the core, never the reverse.
+
+Where a command of the core goes on beside it, it calls a companion by its name, as it calls the
+commands that companions bring (`loopcal.cli.registry`).
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+CALLED = {
+    "HistoryKeeper": "life.history_files",
+    "cure_of": "planning.curing",
+    "new_performance": "performance.run",
+    "sections": "life.report_sections",
+}
+"""What the core calls -> its module."""
+
+
+def load(module: str) -> Any:
+    """A module of a companion."""
+    return import_module(f"loopcal.companions.{module}")
+
+
+def called(name: str) -> Any:
+    """What the core calls by this name."""
+    return getattr(load(CALLED[name]), name)

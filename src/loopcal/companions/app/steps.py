@@ -1,0 +1,120 @@
+"""How each step of the work on a folder stands: the lights of its pages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from loopcal.companions.app.project_folder import Entry
+from loopcal.document.result_document import ResultDocument
+
+LIGHTS = ("none", "good", "care", "bad")
+"""Not begun, done, done with something to look at, wrong."""
+GRADES = {"good": "good", "weak": "care", "undetermined": "bad"}
+"""The light of what a check says of the poses."""
+
+
+@dataclass(frozen=True)
+class State:
+    """What the lights follow from. stale: the project is newer than the result."""
+
+    project: bool
+    objection: str | None
+    document: ResultDocument | None
+    stale: bool
+    deployed: Mapping[str, bool]
+    """Files for the robot and the record: whether each is of the result."""
+    runs: Mapping[str, Entry]
+    """The last run of each command."""
+
+
+Light = Callable[[State], tuple[str, str]]
+"""The light of a step, of `LIGHTS`, and why."""
+
+
+def of_result(light_of: Light) -> Light:
+    """A step that shows a result is never better than its verdict, or than its project is new."""
+
+    def lit(state: State) -> tuple[str, str]:
+        light, said = light_of(state)
+        if light == "none":
+            return light, said
+        return max((light, said), fit(state), key=lambda one: LIGHTS.index(one[0]))
+
+    return lit
+
+
+def made(what: str) -> Light:
+    """Of a step that gives the project a part."""
+
+    def lit(state: State) -> tuple[str, str]:
+        if not state.project:
+            return "none", f"no project yet: give {what}"
+        return ("bad", state.objection) if state.objection else ("good", "stated in the project")
+
+    return lit
+
+
+def ran(command: str, what: str) -> Light:
+    """Of a step that runs a command."""
+
+    def lit(state: State) -> tuple[str, str]:
+        run = state.runs.get(command)
+        if run is None:
+            return "none", f"not asked yet: {what}"
+        code = run.record.get("code")
+        return ("good", "done") if code == 0 else ("bad", f"ended with code {code}")
+
+    return lit
+
+
+def checked(state: State) -> tuple[str, str]:
+    """What the last check says of the poses."""
+    light, said = ran("check", "what the poses can determine")(state)
+    run = state.runs.get("check")
+    verdict = None if run is None else run.record.get("verdict")
+    return (
+        (light, said)
+        if verdict is None
+        else (GRADES[str(verdict)], f"what the poses can determine: {verdict}")
+    )
+
+
+def fit(state: State) -> tuple[str, str]:
+    """The verdict on the result."""
+    if state.document is None:
+        return "none", "not calibrated yet"
+    verdict = state.document.verdict
+    if verdict is None:
+        return "care", "the result states no verdict: fit again"
+    if state.stale and verdict.grade != "bad":
+        return "care", "the project has changed since: fit again"
+    return verdict.grade, verdict.headline
+
+
+def deploy(state: State) -> tuple[str, str]:
+    """Whether the files for the robot are of the result."""
+    run = state.runs.get("export")
+    if run is not None and run.record.get("code") not in (0, None):
+        return ran("export", "files for the robot")(state)
+    old = [name for name, of_result in state.deployed.items() if not of_result]
+    if old:
+        return "care", f"of an earlier result, or changed since: {', '.join(old)}"
+    return ("good", "done") if state.deployed else ("none", "not asked yet: files for the robot")
+
+
+def diagnose(state: State) -> tuple[str, str]:
+    """Whether the result is sound."""
+    if state.document is None or state.document.verdict is None:
+        return "none", "not calibrated yet"
+    sound = state.document.verdict.sound
+    return {True: "good", None: "care", False: "bad"}[sound.passed], sound.words
+
+
+def validate(state: State) -> tuple[str, str]:
+    """Whether the result is valid and better than the drawing."""
+    if state.document is None or state.document.verdict is None:
+        return "none", "not calibrated yet"
+    asked = [state.document.verdict.valid, state.document.verdict.better]
+    worst = min(asked, key=lambda answer: {False: 0, None: 1, True: 2}[answer.passed])
+    return {True: "good", None: "care", False: "bad"}[worst.passed], worst.words

@@ -1,0 +1,187 @@
+"""The readings: handed in, recognised, corrected by pointing."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
+from loopcal.companions.app import words
+from loopcal.companions.app.cells import bad_cells, columns
+from loopcal.companions.app.controls import folded, offer, text, uploader
+from loopcal.companions.app.pictures import joints_of, machine_figure, moved
+from loopcal.companions.app.view import View, heading, table
+from loopcal.files.project.project_data import LoadedData
+from loopcal.files.project.project_file import Project
+from loopcal.files.tables.registry import BY_ENDING
+from loopcal.measurements.dataset import Dataset
+from loopcal.presentation.shown import in_unit, unit_shown
+
+ENDS = tuple(BY_ENDING)
+UNITS = {"rad": ("rad", "deg", "mrad"), "m": ("m", "mm", "cm", "um", "in"), "1": ("1",)}
+ROWS = 2_000
+"""Rows of readings shown; of more the first ones."""
+
+
+def show(view: View) -> None:
+    """The step."""
+    uploader(view, words.DROP_READINGS)
+    project = view.session.project()
+    if project is None:
+        objection = view.session.objection()
+        if objection is not None:
+            ui.label(objection).classes("bad printed")
+        else:
+            _recognise(view)
+        return
+    unread = view.session.unread()
+    if unread:
+        ui.label(unread).classes("bad printed")
+        _bad(view, project)
+    loaded = view.session.readings()
+    with ui.element("div").classes("beside"):
+        with ui.column().classes("figures"):
+            plot = None if loaded is None else _robot(project, loaded.dataset)
+        with ui.column().classes("acts"):
+            _columns(view, project)
+    if loaded is not None:
+        _rows(view, project, loaded, plot)
+
+
+def _recognise(view: View) -> None:
+    kind, value = view.session.robot()
+    files = [name for name in view.files(ENDS) if name != value]
+    if not files:
+        ui.label(words.NO_READINGS)
+        return
+    heading(words.FILES_READINGS)
+
+    def keep(name: str, event: Any) -> None:
+        view.keep(f"read.{name}", event.value)
+
+    for name in files:
+        chosen = view.kept.setdefault(f"read.{name}", True)
+        ui.checkbox(name, value=chosen, on_change=partial(keep, name))
+    if not (kind and value):
+        ui.label(words.ROBOT_FIRST).classes("care")
+        return
+
+    links = [("base", words.BASE_LINK), ("tip", words.TIP_LINK)]
+    options = [*(links if kind == "urdf" else []), ("sheet", words.PART_OF_FILE)]
+    with folded(view, "read.stated", words.STATE_IT), ui.row():
+        for option, label in options:
+            text(view, f"read.{option}", label)
+
+    def line() -> list[str]:
+        names = [name for name in files if view.kept[f"read.{name}"]]
+        stated = [(option, str(view.kept[f"read.{option}"] or "").strip()) for option, _ in options]
+        more = [part for option, said in stated if said for part in (f"--{option}", said)]
+        return ["init", *names, f"--{kind}", str(value), *more, "--out", "."]
+
+    offer(view, words.RECOGNISE, line, what=words.RECOGNISE_READINGS)
+
+
+def _bad(view: View, project: Project) -> None:
+    """The cells that are no numbers, where they stand."""
+    cells = bad_cells(project)
+    if not cells:
+        return
+    poses = list(dict.fromkeys(cell.pose for cell in cells))
+    ui.label(words.BAD_CELLS.format(count=len(cells)))
+    rows = [[c.file, str(c.row), c.pose, c.column, c.text] for c in cells]
+    table(["file", "row", "pose", "column", "cell"], rows).classes("cells")
+    exclude = partial(view.session.excluded, poses, "cells that are no numbers")
+    label = words.EXCLUDE_BAD[len(poses) > 1].format(count=len(poses))
+    ui.button(label, on_click=partial(view.act, exclude)).props("outline")
+
+
+def _columns(view: View, project: Project) -> None:
+    stated: dict[str, Any] = dict(project.inputs.get("data", {}).get("columns", {}))
+    units = {**project.mechanism.quantities, **project.mechanism.pose_constants}
+    labels = columns(project)
+    heading(words.COLUMNS_HEAD)
+    ui.label(words.COLUMNS).classes("text-body2")
+    with ui.element("div").classes("columns"):
+        for name in ("quantity", "column of the file", "unit"):
+            ui.label(name).classes("text-caption")
+        for quantity, unit in units.items():
+            entry = stated.get(quantity)
+            if entry is not None:
+                column = entry if isinstance(entry, dict) else {"column": entry}
+                _column(view, quantity, unit, column, labels)
+
+
+def _column(view: View, quantity: str, unit: str, entry: dict[str, Any], labels: list[str]) -> None:
+    def change(key: str, event: Any) -> None:
+        keys = ["data", "columns", quantity, key]
+        view.act(partial(view.session.changed, keys, event.value, "corrected by pointing"))
+
+    ui.label(quantity)
+    now = entry.get("column", quantity)
+    choices = {now: str(now) if now != 0 else "row number", **{name: name for name in labels}}
+    box = ui.select(choices, value=now, on_change=partial(change, "column"))
+    box.props(f'dense aria-label="column of {quantity}"')
+    units = list(dict.fromkeys([str(entry.get("unit", unit)), *UNITS.get(unit, (unit,))]))
+    box = ui.select(units, value=units[0], on_change=partial(change, "unit"))
+    box.props(f'dense aria-label="unit of {quantity}"')
+
+
+def _robot(project: Project, data: Dataset) -> Any:
+    """The machine in the first pose."""
+    mechanism = project.mechanism
+    drawn = machine_figure(mechanism, _pose(project, data, 0)) if len(data) else None
+    if drawn is None:
+        return None
+    return ui.plotly(drawn).classes("w-full").props('aria-label="the robot in the selected row"')
+
+
+def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
+    joints = joints_of(project.mechanism)
+    return {j: float(data[j][index]) if j in data.readings else 0.0 for j in joints}
+
+
+def _rows(view: View, project: Project, loaded: LoadedData, plot: Any) -> None:
+    data, mechanism = loaded.dataset, project.mechanism
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    names = [name for name in data.readings if name in units]
+    for warning in loaded.warnings:
+        ui.label(str(warning)).classes("care")
+    head = [{"name": "pose", "label": "pose", "field": "pose", "align": "left"}]
+    head += [
+        {"name": n, "label": f"{n} [{unit_shown(units[n])}]", "field": n, "align": "right"}
+        for n in names
+    ]
+    rows = [_row(data, i, names, units) for i in range(min(len(data), ROWS))]
+    more = words.FIRST_ROWS.format(all=len(data), shown=ROWS)
+    heading(more if len(data) > ROWS else f"{len(data):,} poses")
+
+    def chosen(event: Any) -> None:
+        if plot is not None and event.selection:
+            pose = _pose(project, data, event.selection[0]["index"])
+            plot.run_plot_method("restyle", moved(mechanism, pose), [0])
+
+    made = ui.table(
+        columns=head,
+        rows=rows,
+        row_key="index",
+        selection="single",
+        on_select=chosen,
+        pagination=12,
+    )
+    made.props("dense flat").classes("w-full")
+    made.add_slot(
+        "body-cell",
+        "<q-td :props=\"props\" :class=\"props.value === '' ? 'blank' : ''\">"
+        "{{ props.value === '' ? 'blank' : props.value }}</q-td>",
+    )
+    left = project.inputs.get("data", {}).get("exclude", [])
+    if left:
+        ui.label(words.EXCLUDED.format(poses=", ".join(map(str, left)))).classes("text-body2")
+
+
+def _row(data: Dataset, i: int, names: list[str], units: dict[str, str]) -> dict[str, Any]:
+    values = {n: float(data[n][i]) for n in names}
+    shown = {n: "" if np.isnan(v) else f"{in_unit(v, units[n]):z.4f}" for n, v in values.items()}
+    return {"index": i, "pose": data.poses[i], **shown}

@@ -1,0 +1,196 @@
+"""Files for the robot, seen as a difference before they are written; corrected targets; record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from difflib import unified_diff
+from pathlib import Path
+
+from nicegui import ui
+
+from loopcal.companions.app import words
+from loopcal.companions.app.controls import (
+    choice,
+    download,
+    offer,
+    page,
+    printed,
+    pulses,
+    text,
+    uploader,
+    written,
+)
+from loopcal.companions.app.view import View, heading
+from loopcal.companions.robot.exports.registry import EXPORTS
+from loopcal.companions.robot.exports.tables import ORIENTATIONS
+from loopcal.companions.robot.programs.registry import BY_ENDING
+from loopcal.files.result.deployed import PREVIEW
+from loopcal.presentation.shown import shortened
+
+LONGEST = 400
+"""Lines of a difference that are shown."""
+
+
+def show(view: View) -> None:
+    """The step."""
+    source = view.session.source()
+    if source is None:
+        ui.label(view.session.unreadable() or words.NO_RESULT)
+        return
+    verdict = source.document.verdict
+    if verdict is not None and verdict.grade != "good":
+        ui.label(shortened(verdict.headline)).classes(f"text-subtitle1 {verdict.grade}")
+    if view.session.state().stale:
+        ui.label(words.STALE).classes("care")
+    _export(view)
+    _correct(view)
+    _record(view)
+    heading(words.FILES_PROJECT)
+    for file in view.session.folder.listed():
+        download(file.name, f"{file.name} ({_bytes(file.size)})")
+
+
+def _export(view: View) -> None:
+    folder = view.session.folder
+    heading(words.EXPORT)
+    sources = ["", *view.files((".urdf", ".xml", ".conf", ".yaml"))]
+    with ui.row().classes("items-end"):
+        choice(view, "export.to", words.FORMAT, _formats(view), on_change_too=view.refresh)
+        one = EXPORTS[str(view.kept["export.to"])]
+        if one.source:
+            choice(
+                view, "export.source", words.SOURCE_FILE, sources if one.optional else sources[1:]
+            )
+        if "offsets" in one.options:
+            places = {"origin": "into the origins", "file": "into offsets.csv"}
+            choice(view, "export.offsets", words.ZERO_OFFSETS_JOINTS, places)
+        if "vendor" in one.options:
+            vendors = {name: orientation.label for name, orientation in ORIENTATIONS.items()}
+            choice(view, "export.vendor", words.ORIENTATIONS, vendors)
+
+    def line(*more: str) -> Sequence[str]:
+        asked = ["export", folder.result.name, "--to", one.name]
+        if one.source and view.kept.get("export.source"):
+            asked += ["--source", str(view.kept["export.source"])]
+        if "offsets" in one.options and view.kept["export.offsets"] != "origin":
+            asked += ["--offsets", str(view.kept["export.offsets"])]
+        if "vendor" in one.options and view.kept["export.vendor"]:
+            asked += ["--vendor", str(view.kept["export.vendor"])]
+        return [*asked, *more]
+
+    ui.label(words.EXPORT_FIRST).classes("text-body2")
+    # Only Write writes where the robot reads (docs/decisions/0095).
+    preview = f"{PREVIEW}/{one.name}"
+    offer(view, words.PREVIEW, lambda: line("--force", "--out", preview), what=words.PREVIEW_EXPORT)
+    ran = view.session.last.get("export")
+    if ran is not None and ran.code == 0 and preview in ran.action.words:
+        printed(view, "export")
+        before = str(view.kept.get("export.source") or "")
+        for name in folder.inside_of(preview):
+            path = f"{folder.result.name}/export/{name}"
+            old = path if folder.content(path) is not None else before
+            _difference(view, old, f"{preview}/{name}", name)
+        offer(view, words.WRITE, lambda: line("--force"), what=words.EXPORT)
+    written = [f.name for f in folder.listed() if f.name.startswith(f"{folder.result.name}/export")]
+    for name in written:
+        _made(view, name)
+
+
+def _formats(view: View) -> dict[str, str]:
+    """The formats; first that of the robot's own description."""
+    project = view.session.project()
+    kind = "" if project is None else str((project.mechanism.description or {}).get("type"))
+    first = "urdf" if kind == "urdf" else "dh" if project and project.mechanism.chain else "json"
+    return {name: EXPORTS[name].label for name in (first, *EXPORTS)}
+
+
+def _correct(view: View) -> None:
+    heading(words.CORRECT_PROGRAM)
+    ui.label(words.CORRECT).classes("text-body2")
+    uploader(view, words.DROP_PROGRAM)
+    files = view.files(tuple(BY_ENDING))
+    if not files:
+        return
+    with ui.row().classes("items-end"):
+        choice(view, "correct.file", words.PROGRAM_OR_TARGETS, files)
+        choice(view, "correct.tool", words.TOOL_PROGRAM, words.TOOLS)
+        text(view, "correct.frame", words.PROGRAM_FRAME)
+        text(view, "pulses", words.PULSES)
+
+    def target() -> str:
+        path = Path(str(view.kept["correct.file"]))
+        return f"{path.stem}-corrected{path.suffix}"
+
+    def line() -> Sequence[str]:
+        asked = ["correct", view.session.folder.result.name, str(view.kept["correct.file"])]
+        if view.kept["correct.tool"] != "calibrated":
+            asked += ["--tool", str(view.kept["correct.tool"])]
+        if view.kept["correct.frame"].strip():
+            # One word: a frame that begins with a minus would be taken for an option.
+            asked += [f"--frame={view.kept['correct.frame'].replace(' ', '')}"]
+        return [*asked, *pulses(view), "--force"]
+
+    offer(view, words.CORRECT_IT, line)
+    printed(view, "correct")
+    if view.session.folder.content(target()) is not None:
+        _difference(view, str(view.kept["correct.file"]), target(), target())
+        _made(view, target())
+
+
+def _record(view: View) -> None:
+    session = view.session
+    heading(words.RECORD_HEAD)
+    ui.label(words.RECORD).classes("text-body2")
+    project = session.project()
+    stated = {} if project is None else project.inputs.get("record") or {}
+    with ui.element("div").classes("tiles"):
+        for key, label in words.STATED.items():
+            # A default binds the key of this round; a closure would see that of the last one.
+            def keep(said: str, key: str = key) -> None:
+                value = said.strip()
+                if value != str(stated.get(key) or ""):
+                    view.act(lambda: session.changed(["record", key], value or None, "record"))
+
+            box = ui.input(label, value=str(stated.get(key) or "")).classes("w-full")
+            written(box, keep)
+    result = session.folder.result.name
+    offer(view, words.WRITE_RECORD, lambda: ("record", result, "--project", view.project_name()))
+    if session.folder.content(f"{result}/record.html") is not None:
+        page(f"{result}/record.html", words.OPEN_RECORD)
+        _old(view, f"{result}/record.html")
+
+
+def _made(view: View, name: str) -> None:
+    """A link to a file for the robot, and whether it is of this result."""
+    with ui.row().classes("items-center"):
+        download(name)
+        _old(view, name)
+
+
+def _old(view: View, name: str) -> None:
+    if not view.session.deployed().get(name, True):
+        ui.label(words.NOT_OF_RESULT).classes("care")
+
+
+def _difference(view: View, before: str, after: str, name: str) -> None:
+    """The lines that change, marked."""
+    old = (view.session.folder.content(before) or "").splitlines() if before else []
+    new = (view.session.folder.content(after) or "").splitlines()
+    lines = list(unified_diff(old, new, before or "nothing", name, lineterm="", n=1))
+    with ui.expansion(name, value=True).classes("w-full"):
+        ui.label(words.DIFFERENCE if lines else words.NO_DIFFERENCE).classes("text-caption")
+        with ui.element("div").classes("printed difference").props('tabindex="0"'):
+            for one in lines[:LONGEST]:
+                ui.label(one or " ").classes(_kind(one))
+            if len(lines) > LONGEST:
+                ui.label(f"and {len(lines) - LONGEST:,} lines more")
+
+
+def _kind(line: str) -> str:
+    if line.startswith(("---", "+++", "@@")):
+        return "none"
+    return "gone" if line.startswith("-") else "come" if line.startswith("+") else ""
+
+
+def _bytes(size: int) -> str:
+    return f"{size:,} bytes" if size < 10_000 else f"{size / 1000:,.0f} kB"

@@ -1,0 +1,142 @@
+"""A calibration on the disk updated by readings of another day."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from loopcal.companions.life.history_files import HistoryKeeper
+from loopcal.companions.life.history_files import history as read_history
+from loopcal.companions.life.history_folder import is_history
+from loopcal.companions.life.updating import Since, updated
+from loopcal.document.result_document import WrittenResult
+from loopcal.errors import InputError, UsageError
+from loopcal.files.outputs import refuse_foreign
+from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.result.result_file import NAMES
+from loopcal.files.result.result_poses import poses_of_result
+from loopcal.statistics.replacing import freed, mounted
+from loopcal.statistics.verdict import refuses
+from loopcal.units import difference_to_si
+from loopcal.workflow.result import Result, save_result
+from loopcal.workflow.saved_result import read_result
+
+# Possessive: no text makes the match back out (docs/decisions/0137).
+_DRIFT = re.compile(r"\s*([^=\s]+)\s*=\s*([-+.\deE]++)\s*+([A-Za-zµ/]+)\s*")
+
+
+@dataclass(frozen=True, eq=False)
+class UpdateDone:
+    """An update that was written.
+
+    drift: the sds [SI] that were allowed, by kind or name; objection: why it must not be used, None
+    where it can.
+    """
+
+    result: Result
+    written: WrittenResult
+    drift: Mapping[str, float]
+    objection: str | None
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """What has moved since: the instruments, everything mounted on the machine, or these names."""
+
+    moved: bool = True
+    remounted: bool = False
+    anew: Sequence[str] = ()
+
+
+def run_update(
+    result: str | Path,
+    readings: str | Path,
+    *,
+    out: str | Path | None = None,
+    mounting: Mounted = Mounted(),
+    drift: Sequence[str] = (),
+    history: str | Path | None = None,
+    report: bool = False,
+    function: str | None = None,
+) -> UpdateDone:
+    """Update the result of a folder by readings in the columns of its project, and write it.
+
+    out: the folder to write to, by default RESULT-updated; drift: "ROLE=VALUE UNIT" each, else the
+    rates of the history, where it knows them; history: folder to which the result is added; the
+    rest as in `update`.
+    Raises InputError for what cannot be used.
+    """
+    keeper = None if history is None else HistoryKeeper(history)
+    if keeper is not None:
+        keeper.refuse()
+    usual = {} if drift or history is None else _usual(history)
+    read = read_result(result, mechanism=function)
+    folder = read.path.parent
+    held = {p.name for p in read.mechanism.parameters if p.fixed}
+    allowed = drifts(drift) | {name: sd for name, sd in usual.items() if name not in held}
+    target = Path(f"{folder}-updated") if out is None else Path(out)
+    # Another spelling of a path is the same folder.
+    if target.resolve() == folder.resolve():
+        raise UsageError(
+            "the update would replace the calibration that it begins from",
+            code="conflicting-keys",
+            remedy="write it to another folder (--out)",
+        )
+    refuse_foreign(*(target / name for name in (*NAMES, "report.html")))
+    anew = (*mounted(read.mechanism, mounting.remounted), *mounting.anew)
+    freed(read.mechanism, anew)  # raises for a name that is not there
+    data, inputs = poses_of_result(readings, read.mechanism), read.inputs
+    if data is None:
+        inputs = _with_file(inputs, readings)
+        data = read_new_readings(readings, read.inputs, read.mechanism, whole=True)
+    try:
+        done = updated(read.calibrated, data, Since(mounting.moved, anew, allowed), None)
+    except InputError as error:
+        raise error.at(str(readings)) from None
+    title = read.document.title
+    updated_result = Result.of(done.result)
+    written = save_result(
+        updated_result, target, title=title, inputs=inputs, report=report, keeper=keeper
+    )
+    verdict = written.document.verdict
+    assert verdict is not None
+    bad = verdict.sound.words if refuses("sound", verdict.sound) else None
+    return UpdateDone(updated_result, written, allowed, done.mixed or bad)
+
+
+def drifts(texts: Sequence[str]) -> dict[str, float]:
+    """Sds [SI] by kind or name, of texts such as "length=0.01mm".
+
+    Raises UsageError for a text that is none.
+    """
+    sds = {}
+    for text in texts:
+        match = _DRIFT.fullmatch(text)
+        if match is None:
+            raise UsageError(
+                f"the drift {text!r} is no KIND=VALUE with a unit",
+                code="invalid-value",
+                remedy="write it as length=0.01mm or angle=20urad",
+            )
+        try:
+            sds[match[1]] = float(difference_to_si(float(match[2]), match[3]))
+        except ValueError:
+            raise UsageError(
+                f"the drift {text!r} has no number", code="invalid-value", remedy="give a number"
+            ) from None
+    return sds
+
+
+def _usual(folder: str | Path) -> dict[str, float]:
+    """What a history knows of the drift since its last calibration."""
+    return read_history(folder).drift() if is_history(folder) else {}
+
+
+def _with_file(inputs: Mapping[str, Any], readings: str | Path) -> Mapping[str, Any]:
+    """The project's entries with the file that was read."""
+    if "data" not in inputs:
+        return inputs
+    return {**inputs, "data": {**inputs["data"], "file": str(readings)}}

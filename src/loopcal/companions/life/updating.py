@@ -1,0 +1,491 @@
+"""A calibration of another day that begins from what is known already.
+
+Yesterday's parameters p_0 with covariance C are the prior of today's fit, after a drift allowance
+Q = diag(q_i^2): with K the contrasts that neither a moved instrument nor an undetermined direction
+of yesterday touches, rows of unit variance under C + Q,
+
+    minimise   Phi(p) + |K (p - p_0)|^2,
+
+Phi the merit of the new poses (`loopcal.estimation.solve.merit`). Where the problem is linear and
+nothing moved, the end is that of all poses fitted at once (Kalman 1960): yesterday's poses enter
+by their sums.
+
+Sds of sensors from the poses of both days.
+
+Near the machine p of today the misclosures of the earlier poses and of the new ones are
+
+    e_1 = J_1 (p - d) + F_1 a_1 + v_1,    e_2 = J_2 p + F_2 a_2 + v_2,    d ~ N(0, Q),
+
+with what was placed anew (a_1, a_2) free on each day, d the drift, and the prior of the earlier
+calibration as further rows. The covariances of v_1 and v_2 share the variances of the sensors,
+which the restricted likelihood of both together estimates (Patterson and Thompson 1971): of one
+model of all poses, so that no day's estimate has to be summed up by a curvature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.companions.life.earlier import Around, Earlier, Sloped
+from loopcal.document.fit import NoiseEntry
+from loopcal.errors import InputError, NoTrustworthyResult, nearest
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.fit import Fit
+from loopcal.estimation.methods.method import Method
+from loopcal.estimation.noise.estimation import judged
+from loopcal.estimation.noise.learning import learnt_entry
+from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
+from loopcal.estimation.noise.variance_components import Component, estimate_ratios
+from loopcal.estimation.problem.constants import with_latest
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.unknowns import Unknowns
+from loopcal.estimation.result import UPDATED, Inherited, Result
+from loopcal.estimation.solve.in_memory import InMemory
+from loopcal.estimation.solve.loss import Loss
+from loopcal.estimation.solve.merit import Evaluation
+from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.solve.solution import MOST_ITERATIONS, Solution
+from loopcal.estimation.solve.solver import Progress, solve_with
+from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.estimation.steps import LEARNT
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise, NoiseLike
+from loopcal.mechanisms.parameters import ROLES
+from loopcal.small_samples import LearntCovariance, contrasts
+from loopcal.statistics.another_day import Day, as_learnt, day_problem, noise_of
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.gauge import values_of
+from loopcal.statistics.replacing import Replaced, freed
+from loopcal.statistics.verification import verify
+from loopcal.statistics.verified import Verification
+
+Array = NDArray[np.float64]
+DRIFTING = tuple(role for role in ROLES if role not in ("placement", "model error"))
+"""Roles of parameters that may drift."""
+_MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
+_NOTHING, _NEWS = "The update changed no parameter of the machine", 0.01
+_ROUNDS, _SETTLED = 12, 2e-2
+"""Most fits of an update, each begun near the end of the last. They have settled where parameters
+change by less than this share of an sd, and learnt variances by less than this share."""
+
+
+@dataclass(frozen=True)
+class Since:
+    """What may have changed since a calibration, as `update` takes it."""
+
+    moved: bool = True
+    remounted: bool | Sequence[str] = False
+    drift: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Updated:
+    """An update. check: whether the new readings are of the machine that was calibrated, after the
+    stated drift."""
+
+    result: Result
+    check: Verification
+
+    @property
+    def mixed(self) -> str | None:
+        """Why the update mixes two machines; None where it does not."""
+        answer = self.check.verdict["consistent"]
+        return f"{answer.words} {_MIXED}" if answer.passed is False else None
+
+
+def update(
+    calibration: Result | Calibrated,
+    data: Dataset | Any,
+    *,
+    noise: NoiseLike | None = None,
+    moved: bool = True,
+    remounted: bool | Sequence[str] = False,
+    drift: Mapping[str, float] | None = None,
+) -> Result:
+    """Calibrate with new readings and what a calibration already knows.
+
+    data: readings [SI] as `calibrate` takes them; noise: their sds, else the calibration's; moved:
+    whether instruments stand elsewhere, so that nothing is known of their placement; remounted: as
+    in `verify`; drift: sd [SI] by which parameters may have changed since, by role ("length",
+    "twist", "zero", "angle", "scale", "mounting", "effect") or by name; "length" and "angle" hold
+    all of the machine in that unit. The prior is the covariance of the
+    calibration (Kalman 1960), near the end of the update as its poses say (Bell 1994). A warning of
+    the result says where the readings are of another machine (`verify`).
+
+    Raises InputError for a calibration or readings without sds, and for a role that is not there.
+    """
+    return updated(calibration, data, Since(moved, remounted, drift or {}), noise).result
+
+
+def updated(
+    calibration: Result | Calibrated, data: Dataset | Any, since: Since, noise: NoiseLike | None
+) -> Updated:
+    """`update`, with the check of the machine."""
+    calibrated = Calibrated.of(calibration, "") if isinstance(calibration, Result) else calibration
+    data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
+    stated = Noise.of(noise)
+    if calibrated.residual is not None and stated is None:
+        raise InputError(
+            "the calibration took its readings as exact, so their sds are unknown",
+            code="missing-sd",
+            remedy="give noise, or update a calibration by another method",
+        )
+    calibrated = replace(calibrated.stationed if since.moved else calibrated, residual=None)
+    drifts = _drifts(calibrated, since.drift)
+    check = verify(calibrated.drifted(drifts), data, noise=stated, remounted=since.remounted)
+    held = stated is not None
+    if stated is None:
+        stated, data = noise_of(calibrated), as_learnt(calibrated, data)
+    data = with_latest(calibrated.mechanism, data)
+    with one_blas_thread():
+        day = Day.of(calibrated, data, stated, since.remounted)
+        if not since.moved:
+            standing = freed(calibrated.mechanism)
+            day = replace(day, freed=tuple(n for n in day.freed if n not in standing))
+        placed = day.placed()
+        earlier = Earlier.of(calibrated)
+    result: Result | None = None
+    for _ in range(_ROUNDS):
+        before = result
+        with one_blas_thread():
+            prior = _Prior.of(calibrated, placed, drifts, earlier, before)
+        result = _fitted(calibrated, placed, prior, data, stated, before)
+        if not result.status.converged:
+            break  # it has no end that a further fit could begin near
+        with one_blas_thread():
+            sds = None if held else learnt(calibrated, earlier, result, placed.anew, drifts)
+        if sds is not None:
+            calibrated = replace(calibrated, noise=sds.noise)
+            stated, earlier = noise_of(calibrated), earlier.at_sds(calibrated)
+        settled = sds is None or sds.change < _SETTLED
+        if before is not None and settled and _apart(result, before) < _SETTLED:
+            break
+    assert result is not None
+    with one_blas_thread():
+        terms = (
+            calibration.terms_with_parts() if isinstance(calibration, Result) else calibrated.terms
+        )
+        noted = () if held else calibrated.noise
+        result = replace(result, inherited=Inherited(prior.widened(result), terms, noted))
+    if (words := _unchanged(calibrated, result, placed)) is not None:
+        result = result.noted(words)
+    done = Updated(result, check)
+    return done if done.mixed is None else replace(done, result=result.noted(done.mixed))
+
+
+def _fitted(
+    calibrated: Calibrated,
+    placed: Replaced,
+    prior: _Prior,
+    data: Dataset,
+    noise: Noise,
+    before: Result | None,
+) -> Result:
+    """The fit of these readings with the prior, begun where the machine stands or where it ended
+    before."""
+    method = Method(
+        name="implicit-loop",
+        label=UPDATED,
+        description="Implicit loop: every sensor is uncertain, and an earlier calibration is the "
+        "prior.",
+        solve=partial(_solved, prior=prior),
+    )
+    names = calibrated.mechanism.parameters.names
+    begun = replace(calibrated.mechanism, terms=()).with_nominal(
+        dict(zip(names, placed.parameters.tolist(), strict=True))
+    )
+    sds = {names[i]: float(sd) for i, sd in zip(prior.free, prior.sds, strict=True)}
+    begun = begun.with_parameters(begun.parameters.with_prior(sds))
+    start = "nominal" if before is None else before.value
+    # Where the machine already closes the loops of the new poses; the fit begins there.
+    near = dict(zip(placed.problem.mechanism.tape.quantities, placed.corrections, strict=True))
+    how = Fit(method=method, start=start, tolerance=LEARNT)
+    return calibrate(begun, data, noise=noise, fit=how, near=near, trusted=True)
+
+
+def _apart(a: Result, b: Result) -> float:
+    """The largest difference of two fits [sds]."""
+    sd = np.sqrt(np.diag(a.spectrum.covariance()))
+    away = np.abs(a.solution.parameters - b.solution.parameters)[a.problem.free]
+    return float((away / np.where(sd > 0.0, sd, np.inf)).max(initial=0.0))
+
+
+def _unchanged(calibrated: Calibrated, result: Result, placed: Replaced) -> str | None:
+    """That the update says nothing new of the machine; None where it does."""
+    names, before = calibrated.mechanism.parameters.names, np.diag(calibrated.covariance.matrix)
+    kept = [
+        i for i, n in enumerate(names) if n in result.estimated and not placed.anew[i] and before[i]
+    ]
+    if not kept:
+        return f"{_NOTHING}: the calibration estimates none that the update keeps."
+    sds = np.sqrt(before[kept])
+    was = values_of(calibrated.mechanism)
+    now = np.array([result.value[names[i]] - was[i] for i in kept])
+    sure = np.array([result.sd[names[i]] or np.inf for i in kept])
+    if (np.abs(now) < _NEWS * sds).all() and (sure > (1.0 - _NEWS) * sds).all():
+        return (
+            f"{_NOTHING}: values and sds are within {100 * _NEWS:g} % of an sd of the "
+            "calibration's. Measure more poses, or state the drift that is expected."
+        )
+    return None
+
+
+def _drifts(calibrated: Calibrated, drift: Mapping[str, float]) -> Array:
+    """(n_all,) sds [SI] of the drift of each parameter."""
+    parameters = calibrated.mechanism.parameters
+    sds = np.zeros(len(parameters))
+    for key, sd in drift.items():
+        if not sd >= 0.0:
+            raise InputError(
+                f"the drift of {key!r} is {sd!r}",
+                code="invalid-value",
+                remedy="give an sd above zero, or leave it out",
+            )
+        if key not in DRIFTING and key not in parameters.names:
+            raise InputError(
+                f"there is no parameter and no role of parameters {key!r}",
+                code="unknown-name",
+                remedy=nearest(key, (*DRIFTING, *parameters.names)),
+            )
+        named = [p.name for p in parameters if key in (p.name, p.role, p.dimension)]
+        free = [n for n in named if not parameters[n].fixed]
+        if sd > 0.0 and not free:
+            raise _held(calibrated, key)
+        sds[[parameters.names.index(n) for n in free]] = sd
+    return sds
+
+
+def _held(calibrated: Calibrated, key: str) -> InputError:
+    """Of a drift that no estimated parameter can follow."""
+    what = f"the parameter {key!r} is"
+    if key in DRIFTING:
+        what = f"all parameters of the role {key!r} are"
+    remarks = [r for r in calibrated.mechanism.remarks if r.startswith(f"{key!r} is fixed")]
+    why = f" ({remarks[0].rstrip('.')})" if remarks else ""
+    return InputError(
+        f"{what} fixed in the calibration{why}, so the update cannot follow its drift",
+        code="no-free-parameter",
+        remedy="allow the drift of an estimated parameter that does the same, or free it in the "
+        "mechanism file (fixed = false) and calibrate anew",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Prior:
+    """What a calibration knows of the estimated parameters: |rows (phi(p) - m)|^2.
+
+    rows: (q, n) of unit variance; centre: (n_all,) where m stands; free: (n,) positions; sds: (n,)
+    of single parameters, inf where they are found anew; wider: (q, q) by how much the covariance of
+    the rows is larger than the information of the calibration says; around, follows: phi.
+    """
+
+    rows: Array
+    centre: Array
+    free: NDArray[np.intp]
+    sds: Array
+    wider: Array
+    around: Around
+    follows: Array
+
+    @classmethod
+    def of(
+        cls,
+        calibrated: Calibrated,
+        placed: Replaced,
+        drifts: Array,
+        earlier: Earlier,
+        before: Result | None,
+    ) -> _Prior:
+        """The covariance with the drift, where the machine stands now.
+
+        before: a fit whose end is near that of the next one.
+        """
+        free = np.flatnonzero([not p.fixed for p in calibrated.mechanism.parameters])
+        around = earlier.around(earlier.begin)
+        if before is not None:
+            around = earlier.beside(before.solution.parameters, placed.anew)
+        held = ~placed.anew[:, None]
+        root, drift = (around.root * held)[free], (np.diag(drifts) * held)[free]
+        C = root @ root.T + drift @ drift.T
+        loose = (calibrated.undetermined * held)[free]
+        open_ = np.hstack([loose, np.eye(len(C))[:, placed.anew[free]]])
+        rows, sd = contrasts(LearntCovariance.certain(C), open_), np.sqrt(np.diag(C))
+        carried = rows @ (around.carried * held)[free]
+        informed = (np.abs(rows).max(axis=0, initial=0.0) > 0.0) & (sd > 0.0)
+        centre = np.where(placed.anew, placed.parameters, around.mean)
+        return cls(
+            rows,
+            placed.parameters if around.seen is None and before is None else centre,
+            free,
+            np.where(informed, sd, np.inf),
+            carried @ earlier.wider(calibrated) @ carried.T,
+            around,
+            around.follows(placed.anew),
+        )
+
+    def at(self, parameters: Array) -> Sloped:
+        """The rows (q,) and their derivatives (q, n)."""
+        around, free = self.around, self.free
+        if around.seen is None:
+            return Sloped(self.rows @ (parameters - self.centre)[free], self.rows)
+        then = around.mean + self.follows @ (parameters - around.mean)
+        coordinates = around.seen.at(then)
+        away = coordinates.values - (around.mean - around.centre)
+        slopes = (coordinates.slopes @ self.follows)[np.ix_(free, free)]
+        return Sloped(self.rows @ away[free], self.rows @ slopes)
+
+    def widened(self, result: Result) -> Array:
+        """(n, n) what the covariance of a fit gains: G wider G^T, G its change with the rows."""
+        gain = result.spectrum.covariance() @ self.at(result.solution.parameters).slopes.T
+        wider: Array = gain @ self.wider @ gain.T
+        return wider
+
+
+class _WithPrior(InMemory):
+    """The merit of poses in memory, and the prior as further equations."""
+
+    def __init__(self, sweeper: Sweeper, prior: _Prior) -> None:
+        super().__init__(sweeper)
+        self.unknowns: Unknowns = self.unknowns.without_prior()
+        self.evaluate = partial(_evaluated, sweeper, prior)
+
+
+def _evaluated(
+    sweeper: Sweeper, prior: _Prior, parameters: Array, corrections: Array, **how: Any
+) -> Evaluation[Array]:
+    """A sweep over the new poses, to which the prior is added."""
+    evaluation = sweeper.sweep(parameters, corrections, **how)
+    prior_rows = prior.at(parameters)
+    # The prior's rows as one more pose: derivatives and minus the residual, as a sweep adds them.
+    evaluation.data.add(np.vstack([prior_rows.slopes.T, -prior_rows.values])[:, :, None])
+    return evaluation
+
+
+def _solved(
+    problem: Problem,
+    *,
+    prior: _Prior,
+    loss: Loss | None = None,
+    max_iterations: int = MOST_ITERATIONS,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
+) -> Solution:
+    """The fit of these poses with the prior, whose own equations no loss weighs."""
+    with one_blas_thread():
+        return solve_with(
+            _WithPrior(Sweeper(problem, loss=loss), prior),
+            max_iterations=max_iterations,
+            tolerance=tolerance,
+            progress=progress,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Sds:
+    """noise: the entries of all sensors, with new sds; change: largest logarithm of a ratio of
+    variances of a sensor that has noise."""
+
+    noise: tuple[NoiseEntry, ...]
+    change: float
+
+
+def learnt(
+    calibrated: Calibrated, earlier: Earlier, result: Result, anew: NDArray[np.bool_], drifts: Array
+) -> Sds | None:
+    """The learnt sds of a calibration, learnt from its poses and those of an update.
+
+    known: at the sds of the update; found: the update; anew: (n_all,) what was placed anew; drifts:
+    (n_all,) sds. None where no sd was learnt, the earlier poses are not there, or the loops have no
+    noise.
+    """
+    which = [i for i, entry in enumerate(calibrated.noise) if _begun(entry) is not None]
+    if not which or earlier.problem is None:
+        return None
+    begun = {i: _begun(calibrated.noise[i]) or 0.0 for i in which}
+    apart = tuple(
+        replace(entry, sd=begun[i]) if i in begun else entry
+        for i, entry in enumerate(calibrated.noise)
+    )
+    reference = replace(calibrated, noise=apart)
+    names = result.problem.mechanism.tape.quantities
+    components = [
+        Component(", ".join(entry.quantities), tuple(names.index(q) for q in entry.quantities))
+        for entry in (calibrated.noise[i] for i in which)
+    ]
+    model = _model(components, reference, result, earlier, anew, drifts)
+    # Ratios are of variances to those at which the loadings are made.
+    start = np.square([calibrated.noise[i].sd / begun[i] for i in which])
+    try:
+        estimate = estimate_ratios(model, start)
+    except NoTrustworthyResult:
+        return None
+    noise = list(calibrated.noise)
+    for j, i in enumerate(which):
+        unsure = any(j in pair for pair in estimate.alike)
+        learnt_sd = judged(model, estimate, j, components[j], unsure)
+        noise[i] = replace(learnt_entry(noise[i], learnt_sd, begun[i]), slopes=())
+    noisy = (start > 0.0) & (estimate.ratios > 0.0)
+    change = np.abs(np.log(estimate.ratios[noisy] / start[noisy])).max(initial=0.0)
+    vanished = bool(((start > 0.0) != (estimate.ratios > 0.0)).any())
+    return Sds(tuple(noise), np.inf if vanished else float(change))
+
+
+def _begun(entry: NoiseEntry) -> float | None:
+    """The sd that a search begins at: of one that was learnt, else None."""
+    if entry.source != "estimated":
+        return None
+    return entry.sd or entry.upper or None
+
+
+def _model(
+    components: Sequence[Component],
+    reference: Calibrated,
+    result: Result,
+    earlier: Earlier,
+    anew: NDArray[np.bool_],
+    drifts: Array,
+) -> LinearModel:
+    """One model of all poses: steps of today's parameters, of what stood elsewhere, and drifts.
+
+    reference: at the sds whose ratios are sought.
+    """
+    today = day_problem(reference, result.dataset, noise_of(reference))
+    positions = [component.quantities for component in components]
+    parameters = result.solution.parameters
+    new = linear_model(today, parameters, result.solution.corrections, positions).blocks
+    parameters_then = earlier.parameters_then(parameters, anew)
+    old = earlier.linear(reference, parameters_then, positions)
+    free = np.array([not p.fixed for p in result.mechanism.parameters])
+    every = np.eye(len(parameters))
+    shared, placed = every[:, free & ~anew], every[:, free & anew]
+    drift = every[:, free & ~anew & (drifts > 0.0)]
+    stood = every[:, free & anew & earlier.estimated]
+    of_today = np.hstack([shared, placed, np.zeros_like(stood), np.zeros_like(drift)])
+    # d = p - drift: the earlier poses saw the machine before it drifted.
+    of_then = np.hstack([shared, np.zeros_like(placed), stood, -drift])
+    n, prior = of_today.shape[1], earlier.prior(parameters_then)
+    unit = np.hstack([np.zeros((drift.shape[1], n - drift.shape[1])), np.eye(drift.shape[1])])
+    sds = drifts[free & ~anew & (drifts > 0.0)]
+    blocks = (
+        *(replace(block, J=block.J @ of_today) for block in new),
+        *(replace(block, J=block.J @ of_then) for block in old),
+        *_rows(Sloped(prior.values, prior.slopes @ of_then)),
+        *_rows(Sloped(np.zeros(len(sds)), unit / sds[:, None])),
+    )
+    return LinearModel(blocks, np.zeros(n), np.zeros(n), len(components))
+
+
+def _rows(prior: Sloped) -> tuple[ModelBlock, ...]:
+    """Rows of unit variance, as poses whose covariance is known."""
+    q = len(prior.values)
+    none = np.zeros(0, dtype=np.intp)
+    block = ModelBlock(
+        prior.values[:, None], prior.slopes[:, None], np.ones((q, 1, 1)), np.zeros((q, 1, 0)), none
+    )
+    return (block,) if q else ()

@@ -1,0 +1,209 @@
+"""Plans: which poses to measure for a project, written beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopcal.companions.planning.page import plan_html
+from loopcal.companions.planning.plan import plan
+from loopcal.companions.planning.planned import Plan
+from loopcal.companions.planning.program import program_writer
+from loopcal.companions.planning.search import Progress
+from loopcal.errors import InputError
+from loopcal.estimation.result import Result
+from loopcal.files.atomic import write_all
+from loopcal.files.json_writer import marked, marked_json
+from loopcal.files.outputs import expanded, refuse_foreign
+from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.project.project_file import Project
+from loopcal.files.project.readings_file import readings_tables
+from loopcal.files.result.deployed import PLAN, note_deployed, result_path
+from loopcal.files.result.result_poses import poses_of_result
+from loopcal.files.toml.place import Place
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import MODEL, Noise
+from loopcal.measurements.plan_settings import PlanSettings
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.workflow.projects import named_project
+from loopcal.workflow.resolved import result_of
+
+POSES, DOCUMENT, PAGE = "plan.csv", "plan.json", "plan.html"
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A plan and where it was written; document: of plan.json; program: for the controller, where
+    one was asked for."""
+
+    plan: Plan
+    document: Mapping[str, Any]
+    title: str
+    folder: Path
+    files: tuple[str, ...]
+    program: Path | None = None
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """What the options of `loopcal plan` ask for.
+
+    candidates, existing: paths; report: write the page; program: path of a program for the
+    controller; pulses: per degree of each joint, for it.
+    """
+
+    poses: int = 30
+    criterion: str | None = None
+    candidates: str | None = None
+    existing: str | None = None
+    report: bool = True
+    program: str | None = None
+    pulses: Sequence[float] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningBasis:
+    """What a plan begins from: the machine, its noise, and poses already measured.
+
+    calibrated: by a fit, whose own terms say what geometry does not explain.
+    """
+
+    mechanism: Mechanism
+    noise: Noise
+    existing: Dataset | None = None
+    calibrated: bool = False
+
+    def settled(self, settings: PlanSettings) -> PlanSettings:
+        """The settings, without further terms beside those of a calibration."""
+        return replace(settings, model_error="none") if self.calibrated else settings
+
+
+def run_plan(
+    project: str | Path,
+    request: PlanRequest,
+    *,
+    out: str | Path | None = None,
+    function: str | None = None,
+    progress: Progress | None = None,
+) -> Planned:
+    """Choose poses for a project; write plan.csv, plan.json and plan.html.
+
+    out: the folder, by default NAME-plan beside NAME.toml. Raises InputError for what cannot be
+    used.
+    """
+    read = named_project(project, function)
+    folder = Path(out) if out is not None else plan_folder(read)
+    refuse_foreign(*(folder / name for name in (POSES, DOCUMENT, PAGE)))
+    basis = basis_of(read, request.existing)
+    program_path = None if request.program is None else Path(request.program)
+    write = None
+    if program_path is not None:
+        write = program_writer(basis.mechanism, program_path, pulses=request.pulses)
+    try:
+        made = plan(
+            basis.mechanism,
+            request.poses,
+            noise=basis.noise,
+            candidates=candidates_of(read, request.candidates),
+            existing=basis.existing,
+            criterion=request.criterion,
+            settings=basis.settled(settings_of(read)),
+            progress=progress,
+        )
+    except InputError as error:
+        raise error.at(read.name) from None
+    # In the columns of the project, with the use of each pose.
+    tables = readings_tables(made.poses, read.data, {}, folder / POSES, {"use": made.use})
+    files: dict[str, str | bytes] = {**tables}
+    document = marked({"title": read.title, **made.document()}, files)
+    files[DOCUMENT] = marked_json(document)
+    if request.report:
+        files[PAGE] = plan_html(made, read.title, basis.mechanism, read.name)
+    written: dict[Path, str | bytes] = {folder / name: data for name, data in files.items()}
+    if program_path is not None and write is not None:
+        written[program_path] = write(made)
+    write_all(written, remove=() if request.report else (folder / PAGE,))
+    if basis.calibrated:
+        note_deployed(result_path(str(request.existing)), PLAN, folder.name, document)
+    return Planned(made, document, read.title, folder, tuple(files), program_path)
+
+
+def plan_folder(project: Project) -> Path:
+    """NAME-plan beside the project."""
+    name = "loopcal" if project.path is None else project.path.stem
+    return project.folder / f"{name}-plan"
+
+
+def settings_of(project: Project) -> PlanSettings:
+    """The [plan] of a project, its forbidden rows read."""
+    name = project.inputs.get("plan", {}).get("forbidden")
+    if name is None:
+        return project.plan
+    path = expanded(name, project.folder, Place(project.name).at("plan", "forbidden"))
+    rows = read_new_readings(path, project.inputs, project.mechanism)
+    return replace(project.plan, forbidden=rows)
+
+
+def basis_of(project: Project, existing: Any = None) -> PlanningBasis:
+    """The machine and noise of a project, or those that a calibration has found.
+
+    existing: a result, the folder of one, or a file of readings in the project's columns.
+    """
+    if existing is None:
+        return PlanningBasis(project.mechanism, project.noise.noise())
+    if isinstance(existing, Dataset):
+        return PlanningBasis(project.mechanism, project.noise.noise(), existing)
+    if isinstance(existing, str | Path) and poses_of_result(existing, project.mechanism) is None:
+        data = read_new_readings(existing, project.inputs, project.mechanism, whole=True)
+        return PlanningBasis(project.mechanism, project.noise.noise(), data)
+    return of_calibration(existing)
+
+
+def of_calibration(result: Any) -> PlanningBasis:
+    """What a calibration leaves to plan from: its machine, learnt sds and poses."""
+    calibrated = _calibrated(result)
+    if calibrated.poses is None:
+        raise InputError(
+            "the result has no residuals.csv, which holds its readings",
+            code="missing-file",
+            place=calibrated.name,
+            remedy="give the file of readings",
+        )
+    names = calibrated.mechanism.parameters.names
+    sds = dict(zip(names, calibrated.prior_sd.tolist(), strict=True))
+    mechanism = calibrated.mechanism.with_parameters(
+        calibrated.mechanism.parameters.with_prior(sds)
+    )
+    # An sd of inf: what has no noise in the result was not measured.
+    entries: dict[str, float] = dict.fromkeys(mechanism.quantities, np.inf)
+    entries |= {q: e.sd for e in calibrated.noise for q in e.quantities if q in entries}
+    model = [e.sd for e in calibrated.noise if e.role == "disturbance"]
+    entries |= {MODEL: model[0]} if model else {}
+    kept = {q: v for q, v in calibrated.poses.readings.items() if q not in mechanism.disturbances}
+    data = Dataset(
+        kept, calibrated.poses.units, calibrated.poses.poses, {}, calibrated.poses.source
+    )
+    return PlanningBasis(mechanism, Noise(entries), data, calibrated=True)
+
+
+def _calibrated(result: Any) -> Calibrated:
+    result = result_of(result)
+    if isinstance(result, Result):
+        return Calibrated.of(result, "the result")
+    calibrated: Calibrated = result.calibrated
+    return calibrated
+
+
+def candidates_of(project: Project, path: str | Path | None) -> Dataset | None:
+    """The poses of a file in the project's columns, or of a result."""
+    if path is None:
+        return None
+    poses = poses_of_result(path, project.mechanism)
+    if poses is not None:
+        return poses
+    return read_new_readings(path, project.inputs, project.mechanism)

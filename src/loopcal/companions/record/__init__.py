@@ -1,0 +1,1 @@
+"""The record of a calibration: what a laboratory keeps, and its certificate."""

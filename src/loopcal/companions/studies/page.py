@@ -1,0 +1,160 @@
+"""The page of a study: every scenario's distributions, tables, first draw, and what they show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from loopcal.companions.studies.draws import first_draw
+from loopcal.companions.studies.figures import ErrorBar, error_bars
+from loopcal.companions.studies.paired import Paired
+from loopcal.companions.studies.run import StudyDone
+from loopcal.companions.studies.tables import MethodTable, ScenarioTable, Spread
+from loopcal.estimation.result import Result
+from loopcal.figures.accuracy import over_poses
+from loopcal.figures.figure import Figure
+from loopcal.figures.space import arrows
+from loopcal.files.atomic import write_files
+from loopcal.presentation.shown import Table, in_unit, percent, size, unit_shown
+from loopcal.report.section import Section
+from loopcal.report.templates import page
+
+PAGE = "study.html"
+ROUNDING = 1e-12
+"""Errors below this [SI] tell nothing of a method."""
+KINDS = {"m": ("lengths", "Errors of lengths"), "rad": ("angles", "Errors of angles")}
+
+
+def write_study_page(done: StudyDone) -> None:
+    """Write study.html, one self-contained page, into the folder of a study.
+
+    Raises InputError where it cannot be written.
+    """
+    write_files(done.folder, {PAGE: study_html(done).encode("utf-8")})
+
+
+def study_html(done: StudyDone) -> str:
+    """The page: nothing in it is asked of any network."""
+    made = done.tables
+    of_name = {scenario.name: scenario for scenario in done.study.scenarios}
+    return page(
+        "study.html",
+        title=made.title,
+        about={
+            "folder": done.folder.name,
+            "poses": ", ".join(dict.fromkeys(str(t.poses) for t in made.scenarios)),
+        },
+        draws=made.draws,
+        seed=made.seed,
+        scenarios=[
+            _scenario(table, number, first_draw(of_name[table.scenario], made.seed))
+            for number, table in enumerate(made.scenarios, 1)
+        ],
+    )
+
+
+def _scenario(table: ScenarioTable, number: int, drawn: Mapping[str, Result]) -> dict[str, Any]:
+    bars = (_bars(table.methods, unit) for unit in KINDS)
+    parts = [*bars, *map(_method, table.methods), *map(_paired, table.paired)]
+    title = f"{table.scenario} ({table.poses} poses)"
+    examples = [
+        Section(f"s{number}m{i}", f"First draw, {name}", (), (_residuals(one), _arrows(one)))
+        for i, (name, one) in enumerate(drawn.items(), 1)
+    ]
+    return {"section": Section(f"s{number}", title, words(table), parts), "examples": examples}
+
+
+def words(table: ScenarioTable) -> list[str]:
+    """What the draws show in plain words, where a method does not help as well."""
+    if all(s.rms < ROUNDING for method in table.methods for s in method.spreads):
+        return [f"Every error is rounding, below {ROUNDING:g} m or rad: all methods are right."]
+    sentences = []
+    for pair in table.paired:
+        first, second = pair.methods
+        said = [a for a in pair.advantages if a.ratio is not None and a.ratio_high is not None]
+        # The limits are the 5 % of the sentence below.
+        better = [a.name for a in said if (a.ratio_high or 0.0) < 0.95]
+        worse = [a.name for a in said if (a.ratio_low or 0.0) > 1.05]
+        alike = [a.name for a in said if a.name not in (*better, *worse)]
+        least = min((a.ratio or 0.0 for a in said if a.name in better), default=None)
+        if better:
+            sentences.append(
+                f"{first} has smaller rms errors than {second} in {', '.join(better)} "
+                f"(down to {least:.2g} of them)."
+            )
+        if alike:
+            sentences.append(f"It does not help, within 5 %, in {', '.join(alike)}.")
+        if worse:
+            sentences.append(f"It is worse in {', '.join(worse)}.")
+    for method in table.methods:
+        failed = sum(method.failures.values())
+        if failed:
+            sentences.append(
+                f"{method.method} did not converge in {failed} of {method.draws} draws."
+            )
+        if method.other_optimum:
+            sentences.append(f"{method.method} ended at another optimum in {method.other_optimum}.")
+        low = [s.name for s in method.spreads if s.held < 0.9 and s.bias != 0.0]
+        if low:
+            sentences.append(f"Intervals of {method.method} too narrow: {', '.join(low)}.")
+        out = [s.name for s in method.spreads if s.published and s.published.outside]
+        if out:
+            sentences.append(
+                f"The published draw of {method.method} is an outlier in {', '.join(out)}."
+            )
+    return sentences
+
+
+def _bars(methods: Sequence[MethodTable], unit: str) -> Figure | None:
+    def at(value: float) -> float:
+        return in_unit(value, unit, fine=True)
+
+    def bar(s: Spread) -> ErrorBar:
+        printed = None if s.published is None else at(s.published.error)
+        return ErrorBar(s.name, at(s.bias), at(s.low), at(s.high), printed)
+
+    groups = [(m.method, [bar(s) for s in m.spreads if s.unit == unit]) for m in methods]
+    return error_bars(*KINDS[unit], unit_shown(unit, fine=True), groups)
+
+
+def _method(table: MethodTable) -> Table:
+    rows = []
+    for s in table.spreads:
+        values = [size(v, s.unit, fine=True) for v in (s.bias, s.sd, s.rms, s.low, s.high)]
+        placed = "" if s.published is None else f"{s.published.percentile:.1f} %"
+        rows.append((s.name, unit_shown(s.unit, fine=True), *values, percent(s.held, 1), placed))
+    head = ("error", "unit", "bias", "sd", "rms", "2.5 %", "97.5 %", "held", "printed draw at")
+    converged = table.draws - sum(table.failures.values())
+    caption = f"{table.method}: {converged} of {table.draws} draws converged"
+    return Table(caption, head, tuple(rows))
+
+
+def _paired(pair: Paired) -> Table:
+    first, second = pair.methods
+    rows = []
+    for a in pair.advantages:
+        ratio = "" if a.ratio is None else f"{a.ratio:.2g} [{a.ratio_low:.2g}, {a.ratio_high:.2g}]"
+        closer, low, high = (percent(v, 1) for v in (a.closer, a.closer_low, a.closer_high))
+        rows.append((a.name, f"{closer} [{low}, {high}]", ratio))
+    caption = f"{first} beside {second} on the same {pair.draws} draws"
+    return Table(caption, ("error", "closer in", "rms ratio"), tuple(rows))
+
+
+def _residuals(result: Result) -> Figure | None:
+    # corrected readings close the loops to rounding, which shows no accuracy
+    after, poses = result.residuals_after if result.fit.solver.exact else {}, result.dataset.poses
+    return over_poses(result.residuals_before, after, poses, "SI", "Values of the loop equations")
+
+
+def _arrows(result: Result) -> Figure | None:
+    outputs = result.mechanism.outputs
+    accuracy = result.accuracy_after
+    if accuracy is None or accuracy.unit != "m" or len(outputs) not in (2, 3):
+        return None
+    points = np.array([result.dataset.readings[q] for q in outputs])
+    differences = np.array([result.differences_after[q] for q in outputs])
+    if not np.abs(differences).max(initial=0.0) > ROUNDING:
+        return None
+    return arrows(points, {"after": differences}, None, result.dataset.poses, "mm", 1e-3)
