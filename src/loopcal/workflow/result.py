@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.estimation import result as estimation
@@ -16,14 +16,14 @@ from loopcal.files.versions import versions as installed_versions
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.report.source import Source, source_of
 from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.predictor import Predictor, predictor, without_outputs
 from loopcal.statistics.verdict import judged
-from loopcal.workflow.history import calibration_entry, note_history
-from loopcal.workflow.history import history as read_history
 from loopcal.workflow.views import Views
+
+if TYPE_CHECKING:
+    from loopcal.report.source import Source
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,6 +78,8 @@ class Result(estimation.Result, Views):
     @property
     def source(self) -> Source:
         """What the report shows: the document, and what became of every reading."""
+        from loopcal.report.source import source_of
+
         return source_of(self, self.document, "result")
 
     def save(
@@ -145,9 +147,14 @@ def save_result(
         page = page_of(result, folder)
     entry = None
     if history is not None:
+        from loopcal.workflow.history import calibration_entry
+
         path = Path(folder) / "result.json"
         entry = history, calibration_entry(document, result.calibrated, path)
     written = result_file.write_result(result, document, folder, report=page, entry=entry)
     if history is not None:
+        from loopcal.workflow.history import history as read_history
+        from loopcal.workflow.history import note_history
+
         note_history(read_history(history), written.folder)
     return written

@@ -15,14 +15,13 @@ from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError
-from loopcal.figures.figure import Figure
-from loopcal.report.drawn import figures
-from loopcal.report.source import Source
-from loopcal.statistics.prediction import Prediction, predict
-from loopcal.workflow.readings import Units, later_readings
 
 if TYPE_CHECKING:
+    from loopcal.figures.figure import Figure
+    from loopcal.report.source import Source
+    from loopcal.statistics.prediction import Prediction
     from loopcal.statistics.predictor import Predictor
+    from loopcal.workflow.readings import Units
 
 
 class Views:
@@ -70,6 +69,8 @@ class Views:
     @property
     def plot(self) -> Plots:
         """The report's figures, as plotly figures: `result.plot.residuals()`."""
+        from loopcal.report.drawn import figures
+
         return Plots(figures(self.source))
 
     @property
@@ -87,6 +88,9 @@ class Views:
 
     def predict(self, data: Any, *, units: Units = None, **options: Any) -> Prediction:
         """`loopcal.predict` of this result: outputs for readings, with their covariance."""
+        from loopcal.statistics.prediction import predict
+        from loopcal.workflow.readings import later_readings
+
         return predict(self.predictor, later_readings(self, data, units, whole=False), **options)
 
     def to_dict(self) -> dict[str, Any]:
