@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.aliases import aliased
-from loopcal.document.parameter_table import ParameterTable
 from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError
 
 if TYPE_CHECKING:
+    from loopcal.document.parameter_table import ParameterTable
     from loopcal.figures.figure import Figure
     from loopcal.report.source import Source
     from loopcal.statistics.prediction import Prediction
@@ -64,6 +63,8 @@ class Views:
     @property
     def params(self) -> ParameterTable:
         """Every parameter by name [SI]: value, sd, nominal; as a DataFrame by `to_pandas()`."""
+        from loopcal.document.parameter_table import ParameterTable
+
         return ParameterTable(self.unjudged.parameters)
 
     @property
@@ -108,6 +109,8 @@ class Views:
         def __getattr__(self, name: str) -> Any:
             if hasattr(type(self), name):  # a property that failed: say what failed in it
                 return object.__getattribute__(self, name)
+            from loopcal.document.aliases import aliased
+
             return aliased(self, name)
 
 
