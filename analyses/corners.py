@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 import loopcal as lc
 from analyses.written import write_block
 from loopcal.estimation.result import Result
-from loopcal.statistics.candidates import nominal_case
-from loopcal.statistics.case import Case
+from loopcal.statistics.case import Case, nominal_case
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.validation import validated
 

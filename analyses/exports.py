@@ -30,9 +30,8 @@ from loopcal.files.exports.format import ExportOptions
 from loopcal.files.exports.simulators import mjcf, sdf
 from loopcal.files.exports.urdf import patched_urdf
 from loopcal.files.machines.urdf import Branch, branches, read_urdf
-from loopcal.mechanisms.calibrated_origins import calibrated_origins
 from loopcal.mechanisms.machine import Machine
-from loopcal.mechanisms.origins import joint_chain
+from loopcal.mechanisms.origins import calibrated_origins, joint_chain
 from loopcal.mechanisms.placement import rigid
 from loopcal.mechanisms.rest import RestChain, rest_chain
 

@@ -33,8 +33,7 @@ from loopcal.expressions import _compiled
 from loopcal.expressions.choice import in_words
 from loopcal.expressions.compiled_engine import CompiledEngine
 from loopcal.expressions.derivative import linearise
-from loopcal.expressions.engine import Stage
-from loopcal.expressions.numpy_engine import NumpyEngine
+from loopcal.expressions.engine import NumpyEngine, Stage
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty

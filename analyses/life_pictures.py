@@ -19,8 +19,7 @@ import pytest
 import loopcal as lc
 from analyses.what_changed import NOISE, arm, joints, measured
 from loopcal.files.history.folder import append_entry
-from loopcal.report.history_page import history_html
-from loopcal.report.life_pages import fleet_html, verification_html
+from loopcal.report.life_pages import fleet_html, history_html, verification_html
 from tests.browser import chromium, opened
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pictures"

@@ -26,8 +26,8 @@ from analyses.written import write_block
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
+from loopcal.mechanisms.planar import motoman_ma1400
 
 Array = NDArray[np.float64]
 SIX_AXIS = Path(__file__).parents[1] / "examples" / "six_axis" / "project.toml"

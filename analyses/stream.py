@@ -25,7 +25,7 @@ import polars as pl
 
 from analyses.written import write_block
 from loopcal import Noise
-from loopcal.mechanisms.motoman import motoman_ma1400
+from loopcal.mechanisms.planar import motoman_ma1400
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
 

@@ -23,8 +23,7 @@ from analyses.corners import PAGE, by_distance, measured
 from analyses.written import write_block
 from loopcal.estimation.result import Result
 from loopcal.mechanisms.structure.smooth import vectors_for
-from loopcal.statistics.candidates import nominal_case
-from loopcal.statistics.case import Case
+from loopcal.statistics.case import Case, nominal_case
 
 Array = NDArray[np.float64]
 POSES = 120

@@ -15,7 +15,7 @@ import numpy as np
 import loopcal as lc
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.stream.calibrate import calibrate_stream
-from loopcal.estimation.stream.chunks import Chunk
+from loopcal.estimation.stream.merit import Chunk
 
 SIZES = (200, 600)
 """Poses of the MA1400 seen by one reflector; those with three reflectors are `learning.POSES`."""

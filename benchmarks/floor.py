@@ -25,7 +25,7 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.choice import in_words
 from loopcal.expressions.compiled_engine import prepared
 from loopcal.expressions.derivative import linearise
-from loopcal.expressions.loop_values import Stage
+from loopcal.expressions.domain import Stage
 from loopcal.expressions.tape import Tape
 
 POSES, REPEATS = 4096, 60

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import loopcal as lc
 from loopcal.files.result.truth_file import read_truth
-from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import significant
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "build" / "demo"

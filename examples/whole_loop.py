@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import loopcal as lc
-from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import significant
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from _pytest.approx import ApproxNumpy
 
-from loopcal.expressions.choice import AVAILABLE, ENGINES
+from loopcal.expressions.choice import AVAILABLE, ENGINES, cores
 
 _COMPARED = ApproxNumpy.__eq__
 
@@ -33,6 +33,9 @@ def _compared(expected: Any, actual: Any) -> bool:
 
 ApproxNumpy.__eq__ = _compared  # type: ignore[method-assign]
 ROOT = Path(__file__).resolve().parents[1]
+# Processes of the suite share the cores already; what tests of threads need, they say.
+if int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) >= cores():
+    os.environ.setdefault("LOOPCAL_THREADS", "1")
 
 # The same examples in every run, and no clock that could fail a slow machine.
 hypothesis.settings.register_profile("loopcal", derandomize=True, deadline=None, database=None)

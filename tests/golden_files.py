@@ -14,7 +14,7 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
-from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import significant
 
 FOLDER = Path(__file__).parent / "golden"
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+(?:e[-+]?\d+)?|e[-+]?\d+)(?![\w.])")

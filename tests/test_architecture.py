@@ -207,10 +207,10 @@ def length_on_screen(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return lines
 
 
-def import_cycles(modules: list[Module]) -> list[frozenset[str]]:
-    """Modules that import each other, imports for types and inside functions counted."""
+def imported_by(modules: list[Module]) -> dict[str, set[str]]:
+    """Module -> modules that it imports, imports for types and inside functions counted."""
     names = {module.name.removesuffix(".__init__") for module in modules}
-    below = {
+    return {
         (name := module.name.removesuffix(".__init__")): {
             part
             for _, target in module.imports()
@@ -221,12 +221,17 @@ def import_cycles(modules: list[Module]) -> list[frozenset[str]]:
         for module in modules
         if module.layer not in ABOVE_ALL
     }
-    reached = {name: _reached(name, below) for name in below}
+
+
+def import_cycles(modules: list[Module]) -> list[frozenset[str]]:
+    """Modules that import each other, imports for types and inside functions counted."""
+    below = imported_by(modules)
+    reached = {name: reached_from(name, below) for name in below}
     cycles = {frozenset(o for o in reached[n] if n in reached[o]) for n in below if n in reached[n]}
     return sorted(cycles, key=sorted)
 
 
-def _reached(name: str, below: dict[str, set[str]]) -> set[str]:
+def reached_from(name: str, below: dict[str, set[str]]) -> set[str]:
     """All modules that one imports, itself only if it imports itself by others."""
     found: set[str] = set()
     ahead = [*below[name]]
@@ -268,6 +273,13 @@ def test_there_is_a_package_to_look_at() -> None:
     assert {"__init__", "errors", "units"} <= {module.name for module in MODULES}
 
 
+def test_contributing_shows_the_layers() -> None:
+    page = PACKAGE.parents[1] / "CONTRIBUTING.md"
+    block = re.search(r"```text\n(cli\n.*?)\n```", page.read_text("utf-8"), re.DOTALL)
+    assert block is not None
+    assert [{*line.split(" | ")} for line in block[1].splitlines()] == [*map(set, LAYERS[::-1])]
+
+
 def test_every_folder_and_module_is_a_layer() -> None:
     assert {module.layer for module in MODULES} <= set(HEIGHT) | ABOVE_ALL
 
@@ -289,6 +301,35 @@ def test_a_private_name_stays_in_its_folder() -> None:
 
 def test_no_modules_import_each_other() -> None:
     assert import_cycles(MODULES) == []
+
+
+COMPANIONS = ("life", "planning", "pose_performance", "studies", "deployment")
+"""What stands beside a calibration; the report and the start of a core command need none of it."""
+CORE_OF_REPORT = {
+    *("page", "tables", "drawn", "top", "parameters", "section", "source", "templates"),
+    "glossary",
+}
+
+
+def at_the_top(module: Module) -> Module:
+    """The module with what it imports as it is loaded, and nothing of its functions."""
+    loaded = [node for node in module.tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    return Module(module.name, "\n".join(map(ast.unparse, loaded)))
+
+
+def test_the_report_and_the_command_line_need_no_companion() -> None:
+    core = [m for m in MODULES if m.name in {f"report.{name}" for name in CORE_OF_REPORT}]
+    assert len(core) == len(CORE_OF_REPORT)
+    core += [at_the_top(m) for m in MODULES if m.layer == "cli"]
+    beside = {m.name for m in MODULES if m.layer == "report"} - {m.name for m in core}
+    far = [f"loopcal.{name}" for name in (*COMPANIONS, *beside)]
+    needed = [
+        f"{module.name}:{line} imports {name}"
+        for module in core
+        for line, name in module.imports()
+        if any(f"{name}.".startswith(f"{one}.") for one in far)
+    ]
+    assert needed == []
 
 
 def test_a_cycle_by_types_or_inside_a_function_is_found() -> None:

@@ -58,6 +58,18 @@ def test_named_analyses_can_be_run(page: Path) -> None:
     assert [name for name in named if not (ROOT / "analyses" / f"{name}.py").exists()] == []
 
 
+def test_a_record_that_a_source_names_stands_in_the_index() -> None:
+    index = (ROOT / "docs/decisions/README.md").read_text("utf-8")
+    records = {path.name[:4] for path in (ROOT / "docs/decisions").glob("0*.md")}
+    assert set(re.findall(r"\[(\d{4})\]", index)) == records
+    sources = [p for part in ("src", "engine", "tests") for p in (ROOT / part).rglob("*.*")]
+    texts = {p: p.read_text("utf-8") for p in sources if p.suffix in (".py", ".js", ".cpp", ".hpp")}
+    named = re.compile(r"(?:[Rr]ecord |docs/decisions/)(\d{4})")
+    named_in = [(p.name, n) for p, text in texts.items() for n in named.findall(text)]
+    assert len(named_in) > 50
+    assert [(name, number) for name, number in named_in if number not in records] == []
+
+
 @pytest.mark.parametrize(
     "text",
     [

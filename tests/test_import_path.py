@@ -42,7 +42,7 @@ if __name__ == "__main__":
 WORKER = """
 import sys, threading
 from pathlib import Path
-from loopcal.app.action import Action
+from loopcal.app.worker import Action
 from loopcal.app.worker import Worker
 from loopcal.import_path import leave_folder
 from loopcal.cli import run

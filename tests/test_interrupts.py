@@ -16,7 +16,7 @@ import pytest
 from loopcal.expressions.choice import AVAILABLE, ENGINES
 from loopcal.expressions.compiled_engine import CompiledEngine
 from loopcal.expressions.derivative import linearise
-from loopcal.expressions.loop_values import Stage
+from loopcal.expressions.domain import Stage
 from loopcal.expressions.trace import trace
 from tests.command_line import environment, run
 
@@ -40,7 +40,7 @@ ONE_CALL = """
 import numpy as np
 from loopcal.expressions.compiled_engine import CompiledEngine
 from loopcal.expressions.derivative import linearise
-from loopcal.expressions.loop_values import Stage
+from loopcal.expressions.domain import Stage
 from loopcal.expressions.trace import trace
 
 def loops(x, p):

@@ -19,7 +19,7 @@ from loopcal.files.project.project_file import read_project
 
 PACKAGE = str(Path(loopcal.__file__).parent)
 PLANAR = Path(__file__).resolve().parents[1] / "examples" / "planar" / "project.toml"
-MOST_FROM_TABLE, MOST_FROM_PROJECT, MOST_ENTRIES = 45, 70, 2
+MOST_FROM_TABLE, MOST_FROM_PROJECT, MOST_ENTRIES = 45, 64, 2
 """Modules on the way, and how often it comes into the one that reads bytes."""
 
 
@@ -52,10 +52,10 @@ def from_table() -> None:
 
 
 PROJECT = read_project(PLANAR)
-from_table()  # whatever is made once is made here
 
 
 def test_a_reading_enters_few_modules_from_its_table_to_its_residual() -> None:
+    from_table()  # whatever is made once, and was not kept since, is made here
     seen = entered(from_table)
     both = seen.keys() | entered(lambda: read_project(PLANAR)).keys()
     assert len(seen) <= MOST_FROM_TABLE, sorted(seen)

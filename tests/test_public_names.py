@@ -82,13 +82,15 @@ def test_its_docstring_says_something(name: str) -> None:
 
 @pytest.mark.parametrize("name", DOCUMENTED)
 def test_it_is_in_the_reference(name: str) -> None:
-    assert re.search(rf"\b{re.escape(name)}\b", REFERENCE)
+    listed = re.search(rf"\b{re.escape(name)}\b", REFERENCE) is not None
+    assert listed, f"write {name} in a page of docs/reference"
 
 
 @pytest.mark.parametrize("name", DOCUMENTED)
 def test_an_example_that_runs_shows_it(name: str) -> None:
     shown = ">>>" in (inspect.getdoc(public(name)) or "")
-    assert shown or re.search(rf"\b{re.escape(name)}\b", documentation_code())
+    shown = shown or re.search(rf"\b{re.escape(name)}\b", documentation_code()) is not None
+    assert shown, f"use {name} in a Python block of a page, or behind >>> in its docstring"
 
 
 @pytest.mark.parametrize("name", DOCUMENTED)

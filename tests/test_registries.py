@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import get_type_hints
 
 import pytest
 
@@ -12,10 +11,10 @@ from loopcal.files.exports.registry import EXPORTS
 from loopcal.files.programs.registry import DIALECTS
 from loopcal.files.project.data_table import DataTable
 from loopcal.files.tables.reader import Layout
-from loopcal.files.tables.registry import OPTIONS, READERS
+from loopcal.files.tables.registry import READERS
 from loopcal.keys import arguments
 from tests.command_line import run_here
-from tests.documented_rows import DOCS, check_block, markdown
+from tests.documented_rows import DOCS, block_of, check_block, markdown
 
 
 def test_the_formats_of_exports_are_those_of_the_rows() -> None:
@@ -39,8 +38,9 @@ def test_the_files_of_readings_are_those_of_the_rows() -> None:
 
 
 def test_each_option_of_a_reader_is_a_keyword_and_a_key_of_the_project() -> None:
-    assert set(get_type_hints(Layout)) == OPTIONS
-    assert {argument.name for argument in arguments(DataTable)} >= OPTIONS
+    layout = [argument.name for argument in arguments(Layout)]
+    assert set(layout) == {option for reader in READERS for option in reader.options}
+    assert {argument.name for argument in arguments(DataTable)} >= set(layout)
 
 
 def test_the_dialects_of_programs_are_those_of_the_rows() -> None:
@@ -58,6 +58,11 @@ def test_the_dialects_of_programs_are_those_of_the_rows() -> None:
     check_block("how-to/correct-a-program.md", "dialects", markdown(head, rows))
 
 
+def test_an_empty_block_ends_at_its_own_end() -> None:
+    text = "<!-- a -->\n<!-- end -->\nwords\n<!-- b -->\n| c |\n<!-- end -->\n"
+    assert [block_of(mark).findall(text) for mark in "ab"] == [[""], ["| c |"]]
+
+
 def options_of(command: str) -> set[str]:
     """The options that the help of a command lists, those of every command aside."""
     text = run_here(command, "--help").stdout
@@ -68,6 +73,7 @@ def options_of(command: str) -> set[str]:
 def test_the_reference_names_each_option_of_a_command(command: str) -> None:
     text = (DOCS / "reference/command-line.md").read_text("utf-8")
     sections = dict(re.findall(r"^## loopcal ([a-z]+).*?\n(.*?)(?=^## |\Z)", text, re.M | re.S))
+    assert command in sections, f"docs/reference/command-line.md: add '## loopcal {command}'"
     missing = [option for option in options_of(command) if option not in sections[command]]
     assert missing == []
 

@@ -28,7 +28,7 @@ from loopcal.files.project import stream as parquet_stream
 from loopcal.files.project.project_data import load_dataset
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.stream import project_stream
-from loopcal.files.result.residual_parts import ResidualParts
+from loopcal.files.result.pose_table import ResidualParts
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate

@@ -29,7 +29,10 @@ PARTS = {
     "Reference": "reference",
     "Decisions": "decisions",
 }
-FIRST = ["how-to/first-robot", "how-to/read-the-report", "explanation/verdict", "reference/api"]
+FIRST = [
+    *("how-to/first-robot", "how-to/read-the-report", "explanation/verdict"),
+    *("explanation/how-a-calibration-flows", "reference/api"),
+]
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#\s]*)(#[^)\s]*)?\)")
 _CODE_ROW = re.compile(r"^\| `([a-z]+(?:-[a-z]+)*)` \|", re.M)
 _RELATIVE = re.compile(r"\]\((?!\w+:|#)")
@@ -159,7 +162,9 @@ def index(source: Path) -> str:
     lines += ["![An arm in space, its joints named](pictures/arm.png)", ""]
     lines += ["- Robot engineer: [calibrate your first robot](how-to/first-robot.md)"]
     lines += ["- Metrologist: [what the verdict means](explanation/verdict.md)"]
-    lines += ["- Researcher with loops of your own: [write a mechanism](how-to/own-loop.md)", ""]
+    lines += ["- Researcher with loops of your own: [write a mechanism](how-to/own-loop.md)"]
+    flow = "explanation/how-a-calibration-flows.md"
+    lines += [f"- Developer: [how a calibration flows]({flow})", ""]
     for title, pages in PARTS.items():
         if isinstance(pages, str):
             found = sorted(p for p in (source / pages).rglob("*.md") if p.parent.name != "codes")

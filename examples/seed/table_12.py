@@ -17,9 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import loopcal as lc
-from loopcal.presentation.rounding import rounded_by_sd, significant
-from loopcal.presentation.shown import SHOWN
-from loopcal.presentation.text_table import columns
+from loopcal.presentation.shown import SHOWN, columns, rounded_by_sd, significant
 from loopcal.units import from_si
 
 PROJECTS = Path(__file__).resolve().parents[1] / "motoman"

@@ -15,11 +15,9 @@ if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
     from loopcal.deployment.corrected import CorrectionBounds
     from loopcal.deployment.correction import Correction
-    from loopcal.document.change_points import ChangePoint
-    from loopcal.document.dependence import Dependence
+    from loopcal.document.change_points import ChangePoint, Dependence
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
-    from loopcal.document.fit import NoiseEntry
-    from loopcal.document.goodness_of_fit import ChiSquared
+    from loopcal.document.fit import ChiSquared, NoiseEntry
     from loopcal.document.parameter_table import ParameterTable
     from loopcal.document.result_document import ResultDocument, WrittenResult
     from loopcal.document.verdict import Answer, Verdict
@@ -27,7 +25,7 @@ if TYPE_CHECKING:
     from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
     from loopcal.estimation.fit import Fit
     from loopcal.estimation.residuals import Closure
-    from loopcal.estimation.solve.status import Status
+    from loopcal.estimation.solve.solution import Status
     from loopcal.execution.cluster import Cluster
     from loopcal.execution.local import Processes, Threads
     from loopcal.expressions.trace import TraceError
@@ -43,24 +41,23 @@ if TYPE_CHECKING:
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
     from loopcal.measurements.plan_settings import Box, PlanSettings, Sight
-    from loopcal.mechanisms.effects.effect import with_effects
-    from loopcal.mechanisms.effects.model import Model
+    from loopcal.mechanisms.effects.effect import Model, with_effects
     from loopcal.mechanisms.machine import Instrument, Machine, assemble
     from loopcal.mechanisms.mechanism import Mechanism
-    from loopcal.mechanisms.motoman import motoman_ma1400
     from loopcal.mechanisms.parameters import Parameter, Parameters
-    from loopcal.mechanisms.planar import planar_two_link
+    from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
     from loopcal.mechanisms.prior import Prior
     from loopcal.mechanisms.redundancy import fix_redundant
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
     from loopcal.planning.planned import Plan
-    from loopcal.pose_performance.result import Performance
+    from loopcal.pose_performance.summary import Performance
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
     from loopcal.statistics.changed import WhatChanged
+    from loopcal.statistics.changes import Shifted, with_shifts
     from loopcal.statistics.check import Check
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.findings import Findings
@@ -70,7 +67,6 @@ if TYPE_CHECKING:
     from loopcal.statistics.prediction import Prediction
     from loopcal.statistics.reliability import ReadingReliability
     from loopcal.statistics.repeats import Repeats
-    from loopcal.statistics.shifted import Shifted, with_shifts
     from loopcal.statistics.validate import MethodComparison
     from loopcal.statistics.validation import Validation
     from loopcal.statistics.verified import Verification

@@ -14,7 +14,8 @@ loopcal.errors.InputError: arm.toml: noise.theta_1: sd is -0.1 mrad; an sd canno
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Literal
 
@@ -130,6 +131,25 @@ class DomainError(InputError):
     """An operation of a loop equation met a value outside its domain (exit code 3)."""
 
     usual_code: Code = "outside-domain"
+
+
+def unknown_name(
+    words: str, name: str, names: Iterable[str], place: str | None = None
+) -> InputError:
+    """The error for a name that is none of those there are: what to do names the nearest."""
+    return InputError(words, code="unknown-name", place=place, remedy=nearest(name, names))
+
+
+@contextmanager
+def placed(place: object, *, unless_stated: bool = False) -> Iterator[None]:
+    """Give what is raised inside its place in a file, ahead of the place that it states.
+
+    place: a text, or what becomes one; unless_stated: leave errors alone that state one.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise error if unless_stated and error.place else error.at(str(place)) from None
 
 
 class Unfinished(InputError):

@@ -8,9 +8,9 @@ from __future__ import annotations
 from loopcal.files.machines.urdf import urdf_machine as urdf
 from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
 from loopcal.mechanisms.frame import BodyFrame
-from loopcal.mechanisms.gauge import Gauge
 from loopcal.mechanisms.parallel import registry
 from loopcal.mechanisms.parallel.registry import *  # noqa: F403
+from loopcal.mechanisms.parameters import Gauge
 from loopcal.mechanisms.planar import planar_machine as planar_two_link
 from loopcal.mechanisms.serial import serial_machine as serial
 

@@ -124,6 +124,21 @@ class LearntCovariance:
         return degrees
 
 
+def contrasts(C: LearntCovariance, left_out: Array) -> Array:
+    """(q, n) contrasts of unit variance under C that feel nothing of these directions."""
+    sd = np.sqrt(np.maximum(np.diag(C.matrix), 0.0))
+    fixed = sd == 0.0  # in both: not what the calibrations say
+    scale = np.where(fixed, 1.0, sd)
+    directions = left_out / scale[:, None]
+    # Directions of length 1, so that the cut below counts them and not their units.
+    directions = directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
+    U, s, _ = np.linalg.svd(np.hstack([directions, np.zeros((len(sd), 1))]))
+    K = U[:, int((s > 1e-9).sum()) :].T / scale
+    values, vectors = np.linalg.eigh(C.through(K).matrix)
+    kept = values > _RANK * max(float(values.max(initial=0.0)), 1e-300)
+    return np.asarray((vectors[:, kept] / np.sqrt(values[kept])).T @ K)
+
+
 def _satterthwaite(variance: Array, changes: Array) -> Array:
     certain = changes <= 1e-12 * np.square(variance)
     degrees: Array = np.where(

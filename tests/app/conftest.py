@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from loopcal.files.project.folder_lock import NAME as LOCK
+from loopcal.files.project.project_folder import NAME as LOCK
 from tests.app.serving import Served, serving
 from tests.browser import chromium
 from tests.command_line import run_here as run

@@ -31,18 +31,26 @@ RANGE = {"from": -30, "to": 40, "unit": "deg"}
 HERE = "() => [document.activeElement.getAttribute('aria-label'), document.activeElement.value]"
 
 
-@pytest.fixture
-def late(served: Served, browser: Any, hostile: Path) -> Iterator[tuple[Hand, Wire]]:
-    """A page whose server can be held back; the folder is afterwards as it was."""
-    kept = {name: (hostile / name).read_bytes() for name in ("project.toml", LOG)}
+@pytest.fixture(scope="module")
+def held_page(served: Served, browser: Any, hostile: Path) -> Iterator[tuple[Hand, Wire]]:
+    """A page whose server can be held back, opened once."""
     page = new_page(browser)
     wire = Wire(page)
     page.goto(served.address)
     yield Hand(page, hostile), wire
     page.close()
+
+
+@pytest.fixture
+def late(held_page: tuple[Hand, Wire]) -> Iterator[tuple[Hand, Wire]]:
+    """The same at the first step; the folder is afterwards as it was."""
+    hand, _ = held_page
+    kept = {name: (hand.folder / name).read_bytes() for name in ("project.toml", LOG)}
+    yield held_page
+    hand.step(STEPS[0])
     for name, content in kept.items():
-        (hostile / name).write_bytes(content)
-    for other in hostile.glob("late-*"):
+        (hand.folder / name).write_bytes(content)
+    for other in hand.folder.glob("late-*"):
         other.unlink()
 
 

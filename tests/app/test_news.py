@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.app.news import News
+from loopcal.app.refits import News
 from loopcal.app.session import Session
 from tests.app.plain_command import command
 

@@ -11,11 +11,11 @@ import pytest
 from loopcal.app.session import Session
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
-from loopcal.files.paths import INSIDE
+from loopcal.files.outputs import INSIDE
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.reader import read_program
-from loopcal.files.project.folder_lock import NAME, FolderLock
-from loopcal.files.project.project_folder import LOG, ProjectFolder
+from loopcal.files.programs.registry import BY_ENDING as PROGRAMS
+from loopcal.files.project.project_folder import LOG, NAME, FolderLock, ProjectFolder
 from tests.app.plain_command import command
 from tests.command_line import run_here
 
@@ -170,7 +170,7 @@ def test_a_result_that_is_a_link_out_is_none(led_out: Path) -> None:
 
 
 def test_files_of_known_endings_are_taken_in_and_no_others(tmp_path: Path) -> None:
-    folder = ProjectFolder(tmp_path)
+    folder = ProjectFolder(tmp_path, frozenset(PROGRAMS))
     for name in TAKEN:
         assert folder.take(name, b"1").read_bytes() == b"1"
     before = sorted(os.listdir(tmp_path))

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from analyses.app_robustness import finished, killed, made
-from loopcal.app.action import Action
-from loopcal.app.pages import stand
+from loopcal.app.frame import stand
 from loopcal.app.session import Session
 from loopcal.app.steps import State
+from loopcal.app.worker import Action
 from loopcal.cli.registry import with_loops
 from loopcal.errors import InputError
-from loopcal.files.paths import INSIDE
+from loopcal.files.outputs import INSIDE
 from loopcal.files.project.project_folder import Entry
 from tests.app.plain_command import command
 

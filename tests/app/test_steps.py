@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.app.pages import stand
+from loopcal.app.frame import stand
 from loopcal.app.session import Session
 from loopcal.app.steps import LIGHTS, State
 from loopcal.files.project.project_folder import Entry

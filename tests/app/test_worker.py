@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.app.action import Action
-from loopcal.app.worker import Busy, Run, Worker
+from loopcal.app.worker import Action, Busy, Run, Worker
 from tests.app.plain_command import command
 
 

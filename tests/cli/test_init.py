@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopcal.cli.asking import ask_on_terminal
+from loopcal.cli.output import ask_on_terminal
 from loopcal.errors import InputError
 from tests.command_line import run_here
 from tests.reference import dh_arm

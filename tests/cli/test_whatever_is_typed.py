@@ -21,7 +21,7 @@ from loopcal.files.history.folder import append_entry, read_entries
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.python_function import load_function
 from loopcal.mechanisms.limits import joint_limits
-from loopcal.report.history_page import history_html
+from loopcal.report.life_pages import history_html
 from loopcal.workflow.history import history
 
 LONG = "n" * 300

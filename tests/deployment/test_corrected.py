@@ -13,11 +13,10 @@ from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.deployment.arms import arms_of
 from loopcal.deployment.inverse import solve
-from loopcal.deployment.rigid import between, turn_of, turned
-from loopcal.deployment.tool import tool_of
+from loopcal.deployment.rigid import between, tool_of, turn_of, turned
 from loopcal.files.machines.mechanism_file import mechanism_from_data
-from loopcal.mechanisms.motoman import motoman_joints
 from loopcal.mechanisms.placement import ChainPlacement, rigid
+from loopcal.mechanisms.planar import motoman_joints
 from loopcal.mechanisms.serial import places_itself, serial_machine
 from tests.refusals import refused
 

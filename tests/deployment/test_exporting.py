@@ -10,8 +10,7 @@ import pytest
 import loopcal as lc
 from loopcal.deployment import exporting
 from loopcal.deployment.exporting import exported
-from loopcal.deployment.refit import Goal, refit, separable
-from loopcal.deployment.seen_points import seen_points, traced
+from loopcal.deployment.refit import Goal, refit, seen_points, separable, traced
 from loopcal.mechanisms.chain import product
 from loopcal.statistics.predictor import predictor
 from tests.refusals import refused

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.deployment.last_change import after_last_change
+from loopcal.deployment.exporting import after_last_change
 from loopcal.mechanisms.effects.drift import Shift
 from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.model_error import with_model_error

@@ -8,14 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from loopcal.deployment.rigid import (
     between,
-    inverse,
     moved,
-    of_yaw_pitch_roll,
-    pose,
     quaternion_of,
     turn_of,
     turned,
 )
+from loopcal.mechanisms.placement import inverse, rigid
+from loopcal.mechanisms.station import pose_of
 
 RNG = np.random.default_rng(0)
 VECTORS = np.vstack(
@@ -40,11 +39,13 @@ def test_quaternions_and_turns_by_yaw_pitch_roll_agree_with_scipy() -> None:
     assert Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix() == pytest.approx(R, abs=1e-12)
     angles = RNG.uniform(-1.5, 1.5, (50, 3))
     made = Rotation.from_euler("ZYX", angles).as_matrix()
-    assert of_yaw_pitch_roll(angles) == pytest.approx(made, abs=1e-12)
+    poses = np.array([pose_of([1.0, 2.0, 3.0, *each]) for each in angles])
+    assert poses[:, :3, :3] == pytest.approx(made, abs=1e-12)
+    assert (poses[:, :3, 3] == [1.0, 2.0, 3.0]).all()
 
 
 def test_a_twist_leads_from_one_pose_to_the_other() -> None:
-    T = pose(R, RNG.normal(0.0, 1.0, (len(R), 3)))
+    T = rigid(R, RNG.normal(0.0, 1.0, (len(R), 3)))
     other = T[::-1]
     assert moved(T, between(T, other), 1.0) == pytest.approx(other, abs=1e-12)
     assert inverse(T) @ T == pytest.approx(np.broadcast_to(np.eye(4), T.shape), abs=1e-12)

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.deployment import solutions as module
-from loopcal.deployment.arm_pose import ArmPose
-from loopcal.deployment.arms import Arms, arms_of
+from loopcal.deployment.arms import ArmPose, Arms, arms_of
+from loopcal.deployment.rigid import tool_of
 from loopcal.deployment.solutions import solutions
-from loopcal.deployment.tool import tool_of
 
 Array = NDArray[np.float64]
 NAMES = ["six-axis", "UR-like", "SCARA"]

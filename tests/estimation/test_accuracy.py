@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import loopcal as lc
 from analyses.instruments import ARM_VALUES, six_axis
-from loopcal.estimation.accuracy import accuracy, deviations
-from loopcal.estimation.accuracy_tally import AccuracyTally
+from loopcal.estimation.accuracy import AccuracyTally, accuracy, deviations
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import loopcal as lc
 from loopcal.chi_squared import quantile
-from loopcal.estimation.dependence.neighbours import in_order, likeness, near
+from loopcal.estimation.dependence.dependence import in_order, likeness, near
 from loopcal.estimation.dependence.seen import Seen
 from loopcal.estimation.dependence.serial import Drift, Whole, _criterion, learnt_drift
 from loopcal.estimation.fit_document import fit_document

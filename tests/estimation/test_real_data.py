@@ -15,7 +15,7 @@ from loopcal.files.tables.readers import read_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import AXES, DIRECTIONS, NOMINAL, motoman_ma1400
+from loopcal.mechanisms.planar import AXES, DIRECTIONS, NOMINAL, motoman_ma1400
 from loopcal.mechanisms.prior import Prior
 from loopcal.mechanisms.serial import Joint, serial_arm
 from tests.reference.optimality import diagonal, optimality

@@ -14,7 +14,7 @@ from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.result import Result
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.prior import Prior
-from loopcal.presentation.text_table import columns
+from loopcal.presentation.shown import columns
 from loopcal.statistics.calibration_document import calibration_document
 from tests.reference.four_bars import passive
 from tests.reference.simulated import planar_arm

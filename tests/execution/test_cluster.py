@@ -19,7 +19,7 @@ import polars as pl
 import pytest
 
 import loopcal as lc
-from loopcal.cli.working import executor_of, try_cluster
+from loopcal.cli.progress import executor_of, try_cluster
 from loopcal.errors import Code
 from loopcal.execution.cluster import Cluster, _Opening, versions
 from loopcal.execution.executor import InProcess, gathered

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from numpy.typing import NDArray
 
 from loopcal.expressions.derivative import linearise
-from loopcal.expressions.numpy_engine import NumpyEngine
+from loopcal.expressions.engine import NumpyEngine
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from loopcal.expressions.vectors import rotate, vector

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loopcal.expressions import numpy_engine, operations
+from loopcal.expressions import engine as numpy_engine
+from loopcal.expressions import graph as operations
 from loopcal.expressions.derivative import linearise
-from loopcal.expressions.engine import Engine, engine_class, engine_for
-from loopcal.expressions.numpy_engine import NumpyEngine
+from loopcal.expressions.engine import Engine, NumpyEngine, engine_class, engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from tests.reference.plain_tape import complex_step

@@ -9,11 +9,9 @@ import plotly.graph_objects as go
 import pytest
 
 from loopcal.figures.accuracy import distance_histogram, over_poses
-from loopcal.figures.figure import COLOURS, Figure, colours, numbers
-from loopcal.figures.parameters import correlations
-from loopcal.figures.sensors import drift, normalised
+from loopcal.figures.figure import COLOURS, Figure, colours, numbers, thinned
+from loopcal.figures.sensors import correlations, drift, normalised
 from loopcal.figures.space import Machine, arrows
-from loopcal.figures.thinning import thinned
 
 RANDOM = np.random.default_rng(3)
 IDS = [str(i) for i in range(50)]

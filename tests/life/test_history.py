@@ -11,8 +11,8 @@ import pytest
 
 import loopcal as lc
 from loopcal.files.history.folder import append_entry
-from loopcal.life.trends import chart, drift_rate
-from loopcal.report.history_page import history_html
+from loopcal.life.history import chart, drift_rate
+from loopcal.report.life_pages import history_html
 from tests.command_line import run_here as run
 from tests.life.test_updating import PROJECT
 

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from loopcal.mechanisms.axes import AxisFrame, unit_direction
-from loopcal.mechanisms.chain import Step, product
+from loopcal.mechanisms.chain import AxisFrame, Step, product, unit_direction
 from tests.refusals import refused
 
 AXES = [(1, 0, 0), (0, -1, 0), (0, 0, 1), (0.6, 0, -0.8), (2 / 3, -1 / 3, 2 / 3)]

@@ -24,9 +24,8 @@ from loopcal.mechanisms.instruments.length import draw_wire, relative_distance
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
-from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
 from loopcal.mechanisms.serial import Joint, serial_machine
 from tests.reference.machines import MA1400_TOOL, dh_arm, mixed_arm
 from tests.reference.plain_tape import difference, loop_values

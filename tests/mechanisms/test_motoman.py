@@ -7,7 +7,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from loopcal.mechanisms.motoman import motoman_ma1400
+from loopcal.mechanisms.planar import motoman_ma1400
 from tests.reference import frames
 from tests.reference.machines import MA1400_TOOL
 from tests.reference.plain_tape import loop_values

@@ -12,12 +12,12 @@ import pytest
 
 import loopcal as lc
 from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
-from loopcal.mechanisms.gauge import Gauge
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.spherical import spherical
 from loopcal.mechanisms.machine import Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.registry import PARALLEL
+from loopcal.mechanisms.parameters import Gauge
 from loopcal.mechanisms.planar import planar_machine
 from loopcal.mechanisms.redundancy import redundant
 from loopcal.mechanisms.serial import Joint, serial_machine

@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from loopcal.errors import InputError
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.mechanisms.placement import _along, yaw_pitch_roll
-from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
 from loopcal.mechanisms.serial import Joint, serial_arm
 from tests.reference import frames
 from tests.reference.machines import MACHINES

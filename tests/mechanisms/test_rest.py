@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from loopcal.mechanisms.calibrated_origins import calibrated_origins
+from loopcal.files.exports.tables import dh_table, modified
 from loopcal.mechanisms.chain import Step, product
-from loopcal.mechanisms.denavit import dh_table, modified
-from loopcal.mechanisms.origins import LinkJoint, Mimic, joint_chain
+from loopcal.mechanisms.origins import LinkJoint, Mimic, calibrated_origins, joint_chain
 from loopcal.mechanisms.rest import (
     RestChain,
     RestJoint,

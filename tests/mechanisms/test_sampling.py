@@ -11,7 +11,7 @@ from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.origins import joint_chain
-from loopcal.mechanisms.sampling import samples
+from loopcal.mechanisms.redundancy import samples
 from tests.reference.plain_tape import loop_values
 
 TOOL = {"tool_x": 0.05, "tool_z": 0.08}

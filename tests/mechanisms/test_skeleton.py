@@ -11,9 +11,8 @@ from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.mechanisms.origins import LinkJoint, joint_chain
-from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
 from loopcal.mechanisms.serial import Joint, serial_arm
 from loopcal.mechanisms.skeleton import skeleton
 from loopcal.mechanisms.station import Target

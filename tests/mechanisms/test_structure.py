@@ -29,12 +29,16 @@ from loopcal.mechanisms.instruments.spherical import spherical
 from loopcal.mechanisms.machine import Instrument, Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import with_model_error
-from loopcal.mechanisms.motoman import motoman_joints, motoman_ma1400
 from loopcal.mechanisms.parallel.delta import linear_delta
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.parallel.three_rrr import three_rrr
 from loopcal.mechanisms.parameters import Parameter
-from loopcal.mechanisms.planar import planar_machine, planar_two_link
+from loopcal.mechanisms.planar import (
+    motoman_joints,
+    motoman_ma1400,
+    planar_machine,
+    planar_two_link,
+)
 from loopcal.mechanisms.serial import Joint, serial_machine
 from loopcal.mechanisms.structure.smooth import FEATURES, harmonics
 from loopcal.mechanisms.structure.structured import structured, unstated_mountings

@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 
-from loopcal.planning.route import route, travel
+from loopcal.planning.plan import route, travel
 
 
 def test_the_way_visits_every_pose_once_and_is_hardly_longer_than_the_shortest() -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from loopcal.planning.certificate import certificate
 from loopcal.planning.information import Information
+from loopcal.planning.plan import certificate
 from loopcal.planning.search import Criterion, Search, choose, criterion_value, inverse
 
 CRITERIA: tuple[Criterion, ...] = ("I", "G", "D", "A")
@@ -131,11 +131,11 @@ def test_a_few_steps_come_within_a_hundredth_of_the_best_bound(
 ) -> None:
     draw = pool(2000, 3, k=10, r=3)
     poses = choose([draw], 20, criterion).poses
-    monkeypatch.setattr("loopcal.planning.certificate._CLOSE", 0.0)
+    monkeypatch.setattr("loopcal.planning.plan._CLOSE", 0.0)
     found = []
     for steps in (30, 2000):
-        monkeypatch.setattr("loopcal.planning.certificate._FEWEST", steps)
-        monkeypatch.setattr("loopcal.planning.certificate._MOST", steps)
+        monkeypatch.setattr("loopcal.planning.plan._FEWEST", steps)
+        monkeypatch.setattr("loopcal.planning.plan._MOST", steps)
         found.append(certificate([draw], poses, criterion).efficiency)
     assert found[1] - 0.01 < found[0] <= found[1] + 1e-9
 

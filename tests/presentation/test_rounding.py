@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from loopcal.presentation.rounding import rounded_by_sd, significant
-from loopcal.presentation.shown import by_sd
+from loopcal.presentation.shown import by_sd, rounded_by_sd, significant
 
 
 @pytest.mark.parametrize(

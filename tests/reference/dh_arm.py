@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loopcal.mechanisms.denavit import DenavitTable
+from loopcal.files.exports.tables import DenavitTable
 
 NOMINAL = np.array(  # a [m], d [m], alpha [rad], theta [rad]
     [

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
-from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
 from loopcal.mechanisms.serial import Joint, serial_arm
 
 MA1400_TOOL = {"z1": 1.4159, "x6B": 0.05, "y6B": 0.0, "z6B": -0.45}

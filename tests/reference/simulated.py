@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
-from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
 from tests.reference.plain_tape import loop_values
 
 Array = NDArray[np.float64]

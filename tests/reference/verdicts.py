@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from loopcal.document.catalogue import CATALOGUE
-from loopcal.document.judgement import Fact, Finding
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.verdict import Verdict
+from loopcal.document.verdict import Fact, Finding, Verdict
 from loopcal.statistics.verdict import findings_of
 
 

@@ -67,6 +67,14 @@ def both(
 
 
 @pytest.fixture(scope="module")
+def plane(browser: Any, planar: Path) -> Iterator[Seen]:
+    """An arm in the plane, opened once by a reader who may copy."""
+    allowed = ["clipboard-read", "clipboard-write"]
+    with opened(browser, planar / "report.html", permissions=allowed) as seen:
+        yield seen
+
+
+@pytest.fixture(scope="module")
 def six(browser: Any, six_axis: Path) -> Iterator[Seen]:
     """An arm in space, opened once."""
     with opened(browser, six_axis / "report.html") as seen:
@@ -109,13 +117,12 @@ def test_on_paper_every_figure_is_there(both: Seen) -> None:
     assert paper.count(b"/Subtype /Image") >= 1  # the scene in space
 
 
-def test_it_follows_the_reader_into_the_dark(browser: Any, planar: Path) -> None:
-    with opened(browser, planar / "report.html", color_scheme="light") as seen:
-        for scheme, paper in (("light", "rgb(255, 255, 255)"), ("dark", "rgb(21, 23, 26)")):
-            seen.page.emulate_media(color_scheme=scheme)
-            shade = seen.page.evaluate("getComputedStyle(document.body).backgroundColor")
-            assert shade == paper
-            seen.page.wait_for_function(INKED, arg=INKS[scheme])  # figures follow a moment later
+def test_it_follows_the_reader_into_the_dark(plane: Seen) -> None:
+    for scheme, paper in (("light", "rgb(255, 255, 255)"), ("dark", "rgb(21, 23, 26)")):
+        plane.page.emulate_media(color_scheme=scheme)
+        shade = plane.page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert shade == paper
+        plane.page.wait_for_function(INKED, arg=INKS[scheme])  # figures follow a moment later
 
 
 def test_markup_is_shown_and_never_run(browser: Any, hostile: Path) -> None:
@@ -138,12 +145,10 @@ def test_markup_is_shown_and_never_run(browser: Any, hostile: Path) -> None:
         assert name in drawn
 
 
-def test_a_table_can_be_copied(browser: Any, planar: Path) -> None:
-    page = planar / "report.html"
-    with opened(browser, page, permissions=["clipboard-read", "clipboard-write"]) as seen:
-        seen.page.click("button.copy >> nth=0")
-        seen.page.wait_for_selector("button:has-text('copied')")
-        copied = seen.page.evaluate("navigator.clipboard.readText()")
+def test_a_table_can_be_copied(plane: Seen) -> None:
+    plane.page.click("button.copy >> nth=0")
+    plane.page.wait_for_selector("button:has-text('copied')")
+    copied = plane.page.evaluate("navigator.clipboard.readText()")
     assert [line.split("\t")[0] for line in copied.splitlines()] == [
         "accuracy",
         "nominal",
@@ -179,16 +184,11 @@ SMALL = """async (data) => {
 
 @pytest.mark.parametrize("name", ["planar", "six_axis", "dark", "both"])
 def test_the_first_screen_looks_as_it_did(
-    name: str, browser: Any, planar: Path, six: Seen, both: Seen
+    name: str, browser: Any, plane: Seen, six: Seen, both: Seen
 ) -> None:
     """Compared small and grey, so that the fonts of another system do not matter."""
-    if name == "planar":
-        with opened(browser, planar / "report.html") as seen:
-            taken = first_screen(seen, "light")
-    elif name == "both":
-        taken = first_screen(both, "dark")
-    else:
-        taken = first_screen(six, "dark" if name == "dark" else "light")
+    shown = {"planar": plane, "both": both}.get(name, six)
+    taken = first_screen(shown, "dark" if name in ("dark", "both") else "light")
     blank = browser.new_page()
     picture, grey = blank.evaluate(SMALL, address(taken))
     kept = FOLDER / f"report-{name}.png"

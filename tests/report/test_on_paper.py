@@ -17,10 +17,10 @@ import loopcal as lc
 from loopcal.cli import main
 from loopcal.execution.executor import InProcess
 from loopcal.figures.space import FIELD, space_layout
+from loopcal.presentation.shown import Table
 from loopcal.report.life_pages import fleet_html, verification_html
 from loopcal.report.plan_page import plan_html
 from loopcal.report.study_page import study_html
-from loopcal.report.tables import Table
 from loopcal.report.templates import page
 from loopcal.studies.run import run_study
 from loopcal.workflow.result import write_result
@@ -84,11 +84,15 @@ MEASURED = """async () => {
 
 @dataclass(frozen=True)
 class Paper:
-    """What was measured of a page in print, and the colours of its PDF without and with grounds."""
+    """What was measured of a page in print, and the colours of its PDF without and with grounds.
+
+    trouble: what the page asked for beside itself, and complained about.
+    """
 
     measured: dict[str, Any]
     colours: tuple[set[bytes], set[bytes]]
     sizes: set[bytes]
+    trouble: list[str]
 
 
 def long_names(count: int = 7) -> tuple[list[lc.Result], list[lc.Dataset]]:
@@ -199,13 +203,14 @@ def printed(browser: Any, path: Path, name: str) -> Paper:
     """A page at the width of A4, and as PDF as a reader's dialogue prints it."""
     wide = WIDTH.get(name, round((210 - 24) * MILLIMETRE))
     with opened(browser, path, width=wide, color_scheme="dark", drawn=name != "record") as seen:
+        trouble = [*seen.requests, *seen.complaints]  # on the screen
         seen.page.emulate_media(media="print", color_scheme="dark")
         measured = seen.page.evaluate(MEASURED)
         with_grounds, without = (
             seen.page.pdf(print_background=ground, prefer_css_page_size=True)
             for ground in (True, False)
         )
-    return Paper(measured, (filled(without), filled(with_grounds)), sizes(without))
+    return Paper(measured, (filled(without), filled(with_grounds)), sizes(without), trouble)
 
 
 def filled(pdf: bytes) -> set[bytes]:
@@ -233,6 +238,11 @@ def test_nothing_is_wider_or_taller_than_a4(name: str, papers: dict[str, Paper])
     assert paper.measured["small"] == []
     assert paper.measured["stills"] == paper.measured["figures"]
     assert paper.sizes <= {(b"594", b"841"), (b"595", b"842"), (b"594", b"842"), (b"595", b"841")}
+
+
+@pytest.mark.parametrize("name", ON_TOP)
+def test_it_is_drawn_silently_without_any_network(name: str, papers: dict[str, Paper]) -> None:
+    assert papers[name].trouble == []
 
 
 @pytest.mark.parametrize("name", [name for name in ON_TOP if name not in ("record", "tables")])

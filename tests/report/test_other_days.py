@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.figures.figure import Figure
 from loopcal.files.result.deployed import FLEET, HISTORY, VERIFICATION, read_deployed
 from loopcal.life.fleet import Fleet
 from loopcal.life.history import History
@@ -20,6 +21,7 @@ from loopcal.report.source import read_source
 from loopcal.statistics.changed import WhatChanged
 from loopcal.workflow.fleet import run_fleet
 from loopcal.workflow.history import run_history
+from loopcal.workflow.report_sections import sections
 from loopcal.workflow.updating import run_update
 from loopcal.workflow.verifying import run_verification
 from tests.command_line import run_here as run
@@ -46,11 +48,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_report_has_what_was_found_on_other_days(folder: Path) -> None:
-    page = report_html([read_source(folder / "two")])
+    page = report_html([read_source(folder / "two")], sections)
     assert 'id="later"' in page
     assert "new &lt;belt&gt;" in page
     assert "new <belt>" not in page
-    verified = report_html([read_source(folder / "one")])
+    verified = report_html([read_source(folder / "one")], sections)
     assert "poses.csv" in verified
     assert "What changed: poses.csv" in verified
     assert re.search(r"lengths_\d", verified)
@@ -59,7 +61,7 @@ def test_the_report_has_what_was_found_on_other_days(folder: Path) -> None:
 def test_a_result_without_other_days_has_no_such_section(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder / "three", tmp_path / "bare")
     shutil.rmtree(tmp_path / "bare" / "deployed")
-    assert 'id="later"' not in report_html([read_source(tmp_path / "bare")])
+    assert 'id="later"' not in report_html([read_source(tmp_path / "bare")], sections)
 
 
 def test_notes_hold_what_the_commands_found(folder: Path) -> None:
@@ -84,12 +86,14 @@ def test_notes_hold_what_the_commands_found(folder: Path) -> None:
 def test_the_report_of_an_update_draws_by_how_much_it_narrowed(folder: Path) -> None:
     run_update(folder / "one", folder / "planar-two" / "poses.csv", out=folder / "new")
     source = read_source(folder / "new")
-    found = other_days(source.document, source.deployed)
+    found = other_days(source)
+    assert found is not None
     assert found.words[0].startswith("This result updates an earlier calibration: the sds of ")
-    figure = found.figures["sds_lengths"]
+    figure = next(one for one in found.parts if getattr(one, "key", "") == "sds_lengths")
+    assert isinstance(figure, Figure)
     before, after = (np.array(bar["x"]) for bar in figure.data)
     assert (after < before).all()
-    assert 'id="later"' in report_html([source])
+    assert 'id="later"' in report_html([source], sections)
 
 
 def test_a_damaged_note_is_named_and_left_out(folder: Path, tmp_path: Path) -> None:
@@ -98,6 +102,7 @@ def test_a_damaged_note_is_named_and_left_out(folder: Path, tmp_path: Path) -> N
     told = json.loads(note.read_text("utf-8"))
     note.write_text(json.dumps({**told, "changes": {"found": 3}}), "utf-8")
     source = read_source(tmp_path / "one")
-    found = other_days(source.document, source.deployed)
+    found = other_days(source)
+    assert found is not None
     assert [words for words in found.words if "verification" in words and "damaged" in words]
-    assert not [one for one in found.tables if "poses.csv" in one.caption]
+    assert not [one for one in found.parts if "poses.csv" in getattr(one, "caption", "")]

@@ -14,8 +14,7 @@ from loopcal.document.findings import Outlier
 from loopcal.document.result_document import ResultDocument
 from loopcal.files.result.pose_table import PoseTable
 from loopcal.files.result.result_file import read_result
-from loopcal.report.page import MOST, report_html
-from loopcal.report.parameters import parameter_groups
+from loopcal.report.page import MOST, parameter_groups, report_html
 from loopcal.report.source import read_source
 from loopcal.report.tables import (
     accuracy_tables,

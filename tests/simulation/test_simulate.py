@@ -13,8 +13,7 @@ from loopcal.expressions.engine import engine_for
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
-from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
 from loopcal.simulation.poses import grid_poses, random_poses
 from loopcal.simulation.simulate import Simulation, simulate
 from tests.refusals import refused

@@ -13,7 +13,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.outputs import distance_unit
-from loopcal.statistics.answers import better, good_enough, valid
+from loopcal.statistics.verdict import better, good_enough, valid
 from tests.reference.machines import dh_arm
 from tests.reference.verdicts import finding_of, verdict_of
 from tests.statistics.test_verdict import clean

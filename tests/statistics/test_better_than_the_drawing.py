@@ -10,7 +10,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.document.choice import Chosen
-from loopcal.statistics.answers import better
+from loopcal.statistics.verdict import better
 from tests.reference.verdicts import finding_of
 
 N = 40

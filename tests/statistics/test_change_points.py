@@ -18,8 +18,8 @@ from loopcal.chi_squared import tail
 from loopcal.document.change_points import Change, ChangePoint
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.mechanisms.station import Station
-from loopcal.statistics.change_points import _log_tail
-from loopcal.statistics.moved_by import sized
+from loopcal.statistics.estimated import log_tail
+from loopcal.statistics.findings import sized
 from loopcal.statistics.verdict import findings_of
 from tests.estimation.test_real_data import RIGHT, left_arm, measured
 from tests.reference.simulated import MA1400_RANGES, ma1400
@@ -199,8 +199,8 @@ def test_few_poses_are_not_searched_and_a_level_is_a_probability() -> None:
 
 
 def test_the_log_of_a_tail_goes_on_where_the_tail_underflows() -> None:
-    assert _log_tail(20.0, 3) == pytest.approx(np.log(tail(20.0, 3)))
-    below, above = _log_tail(1240.0, 3), _log_tail(1320.0, 3)
+    assert log_tail(20.0, 3) == pytest.approx(np.log(tail(20.0, 3)))
+    below, above = log_tail(1240.0, 3), log_tail(1320.0, 3)
     assert above - below == pytest.approx(-40.0 + 0.5 * np.log(1320 / 1240), abs=0.01)
 
 

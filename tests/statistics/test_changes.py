@@ -12,8 +12,7 @@ import pytest
 import loopcal as lc
 from loopcal.files.result import result_file
 from loopcal.statistics import choice
-from loopcal.statistics.candidates import Entrant
-from loopcal.statistics.case import Case
+from loopcal.statistics.case import Case, Entrant
 from loopcal.statistics.changes import NUMBER, Changes, changes
 from loopcal.statistics.choice import choose
 from loopcal.statistics.folds import Scheme

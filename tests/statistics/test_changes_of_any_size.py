@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ import pytest
 import loopcal as lc
 from analyses.instruments import setup
 from loopcal.errors import InputError, NoTrustworthyResult
-from loopcal.statistics import verification
+from loopcal.statistics import another_day
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.replacing import Replaced, replaced
 from tests.reference.simulated import planar_arm
@@ -124,7 +124,7 @@ def test_a_misfit_that_no_change_explains_is_stated_without_a_cause(
         calls.append(1)
         return replaced(*args, **how)
 
-    monkeypatch.setattr(verification, "replaced", counted)
+    monkeypatch.setattr(another_day, "replaced", counted)
     data = lc.Dataset.from_arrays(rows | {output: rows[output][order]})
     found = lc.verify(known, data, noise=noise)
     assert found.verdict["consistent"].passed is False
@@ -140,9 +140,9 @@ def test_what_the_machine_explains_of_a_column_leaves_a_positive_square() -> Non
     rng = np.random.default_rng(0)
     A = 1e10 * rng.normal(size=(30, 4))
     none = np.zeros((30, 0))
-    system = Linearised(
-        np.zeros(30), none, A, np.eye(4), none.T, 0, 1.0, np.zeros((0, 4, 4)), np.inf
-    )
+    nowhere = cast("Replaced", None)  # squares are of the equations alone
+    slopes = np.zeros((0, 4, 4))
+    system = Linearised(nowhere, np.zeros(30), none, A, np.eye(4), none.T, 0, 1.0, slopes, np.inf)
     columns = A @ rng.normal(size=(4, 3))
     G = system.weighed(columns, columns)
     exact = np.linalg.lstsq(A, columns, rcond=None)[0]

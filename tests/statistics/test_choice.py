@@ -12,8 +12,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.execution.executor import InProcess
-from loopcal.statistics.candidates import Entrant, entrants
-from loopcal.statistics.case import Case
+from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.choice import Judged, _beats, _taken, choose
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.gain import Gain

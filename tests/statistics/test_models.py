@@ -14,9 +14,8 @@ from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
-from loopcal.mechanisms.effects.effect import with_effects
+from loopcal.mechanisms.effects.effect import Model, with_effects, with_only
 from loopcal.mechanisms.effects.harmonics import Harmonics
-from loopcal.mechanisms.effects.model import Model, with_only
 from loopcal.mechanisms.effects.scale import Scale
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import planar_two_link

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.ordered_system import Fitted, ordered_system
 from tests.statistics.test_change_points import fitted, joints, read
 
@@ -49,9 +50,9 @@ def test_columns_that_join_and_leave_again_change_nothing(fit: Fitted) -> None:
     np.testing.assert_allclose(again.left, fit.left, rtol=0.0, atol=1e-9)
 
 
-def test_a_scatter_with_the_step_is_turned_into_that_without(fit: Fitted) -> None:
+def test_a_scatter_with_the_step_is_turned_into_that_without() -> None:
     """Of n rows alike, with s left of squares by the step and g more without: n g / (s + g)."""
     left, gain, rows = 80.0, 20.0, 100.0
     with_step = gain / (left / rows)
-    found = type(fit.step(target(fit, 9)))(with_step, 3, np.zeros(3), np.eye(3))
-    assert found.before(rows) == pytest.approx(gain / ((left + gain) / rows))
+    step = Estimated(np.sqrt([with_step, 0.0, 0.0]), np.eye(3))
+    assert step.before(rows) == pytest.approx(gain / ((left + gain) / rows))

@@ -28,13 +28,12 @@ from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.outputs import cartesian
-from loopcal.mechanisms.station import Station
-from loopcal.mechanisms.stationed import stationed
+from loopcal.mechanisms.station import Station, stationed
 from loopcal.mechanisms.structure.structured import structured
 from loopcal.small_samples import LearntCovariance
+from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.replacing import Freedom, replaced
-from loopcal.statistics.verification import day_problem, verify
+from loopcal.statistics.verification import verify
 from tests.reference.machines import MA1400_TOOL, gantry, mixed_arm
 from tests.reference.simulated import Simulated
 from tests.reference.simulated import ma1400 as simulated_ma1400
@@ -232,9 +231,9 @@ def test_a_machine_placed_anew_is_the_calibrated_one_moved_rigidly(name: str) ->
         noise = noise_of(known.mechanism, rows)
         for how in motions:
             there = moved(known.mechanism, rows, motion(how, known.mechanism), SHIFT)
-            problem = day_problem(known.stationed, lc.Dataset.from_arrays(there), noise)
-            here = replaced(problem, Freedom.of(problem.mechanism))
-            assert off(problem, here.parameters, here.corrections) < 1e-10, (term, how)
+            day = Day.of(known.stationed, lc.Dataset.from_arrays(there), noise)
+            placed = day.placed()
+            assert off(placed.problem, placed.parameters, placed.corrections) < 1e-10, (term, how)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ import pytest
 import loopcal as lc
 from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.dependence.serial import Drift
-from loopcal.statistics.predictive import held_problem, predictive
-from loopcal.statistics.same_run import Run
+from loopcal.statistics.predictive import Run, held_problem, predictive
 from tests.reference.simulated import planar_arm
 
 SDS = {"xP": 1e-3, "yP": 1e-3, "phi2": 1e-4, "phi3": 1e-4}

@@ -15,8 +15,7 @@ from loopcal.errors import Code, InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
 from loopcal.statistics import case
-from loopcal.statistics.blocks import blocks
-from loopcal.statistics.folds import folds, grouped, held_out, repeated
+from loopcal.statistics.folds import blocks, folds, grouped, held_out, repeated
 from loopcal.statistics.validate import compare_methods, validate
 from tests.reference.simulated import arm_at, planar_arm
 from tests.refusals import refused

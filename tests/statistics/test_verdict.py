@@ -21,22 +21,25 @@ from loopcal.cli.application import app
 from loopcal.cli.registry import COMMANDS, loaded
 from loopcal.document.accuracy import Coverage
 from loopcal.document.catalogue import CATALOGUE
-from loopcal.document.change_points import Change, ChangePoint, ChangePoints
-from loopcal.document.choice import Candidate, Chosen
-from loopcal.document.dependence import Dependence, InstrumentDependence, Likeness
+from loopcal.document.change_points import (
+    Change,
+    ChangePoint,
+    ChangePoints,
+    Dependence,
+    InstrumentDependence,
+    Likeness,
+)
+from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, Undetermined
-from loopcal.document.goodness_of_fit import ChiSquared
-from loopcal.document.judgement import Fact
+from loopcal.document.fit import ChiSquared
 from loopcal.document.result_document import CoarseReadings, ResultDocument
-from loopcal.document.row import Row
-from loopcal.document.terms import TermEntry
-from loopcal.document.verdict import UNASKED
+from loopcal.document.verdict import UNASKED, Fact, Row
 from loopcal.mechanisms.limits import joint_limits
-from loopcal.presentation.wrapped import WIDTH
+from loopcal.presentation.shown import WIDTH
 from loopcal.statistics.judged_machine import off_the_drawing
+from loopcal.statistics.judged_readings import _by_few
 from loopcal.statistics.predictor import predictor
 from loopcal.statistics.region import region_of
-from loopcal.statistics.sound import _by_few
 from loopcal.statistics.verdict import findings_of, judged
 from tests.conftest import ROOT
 from tests.reference.machines import dh_arm
@@ -583,7 +586,8 @@ def test_a_file_at_fault_is_told_alone_and_a_failed_fit_has_no_region() -> None:
 def test_every_code_is_described() -> None:
     text = (ROOT / "docs" / "explanation" / "verdict.md").read_text("utf-8")
     described = set(re.findall(r"^\| `([a-z-]+)` \|", text, re.MULTILINE))
-    assert described == {row.code for row in CATALOGUE.values()} | {UNASKED}
+    codes = {row.code for row in CATALOGUE.values()} | {UNASKED}
+    assert described == codes, "docs/explanation/verdict.md has one row for each code"
 
 
 def test_every_row_of_the_catalogue_answers_and_advises() -> None:

@@ -13,11 +13,12 @@ from analyses.instruments import setup
 from analyses.verify import LEVEL, Rates, another_day, run
 from loopcal.errors import NoTrustworthyResult
 from loopcal.mechanisms.station import Station
+from loopcal.statistics.another_day import as_learnt
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Innovation
-from loopcal.statistics.replacing import Freedom, mounted
-from loopcal.statistics.tolerance import Quantile, kept
-from loopcal.statistics.verification import as_learnt, verify
+from loopcal.statistics.replacing import freed, mounted
+from loopcal.statistics.verdict import Quantile, kept
+from loopcal.statistics.verification import verify
 from tests.reference.machines import dh_arm
 from tests.reference.simulated import Simulated, ma1400, planar_arm
 from tests.reference.verdicts import finding_of
@@ -144,7 +145,7 @@ def test_readings_at_which_no_loop_has_a_value_are_no_trustworthy_result() -> No
 
 def test_nothing_is_placed_where_nothing_stands_apart() -> None:
     given = setup("six-axis relative distance")
-    assert Freedom.of(given.truth) == Freedom(())
+    assert freed(given.truth) == ()
     p = rates("six-axis relative distance")
     assert p.held.size == 0
 
@@ -203,7 +204,7 @@ def test_f_goes_over_into_chi_squared() -> None:
 
 
 def test_an_instrument_seen_in_the_base_itself_leaves_the_arm_where_it_is() -> None:
-    assert Freedom.of(dh_arm()).names[:1] == ("base_x",)
+    assert freed(dh_arm())[:1] == ("base_x",)
 
 
 def test_a_nominal_machine_that_cannot_be_placed_leaves_the_rest() -> None:
@@ -250,8 +251,8 @@ def test_parameters_that_are_known_exactly_are_no_obstacle() -> None:
 
 def test_what_was_remounted_and_what_is_named_anew_are_both_found() -> None:
     given = setup("six-axis spherical")
-    both = Freedom.of(given.truth, (*mounted(given.truth), "d_6"))
-    assert {"tool_x", "tool_y", "tool_z", "d_6", "T_x"} <= {*both.names}
+    both = freed(given.truth, (*mounted(given.truth), "d_6"))
+    assert {"tool_x", "tool_y", "tool_z", "d_6", "T_x"} <= {*both}
 
 
 def test_readings_of_their_own_sd_are_judged_by_the_sd_that_was_learnt():

@@ -12,7 +12,7 @@ import loopcal as lc
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.cli import main
-from loopcal.cli.reporting import run_report
+from loopcal.cli.output import run_report
 from loopcal.deployment.inverse import solve
 from loopcal.deployment.rigid import quaternion_of
 from loopcal.files.outputs import command

@@ -12,8 +12,7 @@ from loopcal.files.project.edits import with_shift, with_value, without_poses
 from loopcal.report.source import read_source
 from loopcal.statistics.continued import Ending
 from loopcal.workflow.calibration import Calibration, run_calibration
-from loopcal.workflow.projects import new_project
-from loopcal.workflow.refitting import run_refit
+from loopcal.workflow.projects import new_project, run_refit
 from loopcal.workflow.simulation import run_simulation
 
 pytest.importorskip("tomlkit", reason="tomlkit is absent; `pip install .[app]` installs it")

@@ -63,8 +63,7 @@ def _wrong(cells: Cells, decimal: str) -> Iterator[tuple[int, str]]:
 def _tables(project: Project) -> Iterator[tuple[Table, FileTable]]:
     """The files that can be read, and how the project reads them."""
     for spec in () if project.data is None else project.data.parts:
-        part = spec.sheet or spec.variable
         try:
-            yield read_table(project.folder / spec.file, part), spec
+            yield read_table(project.folder / spec.file, **spec.keywords), spec
         except LoopcalError:
             continue

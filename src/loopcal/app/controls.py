@@ -9,8 +9,9 @@ from typing import Any
 from nicegui import ui
 
 from loopcal.app import words
-from loopcal.app.action import Action
+from loopcal.app.guard import LARGEST
 from loopcal.app.view import View
+from loopcal.app.worker import Action
 
 Options = Sequence[str] | Mapping[str, str]
 
@@ -50,7 +51,7 @@ def text(view: View, name: str, label: str, first: str = "") -> Any:
 
 def written(box: Any, then: Callable[[str], Any]) -> Any:
     """Call with what a user wrote into a field, at Enter and where it is left (fields.js)."""
-    # The field's value on the server may be that of a late update (docs/decisions/0134).
+    # The field's value on the server may be that of a late update (docs/decisions/0117).
     return box.on("commit", lambda event: then(event.args), js_handler="(e) => emit(e.detail)")
 
 
@@ -127,3 +128,41 @@ def printed(view: View, command: str) -> None:
 
 def _kept(view: View, name: str) -> Callable[[Any], None]:
     return lambda event: view.keep(name, event.value)
+
+
+# Files handed in through the page: kept in the folder, never executed.
+
+FILES = "document.querySelector('#{box} input[type=file]')"
+
+
+def uploader(view: View, label: str, then: Callable[[str], Any] | None = None) -> None:
+    """A place to drop files, and a button to choose them; then: called with the name of each."""
+
+    async def taken(event: Any) -> None:
+        content = await event.file.read()
+
+        def take() -> None:
+            path = view.session.folder.take(event.file.name, content)
+            if then is not None:
+                then(path.name)
+
+        view.act(take)
+
+    def going(on: bool) -> None:
+        view.uploading = on
+        view.session.news.tell()
+
+    box = ui.upload(
+        label=label,
+        multiple=True,
+        auto_upload=True,
+        max_file_size=LARGEST,
+        on_upload=taken,
+        on_rejected=lambda: ui.notify(words.TOO_LARGE, type="negative"),
+    )
+    box.on("start", lambda: going(True)).on("finish", lambda: going(False))
+    box.classes("w-full").props("flat bordered")
+    button = ui.button(words.CHOOSE_FILES, icon="upload_file").props("outline")
+    button.props(f'aria-label="{label}: {words.CHOOSE_FILES}"')
+    # Every act has a way by keyboard (docs/decisions/0095).
+    button.on("click", js_handler=f"() => {FILES.format(box=box.html_id)}.click()")

@@ -4,89 +4,31 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
+import time
 from collections.abc import Callable
 from contextlib import aclosing
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from nicegui import background_tasks, run, ui
 
-from loopcal.app import words
-from loopcal.app.pages import BY_KEY, Step, stand
-from loopcal.app.place import Place
+from loopcal.app import steps, words
 from loopcal.app.session import Session
-from loopcal.app.shown_run import ShownRun
-from loopcal.app.view import Part, View, title
+from loopcal.app.steps import Light, State
+from loopcal.app.view import Part, Place, View, text_block, title
+from loopcal.app.views import check, data, deploy, diagnose, fit, history, plan, robot, validate
+from loopcal.app.worker import Run
 from loopcal.errors import LoopcalError
-from loopcal.presentation.wrapped import shortened
+from loopcal.presentation.shown import shortened
 
 SCRIPTS = {"/linked.js": "linked.js", "/fields.js": "fields.js"}
 """Programs of the page, by their addresses."""
 TIP = 'anchor="center right" self="center left"'
 PATIENCE = 0.3
 """Seconds before a page says that it waits for files."""
-STYLE = """
-:root { --good: #17693a; --care: #8a4b00; --bad: #b3261e; --none: #525964; }
-body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; --none: #a8b0bb; }
-.js-plotly-plot svg text { fill: var(--none) !important; }
-body .nicegui-code-copy { opacity: 1; inset: 0.15rem 0.25rem auto auto; }
-body.body--light a.nicegui-link { color: #0b5cad; }
-.good { color: var(--good) !important; } .care { color: var(--care) !important; }
-.bad { color: var(--bad) !important; } .none { color: var(--none) !important; }
-.printed { white-space: pre-wrap; font-family: ui-monospace, monospace; font-size: 0.8rem;
-           overflow-wrap: anywhere; }
-.beside { display: flex; flex-wrap: wrap; gap: 1rem; width: 100%; align-items: flex-start; }
-.figures { flex: 3 1 420px; min-width: 0; } .acts { flex: 1 1 320px; min-width: 0; }
-.diagnose { display: grid; gap: 0.75rem 1rem; width: 100%; align-items: start;
-  grid-template: "main parts" auto "rest parts" 1fr / minmax(0, 3fr) minmax(20rem, 1fr); }
-.main { grid-area: main; } .parts { grid-area: parts; } .rest { grid-area: rest; }
-.parts { display: grid; gap: 0 1.5rem;
-         grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); }
-.ends { display: grid; gap: 0.25rem 1rem; width: 100%;
-        grid-template-columns: repeat(auto-fit, minmax(13rem, 1fr)); }
-@media (max-width: 1199px) {
-  .diagnose { grid-template: "main" auto "parts" auto "rest" auto / minmax(0, 1fr); }
-}
-.columns { display: grid; gap: 0.5rem 1rem; width: 100%; align-items: center;
-           grid-template-columns: fit-content(40%) minmax(7rem, 1fr) 5rem; }
-.columns > * { min-width: 0; } .q-select .q-field__native > span { white-space: normal; }
-.q-btn-group { flex-wrap: wrap; max-width: 100%; overflow-wrap: break-word; }
-.q-btn-group > .q-btn { max-width: 100%; }
-.tiles .linked { content-visibility: auto; contain-intrinsic-size: auto 300px; }
-.tiles { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr));
-         gap: 0.5rem; width: 100%; }
-.file { display: inline-flex; align-items: center; gap: 0.4rem; min-height: 44px; }
-.blank { background: #b3261e22; font-style: italic; } .cells td:last-child { color: var(--bad); }
-.difference { border: 1px solid #8886; padding: 0.5rem; max-height: 420px; overflow: auto; }
-.difference .gone { color: var(--bad); } .difference .come { color: var(--good); }
-body .q-footer.run { color: inherit; max-height: 40vh; overflow: auto; padding: 0.4rem 1rem; }
-body.body--light .q-footer.run { background: #f3f5f8; color: #1f2328; }
-body.body--dark .q-footer.run { background: #24282e; color: #e6e6e6; }
-body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem; }
-.q-page { overflow-wrap: anywhere; } .q-checkbox { max-width: 100%; }
-.q-uploader__list { min-height: 1.5rem; padding: 4px 8px; }
-.linked :is(.selectionlayer, .outline-controllers) { display: none; }
-.linked .select-outline { pointer-events: none !important; }
-.linked .pane { position: absolute; z-index: 2; cursor: crosshair; touch-action: none; }
-.linked .pane div { position: absolute; border: 2px dashed #d55e00; background: #d55e0022; }
-.provisional { border-left: 4px solid var(--care); padding: 0.25rem 0.75rem; width: 100%; }
-.command { max-width: 100%; } .command pre { padding-right: 2.5rem; white-space: pre-wrap; }
-.q-table td { white-space: normal; overflow-wrap: break-word; }
-.q-table td:first-child { overflow-wrap: anywhere; }
-.step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
-.q-btn { min-height: 44px; text-transform: none; }
-.q-btn:focus-visible { outline: 3px solid #0072b2; outline-offset: 2px; }
-@media (prefers-reduced-motion: reduce) {
-  * { transition-duration: 0.01ms !important; animation-duration: 0.01ms !important;
-      animation-iteration-count: 1 !important; }
-}
-@layer theme { /* of important rules the first layer wins */
-  body.body--light .q-btn.step { color: #1f2328 !important; }
-  body.body--dark .q-btn.step { color: #e6e6e6 !important; }
-  body.body--dark .text-primary, body.body--dark a { color: #7db9ff !important; }
-  body.body--dark .q-table__bottom .q-btn { color: inherit !important; }
-  body.body--dark .text-negative { color: #ff9a90 !important; }
-}
-"""
+STYLE = Path(__file__).with_name("scripts") / "style.css"
 
 
 async def build(session: Session) -> None:
@@ -220,3 +162,188 @@ class _Light:
         self.icon.set_name(icon)
         self.icon.classes(replace=step.light)
         self.words.set_text(shortened(step.words))
+
+
+# The pages of the app in their order: a row for each step of the work.
+
+
+@dataclass(frozen=True)
+class Page:
+    """words: what is done there; light: how its step stands; show: draws it."""
+
+    label: str
+    words: str
+    light: Light
+    show: Callable[[View], None]
+
+    @property
+    def key(self) -> str:
+        """Its name in the code."""
+        return self.label.lower()
+
+
+PAGES = (
+    Page(
+        "Robot",
+        "Describe the robot: a URDF, a table of Denavit-Hartenberg parameters, or a type.",
+        steps.made("a robot"),
+        robot.show,
+    ),
+    Page(
+        "Data",
+        "Give the readings. loopcal recognises columns and units; correct what is wrong.",
+        steps.made("readings"),
+        data.show,
+    ),
+    Page(
+        "Plan",
+        "Choose which poses to measure. Skip this step if you have measured already.",
+        steps.ran("plan", "which poses to measure"),
+        plan.show,
+    ),
+    Page(
+        "Check",
+        "See what the readings can determine, before a fit.",
+        steps.checked,
+        check.show,
+    ),
+    Page(
+        "Fit",
+        "Calibrate, and read whether you can use the result.",
+        steps.fit,
+        fit.show,
+    ),
+    Page(
+        "Diagnose",
+        "Find what does not fit. Drag over points to select poses; all figures follow.",
+        steps.of_result(steps.diagnose),
+        diagnose.show,
+    ),
+    Page(
+        "Validate",
+        "See how good the calibration is where nothing was measured.",
+        steps.of_result(steps.validate),
+        validate.show,
+    ),
+    Page(
+        "Deploy",
+        "Take the result to the robot: files for its controller, and corrected programs.",
+        steps.of_result(steps.deploy),
+        deploy.show,
+    ),
+    Page(
+        "History",
+        "See what was done here, undo it, and follow the machine over the years.",
+        steps.of_result(steps.ran("history", "the machine over time")),
+        history.show,
+    ),
+)
+BY_KEY = {page.key: page for page in PAGES}
+
+
+@dataclass(frozen=True)
+class Step:
+    """How a step stands; light: of `LIGHTS`; words: why."""
+
+    key: str
+    label: str
+    light: str
+    words: str
+
+
+def stand(state: State) -> list[Step]:
+    """All steps in their order."""
+    return [Step(page.key, page.label, *page.light(state)) for page in PAGES]
+
+
+# The foot of a page: the run that goes on or the last one, with its progress and time left.
+
+SAID = 1_500
+"""Characters of what a failed run said that are shown at once; the end of it."""
+
+
+class ShownRun:
+    """The run that goes on, or the last one, at the foot of a page."""
+
+    def __init__(self, session: Session, foot: Any) -> None:
+        self.session, self.foot = session, foot
+        self.progress: Any = None
+        self.left: Any = None
+        place = Place(self.draw)
+        self.parts = [Part(self.state, place.refresh), Part(self.going, self.follow)]
+
+    def state(self) -> object:
+        """What is drawn anew: the run, and how it has ended."""
+        run = self.session.worker.run
+        return run, run and run.code, self.session.finished, self._unfinished()
+
+    def going(self) -> object:
+        """How far the run has come."""
+        run = self.session.worker.run
+        return run and run.progress
+
+    def _unfinished(self) -> str | None:
+        entry = None
+        if self.session.worker.run is None:
+            entry = self.session.folder.log().unfinished()
+        return None if entry is None else str(entry.record.get("command"))
+
+    def draw(self) -> None:
+        """Show the whole."""
+        run, unfinished = self.session.worker.run, self._unfinished()
+        self.foot.set_value(run is not None or unfinished is not None)
+        self.foot.props(f"data-finished={self.session.finished}")
+        self.progress = self.left = None
+        if unfinished is not None:
+            ui.label(words.UNFINISHED.format(command=unfinished)).classes("care")
+        if run is None:
+            return
+        with ui.row().classes("items-center w-full q-gutter-sm"):
+            ui.label(run.action.what).classes("text-subtitle2")
+            ui.code(run.action.command, language="text").classes("text-caption gt-sm command")
+            ui.space()
+            if run.code is None:
+                ui.spinner(size="sm")
+                self.progress, self.left = ui.label(run.progress or words.RUNNING), ui.label()
+                ui.button(words.CANCEL, on_click=self.session.worker.cancel).props("outline")
+            else:
+                _end(run)
+        if run.code not in (None, 0) and not run.cancelled:
+            text_block(run.text[max(run.text.rfind("loopcal: "), 0) :][-SAID:])
+
+    def follow(self) -> None:
+        """Show the progress alone."""
+        run = self.session.worker.run
+        if self.progress is not None and run is not None:
+            self.progress.set_text(run.progress or words.RUNNING)
+            seconds = seconds_left(run.progress, time.monotonic() - run.began)
+            self.left.set_text("" if seconds is None else words.LEFT.format(seconds=seconds))
+
+
+def _end(run: Run) -> None:
+    """How a run has ended, and what it printed."""
+    if run.cancelled:
+        ui.label(words.CANCELLED)
+    elif run.code is not None and run.code < 0:
+        ui.label(words.KILLED).classes("bad")
+    elif run.code == 0:
+        ui.label(words.DONE).classes("good")
+    else:
+        ended = words.ENDED.format(code=run.code)
+        ui.label(f"{ended}: {words.MEANING.get(run.code or 0, '')}").classes("bad")
+    if run.text:
+        with ui.dialog() as output, ui.card().classes("w-full").style("max-width: 70rem"):
+            text_block(run.text)
+            ui.button(words.CLOSE, on_click=output.close)
+        ui.button(words.OUTPUT, on_click=output.open).props("flat")
+
+
+def seconds_left(progress: str, passed: float) -> int | None:
+    """Seconds that a run still takes, from a line such as "20 of 90 fits"; None where unknown.
+
+    >>> seconds_left("30 of 90 fits", 10.0)
+    20
+    """
+    match = re.search(r"(\d+) of (\d+)", progress)
+    done, total = (int(part) for part in match.groups()) if match else (0, 0)
+    return round(passed * (total - done) / done) if 0 < done <= total else None

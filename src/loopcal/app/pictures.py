@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.figures.figure import axis, layout, names, numbers
-from loopcal.figures.thinning import thinned
+from loopcal.figures.figure import axis, layout, names, numbers, spots, thinned, upright
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.presentation.shown import factor, unit_shown
 from loopcal.report.drawn import pose_distances, seen_points
 from loopcal.report.source import Source
-from loopcal.statistics.shifted import ids_are_numbers
+from loopcal.statistics.changes import ids_are_numbers
 
 Array = NDArray[np.float64]
 MOST = 2_000
@@ -62,29 +61,27 @@ def machine_figure(
     if points is None or not np.isfinite(points).any():
         return None
     flat = points.shape[1] == 2
-    keys = "xy" if flat else "xyz"
-    trace = {
-        "type": "scatter" if flat else "scatter3d",
-        "mode": "lines+markers+text",
-        "line": {"color": REST, "width": 6},
-        "marker": {"size": 8 if flat else 5, "color": REST},
-        "text": names(skeleton_labels(mechanism)),
-        "textposition": "top center",
-        "hoverinfo": "text",
-        **_at(keys, points),
-    }
-    data: list[dict[str, Any]] = [trace]
+    data = [
+        spots(
+            "lines+markers+text",
+            points.T,
+            line={"color": REST, "width": 6},
+            marker={"size": 8 if flat else 5, "color": REST},
+            text=names(skeleton_labels(mechanism)),
+            textposition="top center",
+            hoverinfo="text",
+        )
+    ]
     if cloud is not None and len(cloud):
         marker = {"size": 5 if flat else 3, "color": CHOSEN, "opacity": 0.7}
         count = [f"pose {i}" for i in range(1, len(cloud) + 1)]
-        spots = {"type": trace["type"], "mode": "markers", "marker": marker, "text": count}
-        data.append({**spots, "hoverinfo": "text", **_at(keys, cloud)})
+        data.append(spots("markers", cloud.T, marker=marker, text=count, hoverinfo="text"))
     if flat:
         more: dict[str, Any] = {"xaxis": axis("x [m]"), "yaxis": axis("y [m]", scaleanchor="x")}
     else:
         data.append(_room(points))
         camera = {"eye": {"x": 2.0, "y": 2.0, "z": 1.1}}
-        more = {"scene": _space([f"{k} [m]" for k in keys], camera)}
+        more = {"scene": _space([f"{k} [m]" for k in "xyz"], camera)}
     return {
         "data": data,
         "layout": look(420, showlegend=False, uirevision="machine", **more),
@@ -98,16 +95,14 @@ def _room(points: Array) -> dict[str, Any]:
     # An arm in a plane has no extent across it, and the scene would be flat.
     half = 0.25 * (high - low).max()
     corners = 0.5 * (low + high) + half * np.array([[-1.0], [1.0]])
-    marker = {"size": 1, "opacity": 0.0}
-    trace = {"type": "scatter3d", "mode": "markers", "marker": marker, "hoverinfo": "skip"}
-    return {**trace, **_at("xyz", corners)}
+    return spots("markers", corners.T, marker={"size": 1, "opacity": 0.0}, hoverinfo="skip")
 
 
 def moved(mechanism: Mechanism, joints: Mapping[str, float]) -> dict[str, Any]:
     """What `restyle` makes of the machine's trace to move it to another pose."""
     points = skeleton(mechanism, joints)
     assert points is not None
-    return {k: [v] for k, v in _at("xyz"[: points.shape[1]], points).items()}
+    return {k: [numbers(v)] for k, v in zip("xyz", points.T, strict=False)}
 
 
 def end_points(mechanism: Mechanism, poses: Sequence[Mapping[str, float]]) -> Array | None:
@@ -181,20 +176,16 @@ class Errors:
 
     def over_poses(self, what: str = SIZE) -> dict[str, Any]:
         """The error over the poses in their order."""
-        trace = self._points("scatter", x=self.numbers[self.drawn], y=self.shown[what][self.drawn])
+        trace = self._points(self.numbers, self.shown[what])
         # Between the last pose ahead of a change and the first one behind it.
-        lines = [
-            {"type": "line", "x0": at - 0.5, "x1": at - 0.5, "yref": "paper", "y0": 0, "y1": 1}
-            | {"line": {"color": CHOSEN, "width": 1, "dash": "dash"}}
-            for at in self.steps
-        ]
+        lines = [upright(at - 0.5, CHOSEN, 1) for at in self.steps]
         return self._flat([trace], "pose, in the order of measurement", what, 300, shapes=lines)
 
     def over_joint(self, name: str, what: str = SIZE) -> dict[str, Any]:
         """The error over one joint."""
-        x, y = self.joint(name)[self.drawn], self.shown[what][self.drawn]
+        trace = self._points(self.joint(name), self.shown[what])
         title = f"{name} [{unit_shown(self._unit(name))}]"
-        return self._flat([self._points("scatter", x=x, y=y)], title, what, 220)
+        return self._flat([trace], title, what, 220)
 
     def joint(self, name: str) -> Array:
         """(N,) readings of a joint, in the unit shown."""
@@ -238,8 +229,7 @@ class Errors:
         at, solid = self._at, self.solid
         if at is None:
             return None
-        keys = dict(zip("xyz", at[:, self.drawn], strict=False))
-        trace = self._points("scatter3d" if solid else "scatter", **keys)
+        trace = self._points(*at)
         trace["marker"] |= {
             "color": numbers(self.size[self.drawn]),
             "colorscale": "Viridis",
@@ -249,7 +239,7 @@ class Errors:
         if not solid:
             trace["unselected"] = {"marker": {"opacity": 0.35}}
             trace.pop("selected")
-        titles = [f"{k} [m]" for k in keys]
+        titles = [f"{k} [m]" for k in "xyz"[: len(at)]]
         if solid:
             more: dict[str, Any] = {"scene": _space(titles)}
         else:
@@ -303,7 +293,8 @@ class Errors:
         drawn = look(height, showlegend=False, **_BRUSHED, **head, **more)
         return {"data": data, "layout": drawn, "config": _PLAIN}
 
-    def _points(self, kind: str, **at: NDArray[Any]) -> dict[str, Any]:
+    def _points(self, *at: NDArray[Any]) -> dict[str, Any]:
+        """The drawn poses at (N,) coordinates of all."""
         ids = [self.source.table.poses[i] for i in self.drawn]
         said = [
             f"pose {p}: {v:.3g} {self.unit}"
@@ -315,20 +306,15 @@ class Errors:
             "unselected": {"marker": {"color": DIM, "opacity": 1.0}},
             **({"selectedpoints": self._marked()} if self.selected else {}),
         }
-        return {
-            "type": kind,
-            "mode": "markers",
-            "marker": {"color": REST, "size": 6},
-            "customdata": self.drawn.tolist(),
-            "text": names(said),
-            "hoverinfo": "text",
-            **({} if kind == "scatter3d" else marks),
-            **{key: numbers(values) for key, values in at.items()},
-        }
-
-
-def _at(keys: str, points: Array) -> dict[str, list[Any]]:
-    return {k: numbers(points[:, i]) for i, k in enumerate(keys)}
+        return spots(
+            "markers",
+            np.array(at)[:, self.drawn],
+            marker={"color": REST, "size": 6},
+            customdata=self.drawn.tolist(),
+            text=names(said),
+            hoverinfo="text",
+            **({} if len(at) == 3 else marks),
+        )
 
 
 def _space(titles: Sequence[str], camera: Any = None) -> dict[str, Any]:

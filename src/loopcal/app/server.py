@@ -9,7 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from starlette.responses import FileResponse, PlainTextResponse, Response
+
 from loopcal.app.guard import Guard, Rules
+from loopcal.app.session import Session
 from loopcal.app.worker import Command
 from loopcal.errors import InputError
 
@@ -43,11 +46,9 @@ def serve(
             remedy="pip install loopcal[app]",
         ) from None
     from loopcal.app.frame import SCRIPTS, build
-    from loopcal.app.sending import sent, shown
     from loopcal.app.session import Session
-    from loopcal.files.paths import INSIDE
-    from loopcal.files.project.folder_lock import FolderLock
-    from loopcal.files.project.project_folder import existing_folder
+    from loopcal.files.outputs import INSIDE
+    from loopcal.files.project.project_folder import FolderLock, existing_folder
 
     path = existing_folder(folder)
     number = _port(host, port)
@@ -99,3 +100,37 @@ def _port(host: str, asked: int | None) -> int:
         code="invalid-value",
         remedy="name another --port, or an address of this machine",
     )
+
+
+# Files of the folder sent to the browser: to save, or as a page that may reach nothing.
+
+PAGES = ("report.html", "record.html", "plan.html", "machine.history.html")
+"""Names of pages that loopcal writes."""
+
+
+def sent(session: Session, name: str) -> Response:
+    """The file of this name, to be saved: shown, a page of somebody else would run with the
+    rights of this one."""
+    path = _path(session, name)
+    if isinstance(path, Response):
+        return path
+    return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+
+
+def shown(session: Session, name: str) -> Response:
+    """A page that loopcal wrote. It runs its own programs, whose hashes it names itself, in an
+    origin of its own."""
+    if name.rsplit("/", 1)[-1] not in PAGES:
+        return PlainTextResponse("there is no such page\n", status_code=404)
+    path = _path(session, name)
+    if isinstance(path, Response):
+        return path
+    policy = {"content-security-policy": "sandbox allow-scripts allow-downloads allow-modals"}
+    return FileResponse(path, media_type="text/html", headers=policy)
+
+
+def _path(session: Session, name: str) -> Path | Response:
+    try:
+        return session.folder.file(name)
+    except InputError as error:
+        return PlainTextResponse(f"{error}\n", status_code=404)

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from threading import Event, Lock, Thread
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from loopcal.app.action import Action
-from loopcal.app.news import News
-from loopcal.app.refits import Asked, Refits
+from loopcal.app.refits import Asked, News, Refits
 from loopcal.app.steps import State
-from loopcal.app.worker import Command, Run, Worker
+from loopcal.app.worker import Action, Command, Run, Worker
 from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files.machines.python_function import load_function
+from loopcal.files.programs.registry import BY_ENDING as PROGRAMS
 from loopcal.files.project.data_table import DataTable
 from loopcal.files.project.edits import with_changes, with_shift, with_value, without_poses
 from loopcal.files.project.project_data import LoadedData
@@ -28,9 +27,9 @@ from loopcal.files.project.project_folder import RESULT, ProjectFolder
 from loopcal.files.project.stream import load_sample
 from loopcal.measurements.dataset import Dataset
 from loopcal.report.source import Source, read_source
+from loopcal.statistics.changes import COLUMN, ids_are_numbers
 from loopcal.statistics.continued import Ending
-from loopcal.statistics.shifted import COLUMN, ids_are_numbers
-from loopcal.workflow.refitting import Refit
+from loopcal.workflow.projects import Refit
 
 LOOKS_EVERY = 0.4
 """Seconds between looks at the folder, for what other programs change."""
@@ -43,6 +42,31 @@ def checked(run: Run) -> Mapping[str, Any] | None:
     except ValueError:
         return None
     return answer
+
+
+Value = TypeVar("Value")
+
+
+class Cached(Generic[Value]):
+    """What was read of the folder, or why it could not be, for as long as nothing has changed."""
+
+    def __init__(self) -> None:
+        self.at: object = None
+        self.value: Value | None = None
+        self.objection = ""
+        self._lock = Lock()
+
+    def read(self, at: object, read: Callable[[], Value]) -> Value | None:
+        """The value; at: another one whenever it must be read anew. None: it cannot be read."""
+        with self._lock:  # one state gives one object, whichever thread reads it
+            if self.at != at:
+                self.value, self.objection = None, ""
+                try:
+                    self.value = read()
+                except LoopcalError as error:
+                    self.objection = str(error)
+                self.at = at
+        return self.value
 
 
 class Session:
@@ -60,7 +84,7 @@ class Session:
         with_loops: Collection[str] = (),
     ) -> None:
         self.with_loops = with_loops
-        self.folder = ProjectFolder(folder)
+        self.folder = ProjectFolder(folder, frozenset(PROGRAMS))
         self.function = None if function is None else _absolute(function)
         self._loops = None if function is None else load_function(function)
         self.news = News()
@@ -69,12 +93,12 @@ class Session:
         self.last: dict[str, Run] = {}  # of each command, since the server started
         self.finished = 0
         self._noted: Run | None = None
-        self._source: tuple[int, Source | None, str] | None = None
-        self._loaded: tuple[object, LoadedData | None, str] | None = None
+        self._source: Cached[Source | None] = Cached()
+        self._loaded: Cached[LoadedData] = Cached()
+        self._deployed: Cached[dict[str, bool]] = Cached()
+        self._project: Cached[Project | None] = Cached()
         self._shown: tuple[Source, Refit | None, Source] | None = None
-        self._reading, self._sourcing, self._changed = Lock(), Lock(), Event()
-        self._deployed: tuple[object, dict[str, bool]] = None, {}
-        self._read: tuple[str, Project | None, str] | None = None
+        self._reading, self._changed = Lock(), Event()
 
     @property
     def version(self) -> int:
@@ -198,38 +222,31 @@ class Session:
 
     def project(self) -> Project | None:
         """The project as it stands; None where there is none or it cannot be read."""
-        read = self._look()
-        return None if read is None else read[1]
-
-    def objection(self) -> str | None:
-        """Why the project cannot be read; None where it can, or is not there."""
-        read = self._look()
-        return None if read is None else read[2] or None
-
-    def _look(self) -> tuple[str, Project | None, str] | None:
-        read = self._read  # other threads may replace what was read
+        text: str | None = None
+        failed: LoopcalError | None = None
         try:
             text = self.folder.text()
         except LoopcalError as error:
-            return "", None, str(error)
-        if text is None:
-            read = None
-        elif read is None or read[0] != text:
-            try:
-                read = text, self.read(text), ""
-            except LoopcalError as error:
-                read = text, None, str(error)
-        self._read = read
-        return read
+            failed = error
+
+        def read() -> Project | None:
+            if failed is not None:
+                raise failed
+            return None if text is None else self.read(text)
+
+        return self._project.read((text, str(failed)), read)
+
+    def objection(self) -> str | None:
+        """Why the project cannot be read; None where it can, or is not there."""
+        self.project()
+        return self._project.objection or None
 
     @property
     def ready(self) -> bool:
         """Whether result and readings are known as they stand on the disk. Where they are not,
         `load` takes long for large files."""
-        result = None if self._source is None else self._source[0]
-        readings = None if self._loaded is None else self._loaded[0]
-        readings_current = self.project() is None or readings == self._readings_at()
-        return readings_current and result == self._result_at()
+        current = self.project() is None or self._loaded.at == self._readings_at()
+        return current and self._source.at == self._result_at()
 
     def load(self) -> None:
         """Read result and readings."""
@@ -240,25 +257,14 @@ class Session:
 
     def source(self) -> Source | None:
         """The result on the disk; None where there is none or it cannot be read."""
-        at, cached = self._result_at(), self._source
-        if at is None:
-            self._source = None
-            return None
-        if cached is None or cached[0] != at:
-            with self._sourcing:  # one result is one object, whichever thread reads it
-                cached = self._source
-                if cached is None or cached[0] != at:
-                    try:
-                        cached = at, read_source(self.folder.result / RESULT), ""
-                    except LoopcalError as error:
-                        cached = at, None, str(error)
-                    self._source = cached
-        return cached[1]
+        at = self._result_at()
+        path = self.folder.result / RESULT
+        return self._source.read(at, lambda: None if at is None else read_source(path))
 
     def unreadable(self) -> str:
         """Why the result on the disk cannot be read; empty where it can, or is not there."""
         self.source()
-        return "" if self._source is None else self._source[2]
+        return self._source.objection
 
     def _result_at(self) -> int | None:
         return self._times().get(f"{self.folder.result.name}/{RESULT}")
@@ -269,22 +275,19 @@ class Session:
     def deployed(self) -> dict[str, bool]:
         """Files for the robot and the record, and whether each is of the result as it stands."""
         now = tuple(self.folder.listed()), self.folder.noted_at()
-        if self._deployed[0] != now:
-            with suppress(InputError):  # a file that has gone since
-                self._deployed = now, self.folder.deployed()
-        return self._deployed[1]
+        return self._deployed.read(now, self.folder.deployed) or {}
 
     def state(self) -> State:
         """What the lights of the steps follow from."""
-        source = self.source()
+        source, project, objection = self.source(), self.project(), self.objection()
         runs = {
             str(e.record.get("command", "")).split(" ")[1]: e
             for e in self.folder.log().entries
             if e.kind == "ended" and " " in str(e.record.get("command", ""))
         }
         return State(
-            project=self._look() is not None,
-            objection=self.objection(),
+            project=project is not None or objection is not None,
+            objection=objection,
             document=None if source is None else source.document,
             stale=self.stale,
             deployed=self.deployed(),
@@ -318,13 +321,7 @@ class Session:
         project = self.project()
         if project is None:
             return None
-        key = self._readings_at()
-        if self._loaded is None or self._loaded[0] != key:
-            try:
-                self._loaded = key, load_sample(project), ""
-            except LoopcalError as error:
-                self._loaded = key, None, str(error)
-        return self._loaded[1]
+        return self._loaded.read(self._readings_at(), lambda: load_sample(project))
 
     def _readings_at(self) -> object:
         """Another value whenever the readings may have changed."""
@@ -335,7 +332,7 @@ class Session:
     def unread(self) -> str:
         """Why the readings cannot be read; empty where they can."""
         self.readings()
-        return "" if self._loaded is None else self._loaded[2]
+        return self._loaded.objection
 
     def changed(self, keys: list[str], value: object, reason: str) -> None:
         """Change one value of the project."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-from nicegui import run, ui
+from nicegui import background_tasks, run, ui
 
 from loopcal.app import words
 from loopcal.app.pictures import GRID
-from loopcal.app.place import Place
 from loopcal.app.session import Session
 from loopcal.errors import LoopcalError
 from loopcal.presentation.shown import with_unit
@@ -133,6 +133,11 @@ class View:
         """Begin a run of `loopcal LINE`."""
         return self.act(lambda: self.session.start(self.session.action(what, line)))
 
+    def files(self, ends: tuple[str, ...]) -> list[str]:
+        """Files of the folder itself that end so."""
+        names = (file.name for file in self.session.folder.listed())
+        return [name for name in names if "/" not in name and name.lower().endswith(ends)]
+
     def project_name(self) -> str:
         """Of the project file in the folder."""
         return self.session.folder.project.name
@@ -232,3 +237,41 @@ def figure(drawn: Any) -> Any:
 
 def _plain(text: str) -> str:
     return text.replace('"', "'").replace("<", "").replace(">", "")
+
+
+# Parts of a page that are drawn anew without losing what a user does meanwhile.
+
+LONGEST = 60.0
+"""Seconds that a browser may take to show a drawing."""
+
+
+class Place:
+    """A part of a page that can be drawn anew.
+
+    The browser shows a new drawing a while after it was made. Until then clicks and keys go to the
+    one before it, which therefore answers until the browser has shown the new one.
+    """
+
+    def __init__(self, draw: Callable[[], Any]) -> None:
+        self._draw = draw
+        self._box = ui.element("div").classes("contents")
+        with self._box:
+            draw()
+
+    def refresh(self) -> None:
+        """Draw it anew."""
+        if self._box.is_deleted:
+            return
+        before = [*self._box.descendants()]
+        # Cleared but not removed: elements that are removed answer no click (docs/decisions/0117).
+        self._box.default_slot.children.clear()
+        self._box.update()
+        background_tasks.create(self._forget(before))
+        with self._box:
+            self._draw()
+
+    async def _forget(self, before: list[Any]) -> None:
+        client = self._box.client
+        with suppress(TimeoutError):
+            await client.run_javascript("true", timeout=LONGEST)  # after all that was sent before
+        client.remove_elements([one for one in before if not one.is_deleted])

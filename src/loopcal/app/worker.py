@@ -11,6 +11,7 @@ import io
 import multiprocessing
 import multiprocessing.forkserver
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -22,7 +23,6 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, TextIO
 
-from loopcal.app.action import Action
 from loopcal.errors import LoopcalError
 from loopcal.execution.forked import waits_only
 from loopcal.expressions.choice import cores, engine_threads
@@ -35,7 +35,7 @@ LONGEST = 2_000_000
 """Characters of output that are kept."""
 PRELOADED = [
     *("numpy", "polars", "scipy.linalg", "loopcal.workflow.calibration"),
-    *("loopcal.workflow.refitting", "loopcal.files.project.project_schema"),
+    *("loopcal.workflow.projects", "loopcal.files.project.project_schema"),
     *("loopcal.files.machines.registry", "loopcal.report.page"),
 ]
 """What the warm process loads beside the command itself."""
@@ -222,3 +222,22 @@ def _ends_with(server: Connection) -> None:
     signal.raise_signal(signal.SIGTERM)
     time.sleep(_GRACE)
     os._exit(1)
+
+
+# An action of the app: a command line of loopcal in the project's folder.
+
+
+@dataclass(frozen=True)
+class Action:
+    """words: what follows `loopcal` on the command line; what: a few words for the user.
+
+    Whoever types `command` in the folder gets the same files.
+    """
+
+    what: str
+    words: tuple[str, ...]
+
+    @property
+    def command(self) -> str:
+        """As it is typed."""
+        return f"loopcal {shlex.join(self.words)}"

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from loopcal.cli.application import FunctionOption, app
+from loopcal.cli.application import FunctionOption, app, argument, flag, option
 from loopcal.cli.output import log
 from loopcal.cli.registry import with_loops
 
@@ -14,23 +14,18 @@ from loopcal.cli.registry import with_loops
 @app.command(name="app")
 def serve_app(
     context: typer.Context,
-    folder: Annotated[str, typer.Argument(metavar="[FOLDER]", help="Folder of the project.")] = ".",
+    folder: Annotated[str, argument("[FOLDER]", "Folder of the project.")] = ".",
     mechanism: FunctionOption = None,
     host: Annotated[
         str,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Serve other machines under this address; a token is then needed.",
-        ),
+        option("ADDRESS", "Serve other machines under this address; a token is then needed."),
     ] = "127.0.0.1",
     port: Annotated[
         int | None,
-        typer.Option(
-            metavar="N", min=1, max=65535, help="Listen at this port [default: a free one]."
-        ),
+        option("N", "Listen at this port [default: a free one].", min=1, max=65535),
     ] = None,
     no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Open no browser; print the address only.")
+        bool, flag("--no-browser", "Open no browser; print the address only.")
     ] = False,
 ) -> None:
     """Serve a page on a project folder: the whole work by looking and pointing.

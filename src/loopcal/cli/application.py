@@ -23,21 +23,33 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+
+def argument(metavar: str, words: str) -> Any:
+    """An argument of a command."""
+    return typer.Argument(metavar=metavar, help=words)
+
+
+def option(metavar: str, words: str, *names: str, **more: Any) -> Any:
+    """An option with a value; names: where that of the parameter does not serve; more: of typer."""
+    return typer.Option(*names, metavar=metavar, help=words, **more)
+
+
+def flag(name: str, words: str, **more: Any) -> Any:
+    """An option without a value."""
+    return typer.Option(name, help=words, **more)
+
+
 ProjectArgument = Annotated[
-    str, typer.Argument(metavar="PROJECT", help="Project file (TOML); - reads standard input.")
+    str, argument("PROJECT", "Project file (TOML); - reads standard input.")
 ]
-ResultArgument = Annotated[
-    str, typer.Argument(metavar="RESULT", help="Folder of a calibration, or its result.json.")
-]
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON document instead of text.")
-]
+ResultArgument = Annotated[str, argument("RESULT", "Folder of a calibration, or its result.json.")]
+JsonOption = Annotated[bool, flag("--json", "Print one JSON document instead of text.")]
 FunctionOption = Annotated[
     str | None,
-    typer.Option(
+    option(
+        "FILE.py:NAME",
+        "Use these loops f(x, p), or this Mechanism, for a project of type 'function'.",
         "--mechanism",
-        metavar="FILE.py:NAME",
-        help="Use these loops f(x, p), or this Mechanism, for a project of type 'function'.",
     ),
 ]
 
@@ -52,36 +64,50 @@ def _named(option: typer.CallbackParam, value: str | None) -> str | None:
     return value
 
 
+ReadingsArgument = Annotated[
+    str,
+    argument("FILE", "Readings of another day in the columns of the project, or another result."),
+]
+RemountedOption = Annotated[
+    bool,
+    flag("--remounted", "Estimate everything that is mounted on the machine anew."),
+]
+AnewOption = Annotated[
+    list[str] | None,
+    option(
+        "NAME",
+        "Estimate this instrument's target, target or parameter anew; repeatable [default: none].",
+    ),
+]
 HistoryOption = Annotated[
     str | None,
-    typer.Option(
+    option(
+        "FOLDER",
+        "Add what was found to this history of the machine [default: none].",
         "--history",
-        metavar="FOLDER",
         callback=_named,
-        help="Add what was found to this history of the machine [default: none].",
     ),
+]
+NoReportOption = Annotated[
+    bool, flag("--no-report", "Skip report.html and delete an existing one.")
 ]
 WorkersOption = Annotated[
     int | None,
-    typer.Option(
-        metavar="N",
-        min=1,
-        help="Compute folds, models, profiles or chunks on N threads [default: 1].",
-    ),
+    option("N", "Compute folds, models, profiles or chunks on N threads [default: 1].", min=1),
 ]
 ClusterOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Compute on a Dask cluster: tcp://HOST:PORT, or the scheduler's file [default: here].",
+    option(
+        "ADDRESS",
+        "Compute on a Dask cluster: tcp://HOST:PORT, or the scheduler's file [default: here].",
     ),
 ]
 PulsesOption = Annotated[
     str | None,
-    typer.Option(
+    option(
+        "N,N,...",
+        "Pulses per degree of each joint (of a slide per mm), for programs in pulses.",
         "--pulses-per-degree",
-        metavar="N,N,...",
-        help="Pulses per degree of each joint (of a slide per mm), for programs in pulses.",
     ),
 ]
 
@@ -99,10 +125,10 @@ def _forced(asked: bool) -> bool:
 
 ForceOption = Annotated[
     bool,
-    typer.Option(
+    flag(
         "--force",
+        "Replace files that loopcal did not write; each is kept as NAME.bak.",
         callback=_forced,
-        help="Replace files that loopcal did not write; each is kept as NAME.bak.",
     ),
 ]
 

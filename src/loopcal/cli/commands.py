@@ -5,24 +5,27 @@ from __future__ import annotations
 from shlex import quote
 from typing import Annotated
 
-import typer
-
 from loopcal.cli.application import (
     ClusterOption,
     ForceOption,
     FunctionOption,
     HistoryOption,
     JsonOption,
+    NoReportOption,
     ProjectArgument,
     ResultArgument,
     WorkersOption,
     app,
+    argument,
+    flag,
+    option,
     out_option,
 )
 from loopcal.cli.output import log, print_data, print_done, print_json, print_out
+from loopcal.cli.registry import cure_of, keeper
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError
 from loopcal.estimation.methods.registry import METHODS
-from loopcal.files.project.templates import TEMPLATES
+from loopcal.files.project.new_project import TEMPLATES
 
 
 @app.command()
@@ -30,16 +33,13 @@ def calibrate(
     project: ProjectArgument,
     method: Annotated[
         str | None,
-        typer.Option(
-            metavar="METHOD",
-            help=f"Fit by {', '.join(METHODS)} [default: the project's fit.method].",
-        ),
+        option("METHOD", f"Fit by {', '.join(METHODS)} [default: the project's fit.method]."),
     ] = None,
     truth: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Compare with the truth of a simulation: print every parameter's error, true "
+        option(
+            "FILE",
+            "Compare with the truth of a simulation: print every parameter's error, true "
             "minus estimate.",
         ),
     ] = None,
@@ -54,52 +54,46 @@ def calibrate(
     mechanism: FunctionOption = None,
     require_identifiable: Annotated[
         bool,
-        typer.Option(
-            "--require-identifiable", help="Exit with code 4 unless every parameter is determined."
-        ),
+        flag("--require-identifiable", "Exit with code 4 unless every parameter is determined."),
     ] = False,
     require: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="QUESTION",
-            help="Exit with code 4 unless the verdict answers this with yes: sound, valid, better, "
+        option(
+            "QUESTION",
+            "Exit with code 4 unless the verdict answers this with yes: sound, valid, better, "
             "tolerance; repeatable or comma separated [default: sound must not fail].",
         ),
     ] = None,
     folds: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
+        option(
+            "N",
+            "Validate by N-fold cross-validation [default: the project's fit.validation].",
             min=2,
-            help="Validate by N-fold cross-validation [default: the project's fit.validation].",
         ),
     ] = None,
     profile: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="GLOB",
-            help="Compute profile likelihood intervals of these parameters; "
-            "repeatable [default: none].",
+        option(
+            "GLOB",
+            "Compute profile likelihood intervals of these parameters; repeatable [default: none].",
         ),
     ] = None,
     compare: Annotated[
         bool,
-        typer.Option(
+        flag(
             "--compare",
-            help="Compare the project's [[compare.model]] on held-out poses and calibrate with "
+            "Compare the project's [[compare.model]] on held-out poses and calibrate with "
             "the recommended one.",
         ),
     ] = False,
-    no_report: Annotated[
-        bool, typer.Option("--no-report", help="Skip report.html and delete an existing one.")
-    ] = False,
+    no_report: NoReportOption = False,
     workers: WorkersOption = None,
     cluster: ClusterOption = None,
     machine_history: HistoryOption = None,
 ) -> None:
     """Fit; write result.json, residuals.csv, mechanism.toml and report.html; print a summary."""
-    from loopcal.cli.progress import Progress
-    from loopcal.cli.working import executor_of, try_cluster
+    from loopcal.cli.progress import Progress, executor_of, try_cluster
     from loopcal.workflow.calibration import Listeners, Request, run_calibration
 
     with Progress() as progress:
@@ -115,7 +109,7 @@ def calibrate(
                 profile=profile or (),
                 compare=compare,
                 report=not no_report,
-                history=machine_history,
+                keeper=keeper(machine_history),
             ),
             out=out,
             function=mechanism,
@@ -145,23 +139,22 @@ def check(
     from loopcal.workflow.checking import run_check
 
     done = run_check(project, function=mechanism)
+    cure, title = cure_of(done), done.project.title
     for warning in done.warnings:
         log(f"warning: {warning}")
     if as_json:
-        cured = None if done.cure is None else done.cure.document()
-        document = {"title": done.title, **done.check.document(), "cure": cured}
+        cured = None if cure is None else cure.document()
+        document = {"title": title, **done.check.document(), "cure": cured}
         print_json({**document, "warnings": [*done.warnings]})
     else:
-        more = "" if done.cure is None else f"\n\n{done.cure}"
-        print_out(f"{done.title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}")
+        more = "" if cure is None else f"\n\n{cure}"
+        print_out(f"{title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}")
 
 
 @app.command()
 def predict(
     result: ResultArgument,
-    file: Annotated[
-        str, typer.Argument(metavar="FILE", help="Readings in the columns of the project.")
-    ],
+    file: Annotated[str, argument("FILE", "Readings in the columns of the project.")],
     out: Annotated[
         str | None,
         out_option(
@@ -189,23 +182,21 @@ def predict(
 
 @app.command()
 def compare(
-    a: Annotated[
-        str, typer.Argument(metavar="A", help="Folder of a calibration, or its result.json.")
-    ],
-    b: Annotated[str, typer.Argument(metavar="B", help="Another calibration of the same machine.")],
+    a: Annotated[str, argument("A", "Folder of a calibration, or its result.json.")],
+    b: Annotated[str, argument("B", "Another calibration of the same machine.")],
     poses: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Compare at these readings, in the columns of A's project [default: the poses "
+        option(
+            "FILE",
+            "Compare at these readings, in the columns of A's project [default: the poses "
             "of both].",
         ),
     ] = None,
     same_frame: Annotated[
         bool,
-        typer.Option(
+        flag(
             "--same-frame",
-            help="Compare the instrument's placement too; it must not have moved between A and B.",
+            "Compare the instrument's placement too; it must not have moved between A and B.",
         ),
     ] = False,
     as_json: JsonOption = False,
@@ -227,9 +218,7 @@ def compare(
 def report(
     results: Annotated[
         list[str],
-        typer.Argument(
-            metavar="RESULT...", help="Folders of calibrations, or the result.json in them."
-        ),
+        argument("RESULT...", "Folders of calibrations, or the result.json in them."),
     ],
     out: Annotated[
         str | None,
@@ -240,7 +229,7 @@ def report(
     force: ForceOption = False,
 ) -> None:
     """Write one self-contained HTML page of one result, or of several side by side."""
-    from loopcal.cli.reporting import run_report
+    from loopcal.cli.output import run_report
 
     print_out(f"written to {run_report(results, out)}")
 
@@ -249,31 +238,27 @@ def report(
 def noise(
     files: Annotated[
         list[str],
-        typer.Argument(
-            metavar="FILE...", help="Repeated readings of one pose, one series per file."
-        ),
+        argument("FILE...", "Repeated readings of one pose, one series per file."),
     ],
     project: Annotated[
         str | None,
-        typer.Option(
-            metavar="PROJECT", help="Take columns, units and loops from this project file."
-        ),
+        option("PROJECT", "Take columns, units and loops from this project file."),
     ] = None,
     columns: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME=UNIT,...",
-            help="Read these columns: S=rad,L=rad,x=m [default: all columns of numbers].",
+        option(
+            "NAME=UNIT,...",
+            "Read these columns: S=rad,L=rad,x=m [default: all columns of numbers].",
         ),
     ] = None,
     pose: Annotated[
-        str | None, typer.Option(metavar="COLUMN", help="Skip this column of ids [default: none].")
+        str | None, option("COLUMN", "Skip this column of ids [default: none].")
     ] = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
     """Estimate sensor sds from repeated readings of one pose, separating drift from scatter."""
-    from loopcal.workflow.sensors import sensor_noise
+    from loopcal.workflow.simulation import sensor_noise
 
     done = sensor_noise(files, project=project, columns=columns, pose=pose, function=mechanism)
     print_done(done, as_json, text=done.text)
@@ -284,9 +269,7 @@ def simulate(
     project: ProjectArgument,
     out: Annotated[str, out_option("FILE", "Readings to write: .csv, .tsv or .parquet.")],
     force: ForceOption = False,
-    seed: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Seed of all random numbers [default: 0].")
-    ] = 0,
+    seed: Annotated[int, option("N", "Seed of all random numbers [default: 0].", min=0)] = 0,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
@@ -305,66 +288,12 @@ def simulate(
 
 
 @app.command()
-def study(
-    study: Annotated[
-        str, typer.Argument(metavar="STUDY", help="Study file (TOML); - reads standard input.")
-    ],
-    draws: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Draws per scenario [default: the study's]."),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Compute on N processes [default: one per core]."),
-    ] = None,
-    cluster: ClusterOption = None,
-    out: Annotated[
-        str | None,
-        out_option(
-            "DIR",
-            "Write the draws to this folder, and resume from those in it [default: "
-            "NAME-study beside NAME.toml].",
-        ),
-    ] = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    mechanism: FunctionOption = None,
-) -> None:
-    """Run a Monte Carlo study: errors of one or more methods over many draws per scenario."""
-    from loopcal.cli.progress import Counted
-    from loopcal.cli.working import executor_of, try_cluster
-    from loopcal.report.study_page import PAGE, write_study_page
-    from loopcal.studies.run import run_study
-
-    executor = executor_of(workers, cluster)
-    with Counted() as progress:
-        done = run_study(
-            study,
-            draws=draws,
-            executor=executor,
-            sharing=try_cluster,
-            out=out,
-            function=mechanism,
-            progress=progress,
-        )
-    write_study_page(done)
-    where = f"written to {done.folder}: draws.parquet, summary.json, summary.txt, {PAGE}"
-    print_done(done, as_json, text=done.text, where=where)
-
-
-@app.command()
 def new(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help="Folder of the project, NAME/project.toml.")
-    ],
-    mechanism: Annotated[
-        str | None, typer.Option(metavar="TYPE", help=f"One of {', '.join(TEMPLATES)}.")
-    ] = None,
+    name: Annotated[str, argument("NAME", "Folder of the project, NAME/project.toml.")],
+    mechanism: Annotated[str | None, option("TYPE", f"One of {', '.join(TEMPLATES)}.")] = None,
     performance: Annotated[
         bool,
-        typer.Option(
-            "--performance", help="Write a table to fill in for `loopcal performance` instead."
-        ),
+        flag("--performance", "Write a table to fill in for `loopcal performance` instead."),
     ] = False,
 ) -> None:
     """Write a commented project to start from, or a table for measurements of pose performance."""
@@ -393,51 +322,42 @@ def new(
 def init(
     files: Annotated[
         list[str],
-        typer.Argument(
-            metavar="FILE...", help="Readings, joined by pose ids or else by row order."
-        ),
+        argument("FILE...", "Readings, joined by pose ids or else by row order."),
     ],
-    urdf: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Take the robot from this URDF.")
-    ] = None,
+    urdf: Annotated[str | None, option("FILE", "Take the robot from this URDF.")] = None,
     dh: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Take the robot from this table of Denavit-Hartenberg parameters (a, d, alpha, "
-            "theta).",
+        option(
+            "FILE",
+            "Take the robot from this table of Denavit-Hartenberg parameters (a, d, alpha, theta).",
         ),
     ] = None,
     machine: Annotated[
         str | None,
-        typer.Option(metavar="TYPE", help="Take a type with nominal values (motoman-ma1400)."),
+        option("TYPE", "Take a type with nominal values (motoman-ma1400)."),
     ] = None,
     base: Annotated[
         str | None,
-        typer.Option(metavar="LINK", help="Link that does not move [default: the one that fits]."),
+        option("LINK", "Link that does not move [default: the one that fits]."),
     ] = None,
     tip: Annotated[
         str | None,
-        typer.Option(
-            metavar="LINK", help="Link that carries the target [default: the one that fits]."
-        ),
+        option("LINK", "Link that carries the target [default: the one that fits]."),
     ] = None,
     out: Annotated[str, out_option("DIR", "Write the project to this folder.")] = "calibration",
     force: ForceOption = False,
     sheet: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Sheet of a workbook, variable of a MATLAB file or measuring topic of a ROS bag "
+        option(
+            "NAME",
+            "Sheet of a workbook, variable of a MATLAB file or measuring topic of a ROS bag "
             "[default: the sheet with by far the most numbers].",
         ),
     ] = None,
-    run: Annotated[
-        bool, typer.Option("--run", help="Calibrate at once and open the report.")
-    ] = False,
+    run: Annotated[bool, flag("--run", "Calibrate at once and open the report.")] = False,
 ) -> None:
     """Recognise readings and a robot; write a finished project."""
-    from loopcal.cli.asking import ask_on_terminal, open_page
+    from loopcal.cli.output import ask_on_terminal, open_page
     from loopcal.workflow.beginning.initial import RobotFile, initial_project
 
     robot = RobotFile(urdf, dh, machine, base, tip)
@@ -456,7 +376,7 @@ def init(
 
 @app.command()
 def schema(
-    name: Annotated[str, typer.Argument(metavar="project|result", help="Which file.")],
+    name: Annotated[str, argument("project|result", "Which file.")],
 ) -> None:
     """Print the JSON Schema of project files, or of result.json."""
     from loopcal.workflow import projects

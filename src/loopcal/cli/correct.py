@@ -13,7 +13,9 @@ from loopcal.cli.application import (
     PulsesOption,
     ResultArgument,
     app,
+    argument,
     numbers_of,
+    option,
     out_option,
 )
 from loopcal.cli.output import print_done
@@ -23,62 +25,57 @@ from loopcal.errors import UsageError
 @app.command()
 def correct(
     result: ResultArgument,
-    targets: Annotated[
-        str, typer.Argument(metavar="TARGETS", help="Table of targets or robot program.")
-    ],
+    targets: Annotated[str, argument("TARGETS", "Table of targets or robot program.")],
     out: Annotated[
         str | None, out_option("FILE", "Corrected file [default: NAME-corrected].")
     ] = None,
     force: ForceOption = False,
     tool: Annotated[
         str,
-        typer.Option(
-            metavar="TOOL",
-            help="Tool of the program: 'calibrated', 'nominal', or x,y,z[,rz,ry,rx] on the last "
+        option(
+            "TOOL",
+            "Tool of the program: 'calibrated', 'nominal', or x,y,z[,rz,ry,rx] on the last "
             "link in mm and degrees.",
         ),
     ] = "calibrated",
     controller: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Model of the controller: mechanism file or DH table [default: the drawing].",
+        option(
+            "FILE", "Model of the controller: mechanism file or DH table [default: the drawing]."
         ),
     ] = None,
     frame: Annotated[
         str | None,
-        typer.Option(
-            metavar="X,Y,Z,RZ,RY,RX",
-            help="Frame of Cartesian targets in the base, in mm and degrees [default: the base].",
+        option(
+            "X,Y,Z,RZ,RY,RX",
+            "Frame of Cartesian targets in the base, in mm and degrees [default: the base].",
         ),
     ] = None,
     most_turn: Annotated[
         float,
-        typer.Option(metavar="DEG", min=0.0, help="Largest change of a turning joint in degrees."),
+        option("DEG", "Largest change of a turning joint in degrees.", min=0.0),
     ] = 5.0,
-    most_slide: Annotated[
-        float, typer.Option(metavar="MM", min=0.0, help="Largest change of a slide in mm.")
-    ] = 50.0,
+    most_slide: Annotated[float, option("MM", "Largest change of a slide in mm.", min=0.0)] = 50.0,
     least_gain: Annotated[
         float,
-        typer.Option(
-            metavar="VALUE",
+        option(
+            "VALUE",
+            "Smallest singular value of the Jacobian (m and rad) that is not singular.",
             min=0.0,
-            help="Smallest singular value of the Jacobian (m and rad) that is not singular.",
         ),
     ] = 0.005,
     line: Annotated[
         float | None,
-        typer.Option(
-            metavar="MM",
+        option(
+            "MM",
+            "Insert targets until straight moves are off by less [default: none inserted].",
             min=0.0,
-            help="Insert targets until straight moves are off by less [default: none inserted].",
         ),
     ] = None,
     pulses_per_degree: PulsesOption = None,
     at: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="Constant of the result, such as a temperature."),
+        option("NAME=VALUE", "Constant of the result, such as a temperature."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -96,7 +93,10 @@ def correct(
         controller=controller,
         frame=None if frame is None else _numbers(frame, "--frame"),
         bounds=CorrectionBounds(
-            math.radians(most_turn), 1e-3 * most_slide, least_gain, _metres(line)
+            math.radians(most_turn),
+            1e-3 * most_slide,
+            least_gain,
+            None if line is None else 1e-3 * line,
         ),
         at=_constants(at or []),
         pulses=numbers_of(pulses_per_degree, "--pulses-per-degree"),
@@ -106,10 +106,6 @@ def correct(
     if not done.corrected.done.all():
         # The file is written, so the exit code alone shows that targets were refused.
         raise typer.Exit(4)
-
-
-def _metres(value: float | None) -> float | None:
-    return None if value is None else 1e-3 * value
 
 
 def _numbers(text: str, option: str) -> list[float]:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
 from loopcal.cli.application import (
     ForceOption,
     FunctionOption,
     JsonOption,
     ResultArgument,
     app,
+    option,
     out_option,
 )
 from loopcal.cli.output import print_done
@@ -25,10 +24,7 @@ def export(
     result: ResultArgument,
     to: Annotated[
         str,
-        typer.Option(
-            metavar="FORMAT",
-            help=f"Write this format: {', '.join(EXPORTS)}.",
-        ),
+        option("FORMAT", f"Write this format: {', '.join(EXPORTS)}."),
     ],
     out: Annotated[
         str | None, out_option("FOLDER", "Folder for the files [default: RESULT/export].")
@@ -36,33 +32,32 @@ def export(
     force: ForceOption = False,
     source: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Your own file: the URDF to patch (urdf), or the controller's calibration.conf "
+        option(
+            "FILE",
+            "Your own file: the URDF to patch (urdf), or the controller's calibration.conf "
             "(ur) [default: none].",
         ),
     ] = None,
     offsets: Annotated[
         str,
-        typer.Option(
-            metavar="PLACE",
-            help="Put zero offsets of joints into the origins (origin) or into offsets.csv (file).",
+        option(
+            "PLACE",
+            "Put zero offsets of joints into the origins (origin) or into offsets.csv (file).",
         ),
     ] = "origin",
     vendor: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help=f"Write orientations in the convention of {', '.join(filter(None, ORIENTATIONS))} "
+        option(
+            "NAME",
+            f"Write orientations in the convention of {', '.join(filter(None, ORIENTATIONS))} "
             f"[default: {ORIENTATIONS[''].label}].",
         ),
     ] = None,
     counts: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="JOINT=N",
-            help="Encoder counts per degree (of a slide per mm) of a joint; repeatable [default: "
-            "none].",
+        option(
+            "JOINT=N",
+            "Encoder counts per degree (of a slide per mm) of a joint; repeatable [default: none].",
         ),
     ] = None,
     as_json: JsonOption = False,

@@ -1,86 +1,27 @@
-"""The commands of a machine's life: verify, update, history, fleet."""
+"""The commands of a machine's life: update, history, fleet."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
 from loopcal.cli.application import (
+    AnewOption,
     ForceOption,
     FunctionOption,
     HistoryOption,
     JsonOption,
+    NoReportOption,
+    ReadingsArgument,
+    RemountedOption,
     ResultArgument,
     app,
+    argument,
+    flag,
+    option,
     out_option,
 )
 from loopcal.cli.output import log, print_done
 from loopcal.errors import NoTrustworthyResult
-
-ReadingsArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="FILE",
-        help="Readings of another day in the columns of the project, or another result.",
-    ),
-]
-RemountedOption = Annotated[
-    bool,
-    typer.Option("--remounted", help="Estimate everything that is mounted on the machine anew."),
-]
-AnewOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="NAME",
-        help="Estimate this instrument's target, target or parameter anew; repeatable "
-        "[default: none].",
-    ),
-]
-
-
-@app.command()
-def verify(
-    result: ResultArgument,
-    file: ReadingsArgument,
-    remounted: RemountedOption = False,
-    anew: AnewOption = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            metavar="MM",
-            help="Require that 95 % of poses lie within this distance [default: none].",
-        ),
-    ] = None,
-    out: Annotated[
-        str | None, out_option("FILE", "Write a page with figures to this file [default: none].")
-    ] = None,
-    force: ForceOption = False,
-    machine_history: HistoryOption = None,
-    as_json: JsonOption = False,
-    mechanism: FunctionOption = None,
-) -> None:
-    """Verify a calibration with readings of another day, the instrument placed anew."""
-    from loopcal.workflow.verifying import run_verification
-
-    done = run_verification(
-        result,
-        file,
-        remounted=remounted,
-        anew=anew or (),
-        tolerance=None if tolerance is None else 1e-3 * tolerance,
-        out=out,
-        history=machine_history,
-        function=mechanism,
-    )
-    print_done(done, as_json)
-    if out is not None:
-        log(f"written to {out}")
-    if done.failed:
-        reasons = " ".join(answer.words for answer in done.failed)
-        raise NoTrustworthyResult(
-            reasons, code="not-verified", remedy=" ".join(a.next for a in done.failed if a.next)
-        )
 
 
 @app.command()
@@ -93,21 +34,19 @@ def update(
     force: ForceOption = False,
     drift: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="ROLE=SD",
-            help="Allow this drift since: length=0.01mm, zero=20urad, mounting, scale, effect or "
+        option(
+            "ROLE=SD",
+            "Allow this drift since: length=0.01mm, zero=20urad, mounting, scale, effect or "
             "a parameter; repeatable [default: the rates of --history, else none].",
         ),
     ] = None,
     same_place: Annotated[
         bool,
-        typer.Option("--same-place", help="Keep the placement: the instrument was not moved."),
+        flag("--same-place", "Keep the placement: the instrument was not moved."),
     ] = False,
     remounted: RemountedOption = False,
     anew: AnewOption = None,
-    no_report: Annotated[
-        bool, typer.Option("--no-report", help="Skip report.html and delete an existing one.")
-    ] = False,
+    no_report: NoReportOption = False,
     machine_history: HistoryOption = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
@@ -135,16 +74,14 @@ def update(
 
 @app.command()
 def history(
-    folder: Annotated[
-        str, typer.Argument(metavar="FOLDER", help="Folder of the history.")
-    ] = "machine.history",
+    folder: Annotated[str, argument("FOLDER", "Folder of the history.")] = "machine.history",
     add: Annotated[
         list[str] | None,
-        typer.Option(metavar="RESULT", help="Add this calibration; repeatable [default: none]."),
+        option("RESULT", "Add this calibration; repeatable [default: none]."),
     ] = None,
     event: Annotated[
         list[str] | None,
-        typer.Option(metavar="TEXT", help="Add this event; repeatable [default: none]."),
+        option("TEXT", "Add this event; repeatable [default: none]."),
     ] = None,
     out: Annotated[
         str | None, out_option("FILE", "Write the page to this file [default: FOLDER.html].")
@@ -163,9 +100,7 @@ def history(
 def fleet(
     results: Annotated[
         list[str],
-        typer.Argument(
-            metavar="RESULT...", help="Folders of calibrations, one of each machine, at least 3."
-        ),
+        argument("RESULT...", "Folders of calibrations, one of each machine, at least 3."),
     ],
     out: Annotated[
         str,
@@ -174,9 +109,7 @@ def fleet(
         ),
     ] = "fleet.toml",
     force: ForceOption = False,
-    no_report: Annotated[
-        bool, typer.Option("--no-report", help="Skip the page beside it, fleet.html.")
-    ] = False,
+    no_report: Annotated[bool, flag("--no-report", "Skip the page beside it, fleet.html.")] = False,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:

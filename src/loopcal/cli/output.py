@@ -11,10 +11,17 @@ import json
 import os
 import re
 import sys
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, TextIO
 
-from loopcal.errors import LONGEST_TEXT, Unfinished, short
+from loopcal.errors import LONGEST_TEXT, InputError, Unfinished, UsageError, short
+from loopcal.files.atomic import write_atomic
+from loopcal.files.result.deployed import result_path
+from loopcal.report.page import report_html
+from loopcal.report.source import read_source
+from loopcal.workflow.report_sections import sections
 
 _STEERING = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f"
@@ -137,3 +144,60 @@ def open_streams() -> None:
                 os.close(handle)
             mode = "r" if number == 0 else "w"
             setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
+
+
+# Questions on a terminal, and the page at the end; neither where no person looks.
+
+
+def _watched() -> bool:
+    # Questions go to stderr, since stdout may lead into a file.
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def ask_on_terminal() -> Callable[[str, Sequence[str]], int] | None:
+    """A function that asks which answer is right; None without a terminal."""
+    return _ask if _watched() else None
+
+
+def _ask(question: str, answers: Sequence[str]) -> int:
+    print_error(question)
+    for number, answer in enumerate(answers, 1):
+        print_error(f"  {number}  {answer}")
+    while True:
+        print_error(f"Number from 1 to {len(answers)}:")
+        line = sys.stdin.readline().strip()
+        # A terminal that was closed gives empty lines without end.
+        if not line:
+            raise InputError(
+                "no answer was given", code="unknown-unit", remedy="state the units in the headers"
+            )
+        if line.isdecimal() and 1 <= int(line) <= len(answers):
+            return int(line) - 1
+
+
+def open_page(path: Path) -> None:
+    """Open a page in the browser where a person looks."""
+    if _watched() and path.exists():
+        import webbrowser
+
+        webbrowser.open(path.resolve().as_uri())
+
+
+# Reports of results on the disk.
+
+
+def run_report(results: Sequence[str | Path], out: str | Path | None) -> Path:
+    """Write the report of results that `loopcal calibrate` wrote, several side by side.
+
+    out: the file, by default report.html in the folder of the only result. Raises InputError for
+    what cannot be read or written, UsageError for several results and no `out`.
+    """
+    if out is None and len(results) > 1:
+        raise UsageError(
+            "several results are given, but no file for their report",
+            remedy="name it: --out report.html",
+        )
+    page = report_html([read_source(path) for path in results], sections)
+    path = Path(out) if out is not None else result_path(results[0]).with_name("report.html")
+    write_atomic(path, page)
+    return path

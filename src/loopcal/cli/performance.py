@@ -4,79 +4,60 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
-from loopcal.cli.application import (
-    ForceOption,
-    JsonOption,
-    app,
-    out_option,
-)
+from loopcal.cli.application import ForceOption, JsonOption, app, argument, option, out_option
 from loopcal.cli.output import print_done
 
 
 @app.command()
 def performance(
-    file: Annotated[
-        str, typer.Argument(metavar="FILE", help="Table with a row per measured pose.")
-    ],
+    file: Annotated[str, argument("FILE", "Table with a row per measured pose.")],
     commanded: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Take the commanded poses from this table [default: columns of FILE].",
-        ),
+        option("FILE", "Take the commanded poses from this table [default: columns of FILE]."),
     ] = None,
     units: Annotated[
         str | None,
-        typer.Option(
-            metavar="UNITS",
-            help="Units of columns whose header states none, say mm,deg [default: ask on a "
+        option(
+            "UNITS",
+            "Units of columns whose header states none, say mm,deg [default: ask on a "
             "terminal, refuse elsewhere].",
         ),
     ] = None,
     angles: Annotated[
         str | None,
-        typer.Option(
-            metavar="rpy|zyx|rotvec",
-            help="Meaning of columns a, b, c or rx, ry, rz [default: ask on a terminal, refuse "
+        option(
+            "rpy|zyx|rotvec",
+            "Meaning of columns a, b, c or rx, ry, rz [default: ask on a terminal, refuse "
             "elsewhere].",
         ),
     ] = None,
     instrument_sd: Annotated[
         str | None,
-        typer.Option(
-            metavar="SD",
-            help='Sd of one reading, "5 um" or "5 um, 20 urad" [default: not stated].',
-        ),
+        option("SD", 'Sd of one reading, "5 um" or "5 um, 20 urad" [default: not stated].'),
     ] = None,
     frame_sd: Annotated[
         str | None,
-        typer.Option(
-            metavar="SD",
-            help='Sd of the base frame, shift and turn, "20 um, 30 urad" [default: not stated].',
+        option(
+            "SD", 'Sd of the base frame, shift and turn, "20 um, 30 urad" [default: not stated].'
         ),
     ] = None,
     tracker: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME|FIGURES",
-            help='Tracker by name, or its maker\'s figures "10 um + 0.3 um/m, 15 um + 6 um/m" '
+        option(
+            "NAME|FIGURES",
+            'Tracker by name, or its maker\'s figures "10 um + 0.3 um/m, 15 um + 6 um/m" '
             "[default: not stated].",
         ),
     ] = None,
     station: Annotated[
         str | None,
-        typer.Option(
-            metavar="X,Y,Z",
-            help='Where the tracker stands, "-2 m, 0.5 m, 1 m" [default: the origin].',
-        ),
+        option("X,Y,Z", 'Where the tracker stands, "-2 m, 0.5 m, 1 m" [default: the origin].'),
     ] = None,
     distance: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="POSE,POSE",
-            help="Compute AD and RD of this pair; repeatable [default: all pairs up to 5 poses].",
+        option(
+            "POSE,POSE",
+            "Compute AD and RD of this pair; repeatable [default: all pairs up to 5 poses].",
         ),
     ] = None,
     out: Annotated[
@@ -86,7 +67,7 @@ def performance(
     as_json: JsonOption = False,
 ) -> None:
     """Compute pose accuracy, repeatability and drift of a robot after ISO 9283, with intervals."""
-    from loopcal.cli.asking import ask_on_terminal
+    from loopcal.cli.output import ask_on_terminal
     from loopcal.files.tables.attained import read_attained
     from loopcal.pose_performance.instrument import Figures, MeasuringErrors, tracker_of
     from loopcal.workflow.performance import run_performance

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
 from loopcal.cli.application import (
     ForceOption,
     FunctionOption,
@@ -13,7 +11,9 @@ from loopcal.cli.application import (
     ProjectArgument,
     PulsesOption,
     app,
+    flag,
     numbers_of,
+    option,
     out_option,
 )
 from loopcal.cli.output import print_done
@@ -23,31 +23,29 @@ from loopcal.files.programs.registry import WRITTEN
 @app.command()
 def plan(
     project: ProjectArgument,
-    poses: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Choose so many poses [default: 30].")
-    ] = 30,
+    poses: Annotated[int, option("N", "Choose so many poses [default: 30].", min=1)] = 30,
     candidates: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Choose among these poses, in the columns of the project [default: random poses "
+        option(
+            "FILE",
+            "Choose among these poses, in the columns of the project [default: random poses "
             "within the joints' limits].",
         ),
     ] = None,
     criterion: Annotated[
         str | None,
-        typer.Option(
-            metavar="I|G|D|A",
-            help="Minimise the mean (I) or largest (G) variance of the end point, the determinant "
+        option(
+            "I|G|D|A",
+            "Minimise the mean (I) or largest (G) variance of the end point, the determinant "
             "(D) or trace (A) of the covariance of the parameters [default: I, without an end "
             "point D].",
         ),
     ] = None,
     existing: Annotated[
         str | None,
-        typer.Option(
-            metavar="RESULT|FILE",
-            help="Add to these poses: a result of a calibration, or readings [default: none].",
+        option(
+            "RESULT|FILE",
+            "Add to these poses: a result of a calibration, or readings [default: none].",
         ),
     ] = None,
     out: Annotated[
@@ -57,9 +55,9 @@ def plan(
     force: ForceOption = False,
     program: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the poses as a program too: "
+        option(
+            "FILE",
+            "Write the poses as a program too: "
             + ", ".join(f"{ending} ({one.kind})" for ending, one in WRITTEN.items())
             + " [default: none].",
         ),
@@ -68,7 +66,7 @@ def plan(
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
     no_report: Annotated[
-        bool, typer.Option("--no-report", help="Skip plan.html and delete an existing one.")
+        bool, flag("--no-report", "Skip plan.html and delete an existing one.")
     ] = False,
 ) -> None:
     """Choose the poses to measure; write plan.csv, plan.json and plan.html."""

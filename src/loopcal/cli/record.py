@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
-from loopcal.cli.application import (
-    ForceOption,
-    JsonOption,
-    app,
-    out_option,
-)
+from loopcal.cli.application import ForceOption, JsonOption, app, argument, flag, option, out_option
 from loopcal.cli.output import print_done
 from loopcal.errors import NoTrustworthyResult, UsageError
 
@@ -20,16 +13,12 @@ from loopcal.errors import NoTrustworthyResult, UsageError
 def record(
     result: Annotated[
         str,
-        typer.Argument(
-            metavar="RESULT",
-            help="Folder of a calibration; with --verify a record.html or record.xml.",
-        ),
+        argument("RESULT", "Folder of a calibration; with --verify a record.html or record.xml."),
     ],
     project: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Take [record] from this project file as it is now [default: that of RESULT].",
+        option(
+            "FILE", "Take [record] from this project file as it is now [default: that of RESULT]."
         ),
     ] = None,
     out: Annotated[
@@ -39,17 +28,15 @@ def record(
     force: ForceOption = False,
     dcc: Annotated[
         bool,
-        typer.Option("--dcc", help="Write also a digital calibration certificate, XML beside it."),
+        flag("--dcc", "Write also a digital calibration certificate, XML beside it."),
     ] = False,
     schema: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE", help="Write only what validates against this dcc.xsd; implies --dcc."
-        ),
+        option("FILE", "Write only what validates against this dcc.xsd; implies --dcc."),
     ] = None,
     verify: Annotated[
         bool,
-        typer.Option("--verify", help="Check whether a record and its files are unaltered."),
+        flag("--verify", "Check whether a record and its files are unaltered."),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -4,24 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from importlib import import_module
-from typing import get_type_hints
+from typing import TYPE_CHECKING, get_type_hints
 
 from typer.models import CommandInfo
 
 from loopcal.cli.application import FunctionOption, app
 
+if TYPE_CHECKING:
+    from loopcal.planning.cure import Cure
+    from loopcal.workflow.checking import Checked
+    from loopcal.workflow.keeping import Keeper
+
 COMMANDS = {
     **dict.fromkeys(("calibrate", "check", "predict", "compare", "report", "noise"), "commands"),
-    **dict.fromkeys(("simulate", "study", "new", "init", "schema"), "commands"),
+    "simulate": "commands",
+    "study": "studying",
+    **dict.fromkeys(("new", "init", "schema"), "commands"),
     "correct": "correct",
     "export": "export",
-    **dict.fromkeys(("verify", "update", "history", "fleet"), "life"),
+    "verify": "verification",
+    **dict.fromkeys(("update", "history", "fleet"), "life"),
     "performance": "performance",
     "plan": "planning",
     "record": "record",
     "app": "app",
 }
 """Command -> module of this folder, in the order of the help."""
+
+
+def keeper(folder: str | None) -> Keeper | None:
+    """What keeps a result in the history of this folder."""
+    if folder is None:
+        return None
+    from loopcal.workflow.history import HistoryKeeper
+
+    return HistoryKeeper(folder)
+
+
+def cure_of(checked: Checked) -> Cure | None:
+    """The poses that would raise a verdict that is not good; None where nothing is known."""
+    from loopcal.workflow import curing
+
+    return curing.cure_of(checked)
 
 
 def loaded(names: Iterable[str]) -> list[CommandInfo]:

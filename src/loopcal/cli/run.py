@@ -46,7 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     try:
         asked = sys.argv[1:] if arguments is None else list(arguments)
-        _refuse_bytes(asked)
+        if names := [one for one in asked if _is_bytes(one)]:
+            raise _no_text(names[0])
         application = _with_command(asked)
         # In standalone mode click would print errors and end the process by itself.
         code = application(asked, prog_name="loopcal", standalone_mode=False, obj=main) or 0
@@ -123,12 +124,6 @@ def _no_text(name: str) -> UsageError:
         f"the name {name[max(begin - 40, 0) : begin + 40]!r} is not UTF-8",
         remedy="rename the file or folder",
     )
-
-
-def _refuse_bytes(arguments: Sequence[str]) -> None:
-    for one in arguments:
-        if _is_bytes(one):
-            raise _no_text(one)
 
 
 def _with_command(arguments: Sequence[str]) -> typer.Typer:

@@ -1,32 +1,38 @@
-"""What a correction did, for people and for programs: changed, refused, not understood."""
+"""What a correction did, for people and for programs: changed, refused, not understood.
+
+Straight moves between corrected targets: how far the machine is off the line in between.
+
+The controller moves the tool on a straight line between two poses by its own model. So the machine
+meets the wanted line at its ends alone. In between, at a share s of the way,
+
+    error(s) = f(q(s)) less line(s),    f_c(q(s)) on the controller's line.
+
+Wanted poses in between, corrected and inserted, shorten the lines: the error falls with the square
+of their length.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.deployment.arms import Arms
-from loopcal.deployment.corrected import Corrected
-from loopcal.deployment.straight import StraightMove
+from loopcal.deployment.corrected import Corrected, shown
+from loopcal.deployment.inverse import solve
+from loopcal.deployment.rigid import between, moved
+from loopcal.document.plain import plain
+from loopcal.files.programs.program import Noted
 from loopcal.presentation.shown import with_unit
 
 Array = NDArray[np.float64]
 _SHOWN = 10
 _REPEATED = "Inserted targets repeat the speed and zone of their move: an exact stop stops at each."
-
-
-@dataclass(frozen=True)
-class Left:
-    """A line that was found but not understood, and is left as it is."""
-
-    line: int
-    words: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +49,7 @@ class Correction:
     file: str
     kind: str
     lines: tuple[int, ...]
-    left: tuple[Left, ...] = ()
+    left: tuple[Noted, ...] = ()
     remarks: tuple[str, ...] = ()
     content: bytes = field(default=b"", repr=False)
     written: str | None = None
@@ -88,12 +94,10 @@ class Correction:
             counts = Counter(refusal.reason for _, _, refusal in refused)
             several = ", ".join(f"{n} {reason}" for reason, n in counts.most_common())
             lines.append(f"REFUSED  {_stay(len(refused), 'target')}: {several}")
-            lines += [f"  line {n}, {t}: {r.words}" for t, n, r in refused[:_SHOWN]]
-            lines += _more(len(refused))
+            lines += _first([f"line {n}, {t}: {r.words}" for t, n, r in refused])
         if self.left:
             lines.append(f"NOT UNDERSTOOD  {_stay(len(self.left), 'line')}")
-            lines += [f"  line {one.line}: {one.words}" for one in self.left[:_SHOWN]]
-            lines += _more(len(self.left))
+            lines += _first([f"line {one.line}: {one.words}" for one in self.left])
         return "\n".join([*lines, *self.remarks])
 
     def _numbers(self) -> list[str]:
@@ -107,8 +111,8 @@ class Correction:
             f"error before: median {_m(np.median(before))}, largest {_m(before.max())}; "
             f"turned by up to {_deg(turned.max())}",
             f"error left: {_left(after, corrected.after[done, 3:])}",
-            f"U95 of the reached point: {_spread(self.u95[done])}",
-            f"U95 of the reached turn: {_turns(corrected.reached.radial(3)[done])}",
+            f"U95 of the reached point: {_spread(self.u95[done], _m, 'moves')}",
+            f"U95 of the reached turn: {_spread(corrected.reached.radial(3)[done], _deg, 'turns')}",
             f"largest change of a joint: {_joint(step, self.arms.joints)}",
         ]
         beyond = corrected.extrapolated & done
@@ -132,8 +136,7 @@ class Correction:
         kept = [move for move in self.moves if move.why]
         if kept:
             lines.append(f"NOT INSERTED  {_stay(len(kept), 'move')} above the bound")
-            lines += [f"  line {move.line}: {move.why}" for move in kept[:_SHOWN]]
-            lines += _more(len(kept))
+            lines += _first([f"line {move.line}: {move.why}" for move in kept])
         if new and self.kind != "table":
             lines.append(_REPEATED)
         return lines
@@ -151,22 +154,20 @@ class Correction:
                     "target": name,
                     "line": self.lines[i],
                     "corrected": accepted,
-                    "refused": None
-                    if refusal is None
-                    else {"reason": refusal.reason, "words": refusal.words},
+                    "refused": plain(refusal),
                     "joints_before": self._named(corrected.targets.joints[i]),
                     "joints": self._named(corrected.joints[i]) if accepted else None,
-                    "pose": _rows(corrected.poses[i]) if accepted else None,
-                    "error_before": _list(corrected.before[i]),
-                    "error_left": _list(corrected.after[i]) if accepted else None,
-                    "u95": _list(half[i]) if accepted else None,
-                    "u95_point": _plain(shift[i]) if accepted else None,
-                    "u95_turn": _plain(turn[i]) if accepted else None,
-                    "ratio": _plain(corrected.ratio[i]),
+                    "pose": corrected.poses[i] if accepted else None,
+                    "error_before": corrected.before[i],
+                    "error_left": corrected.after[i] if accepted else None,
+                    "u95": half[i] if accepted else None,
+                    "u95_point": float(shift[i]) if accepted else None,
+                    "u95_turn": float(turn[i]) if accepted else None,
+                    "ratio": float(corrected.ratio[i]),
                     "extrapolated": bool(corrected.extrapolated[i]),
                 }
             )
-        return {
+        document: dict[str, Any] = {
             "file": self.file,
             "format": self.kind,
             "written": self.written,
@@ -174,14 +175,14 @@ class Correction:
             "corrected": int(corrected.done.sum()),
             "refused": int((~corrected.done).sum()),
             "readings_included": corrected.reached.readings,
-            "not_understood": [{"line": one.line, "words": one.words} for one in self.left],
-            "remarks": list(self.remarks),
+            "not_understood": self.left,
+            "remarks": self.remarks,
             "straight_moves": [
                 {
                     "line": move.line,
                     "from": corrected.targets.names[move.begin],
                     "to": corrected.targets.names[move.end],
-                    "error": _plain(move.error),
+                    "error": move.error,
                     "inserted": [self._named(q) for q in move.inserted],
                     "not_inserted": move.why or None,
                 }
@@ -189,17 +190,20 @@ class Correction:
             ],
             "targets": targets,
         }
+        written: dict[str, Any] = plain(document)
+        return written
 
-    def _named(self, q: Array) -> Mapping[str, float | None]:
-        return {name: _plain(v) for name, v in zip(self.arms.joints, q.tolist(), strict=True)}
+    def _named(self, q: Array) -> dict[str, float]:
+        return dict(zip(self.arms.joints, q.tolist(), strict=True))
 
 
 def _stay(count: int, what: str) -> str:
     return f"1 {what} stays as it is" if count == 1 else f"{count} {what}s stay as they are"
 
 
-def _more(count: int) -> list[str]:
-    return [f"  and {count - _SHOWN} more; --json lists all"] if count > _SHOWN else []
+def _first(rows: list[str]) -> list[str]:
+    more = [f"and {len(rows) - _SHOWN} more; --json lists all"] if len(rows) > _SHOWN else []
+    return [f"  {row}" for row in [*rows[:_SHOWN], *more]]
 
 
 def _m(value: float) -> str:
@@ -207,7 +211,7 @@ def _m(value: float) -> str:
 
 
 def _deg(value: float) -> str:
-    return f"{math.degrees(value):.3f} deg"
+    return shown(value, "rad")
 
 
 def _left(shifts: Array, turns: Array) -> str:
@@ -217,16 +221,10 @@ def _left(shifts: Array, turns: Array) -> str:
     return f"up to {_m(shifts.max())}, turned by up to {_deg(turned)} (the arm has too few joints)"
 
 
-def _spread(values: Array) -> str:
+def _spread(values: Array, text: Callable[[float], str], moved: str) -> str:
     if not np.isfinite(values).all():
-        return "unknown: a combination of parameters that moves it is not determined"
-    return f"median {_m(np.median(values))}, largest {_m(values.max())}"
-
-
-def _turns(values: Array) -> str:
-    if not np.isfinite(values).all():
-        return "unknown: a combination of parameters that turns it is not determined"
-    return f"median {_deg(float(np.median(values)))}, largest {_deg(float(values.max()))}"
+        return f"unknown: a combination of parameters that {moved} it is not determined"
+    return f"median {text(float(np.median(values)))}, largest {text(float(values.max()))}"
 
 
 def _joint(step: Array, joints: Mapping[str, str]) -> str:
@@ -236,13 +234,83 @@ def _joint(step: Array, joints: Mapping[str, str]) -> str:
     return ", ".join(parts)
 
 
-def _plain(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+_AT = np.linspace(0.0, 1.0, 9)[1:]
+MOST = 63
+"""Targets that are inserted into one move, at most."""
+_MANY = f"more than {MOST} targets would be needed"
 
 
-def _list(values: Array) -> list[float | None]:
-    return [_plain(v) for v in values.tolist()]
+@dataclass(frozen=True, eq=False)
+class StraightMove:
+    """A straight move from one target to another (their indices), in a line of the program.
+
+    error: the largest distance [m] of the tool's point from the wanted one in between, inf where
+    the controller does not follow the line; inserted: (k, n) joints of targets in between; why:
+    none were inserted although the error is above the bound, empty elsewhere.
+    """
+
+    begin: int
+    end: int
+    line: int
+    error: float
+    inserted: Array
+    why: str = ""
 
 
-def _rows(T: Array) -> list[list[float | None]]:
-    return [_list(row) for row in T]
+def divided(
+    arms: Arms, move: StraightMove, joints: Array, wanted: Array, bound: float
+) -> StraightMove:
+    """A move between two targets, whose corrected joints are (2, n), wanted poses (2, 4, 4).
+
+    bound: targets are inserted, at equal shares, until the error is below it [m]. Where 63 do not
+    suffice, none are inserted.
+    """
+    if move.error <= bound:
+        return move
+    if not math.isfinite(move.error):
+        return replace(move, why="the controller does not follow the line")
+    if math.sqrt(move.error / max(bound, 1e-300)) > 2 * MOST:
+        return replace(move, why=_MANY)  # far more would be needed
+    pieces = 2
+    while pieces - 1 <= MOST:
+        q, T = _shares(arms, joints, wanted, pieces)
+        if not np.isfinite(q).all():
+            break
+        parts = line_errors(arms, *(np.stack([v[:-1], v[1:]], axis=1) for v in (q, T)))
+        if parts.max() <= bound:
+            return replace(move, error=float(parts.max()), inserted=q[1:-1])
+        pieces *= 2
+    return replace(move, why=_MANY)
+
+
+def _shares(arms: Arms, joints: Array, wanted: Array, pieces: int) -> tuple[Array, Array]:
+    """Corrected joints (pieces + 1, n), NaN where there are none, and wanted poses of them."""
+    way = between(wanted[:1], wanted[1:])
+    shares = np.linspace(0.0, 1.0, pieces + 1)
+    T = np.concatenate([moved(wanted[:1], way, float(s)) for s in shares])
+    q = [joints[0]]
+    for pose in T[1:-1]:
+        solved = solve(arms.machine, pose[None], q[-1][None])
+        q.append(solved.joints[0] if solved.settled[0] else np.full(joints.shape[1], np.nan))
+    return np.array([*q, joints[1]]), T
+
+
+def line_errors(arms: Arms, joints: Array, wanted: Array) -> Array:
+    """(M,) the largest distance [m] between the ends of each of M moves.
+
+    joints: (M, 2, n) corrected, at the ends; wanted: (M, 2, 4, 4) their poses.
+    """
+    M, _, n = joints.shape
+    ends = arms.controller(joints.reshape(-1, n)).reshape(-1, 2, 4, 4)
+    line, path = (between(T[:, 0], T[:, 1]) for T in (wanted, ends))
+    q, errors, on = joints[:, 0].copy(), np.zeros(M), np.arange(M)
+    for share in _AT.tolist():
+        solved = solve(arms.controller, moved(ends[on, 0], path[on], share), q[on])
+        q[on] = solved.joints
+        errors[on[~solved.settled]] = math.inf
+        on = on[solved.settled]
+        off = between(moved(wanted[on, 0], line[on], share), arms.machine(q[on]))
+        errors[on] = np.maximum(errors[on], np.linalg.norm(off[:, :3], axis=1))
+    elsewhere = np.abs(q - joints[:, 1]).max(axis=1) > 1e-3
+    errors[elsewhere] = math.inf  # the line ends in another configuration
+    return errors

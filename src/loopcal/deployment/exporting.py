@@ -14,26 +14,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.deployment.last_change import after_last_change
-from loopcal.deployment.refit import Goal, Refit, refit, separable
-from loopcal.deployment.seen_points import SeenPoint, seen_points, traced
+from loopcal.deployment.refit import Goal, Refit, SeenPoint, refit, seen_points, separable
 from loopcal.document.accuracy import Distances
 from loopcal.document.exported import Exported, ModelAccuracy, Placed, ZeroOffset
 from loopcal.document.result_document import ResultDocument
+from loopcal.estimation.accuracy import Accuracy
 from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.problem.constants import constants_by_pose, with_implied
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.files.machines.further_points import with_points
 from loopcal.measurements.dataset import Dataset
-from loopcal.mechanisms.calibrated_origins import calibrated_origins
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.origins import LinkJoint
-from loopcal.mechanisms.outputs import points
+from loopcal.mechanisms.origins import LinkJoint, calibrated_origins
+from loopcal.mechanisms.outputs import POLAR, cartesian_slopes
 from loopcal.mechanisms.parameters import BEYOND
-from loopcal.mechanisms.placement import rigid
+from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.rest import rest_chain
 from loopcal.mechanisms.serial import places_itself
-from loopcal.mechanisms.station import Station
+from loopcal.mechanisms.station import MOTIONS, Station
 from loopcal.mechanisms.structure.structured import EFFECT
 from loopcal.small_samples import t_quantile
 from loopcal.statistics.predictor import Predictor
@@ -181,10 +180,7 @@ class _Full:
         )
         good = np.isfinite(x).all(axis=0)
         x, constants = x[:, good], constants[:, good]
-        at = {q: x[names.index(q)] for q in joints}
-        goals = tuple(
-            Goal(s, at, s.measured({q: x[names.index(q)] for q in s.outputs})) for s in seen
-        )
+        goals = tuple(Goal.of(one, dict(zip(names, x, strict=True))) for one in seen)
         if not good.any():
             return None
         return cls(predictor, seen, goals, x, constants, poses, floating.parameters)
@@ -205,11 +201,11 @@ class _Full:
         parts = []
         for goal in self.goals:
             rows = [machine.outputs.index(q) for q in goal.seen.outputs]
-            at = self.x[
-                [self.predictor.mechanism.tape.quantities.index(q) for q in goal.seen.outputs]
-            ]
-            J = _cartesian_by_output(goal.seen, at)
-            parts.append((J @ S[:, rows]).reshape(-1, S.shape[2]))
+            part = S[:, rows]
+            if goal.seen.family.form in POLAR:
+                names = self.predictor.mechanism.tape.quantities
+                part = cartesian_slopes(self.x[[names.index(q) for q in goal.seen.outputs]]) @ part
+            parts.append(part.reshape(-1, S.shape[2]))
         return np.vstack(parts)
 
 
@@ -235,18 +231,6 @@ def _constants(machine: Mechanism, poses: Dataset | None, rng: np.random.Generat
         elif poses is not None and name in poses.readings:
             constants[i] = poses.readings[name][rng.integers(0, len(poses), _POSES)]
     return constants
-
-
-def _cartesian_by_output(seen: SeenPoint, at: Array) -> Array:
-    """(N, 3, 3) derivatives of x, y, z by the outputs that say where the point is."""
-    # Central differences: step^2 / 6 and the rounding 1e-16 / step, per metre, stay below 1e-9.
-    step = 1e-6
-    columns = [
-        (points(seen.family, at + step * e[:, None]) - points(seen.family, at - step * e[:, None]))
-        / (2.0 * step)
-        for e in np.eye(3)
-    ]
-    return np.stack(columns, axis=1).transpose(2, 0, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,18 +281,17 @@ def _accuracy(
     if full.predictor.mechanism.latest:  # the stated one is of the machine before its changes too
         nominal = None
     alone = Refit({**geometry, **full.standing}, {}, (), np.empty((0, 0)))
+
+    def reached(name: str, model: Refit, measured: Distances | None = None) -> ModelAccuracy:
+        away = _distances(model.distances(full.goals))
+        return ModelAccuracy(name, measured or _measured(full, model), away)
+
     return (
-        ModelAccuracy(
-            "nominal", nominal or _measured(full, zeros.nominal), _away(full, zeros.nominal)
-        ),
-        ModelAccuracy("zeros and tool", _measured(full, zeros.refit), _away(full, zeros.refit)),
-        ModelAccuracy("geometry", _measured(full, alone), _away(full, alone)),
+        reached("nominal", zeros.nominal, nominal),
+        reached("zeros and tool", zeros.refit),
+        reached("geometry", alone),
         ModelAccuracy("full", calibrated, None),
     )
-
-
-def _away(full: _Full, model: Refit) -> Distances | None:
-    return _distances(model.distances(full.goals))
 
 
 def _measured(full: _Full, model: Refit) -> Distances | None:
@@ -316,23 +299,14 @@ def _measured(full: _Full, model: Refit) -> Distances | None:
     if full.poses is None:
         return None
     readings = full.poses.readings
-    distances = []
-    for seen in full.seen:
-        if not all(q in readings for q in seen.outputs):
-            continue
-        joints = {s.joint: readings[s.joint] for s in seen.steps if s.joint}
-        moved = {q: v + model.offsets.get(q, 0.0) for q, v in joints.items()}
-        predicted = traced(seen.steps, seen.target, moved, model.values).points
-        distances.append(np.linalg.norm(predicted - seen.measured(readings), axis=1))
-    return _distances(np.concatenate(distances)) if distances else None
+    measured = [seen for seen in full.seen if all(q in readings for q in seen.outputs)]
+    goals = [Goal.of(seen, readings) for seen in measured]
+    return _distances(model.distances(goals)) if goals else None
 
 
-def _distances(d: Array) -> Distances | None:
-    d = d[np.isfinite(d)]
-    if not d.size:
-        return None
-    rms = float(np.sqrt(np.square(d).mean()))
-    return Distances(float(d.mean()), rms, float(np.quantile(d, 0.95)), float(d.max()), int(d.size))
+def _distances(distances: Array) -> Distances | None:
+    accuracy = Accuracy.of(distances, "m")
+    return None if accuracy is None else accuracy.distances
 
 
 def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tuple[Placed, ...]:
@@ -344,27 +318,21 @@ def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tu
         turns = [n for n, unit in units if unit == "rad"]
         if len(shift) == 3 and len(turns) in (0, 3):
             tool = mechanism.parameters[shift[0]].owner
-            steps = _frame_steps([*shift, *turns])
-            T = product(steps, {}, values)
+            named = zip(MOTIONS[3], [*shift, *turns], strict=False)
+            T = product([Step(motion, name) for motion, name in named], {}, values)
             placed.setdefault(tool, Placed(tool, "flange", T, bool(turns), model))
         stands = family.placement
         if isinstance(stands, Station) and stands.name is not None and len(stands.steps) == 6:
             T = product(stands.steps, {}, values)
             name = stands.name if stands.name != "base" else "instrument"
             placed.setdefault(f"base in {name}", Placed("base", name, T, True, model))
-            back = rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
-            placed.setdefault(f"{name} in base", Placed(name, "base", back, True, model))
+            placed.setdefault(f"{name} in base", Placed(name, "base", inverse(T), True, model))
     if places_itself(mechanism):
         ahead = Station("base:").steps if "base:_x" in values else ()
         first = rest_chain((*ahead, *mechanism.chain), values).along_z.joints[0]
         name = f"axis of {first.name} (z)"
         placed[name] = Placed(name, "instrument", first.before, True, model)
     return tuple(placed.values())
-
-
-def _frame_steps(names: Sequence[str]) -> list[Step]:
-    motions = ("tx", "ty", "tz", "rz", "ry", "rx")
-    return [Step(m, n) for m, n in zip(motions, names, strict=False)]
 
 
 def _omitted(mechanism: Mechanism, beyond: Mapping[str, float]) -> tuple[str, ...]:
@@ -378,3 +346,35 @@ def _omitted(mechanism: Mechanism, beyond: Mapping[str, float]) -> tuple[str, ..
             if any(n in beyond for n in term.parameters if n in effect_parameters):
                 omitted.append(term.name)
     return tuple(omitted)
+
+
+# Poses of a machine that changed along its run, as it would be read after the last change.
+
+
+def after_last_change(machine: Mechanism, poses: Dataset) -> Dataset:
+    """The poses with outputs y + f(q, now) - f(q, then): what the model says changed since then.
+
+    machine: a calibrated one; f: its outputs [SI] with the constants as after the last change, and
+    as they were. Poses stay as they are where the machine did not change or nothing dates them.
+    """
+    dated = [name for name in machine.latest if name in poses.readings]
+    if not dated:
+        return poses
+    data = with_implied(machine, poses)
+    # Only the difference counts, so what the model does not explain in a reading stays in it.
+    then = constants_by_pose(machine, data)
+    now = then.copy()
+    for name in dated:
+        now[machine.tape.pose_constants.index(name)] = machine.latest[name]
+    values = np.array([p.nominal for p in machine.parameters])
+    x = np.array([_read(machine, data, q) for q in machine.tape.quantities])
+    moved = predict_outputs(machine, values, x, now) - predict_outputs(machine, values, x, then)
+    seen = {q: poses.readings[q] + d for q, d in zip(machine.outputs, moved, strict=True)}
+    return poses.with_readings(seen)
+
+
+def _read(machine: Mechanism, data: Dataset, quantity: str) -> NDArray[np.float64]:
+    """(N,) readings; without any, the value at home, which is 0 for errors of the model."""
+    if quantity in data.readings:
+        return data.readings[quantity]
+    return np.full(len(data), machine.home.get(quantity, 0.0))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.deployment.arm_pose import ArmPose
+from loopcal.deployment.arms import ArmPose
 from loopcal.deployment.rigid import between
 
 Array = NDArray[np.float64]

@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import partial
 
-from loopcal.document.judgement import SEVERITIES, Fact, Finding
-from loopcal.document.row import Row
+from loopcal.document.verdict import SEVERITIES, Fact, Finding, Row
 
 _AGAIN, _CHECK = "loopcal calibrate {project}", "loopcal check {project}"
 _FOLDS, _AUTO = f"{_AGAIN} --folds 10", f"{_AGAIN} --method auto"

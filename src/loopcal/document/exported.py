@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.fit import ParameterEntry
-from loopcal.mechanisms.calibrated_origins import CalibratedOrigin
+from loopcal.mechanisms.origins import CalibratedOrigin
 from loopcal.mechanisms.rest import RestChain
 from loopcal.presentation.shown import size
 

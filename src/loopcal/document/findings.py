@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 from loopcal.document.bounds import Count, Probability, Size
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import significant, with_unit
 
 
 @dataclass(frozen=True)

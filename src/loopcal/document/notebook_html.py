@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from loopcal.document.fit import ParameterEntry
+from loopcal.document.fit import ParameterEntry, Validity, validity
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import accuracy_stages, distances_shown, shown_parameters
-from loopcal.document.validity import Validity, validity
 from loopcal.document.verdict import Verdict
 from loopcal.presentation.shown import NONE, by_sd, size, unit_shown
 

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from loopcal.document.fit import ParameterEntry
+from loopcal.document.fit import ParameterEntry, validity
 from loopcal.document.tables import parameter_table
-from loopcal.document.validity import validity
 from loopcal.errors import InputError, nearest
 from loopcal.lazy import cached_property
 

@@ -9,9 +9,8 @@ from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
-from loopcal.document.change_points import ChangePoints
-from loopcal.document.choice import Chosen
-from loopcal.document.dependence import Dependence
+from loopcal.document.change_points import ChangePoints, Dependence, Reliability
+from loopcal.document.choice import Chosen, TermEntry
 from loopcal.document.findings import (
     ColumnFault,
     Identifiability,
@@ -22,6 +21,7 @@ from loopcal.document.findings import (
     PredictionEntry,
 )
 from loopcal.document.fit import (
+    ChiSquared,
     ClosureEntry,
     CovarianceEntry,
     NoiseCovarianceEntry,
@@ -29,9 +29,6 @@ from loopcal.document.fit import (
     ParameterEntry,
     StatusEntry,
 )
-from loopcal.document.goodness_of_fit import ChiSquared
-from loopcal.document.judgement import Finding
-from loopcal.document.reliability import Reliability
 from loopcal.document.tables import (
     accuracy_table,
     interval_table,
@@ -41,13 +38,10 @@ from loopcal.document.tables import (
     shown_parameters,
     term_table,
 )
-from loopcal.document.terms import TermEntry
-from loopcal.document.verdict import Verdict
+from loopcal.document.verdict import Finding, Verdict
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import unstated_mountings
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import percent, with_unit
-from loopcal.presentation.wrapped import wrapped
+from loopcal.presentation.shown import percent, significant, with_unit, wrapped
 
 SCHEMA: Literal[3] = 3
 

@@ -13,11 +13,9 @@ from loopcal.document.accuracy import (
     ModelEntry,
     ValidationEntry,
 )
+from loopcal.document.choice import DECISIVE, TermEntry
 from loopcal.document.fit import NoiseEntry, ParameterEntry
-from loopcal.document.terms import DECISIVE, TermEntry
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import by_sd, percent, size, unit_shown
-from loopcal.presentation.text_table import columns
+from loopcal.presentation.shown import Table, by_sd, columns, percent, significant, size, unit_shown
 
 
 @dataclass(frozen=True)
@@ -107,6 +105,13 @@ def distances_shown(distances: Distances, unit: str) -> list[str]:
     """Mean, rms, 95 % and largest, in the unit shown."""
     values = (distances.mean, distances.rms, distances.p95, distances.max)
     return [size(value, unit) for value in values]
+
+
+def machine_table(caption: str, unit: str, machines: Mapping[str, Distances | None]) -> Table:
+    """Distances [unit] of each machine that was compared."""
+    rows = ((name, *distances_shown(d, unit)) for name, d in machines.items() if d is not None)
+    head = ("machine", f"mean [{unit_shown(unit)}]", "rms", "95 %", "max")
+    return Table(caption, head, tuple(rows))
 
 
 def validation_table(validations: Mapping[str, ValidationEntry], unit: str) -> list[str]:

@@ -1,20 +1,21 @@
-"""The verdict on a calibration: four questions, each with an answer, a number and a next step."""
+"""The verdict on a calibration: four questions, each with an answer, a number and a next step.
+
+Facts and findings: what was found out, which question it answers, and what to do.
+
+An analysis states facts: a code, numbers with units, a place. `loopcal.document.catalogue` holds a
+row for each code, which turns a fact into a finding with its sentence and its next step.
+"""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from string import Formatter
+from types import SimpleNamespace
+from typing import Literal
 
-from loopcal.document.judgement import (
-    SEVERITIES,
-    Finding,
-    NextStep,
-    Question,
-    Severity,
-    Where,
-    answered,
-)
-from loopcal.presentation.wrapped import shortened, wrapped
+from loopcal.presentation.shown import chance, percent, shortened, significant, with_unit, wrapped
 
 QUESTIONS: tuple[Question, ...] = ("sound", "valid", "better", "tolerance")
 """The four questions, in the order in which they are asked."""
@@ -177,3 +178,179 @@ def _after_colon(title: str) -> str:
     word = title.split()[0]
     usual = word.isalpha() and len(word) > 1 and word.istitle()
     return shortened(title[0].lower() + title[1:] if usual else title)
+
+
+# A row of the catalogue: the question that a fact answers, its severity and its words.
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a fact amounts to, and how it reads."""
+
+    question: Question | None
+    """That it answers; None: a remark."""
+    severity: Severity
+    fact: str
+    """Code of the fact."""
+    sentence: str
+    remedy: str | None = None
+    command: str | None = None
+    """A command line that does what the remedy advises, or shows what it speaks of."""
+    detail: str = ""
+    """What follows the sentence."""
+    title: str | None = None
+    """The finding in one line, where that is not the sentence."""
+    shared: str | None = None
+    """Code of the finding, where several facts lead to it; else that of the fact."""
+
+    @property
+    def code(self) -> str:
+        """Of the finding."""
+        return self.shared or self.fact
+
+    @property
+    def page(self) -> str:
+        """Its page of the documentation."""
+        return f"reference/codes/{self.code}.html"
+
+    @property
+    def example(self) -> Finding:
+        """The finding with made-up numbers and names."""
+        templates = "".join((self.sentence, self.detail, self.remedy or ""))
+        named = [(str(name), form) for _, name, form, _ in Formatter().parse(templates) if name]
+        # In a template numbers have a format and names have none.
+        numbers = {name: Figure(0.0123) for name, form in named if form}
+        place = Where(*(("example",) for _ in fields(Where)))
+        return self.finding(
+            Fact(self.fact, numbers, place, {n: "example" for n, f in named if not f})
+        )
+
+    def finding(self, fact: Fact, files: Mapping[str, str] = {}) -> Finding:
+        """The finding that a fact leads to; files: for the command."""
+        place = {one.name: ", ".join(getattr(fact.place, one.name)) for one in fields(Where)}
+        values = {**fact.texts, **fact.numbers, "place": SimpleNamespace(**place)}
+        sentence = self.sentence.format_map(values)
+        return Finding(
+            self.code,
+            self.severity,
+            self.question,
+            fact.place,
+            fact.numbers,
+            " ".join(filter(None, (sentence, self.detail.format_map(values)))),
+            NextStep(self.remedy.format_map(values), self._line(files)) if self.remedy else None,
+            sentence if self.title is None else self.title.format_map(values),
+        )
+
+    def _line(self, files: Mapping[str, str]) -> str | None:
+        """The command for these files; None where one that it names is not at hand."""
+        if not self.command:
+            return None
+        if not {name for _, name, _, _ in Formatter().parse(self.command) if name} <= {*files}:
+            return None
+        # Quoted, because the line is pasted into a shell and paths may have blanks.
+        return self.command.format_map({k: shlex.quote(path) for k, path in files.items()})
+
+
+Severity = Literal["refuse", "caution", "info"]
+Question = Literal["sound", "valid", "better", "tolerance", "consistent"]
+SEVERITIES: tuple[Severity, ...] = ("refuse", "caution", "info")
+"""The gravest first."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number behind a finding."""
+
+    value: float
+    unit: str = "1"
+    """SI unit, "1" for a ratio or a count."""
+
+    def __format__(self, form: str) -> str:
+        """For people: "3" significant digits, "1%" decimals of a percentage, "p" a probability.
+
+        >>> f"{Figure(0.00123456, 'm'):2}, {Figure(0.512):1%}, {Figure(3e-9):p}"
+        '1.2 mm, 51.2 %, 3e-09'
+        """
+        if form == "p":
+            return chance(self.value)
+        if form.endswith("%"):
+            return percent(self.value, int(form[:-1] or 0))
+        digits = int(form or 3)
+        if self.unit == "1":
+            return significant(self.value, digits)
+        return with_unit(self.value, self.unit, digits)
+
+
+@dataclass(frozen=True)
+class Where:
+    """What a finding speaks of, by names; all empty: the calibration as a whole."""
+
+    poses: tuple[str, ...] = ()
+    readings: tuple[str, ...] = ()
+    parameters: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Fact:
+    """What an analysis found out; the first number is the one that decides."""
+
+    code: str
+    numbers: Mapping[str, Figure] = field(default_factory=dict)
+    place: Where = Where()
+    texts: Mapping[str, str] = field(default_factory=dict)
+    """Names and phrases for its sentence."""
+
+
+def fact(
+    code: str, place: Where = Where(), numbers: Mapping[str, float | Figure] = {}, **texts: str
+) -> Fact:
+    """A fact; plain numbers are ratios or counts."""
+    figures = {n: v if isinstance(v, Figure) else Figure(v) for n, v in numbers.items()}
+    return Fact(code, figures, place, texts)
+
+
+@dataclass(frozen=True)
+class NextStep:
+    """What to do about a finding."""
+
+    words: str
+    command: str | None = None
+    """A command line to copy; null: none does it alone."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was found out about a result."""
+
+    code: str
+    """Stable, for programs; docs/explanation/verdict.md describes each."""
+    severity: Severity
+    """refuse: the answer is no; caution: it stays open; info: no objection."""
+    question: Question | None
+    """The question that it answers; null: none."""
+    place: Where
+    numbers: Mapping[str, Figure]
+    words: str
+    next: NextStep | None
+    """Null: nothing is to be done."""
+    title: str = ""
+    """The finding in one line; empty: written by an earlier version."""
+
+    @property
+    def mark(self) -> str:
+        """no, open or yes: the answer that it leads to."""
+        return {"refuse": "no", "caution": "open", "info": "yes"}[self.severity]
+
+    @property
+    def number(self) -> float | None:
+        """The figure that decides."""
+        return next((figure.value for figure in self.numbers.values()), None)
+
+
+def answered(findings: Iterable[Finding]) -> bool | None:
+    """What the findings on a question answer: False where one refuses, None where one leaves it
+    open, else True."""
+    severities = {one.severity for one in findings}
+    return False if "refuse" in severities else None if "caution" in severities else True

@@ -10,14 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.choice import TermEntry
+from loopcal.document.findings import Identifiability, Undetermined
 from loopcal.document.fit import CovarianceEntry, NoiseEntry, ParameterEntry
 from loopcal.document.plain import finite
 from loopcal.document.result_document import CoarseReadings, DataEntry, JoinedFile
-from loopcal.document.terms import TermEntry
 from loopcal.document.triangle import lower
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.redundancy import UNCONTROLLED, Redundancy
+from loopcal.estimation.solve.reduction import spectrum, undetermined
+from loopcal.estimation.solve.solution import Solution
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
 from loopcal.measurements.resolution import recorded_step
@@ -26,6 +29,7 @@ from loopcal.mechanisms.parameters import Parameter
 from loopcal.small_samples import LearntCovariance
 
 Array = NDArray[np.float64]
+# Sums in another order differ by some 1e-12: chosen, not derived, between that and any widening.
 _ALIKE = 1e-9
 # docs/decisions/0065.
 _COARSE = 0.5
@@ -212,3 +216,22 @@ def inputs_entry(dataset: Dataset, mechanism: Mechanism) -> dict[str, Any]:
         data["join"] = [of_mechanism(part) for part in data["join"]]
     noise = {q: {"sd": "inf"} for q in unread}
     return {"data": data, "noise": noise} if noise else {"data": data}
+
+
+# What the poses of a fit determine: its rank, and the directions in which nothing does.
+
+
+def identifiability(problem: Problem, solution: Solution) -> Identifiability:
+    """At a solution, by its parameter system with and without the prior."""
+    system = alone = solution.spectrum
+    count = len(problem.free)
+    if np.isfinite(problem.prior_sd).any():
+        # Rank and directions do not depend on the offset, so zeros will do.
+        alone = spectrum(solution.data, np.zeros(count), np.full(count, np.inf))
+    return Identifiability(
+        system.rank,
+        count,
+        alone.rank,
+        finite(system.condition) if system.rank == count else None,
+        tuple(Undetermined.of(c) for c in undetermined(system, problem.names)),
+    )

@@ -22,6 +22,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.mechanism import Mechanism
 
+# Chosen, not derived: far above the rounding of sums, far below a share that counts.
 _LITTLE = 1e-9
 """Share of a parameter's information that rounding may leave where only the poses left out have
 any: those of a station, of where it stands."""
@@ -63,13 +64,20 @@ def leaving_out(whole: Result, index: NDArray[np.intp]) -> Beginning | None:
         factor = 1.0
         if problem.mechanism.learnt_terms:
             from loopcal.estimation.noise.term_scales import Sums
-            from loopcal.estimation.noise.variances import learnt_by_sums, with_scales
+            from loopcal.estimation.noise.variances import (
+                all_learnt,
+                begun_with,
+                learnt_terms,
+                with_scales,
+            )
 
             sums = Sums(rest.total, False, end.equations - gone.equations)
             learnt = whole.estimate.stated if whole.estimate else ()
             positions = [component.quantities for component in learnt]
-            at = learnt_by_sums(problem, sums, end.parameters, positions)
-            problem, factor = with_scales(at.problem), at.factor
+            offset = problem.unknowns.offset(end.parameters)
+            common = all_learnt(problem, positions)
+            terms = learnt_terms(problem, sums, offset, common=common)
+            problem, factor = with_scales(begun_with(problem, terms.scales)), terms.at.factor
             # The sums are whitened at the fit's sds; noise larger by this factor weighs them less.
             rest.total /= factor
         unknowns = problem.unknowns

@@ -28,13 +28,17 @@ from loopcal.expressions.vectors import vector
 from loopcal.mechanisms.frame import Frame
 
 Array = NDArray[np.float64]
+# docs/decisions/0052.
 KEPT = 0.9
 """The share of the poses that decides."""
+# docs/decisions/0056: a guess, wide enough that a tool of any usual size is inside.
 NEAR, TURNED = 0.2, 1.0
 """Prior sds of a mounting that nobody states: it is within so much [m] of the body's origin, and
 turned by so much [rad] from where the readings say."""
+# Chosen, not derived: larger holds mountings at the body's origin, smaller lets them run away.
 COMMON = 5.0
 """How many times as large as what remains the errors are that placement and mounting take up."""
+# Chosen, not derived: caps of an alternation that starts in closed form, for their time.
 _ROUNDS, _STEPS = 4, 12
 _WEAK = 1e-6
 """A direction of the placement that the poses determine so much less than others stays as it is."""

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.patterns import Pattern, held_loops
-from loopcal.estimation.problem.problem import BLOCK, Problem
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import BLOCK, Problem, Weighting
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.expressions.tape import Tape

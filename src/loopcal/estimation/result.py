@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.choice import Chosen
-from loopcal.document.dependence import Dependence
+from loopcal.document.change_points import Dependence
+from loopcal.document.choice import Chosen, TermEntry
 from loopcal.document.findings import ColumnFault, Identifiability
-from loopcal.document.fit import NoiseEntry
-from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.fit import ChiSquared, NoiseEntry
 from loopcal.document.parts import Parts
 from loopcal.document.result_document import DataEntry
-from loopcal.document.terms import TermEntry
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, deviations
 from loopcal.estimation.all_poses import AllPoses
@@ -28,12 +26,10 @@ from loopcal.estimation.dependence.dependence import (
     covariance_under,
     dependence,
 )
-from loopcal.estimation.document_parts import absorbed, data_entry, shares
+from loopcal.estimation.document_parts import absorbed, data_entry, identifiability, shares
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.identifiability import identifiability
-from loopcal.estimation.inherited import Inherited
 from loopcal.estimation.noise.learning import entries, words
-from loopcal.estimation.noise.terms import term_entries
+from loopcal.estimation.noise.term_parts import term_entries
 from loopcal.estimation.noise.variances import all_learnt
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
@@ -42,8 +38,7 @@ from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import RobustSums
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solution import Solution
-from loopcal.estimation.solve.status import Status
+from loopcal.estimation.solve.solution import Solution, Status
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
@@ -52,6 +47,7 @@ from loopcal.small_samples import LearntCovariance
 if TYPE_CHECKING:
     from loopcal.estimation.noise.estimation import NoiseEstimate
     from loopcal.estimation.noise.kenward_roger import LearntParameters
+
 
 Array = NDArray[np.float64]
 
@@ -290,7 +286,8 @@ class Result:
         """What was learnt of each term of the mechanism; empty where nothing was."""
         if self.inherited is not None:
             return self.inherited.terms
-        return () if self.estimate is None else term_entries(self.mechanism, self.estimate.terms)
+        learnt = None if self.estimate is None else self.estimate.variances.terms
+        return () if learnt is None else term_entries(self.mechanism, learnt)
 
     def terms_with_parts(self) -> tuple[TermEntry, ...]:
         """With what each term does joint by joint."""
@@ -391,7 +388,7 @@ class Result:
         chi = self.chi_squared
         if not self.status.converged or chi is None or not chi.too_large:
             return None
-        from loopcal.estimation.noise.discrepancy import model_discrepancy
+        from loopcal.estimation.noise.variance_components import model_discrepancy
 
         return model_discrepancy(self.problem, self.solution)
 
@@ -486,3 +483,25 @@ class Result:
     def __repr__(self) -> str:
         state = "converged" if self.status.converged else self.status.reason
         return f"<Result: {self.method}, {state}, {len(self.estimated)} parameters>"
+
+
+# What an earlier calibration passes on to the update that begins from it.
+
+UPDATED = "implicit loop, updated"
+"""Label of the method, in the result of an update."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inherited:
+    """covariance: (n, n) [SI] what the estimated parameters gain, because the earlier covariance is
+    larger than its information says (dependent residuals, learnt sds); terms: what it learnt of the
+    model error; noise: the sds of sensors, empty where others were stated."""
+
+    covariance: Array
+    terms: tuple[TermEntry, ...]
+    noise: tuple[NoiseEntry, ...]
+
+    def added_to(self, covariance: LearntCovariance, S: Array | None = None) -> LearntCovariance:
+        """The covariance of the estimated parameters with it, or that of S (N, m, n) times them."""
+        wider = self.covariance if S is None else S @ self.covariance @ np.swapaxes(S, -1, -2)
+        return covariance.plus(LearntCovariance(wider, 0.0 * wider, 0.0 * covariance.slopes))

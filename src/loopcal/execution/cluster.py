@@ -12,7 +12,7 @@ import logging
 import operator
 import pickle
 import warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,7 +24,15 @@ from typing import Any
 from uuid import uuid4
 
 from loopcal.errors import InputError, UsageError
-from loopcal.execution.executor import Crew, Done, Executor, Piece, Shared, Value, Window, done
+from loopcal.execution.executor import (
+    Crew,
+    Done,
+    Executor,
+    Window,
+    Work,
+    counted,
+    done,
+)
 from loopcal.expressions.choice import chosen_engine, engine_threads
 
 PACKAGES = ("loopcal", "numpy", "scipy")
@@ -42,9 +50,7 @@ class Cluster(Executor):
     address: Any
 
     @contextmanager
-    def crew(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared
-    ) -> Generator[Crew, None, None]:
+    def crew(self, work: Work, shared: Any) -> Generator[Crew, None, None]:
         """The workers of the cluster, also those that come later.
 
         Raises UsageError without the extra `cluster`, InputError where no scheduler answers; runs
@@ -67,7 +73,7 @@ class Cluster(Executor):
                 _check(worker_versions, versions(), f"the worker {address}")
             threads = sum(client.nthreads().values())
             return (
-                f"{_counted(len(report['workers']), 'worker')} with {_counted(threads, 'thread')} "
+                f"{counted(len(report['workers']), 'worker')} with {counted(threads, 'thread')} "
                 f"at {self.name}"
                 if threads
                 else f"waiting for the first worker at {self.name}"
@@ -89,10 +95,6 @@ class Cluster(Executor):
         finally:
             client.close()
             log.setLevel(level)
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'s' if number != 1 else ''}"
 
 
 def versions() -> dict[str, str]:

@@ -39,6 +39,8 @@ class Done(Generic[Value]):
         return self.outcome
 
 
+Work = Callable[[Any, Any], Any]
+"""What is done: of what all pieces share, and a piece."""
 Crew = Callable[[Sequence[Any]], Generator[Done[Any], None, None]]
 """Workers that know their work: what became of every piece, once, in the order of completion."""
 
@@ -51,9 +53,7 @@ class Executor(ABC):
     """
 
     @abstractmethod
-    def crew(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared
-    ) -> AbstractContextManager[Crew]:
+    def crew(self, work: Work, shared: Any) -> AbstractContextManager[Crew]:
         """Workers who are told once what they work with, for as many runs as are wanted.
 
         work: a function at the top of a module, whose value follows from what it is given alone:
@@ -79,12 +79,10 @@ class InProcess(Executor):
     """One piece after the other, here."""
 
     @contextmanager
-    def crew(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared
-    ) -> Generator[Crew, None, None]:
+    def crew(self, work: Work, shared: Any) -> Generator[Crew, None, None]:
         """This process itself."""
 
-        def one_by_one(pieces: Sequence[Piece]) -> Generator[Done[Value], None, None]:
+        def one_by_one(pieces: Sequence[Any]) -> Generator[Done[Any], None, None]:
             for number, piece in enumerate(pieces):
                 yield done(work, shared, piece, number)
 
@@ -137,6 +135,15 @@ def _reported(
         yield outcome
         if progress:
             progress(number, count)
+
+
+def counted(number: int, what: str) -> str:
+    """So many of them.
+
+    >>> counted(1, "thread"), counted(2, "process")
+    ('1 thread', '2 processes')
+    """
+    return f"{number} {what}" + ("" if number == 1 else "es" if what.endswith("s") else "s")
 
 
 class Window:

@@ -11,14 +11,11 @@ import gc
 import io
 import os
 import pickle
-import select
 import signal
-import struct
 import sys
 import threading
 import warnings
-from array import array
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from types import FunctionType, ModuleType
@@ -29,9 +26,8 @@ from loopcal.execution.executor import (
     Done,
     Executor,
     InProcess,
-    Piece,
-    Shared,
-    Value,
+    Work,
+    counted,
     done,
 )
 from loopcal.execution.local import Threads
@@ -40,9 +36,8 @@ from loopcal.expressions.choice import engine_threads, use_threads
 _LEAVES = (str, bytes, int, float, complex, type, FunctionType, ModuleType, type(None))
 _LONGEST = 1_000
 """Longer sequences are sent whole: they are data, not objects that others refer to."""
-# Pipes take up to PIPE_BUF bytes at once (pipe(7)), so notices of several copies never mix.
-_NOTICE = struct.Struct("<IIQ")
-"""Which copy has done which piece, and how many bytes it has written of it."""
+_SIZE = 8
+"""Bytes ahead of each outcome that state its size."""
 _SIGNALS = {signal.SIGINT, signal.SIGTERM}
 _role = threading.local()
 
@@ -94,67 +89,17 @@ class Forked(Executor):
     workers: int
 
     @contextmanager
-    def crew(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared
-    ) -> Generator[Crew, None, None]:
+    def crew(self, work: Work, shared: Any) -> Generator[Crew, None, None]:
         """Copies that are made for each run, and end with it."""
 
-        def outcomes(pieces: Sequence[Piece]) -> Generator[Done[Value], None, None]:
-            return _outcomes(_Job(work, shared, pieces), self.workers)
+        def outcomes(pieces: Sequence[Any]) -> Generator[Done[Any], None, None]:
+            return _outcomes(work, shared, pieces, self.workers)
 
         yield outcomes
 
     def ready(self) -> str:
         """Where pieces will be done."""
-        return f"{self.workers} forked process{'es' if self.workers > 1 else ''}"
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What all copies have: the work, what it is done with, and the pieces."""
-
-    work: Callable[[Any, Any], Any]
-    shared: Any
-    pieces: Sequence[Any]
-
-    def done(self, number: int) -> Done[Any]:
-        """Do one piece on one core."""
-        _role.works = True
-        try:
-            with engine_threads(1):
-                return done(self.work, self.shared, self.pieces[number], number)
-        finally:
-            _role.works = False
-
-
-@dataclass
-class _Queue:
-    """Numbers of the pieces that are left: all copies read on at one place of one file.
-
-    A lock keeps two copies from taking the same number. Without it they can read at the same place.
-    """
-
-    file: int
-
-    @classmethod
-    def of(cls, count: int) -> _Queue:
-        """All numbers below a count."""
-        file = os.memfd_create("loopcal")
-        with os.fdopen(os.dup(file), "wb") as written:
-            written.write(array("I", range(count)).tobytes())
-        os.lseek(file, 0, os.SEEK_SET)
-        return cls(file)
-
-    def next(self) -> int | None:
-        """The next number; None where all are taken."""
-        import fcntl  # not on every system
-
-        fcntl.lockf(self.file, fcntl.LOCK_EX)  # two that read such a file at once read the same
-        try:
-            read = os.read(self.file, array("I").itemsize)
-        finally:
-            fcntl.lockf(self.file, fcntl.LOCK_UN)
-        return array("I", read)[0] if read else None
+        return counted(self.workers, "forked process")
 
 
 @dataclass
@@ -165,11 +110,21 @@ class _Copy:
     results: int
     read: int = 0
 
-    def take(self, size: int) -> bytes:
-        """The next bytes that it has written."""
-        self.read += size
-        # The copy shares the place in this file and writes on there; read() would move it.
-        return os.pread(self.results, size, self.read - size)
+    def written(self, common: Mapping[int, object]) -> Generator[Done[Any], None, None]:
+        """What it has written whole since."""
+        end = os.fstat(self.results).st_size
+        while self.read + _SIZE < end:
+            # The copy shares the place in this file and writes on there; read() would move it.
+            begin = self.read + _SIZE
+            size = int.from_bytes(os.pread(self.results, _SIZE, self.read), "little")
+            if begin + size > end:
+                return
+            self.read = begin + size
+            content = io.BytesIO(os.pread(self.results, size, begin))
+            outcome, messages = _Reader(content, common).load()
+            for message, category, name, line in messages:
+                warnings.warn_explicit(message, category, name, line)
+            yield outcome
 
     def end(self) -> None:
         """End it, whatever it does."""
@@ -182,18 +137,44 @@ class _Copy:
 
 @dataclass
 class _Copies:
-    """Forked copies at work. notices: where they tell; alive: closed where this process ends."""
+    """Forked copies at work, which have the work, what it is done with, and the pieces.
 
-    job: _Job
-    queue: _Queue
+    common: what comes back as itself; queue: a file whose place, which all copies share, is the
+    number of the next piece; alive: a pipe that is closed where this process ends.
+    """
+
+    work: Work
+    shared: Any
+    pieces: Sequence[Any]
     common: Mapping[int, object]
-    notices: tuple[int, int] = field(default_factory=os.pipe)
+    queue: int = field(default_factory=lambda: os.memfd_create("loopcal"))
     alive: tuple[int, int] = field(default_factory=os.pipe)
     begun: list[_Copy] = field(default_factory=list)
 
+    def next(self) -> int | None:
+        """The number of the next piece; None where all are taken."""
+        import fcntl  # not on every system
+
+        # Of two that move the place of such a file at once, both may read the same.
+        fcntl.lockf(self.queue, fcntl.LOCK_EX)
+        try:
+            number = os.lseek(self.queue, 1, os.SEEK_CUR) - 1
+        finally:
+            fcntl.lockf(self.queue, fcntl.LOCK_UN)
+        return number if number < len(self.pieces) else None
+
+    def done(self, number: int) -> Done[Any]:
+        """Do one piece on one core."""
+        _role.works = True
+        try:
+            with engine_threads(1):
+                return done(self.work, self.shared, self.pieces[number], number)
+        finally:
+            _role.works = False
+
     def begin(self, count: int) -> None:
         """Fork so many copies, or fewer where the system gives no more."""
-        for which in range(count):
+        for _ in range(count):
             heard = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # until the copy is known
             try:
                 results = os.memfd_create("loopcal")
@@ -203,13 +184,12 @@ class _Copies:
                     os.close(results)
                     break
                 if pid == 0:
-                    self._work(which, results, heard)
+                    self._work(results, heard)
                 self.begun.append(_Copy(pid, results))
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, heard)
-        os.close(self.notices[1])  # who reads sees the end when the last copy has ended
 
-    def _work(self, which: int, results: int, signals: set[int]) -> Never:
+    def _work(self, results: int, signals: set[int]) -> Never:
         """In a copy: do pieces until there are none, and end without a word to anybody else."""
         try:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # this is its parent's business
@@ -220,15 +200,14 @@ class _Copies:
             gc.freeze()  # to look through what was there before would copy it page by page
             _role.helps = True
             with warnings.catch_warnings(record=True) as heard:
-                while (number := self.queue.next()) is not None:
+                while (number := self.next()) is not None:
                     heard.clear()
-                    outcome = self.job.done(number)
+                    outcome = self.done(number)
                     messages = [
                         (one.message, one.category, one.filename, one.lineno) for one in heard
                     ]
                     sent = _pickled((outcome, messages), self.common)
-                    _write(results, sent)
-                    os.write(self.notices[1], _NOTICE.pack(which, number, len(sent)))
+                    _write(results, len(sent).to_bytes(_SIZE, "little") + sent)
             # exit() would flush buffers and run handlers that belong to the parent.
             os._exit(0)
         finally:
@@ -236,44 +215,36 @@ class _Copies:
 
     def finished(self, *, wait: bool) -> Generator[Done[Any], None, None]:
         """What they have done since; wait: until all of them have ended."""
-        if not self.begun:
-            return
-        notices = self.notices[0]
-        while wait or select.select([notices], [], [], 0.0)[0]:
-            notice = os.read(notices, _NOTICE.size)
-            if not notice:
-                return
-            which, _, size = _NOTICE.unpack(notice)
-            outcome, messages = _Reader(
-                io.BytesIO(self.begun[which].take(size)), self.common
-            ).load()
-            for message, category, name, line in messages:
-                warnings.warn_explicit(message, category, name, line)
-            yield outcome
+        for one in self.begun:
+            if wait:  # and leave its number to it, so that `end` kills no other process
+                os.waitid(os.P_PID, one.pid, os.WEXITED | os.WNOWAIT)
+            yield from one.written(self.common)
 
     def end(self) -> None:
         """End all of them."""
         for one in self.begun:
             one.end()
-        for file in (self.notices[0], *self.alive, self.queue.file):
+        for file in (*self.alive, self.queue):
             os.close(file)
 
 
-def _outcomes(job: _Job, workers: int) -> Generator[Done[Any], None, None]:
+def _outcomes(
+    work: Work, shared: Any, pieces: Sequence[Any], workers: int
+) -> Generator[Done[Any], None, None]:
     """What became of every piece, in the order of completion."""
-    count = len(job.pieces)
+    count = len(pieces)
     missing = dict.fromkeys(range(count))
     helpers = min(workers, count) - 1
-    common = _within(job.shared, job.pieces) if helpers > 0 else {}
-    copies = _Copies(job, _Queue.of(count), common)
+    common = _within(shared, pieces) if helpers > 0 else {}
+    copies = _Copies(work, shared, pieces, common)
     try:
-        number = copies.queue.next()  # the first piece is done here
+        number = copies.next()  # the first piece is done here
         copies.begin(helpers)
         while number is not None:
-            outcome = job.done(number)
+            outcome = copies.done(number)
             del missing[number]
             yield outcome
-            number = copies.queue.next()
+            number = copies.next()
             for outcome in copies.finished(wait=False):
                 del missing[outcome.number]
                 yield outcome
@@ -283,7 +254,7 @@ def _outcomes(job: _Job, workers: int) -> Generator[Done[Any], None, None]:
     finally:
         copies.end()
     for number in missing:
-        yield job.done(number)
+        yield copies.done(number)
 
 
 def _fork() -> int:

@@ -17,10 +17,9 @@ from loopcal.execution.executor import (
     Done,
     Executor,
     InProcess,
-    Piece,
-    Shared,
-    Value,
     Window,
+    Work,
+    counted,
     done,
 )
 from loopcal.expressions.choice import cores, engine_threads
@@ -68,13 +67,11 @@ class Threads(_Local):
     waiting: Callable[[], None] | None = field(default=None, compare=False, repr=False)
 
     @contextmanager
-    def crew(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared
-    ) -> Generator[Crew, None, None]:
+    def crew(self, work: Work, shared: Any) -> Generator[Crew, None, None]:
         """Threads that end with the context."""
         pool = ThreadPoolExecutor(self.workers)
 
-        def begin(piece: Piece, number: int) -> Future[Done[Value]]:
+        def begin(piece: Any, number: int) -> Future[Done[Any]]:
             return pool.submit(_shared_out, work, shared, piece, number, self._share)
 
         try:
@@ -88,7 +85,7 @@ class Threads(_Local):
 
     def ready(self) -> str:
         """Where pieces will be done."""
-        return f"{self.workers} thread{'s' if self.workers > 1 else ''}"
+        return counted(self.workers, "thread")
 
 
 @dataclass(frozen=True)
@@ -100,17 +97,15 @@ class Processes(_Local):
     """
 
     def run(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared, pieces: Sequence[Piece]
-    ) -> Generator[Done[Value], None, None]:
+        self, work: Work, shared: Any, pieces: Sequence[Any]
+    ) -> Generator[Done[Any], None, None]:
         """What became of every piece; a single one is not worth a process."""
         if len(pieces) <= 1:
             return InProcess().run(work, shared, pieces)
         return super().run(work, shared, pieces)
 
     @contextmanager
-    def crew(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared
-    ) -> Generator[Crew, None, None]:
+    def crew(self, work: Work, shared: Any) -> Generator[Crew, None, None]:
         """Processes that end with the context; a single one is this one.
 
         Runs raise InputError where a worker is killed, or none could begin.
@@ -133,10 +128,10 @@ class Processes(_Local):
 
         some_done = False
 
-        def begin(piece: Piece, number: int) -> Future[Done[Value]]:
+        def begin(piece: Any, number: int) -> Future[Done[Any]]:
             return pool.submit(_work, piece, number)
 
-        def outcomes(pieces: Sequence[Piece]) -> Generator[Done[Value], None, None]:
+        def outcomes(pieces: Sequence[Any]) -> Generator[Done[Any], None, None]:
             nonlocal some_done
             with closing(_finished(begin, pieces, self.workers)) as finished:
                 for outcome in finished:
@@ -159,7 +154,7 @@ class Processes(_Local):
 
     def ready(self) -> str:
         """Where pieces will be done."""
-        return f"{self.workers} process{'es' if self.workers > 1 else ''}"
+        return counted(self.workers, "process")
 
 
 def _ended(some_done: bool) -> InputError:

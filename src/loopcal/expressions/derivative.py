@@ -13,8 +13,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from loopcal.expressions.graph import Graph, Node
-from loopcal.expressions.operations import LEAVES
+from loopcal.expressions.graph import LEAVES, Graph, Node
 from loopcal.expressions.rewriting import rewritten, turns_written_out, unchanged
 from loopcal.expressions.tape import Tape
 

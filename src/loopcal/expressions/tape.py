@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from loopcal.expressions.graph import Graph, Node
-from loopcal.expressions.operations import LEAVES, OPERATIONS
+from loopcal.expressions.graph import LEAVES, OPERATIONS, Graph, Node
 from loopcal.lazy import cached_property
 
 _PREFIX = {"quantity": "x", "known": "x", "parameter": "p"}

@@ -16,10 +16,9 @@ from loopcal.figures.figure import (
     colours,
     layout,
     names,
-    numbers,
-    shown_text,
+    thinned,
+    trace,
 )
-from loopcal.figures.thinning import thinned
 
 BINS = 40
 
@@ -40,17 +39,10 @@ def distance_histogram(before: Array, after: Array, unit: str) -> Figure | None:
     data = []
     for (name, values), colour in zip(parts.items(), (BEFORE, AFTER), strict=True):
         counts = np.histogram(np.maximum(values, edges[0]), edges)[0].astype(float)
-        data.append(
-            {
-                "type": "scatter",
-                "name": f"{name} calibration",
-                "x": numbers(edges),
-                "y": numbers(np.append(counts, counts[-1])),
-                "line": {"shape": "hv", "color": colour, "width": 2},
-                "fill": "tozeroy",
-                "mode": "lines",
-            }
-        )
+        line = {"shape": "hv", "color": colour, "width": 2}
+        steps = np.append(counts, counts[-1])
+        drawn = trace("lines", f"{name} calibration", edges, steps, line=line, fill="tozeroy")
+        data.append(drawn)
     scale = {"type": "log"} if logarithmic else {"rangemode": "tozero"}
     hint = " The scale of distances is logarithmic." if logarithmic else ""
     medians = {name: float(np.median(v)) for name, v in parts.items() if v.size}
@@ -91,24 +83,19 @@ def over_poses(
     data: list[dict[str, Any]] = []
     for number, panel in enumerate(panels, 1):
         for i, (name, values) in enumerate(panel.items()):
-            data.append(
-                {
-                    "type": "scatter",
-                    "mode": "markers",
-                    "name": shown_text(name),
-                    "legendgroup": str(i),
-                    "showlegend": number == 1,
-                    "x": (chosen.index + 1).tolist(),
-                    "y": numbers(values[chosen.index]),
-                    "text": names([ids[j] for j in chosen.index]),
-                    "marker": {"color": shades[name], "size": 4},
-                    "yaxis": "y" if number == 1 else "y2",
-                }
-            )
-    more = {"yaxis": axis(f"before [{unit}]", zeroline=True)}
+            more = {
+                "legendgroup": str(i),
+                "showlegend": number == 1,
+                "text": names([ids[j] for j in chosen.index]),
+                "marker": {"color": shades[name], "size": 4},
+                "yaxis": "y" if number == 1 else "y2",
+            }
+            at = (chosen.index + 1).tolist()
+            data.append(trace("markers", name, at, values[chosen.index], **more))
+    axes = {"yaxis": axis(f"before [{unit}]", zeroline=True)}
     if len(panels) == 2:
-        more["yaxis"]["domain"] = [0.55, 1.0]
-        more["yaxis2"] = axis(f"after [{unit}]", domain=[0.0, 0.45], zeroline=True, anchor="x")
+        axes["yaxis"]["domain"] = [0.55, 1.0]
+        axes["yaxis2"] = axis(f"after [{unit}]", domain=[0.0, 0.45], zeroline=True, anchor="x")
     worst = [float(np.nanmax(np.abs(_stack([panel])), initial=0.0)) for panel in panels]
     largest_text = " and ".join(
         f"at most {w:.3g} {unit} {when}"
@@ -125,7 +112,7 @@ def over_poses(
         layout(
             520 if len(panels) == 2 else 320,
             xaxis=axis("number of the pose", anchor="y2" if len(panels) == 2 else "y"),
-            **more,
+            **axes,
         ),
     )
 

@@ -6,17 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loopcal.figures.bars import Bars, bar_layout
 from loopcal.figures.figure import (
     AFTER,
     BEFORE,
     COLOURS,
     Array,
+    Bars,
     Figure,
     axis,
+    bar_layout,
     layout,
     names,
-    numbers,
+    trace,
 )
 
 
@@ -50,15 +51,14 @@ def target_errors(
         ("refused, error stays", np.where(kept, np.nan, before), COLOURS[1], "x"),
     )
     data = [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": name,
-            "x": list(range(1, len(targets) + 1)),
-            "y": numbers(values),
-            "text": names(targets),
-            "marker": {"color": shade, "symbol": mark, "size": 7},
-        }
+        trace(
+            "markers",
+            name,
+            range(1, len(targets) + 1),
+            values,
+            text=names(targets),
+            marker={"color": shade, "symbol": mark, "size": 7},
+        )
         for name, values, shade, mark in parts
         if np.isfinite(values).any()
     ]

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from loopcal.figures.figure import COLOURS, Figure, axis, layout, shown_text
+import numpy as np
+
+from loopcal.figures.figure import COLOURS, Figure, axis, ends, layout, shown_text, trace
 
 
 @dataclass(frozen=True)
@@ -30,41 +32,16 @@ def error_bars(
     data: list[dict[str, Any]] = []
     for i, (method, bars) in enumerate(shown):
         at = [k + 0.3 * (i - 0.5 * (len(shown) - 1)) for k in range(len(bars))]
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": shown_text(method),
-                "x": at,
-                "y": [bar.mean for bar in bars],
-                "error_y": {
-                    "type": "data",
-                    "symmetric": False,
-                    "array": [bar.high - bar.mean for bar in bars],
-                    "arrayminus": [bar.mean - bar.low for bar in bars],
-                    "thickness": 3,
-                },
-                "marker": {"color": COLOURS[i % len(COLOURS)], "size": 8},
-            }
-        )
-        printed = [(x, bar.printed) for x, bar in zip(at, bars, strict=True)]
-        printed = [(x, y) for x, y in printed if y is not None]
+        means, low, high = np.array([(bar.mean, bar.low, bar.high) for bar in bars]).T
+        colour = COLOURS[i % len(COLOURS)]
+        marker: dict[str, Any] = {"color": colour, "size": 8}
+        lines = ends(means, low, high, thickness=3)
+        data.append(trace("markers", method, at, means, error_y=lines, marker=marker))
+        printed = [(x, b.printed) for x, b in zip(at, bars, strict=True) if b.printed is not None]
         if printed:
-            data.append(
-                {
-                    "type": "scatter",
-                    "mode": "markers",
-                    "name": shown_text(f"{method}, printed draw"),
-                    "x": [x for x, _ in printed],
-                    "y": [y for _, y in printed],
-                    "marker": {
-                        "symbol": "diamond-open",
-                        "color": COLOURS[i % len(COLOURS)],
-                        "size": 11,
-                        "line": {"width": 2},
-                    },
-                }
-            )
+            marker = {"symbol": "diamond-open", "color": colour, "size": 11, "line": {"width": 2}}
+            x, y = np.array(printed).T
+            data.append(trace("markers", f"{method}, printed draw", x, y, marker=marker))
     names = [bar.name for bar in shown[0][1]]
     widest = {method: max(bar.high - bar.low for bar in bars) for method, bars in shown}
     widths_text = ", ".join(

@@ -50,9 +50,7 @@ class Figure:
         """A figure over the poses with a line before each of these: number from 1 -> its id."""
         if not poses:
             return self
-        line = {"type": "line", "xref": "x", "yref": "paper", "y0": 0, "y1": 1}
-        look = {"color": MARK, "width": 1.5, "dash": "dash"}
-        lines = [{**line, "x0": n - 0.5, "x1": n - 0.5, "line": look} for n in poses]
+        lines = [upright(n - 0.5, MARK, 1.5) | {"xref": "x"} for n in poses]
         listed = ", ".join(poses.values())
         words = f" Dashed line: something changed here (from pose {listed} on)."
         layout = {**self.layout, "shapes": lines}
@@ -111,6 +109,74 @@ def names(texts: Sequence[str]) -> list[str]:
     return [shown_text(text) for text in texts]
 
 
+def trace(
+    mode: str, name: str, x: Array | Sequence[Any], y: Array | Sequence[Any], **more: Any
+) -> dict[str, Any]:
+    """Points, lines or both in a plane; arrays to the digits of `numbers`, others as they are."""
+    at = {k: numbers(v) if isinstance(v, np.ndarray) else [*v] for k, v in (("x", x), ("y", y))}
+    return {"type": "scatter", "mode": mode, "name": shown_text(name), **at, **more}
+
+
+def spots(mode: str, at: Array, **more: Any) -> dict[str, Any]:
+    """Points (d, N) in a plane or in space, joined or not."""
+    kind = "scatter" if len(at) == 2 else "scatter3d"
+    return {"type": kind, "mode": mode, **dict(zip("xyz", map(numbers, at), strict=False)), **more}
+
+
+def upright(x: float | str, colour: str, width: float) -> dict[str, Any]:
+    """A dashed line over the whole height."""
+    look = {"color": colour, "width": width, "dash": "dash"}
+    return {"type": "line", "yref": "paper", "x0": x, "x1": x, "y0": 0, "y1": 1, "line": look}
+
+
+def interval(half: Array, thickness: float = 1.5) -> dict[str, Any]:
+    """Lines so far to both sides."""
+    return {"type": "data", "array": numbers(half), "thickness": thickness}
+
+
+def ends(values: Array, low: Array, high: Array, thickness: float = 1.5) -> dict[str, Any]:
+    """Lines from values down to low and up to high."""
+    below = {"symmetric": False, "arrayminus": numbers(values - low)}
+    return {**interval(high - values, thickness), **below}
+
+
+COLUMNS = 3
+"""Panels side by side."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One of several in rows of three. suffix: of its axes; left, top: its corner, in shares of the
+    figure; rows: how many there are."""
+
+    suffix: str
+    left: float
+    top: float
+    rows: int
+
+    @property
+    def axes(self) -> dict[str, str]:
+        """That a trace names to be drawn in it."""
+        return {"xaxis": f"x{self.suffix}", "yaxis": f"y{self.suffix}"}
+
+    def titled(self, text: str, right: float = 0.0, below: float = 0.0) -> dict[str, Any]:
+        """A title, so far right of its corner and below it."""
+        place = {"x": self.left + right, "y": self.top - below, "xref": "paper", "yref": "paper"}
+        return {"text": text, **place, "xanchor": "left", "yanchor": "bottom", "showarrow": False}
+
+
+def panels(count: int) -> list[Panel]:
+    """So many."""
+    rows = -(-count // COLUMNS)
+    cells = (divmod(i, COLUMNS) for i in range(count))
+    return [Panel(suffix(i), c / COLUMNS, 1.0 - r / rows, rows) for i, (r, c) in enumerate(cells)]
+
+
+def suffix(number: int) -> str:
+    """What names the axes of a panel, counted from 0, as plotly counts."""
+    return str(number + 1) if number else ""
+
+
 def axis(title: str, **more: Any) -> dict[str, Any]:
     """An axis with a title of its own."""
     # 20000, never 20k
@@ -133,3 +199,77 @@ def plotly_javascript() -> str:
     from plotly.offline import get_plotlyjs
 
     return str(get_plotlyjs())
+
+
+# Bars side by side, one of each series at every name, with the lines of their intervals.
+
+
+@dataclass(frozen=True)
+class Bars:
+    """One series: a value at every name, and the ends of its interval, None where unknown."""
+
+    name: str
+    shade: str
+    values: Sequence[float]
+    low: Sequence[float | None] | None = None
+    high: Sequence[float | None] | None = None
+
+    def trace(self, labels: Sequence[str]) -> dict[str, Any]:
+        """In plotly's terms."""
+        made: dict[str, Any] = {
+            "type": "bar",
+            "name": self.name,
+            "x": names(labels),
+            "y": numbers(np.array(self.values)),
+            "marker": {"color": self.shade},
+        }
+        if self.low is None or self.high is None:
+            return made
+        # A missing end is drawn as the value itself: no line to that side.
+        low, high = (
+            np.array([v if end is None else end for v, end in zip(self.values, s, strict=True)])
+            for s in (self.low, self.high)
+        )
+        return made | {"error_y": ends(np.array(self.values), low, high)}
+
+
+def bar_layout(height: int, title: str) -> dict[str, Any]:
+    """Groups from zero; title: of the axis of values."""
+    return layout(
+        height,
+        barmode="group",
+        xaxis=axis("", type="category"),
+        yaxis=axis(title, rangemode="tozero"),
+    )
+
+
+# Which poses a figure shows where there are more than an eye, or a browser, can take.
+
+# Markers that a browser draws without delay.
+POINTS = 2000
+LARGEST = 50
+"""How many of the poses shown are those where the figure is largest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Thinned:
+    """index: (k,) poses to show, in order; words: what was left out, "" where nothing was."""
+
+    index: NDArray[np.intp]
+    words: str
+
+
+def thinned(sizes: NDArray[np.float64], most: int = POINTS) -> Thinned:
+    """At most `most` of the poses with sizes (N,): evenly chosen, and the largest; NaN are none."""
+    usable = np.flatnonzero(np.isfinite(sizes))
+    if usable.size <= most:
+        return Thinned(usable, "")
+    largest = min(LARGEST, most // 2)
+    even = usable[np.linspace(0, usable.size - 1, most - largest).astype(np.intp)]
+    top = usable[np.argsort(np.abs(sizes[usable]))[-largest:]]
+    index = np.union1d(even, top)
+    return Thinned(
+        index,
+        f" Shown are {index.size:,} of {usable.size:,} poses, evenly chosen, with the "
+        f"{largest} largest among them; all numbers of this report come from all poses.",
+    )

@@ -16,11 +16,15 @@ from loopcal.figures.figure import (
     Figure,
     axis,
     colours,
+    interval,
     layout,
     names,
     numbers,
     shown_text,
+    trace,
+    upright,
 )
+from loopcal.presentation.shown import shortened
 
 
 @dataclass(frozen=True)
@@ -40,33 +44,14 @@ def changes(key: str, unit: str, candidates: Sequence[Reach]) -> Figure | None:
         return None
     shown = sorted(candidates, key=lambda one: -one.smallest)
     labels = names([one.name for one in shown])
-    data: list[Mapping[str, Any]] = [
-        {
-            "type": "bar",
-            "orientation": "h",
-            "name": "smallest change that is seen with 90 %",
-            "y": labels,
-            "x": numbers(np.array([one.smallest for one in shown])),
-            "marker": {"color": BEFORE},
-        }
-    ]
+    smallest = np.array([one.smallest for one in shown])
+    data = [_bars("smallest change that is seen with 90 %", smallest, labels, BEFORE)]
     changed = [one for one in shown if one.change is not None]
     if changed:
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": "change that was found, 95 % interval",
-                "y": names([one.name for one in changed]),
-                "x": numbers(np.array([abs(one.change or 0.0) for one in changed])),
-                "error_x": {
-                    "type": "data",
-                    "array": numbers(np.array([one.half or 0.0 for one in changed])),
-                    "thickness": 1.5,
-                },
-                "marker": {"color": MARK, "size": 9},
-            }
-        )
+        sizes, halves = np.array([(abs(o.change or 0.0), o.half or 0.0) for o in changed]).T
+        words, labels = "change that was found, 95 % interval", names([o.name for o in changed])
+        look = {"color": MARK, "size": 9}
+        data.append(trace("markers", words, sizes, labels, error_x=interval(halves), marker=look))
     return Figure(
         key,
         f"Changes in {unit}",
@@ -89,17 +74,8 @@ def narrowed(
         return None
     order = np.argsort(-before)
     labels = names([parameters[i] for i in order])
-    data = [
-        {
-            "type": "bar",
-            "orientation": "h",
-            "name": name,
-            "y": labels,
-            "x": numbers(sds[order]),
-            "marker": {"color": colour},
-        }
-        for name, sds, colour in (("before", before, BEFORE), ("updated", after, AFTER))
-    ]
+    stages = (("before", before, BEFORE), ("updated", after, AFTER))
+    data = [_bars(name, sds[order], labels, colour) for name, sds, colour in stages]
     return Figure(
         key,
         f"Sds in {unit} before and after the update",
@@ -120,19 +96,15 @@ def spread(parameters: Sequence[str], machines: Mapping[str, Array], unusual: se
     """Deviations of machines (n,) from the others, as normal deviates."""
     colour = colours(machines)
     labels = names(parameters)
+    plain, odd = {"size": 9, "symbol": "circle"}, {"size": 12, "symbol": "diamond"}
     data = [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": shown_text(name),
-            "x": numbers(values),
-            "y": labels,
-            "marker": {
-                "color": MARK if name in unusual else colour[name],
-                "size": 12 if name in unusual else 9,
-                "symbol": "diamond" if name in unusual else "circle",
-            },
-        }
+        trace(
+            "markers",
+            name,
+            values,
+            labels,
+            marker={"color": MARK, **odd} if name in unusual else {"color": colour[name], **plain},
+        )
         for name, values in machines.items()
     ]
     band = {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
@@ -153,3 +125,110 @@ def spread(parameters: Sequence[str], machines: Mapping[str, Array], unusual: se
             shapes=[{**band, "x0": -1.96, "x1": 1.96, **look}],
         ),
     )
+
+
+def _bars(name: str, values: Array, labels: Sequence[str], colour: str) -> dict[str, Any]:
+    level = {"type": "bar", "orientation": "h", "name": name}
+    return {**level, "y": labels, "x": numbers(values), "marker": {"color": colour}}
+
+
+# A machine over time: its parameters against the first calibration, and its accuracy.
+
+EVENT = 30
+"""Characters of an event that stand beside its line; the table of entries holds all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """times: ISO; values, half: (n,) a value and half its 95 % interval, in one unit."""
+
+    name: str
+    times: Sequence[str]
+    values: Array
+    half: Array
+
+
+@dataclass(frozen=True)
+class Event:
+    """What happened, and when (ISO)."""
+
+    time: str
+    words: str
+
+
+def courses(key: str, unit: str, lines: Sequence[Line], events: Sequence[Event]) -> Figure | None:
+    """Parameters of one unit, less their first value; None without any."""
+    if not lines:
+        return None
+    colour = colours(line.name for line in lines)
+    data = [
+        trace(
+            "lines+markers",
+            line.name,
+            line.times,
+            line.values - line.values[0],
+            error_y=interval(line.half, 1.2),
+            line={"color": colour[line.name]},
+        )
+        for line in lines
+    ]
+    title = f"change since the first [{shown_text(unit)}]"
+    return Figure(
+        key,
+        f"Parameters in {unit} over time",
+        "Bars are 95 % intervals. Dashed lines are events. Click a name to hide it.",
+        f"Changes of {len(lines)} parameters over time with 95 % intervals.",
+        tuple(data),
+        layout(
+            460, yaxis=axis(title, zeroline=True), xaxis=axis("", type="date"), **_events(events)
+        ),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Weighted:
+    """(n,) exponentially weighted means and their limits."""
+
+    smooth: Array
+    low: Array
+    high: Array
+
+
+def accuracy_chart(
+    unit: str, line: Line, weighted: Weighted | None, events: Sequence[Event]
+) -> Figure:
+    """The accuracy with its weighted mean and the limits of that."""
+    x = line.times
+    data = [trace("markers", "rms", x, line.values, marker={"color": BEFORE})]
+    if weighted is not None:
+        dashed = {"color": MARK, "dash": "dot"}
+        data += [
+            trace("lines", "EWMA", x, weighted.smooth, line={"color": AFTER}),
+            trace("lines", "limits", x, weighted.low, line=dashed),
+            trace("lines", "limits", x, weighted.high, line=dashed, showlegend=False),
+        ]
+    return Figure(
+        "accuracy",
+        "Accuracy over time",
+        "EWMA: exponentially weighted mean. Beyond a limit the accuracy has changed by more than "
+        "its own scatter explains.",
+        f"Accuracy at {len(line.times)} entries.",
+        tuple(data),
+        layout(
+            360,
+            yaxis=axis(f"rms [{shown_text(unit)}]"),
+            xaxis=axis("", type="date"),
+            **_events(events),
+        ),
+    )
+
+
+def _events(events: Sequence[Event]) -> dict[str, Any]:
+    # Upright beside its line, so that neighbouring events do not cover each other.
+    words = {"yref": "paper", "y": 1, "showarrow": False, "textangle": -90, "xanchor": "right"}
+    return {
+        "shapes": [upright(e.time, MARK, 1.5) for e in events],
+        "annotations": [
+            {**words, "x": e.time, "text": shown_text(shortened(e.words, EVENT))} for e in events
+        ],
+    }

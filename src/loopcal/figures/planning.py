@@ -18,8 +18,10 @@ from loopcal.figures.figure import (
     colours,
     layout,
     names,
-    numbers,
     shown_text,
+    spots,
+    suffix,
+    trace,
 )
 from loopcal.figures.space import Machine, machine_trace, space_layout
 
@@ -40,15 +42,14 @@ def by_number(lines: Sequence[Line], unit: str, number: int) -> Figure | None:
     # The plan as "after", random poses as "before".
     shades = (AFTER, COLOURS[1], BEFORE)
     data = [
-        {
-            "type": "scatter",
-            "mode": "lines+markers",
-            "name": line.name,
-            "x": list(line.poses),
-            "y": numbers(line.values),
-            "line": {"color": shade, "width": 2},
-            "marker": {"size": 4},
-        }
+        trace(
+            "lines+markers",
+            line.name,
+            line.poses,
+            line.values,
+            line={"color": shade, "width": 2},
+            marker={"size": 4},
+        )
         for line, shade in zip(lines, shades, strict=False)
     ]
     sds_text = ", ".join(
@@ -80,7 +81,7 @@ def parameters_by_number(groups: Mapping[str, Sequence[Line]]) -> Figure | None:
     more: dict[str, Any] = {}
     height = 1.0 / len(groups)
     for i, (unit, lines) in enumerate(groups.items()):
-        end = "" if i == 0 else str(i + 1)
+        end = suffix(i)
         top = 1.0 - i * height
         more[f"yaxis{end}"] = axis(
             f"expected sd [{shown_text(unit)}]",
@@ -89,15 +90,14 @@ def parameters_by_number(groups: Mapping[str, Sequence[Line]]) -> Figure | None:
         )
         shades = colours(line.name for line in lines)
         data += [
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "name": shown_text(line.name),
-                "x": list(line.poses),
-                "y": numbers(line.values),
-                "line": {"color": shades[line.name], "width": 1.5},
-                "yaxis": f"y{end}",
-            }
+            trace(
+                "lines",
+                line.name,
+                line.poses,
+                line.values,
+                line={"color": shades[line.name], "width": 1.5},
+                yaxis=f"y{end}",
+            )
             for line in lines
         ]
     count = sum(len(lines) for lines in groups.values())
@@ -119,30 +119,15 @@ def chosen_points(
     points: Array, use: Sequence[str], ids: Sequence[str], machine: Machine | None
 ) -> Figure:
     """The end points (d, n) [m] of the chosen poses, in the order to measure them."""
-    keys = "xyz"[: len(points)]
-    kind = "scatter" if len(points) == 2 else "scatter3d"
-    way = {
-        "type": kind,
-        "mode": "lines",
-        "name": "order",
-        "hoverinfo": "skip",
-        "line": {"color": BEFORE, "width": 1.5},
-        **{k: numbers(v) for k, v in zip(keys, points, strict=True)},
-    }
+    line = {"color": BEFORE, "width": 1.5}
+    way = spots("lines", points, name="order", hoverinfo="skip", line=line)
     data = [way] if machine is None else [machine_trace(machine), way]
     for name, shade in zip(dict.fromkeys(sorted(use)), (AFTER, COLOURS[1]), strict=False):
         some = [i for i, u in enumerate(use) if u == name]
-        data.append(
-            {
-                "type": kind,
-                "mode": "markers",
-                "name": name,
-                "marker": {"color": shade, "size": 5},
-                "text": names([f"{i + 1}: pose {ids[i]}" for i in some]),
-                "hoverinfo": "text",
-                **{k: numbers(v[some]) for k, v in zip(keys, points, strict=True)},
-            }
-        )
+        marker = {"color": shade, "size": 5}
+        texts = names([f"{i + 1}: pose {ids[i]}" for i in some])
+        hover = {"text": texts, "hoverinfo": "text"}
+        data.append(spots("markers", points[:, some], name=name, marker=marker, **hover))
     return Figure(
         "chosen",
         "The chosen poses",

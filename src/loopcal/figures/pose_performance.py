@@ -8,24 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.figures.bars import Bars, bar_layout
 from loopcal.figures.figure import (
     AFTER,
     BEFORE,
     COLOURS,
+    COLUMNS,
     Array,
+    Bars,
     Figure,
     axis,
+    bar_layout,
     colours,
     layout,
-    numbers,
     panel_title,
-    shown_text,
+    panels,
+    trace,
 )
-
-COLUMNS = 3
-"""Panels side by side."""
-
 
 SHADES = (BEFORE, AFTER, COLOURS[4])
 """Of AP, AP after fitting the base, and RP."""
@@ -68,20 +66,18 @@ class Cloud:
 def scatter(clouds: Sequence[Cloud], plane: tuple[int, int] = (0, 1)) -> Figure:
     """A panel per pose: readings around the commanded pose, their mean, and the circle of RP."""
     letters = ["xyz"[k] for k in plane]
-    rows = -(-len(clouds) // COLUMNS)
     data: list[dict[str, Any]] = []
     more: dict[str, Any] = {}
     titles, shapes = [], []
     reach = max(
         max(float(np.ptp(c.offsets[:, k])) for k in plane) / 2.0 + (c.radius or 0.0) for c in clouds
     )
-    for i, cloud in enumerate(clouds):
-        row, column = divmod(i, COLUMNS)
-        suffix = str(i + 1) if i else ""
-        left, top = column / COLUMNS, 1.0 - row / rows
+    every = panels(len(clouds))
+    rows = every[0].rows
+    for panel, cloud in zip(every, clouds, strict=True):
+        suffix, left, top = panel.suffix, panel.left, panel.top
         at = cloud.offsets[:, plane]
         mean = at.mean(axis=0)
-        panel_axes = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
         more[f"xaxis{suffix}"] = axis(
             f"{letters[0]} [mm]",
             domain=[left + 0.02, left + 0.86 / COLUMNS],
@@ -97,36 +93,27 @@ def scatter(clouds: Sequence[Cloud], plane: tuple[int, int] = (0, 1)) -> Figure:
             scaleanchor=f"x{suffix}",
             nticks=5,
         )
-        look = {"color": COLOURS[0], "size": 5, "opacity": 0.6}
-        data.append(_dots("readings", at, look, i == 0) | panel_axes)
-        cross = {"color": COLOURS[1], "size": 11, "symbol": "cross-thin-open"}
-        data.append(_dots("mean", mean[None], cross, i == 0) | panel_axes)
-        # Drawn last, on top of the readings.
-        star = {"color": BEFORE, "size": 10, "symbol": "x-open"}
-        data.append(_dots("commanded", np.zeros((1, 2)), star, i == 0) | panel_axes)
+        # The commanded pose is drawn last, on top of the readings.
+        for name, dots, look in (
+            ("readings", at, {"color": COLOURS[0], "size": 5, "opacity": 0.6}),
+            ("mean", mean[None], {"color": COLOURS[1], "size": 11, "symbol": "cross-thin-open"}),
+            ("commanded", np.zeros((1, 2)), {"color": BEFORE, "size": 10, "symbol": "x-open"}),
+        ):
+            legend: dict[str, Any] = {"legendgroup": name, "showlegend": panel is every[0]}
+            x, y = dots.T
+            data.append(trace("markers", name, x, y, marker=look, **legend, **panel.axes))
         if cloud.radius is not None:
             shapes.append(
                 {
                     "type": "circle",
-                    "xref": panel_axes["xaxis"],
-                    "yref": panel_axes["yaxis"],
+                    "xref": panel.axes["xaxis"],
+                    "yref": panel.axes["yaxis"],
                     **{f"x{e}": float(mean[0] + s * cloud.radius) for e, s in ((0, -1), (1, 1))},
                     **{f"y{e}": float(mean[1] + s * cloud.radius) for e, s in ((0, -1), (1, 1))},
                     "line": {"color": COLOURS[4], "width": 1.5},
                 }
             )
-        titles.append(
-            {
-                "text": panel_title(cloud.name),
-                "x": left + 0.02,
-                "y": top - 0.05 / rows,
-                "xref": "paper",
-                "yref": "paper",
-                "xanchor": "left",
-                "yanchor": "bottom",
-                "showarrow": False,
-            }
-        )
+        titles.append(panel.titled(panel_title(cloud.name), 0.02, 0.05 / rows))
     return Figure(
         f"scatter_{letters[0]}{letters[1]}",
         f"Readings around the commanded pose, {letters[0]} and {letters[1]}",
@@ -160,17 +147,10 @@ def drift_courses(courses: Sequence[Course], unit: str) -> Figure | None:
             ("AP", course.accuracy, "solid"),
             ("RP", course.repeatability, "dot"),
         ):
-            data.append(
-                {
-                    "type": "scatter",
-                    "mode": "lines+markers",
-                    "name": f"{what} {shown_text(course.name)}",
-                    "x": numbers(np.array(course.times)),
-                    "y": numbers(np.array(values)),
-                    "line": {"color": shades[course.name], "dash": dash, "width": 1.5},
-                    "marker": {"size": 5},
-                }
-            )
+            line = {"color": shades[course.name], "dash": dash, "width": 1.5}
+            x, y = np.array(course.times), np.array(values)
+            name = f"{what} {course.name}"
+            data.append(trace("lines+markers", name, x, y, line=line, marker={"size": 5}))
     return Figure(
         "drift",
         "Drift of accuracy and repeatability",
@@ -180,16 +160,3 @@ def drift_courses(courses: Sequence[Course], unit: str) -> Figure | None:
         tuple(data),
         layout(340, xaxis=axis(unit), yaxis=axis("mm", rangemode="tozero")),
     )
-
-
-def _dots(name: str, at: Array, look: dict[str, Any], legend: bool) -> dict[str, Any]:
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "name": name,
-        "legendgroup": name,
-        "showlegend": legend,
-        "x": numbers(at[:, 0]),
-        "y": numbers(at[:, 1]),
-        "marker": look,
-    }

@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from loopcal.figures.figure import (
+    AFTER,
+    COLUMNS,
+    POINTS,
     Array,
     Figure,
     axis,
+    interval,
     layout,
     names,
     numbers,
     panel_title,
+    panels,
     shown_text,
+    suffix,
+    thinned,
+    trace,
 )
-from loopcal.figures.thinning import POINTS, thinned
 
 NORMAL = "#8d8f96"
 """Colour of the normal curve."""
-COLUMNS = 3
-"""Panels side by side."""
 
 
 def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> Figure | None:
@@ -38,19 +44,17 @@ def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> F
     reach = min(max(4.0, *(float(np.abs(v).max()) for v in usable.values())), 12.0)
     curve = np.linspace(-reach, reach, 61)
     edges = np.linspace(-reach, reach, 41)
-    rows = -(-len(usable) // COLUMNS)
     data: list[dict[str, Any]] = []
     more: dict[str, Any] = {}
     titles = []
-    for i, (name, values) in enumerate(usable.items()):
-        row, column = divmod(i, COLUMNS)
-        suffix = str(i + 1) if i else ""
-        left, top = column / COLUMNS, 1.0 - row / rows
+    every = panels(len(usable))
+    rows = every[0].rows
+    for panel, (name, values) in zip(every, usable.items(), strict=True):
+        end, left, top = panel.suffix, panel.left, panel.top
         right, bottom = left + 0.88 / COLUMNS, top - 0.72 / rows
-        panel_axes = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
         quiet = {"showticklabels": False, "rangemode": "tozero", "title": {"text": ""}}
-        more[f"xaxis{suffix}"] = axis("", domain=[left, right], anchor=f"y{suffix}", nticks=5)
-        more[f"yaxis{suffix}"] = axis("", domain=[bottom, top], anchor=f"x{suffix}") | quiet
+        more[f"xaxis{end}"] = axis("", domain=[left, right], anchor=f"y{end}", nticks=5)
+        more[f"yaxis{end}"] = axis("", domain=[bottom, top], anchor=f"x{end}") | quiet
         counts = np.histogram(np.clip(values, -reach, reach), edges)[0]
         density = counts / (values.size * (edges[1] - edges[0]))
         normal = np.exp(-0.5 * curve**2) / np.sqrt(2.0 * np.pi)
@@ -59,32 +63,10 @@ def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> F
             (curve, normal, {"dash": "dot", "width": 2, "color": NORMAL}, "none"),
         ]
         for x, y, line, fill in lines:
-            data.append(
-                {
-                    "type": "scatter",
-                    "mode": "lines",
-                    "name": shown_text(name),
-                    "x": numbers(x),
-                    "y": numbers(y),
-                    "line": {"color": shades[name], **line},
-                    "fill": fill,
-                    "hoverinfo": "skip",
-                    **panel_axes,
-                }
-            )
+            look = {"line": {"color": shades[name], **line}, "fill": fill, "hoverinfo": "skip"}
+            data.append(trace("lines", name, x, y, **look, **panel.axes))
         rms = float(np.sqrt(np.square(values).mean()))
-        titles.append(
-            {
-                "text": panel_title(name, f"rms {rms:.2f}"),
-                "x": left,
-                "y": top,
-                "xref": "paper",
-                "yref": "paper",
-                "xanchor": "left",
-                "yanchor": "bottom",
-                "showarrow": False,
-            }
-        )
+        titles.append(panel.titled(panel_title(name, f"rms {rms:.2f}")))
     rms_text = ", ".join(
         f"{shown_text(n)} rms {np.sqrt(np.square(v).mean()):.2f}" for n, v in usable.items()
     )
@@ -118,25 +100,19 @@ def drift(
     for i, (name, values) in enumerate(usable.items()):
         chosen = thinned(values, max(POINTS * 4 // count, 300) if count > 4 else POINTS)
         words = words or chosen.words
-        suffix = "" if i == 0 else str(i + 1)
         top = 1.0 - i / count
         domain = [top - 0.88 / count, top]
-        more[f"yaxis{suffix}"] = axis(
+        more[f"yaxis{suffix(i)}"] = axis(
             panel_title(name, most=12), domain=domain, zeroline=True, nticks=4
         )
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": shown_text(name),
-                "showlegend": False,
-                "x": (chosen.index + 1).tolist(),
-                "y": numbers(values[chosen.index]),
-                "text": names([ids[j] for j in chosen.index]),
-                "marker": {"color": shades[name], "size": 3},
-                "yaxis": f"y{suffix}",
-            }
-        )
+        look = {
+            "showlegend": False,
+            "text": names([ids[j] for j in chosen.index]),
+            "marker": {"color": shades[name], "size": 3},
+            "yaxis": f"y{suffix(i)}",
+        }
+        at = (chosen.index + 1).tolist()
+        data.append(trace("markers", name, at, values[chosen.index], **look))
     anchor = "y" if count == 1 else f"y{count}"
     return Figure(
         "drift",
@@ -151,4 +127,99 @@ def drift(
             showlegend=False,
             **more,
         ),
+    )
+
+
+# The estimated parameters: changes with 95 % intervals, and a map of their correlations.
+
+WIDE = 1.96
+"""Sds on each side of a normal 95 % interval."""
+LABEL = 12
+"""Pixels that a label needs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """Parameters of one unit: their changes and sds (n,) in that unit, NaN where unknown."""
+
+    unit: str
+    names: Sequence[str]
+    changes: Array
+    sds: Array
+
+
+def changes(groups: Sequence[Change]) -> Figure | None:
+    """A panel for each unit, a line for each parameter; None without any."""
+    groups = [g for g in groups if len(g.names)]
+    if not groups:
+        return None
+    data: list[dict[str, Any]] = []
+    more: dict[str, Any] = {}
+    # Plotly places panels by shares of the width of the figure; gaps are left for their labels.
+    width = 1.0 / len(groups)
+    for i, group in enumerate(groups):
+        end = suffix(i)
+        domain = [i * width + (0.06 if i else 0.0), (i + 1) * width - 0.04]
+        title = f"change [{shown_text(group.unit)}]"
+        more[f"xaxis{end}"] = axis(title, domain=domain, zeroline=True, anchor=f"y{end}")
+        more[f"yaxis{end}"] = axis(
+            "", type="category", autorange="reversed", tickmode="linear", anchor=f"x{end}"
+        )
+        look = {"error_x": interval(WIDE * group.sds), "marker": {"color": AFTER, "size": 6}}
+        axes = {"xaxis": f"x{end}", "yaxis": f"y{end}"}
+        labels = names(group.names)
+        data.append(trace("markers", group.unit, group.changes, labels, **look, **axes))
+    most = max(len(g.names) for g in groups)
+    sure = sum(int((np.abs(g.changes) > WIDE * g.sds).sum()) for g in groups)
+    count = sum(len(g.names) for g in groups)
+    return Figure(
+        "parameters",
+        "Changes of the parameters from their nominal values",
+        "Bars are 95 % intervals. A bar that reaches zero: the data do not show a change. A bar "
+        "much longer than the others: a weakly determined parameter.",
+        f"Changes of {count} parameters with 95 % intervals; {sure} intervals exclude zero.",
+        tuple(data),
+        layout(120 + 20 * most, showlegend=False, **more),
+    )
+
+
+def correlations(covariance: Array, parameters: Sequence[str]) -> Figure | None:
+    """A map of the correlations of a covariance (n, n), NaN where unknown; None below n = 2."""
+    sds = np.sqrt(np.diag(covariance))
+    if len(sds) < 2 or not np.isfinite(sds).any():
+        return None
+    scale = np.where(sds > 0.0, sds, np.nan)
+    matrix = covariance / np.outer(scale, scale)
+    apart = np.abs(np.where(np.eye(len(sds), dtype=bool), np.nan, matrix))
+    strongest = "no two parameters have one."
+    if np.isfinite(apart).any():
+        i, j = divmod(int(np.nanargmax(apart)), len(sds))
+        pair = f"{shown_text(parameters[i])} and {shown_text(parameters[j])}"
+        strongest = f"the strongest is {matrix[i, j]:.3f} between {pair}."
+    labels = names(parameters)
+    ticks = {"tickmode": "linear", "type": "category", "tickfont": {"size": 9}}
+    data = {
+        "type": "heatmap",
+        "x": labels,
+        "y": labels,
+        # hundredths: finer differences of a colour are invisible
+        "z": [numbers(np.round(row, 2)) for row in matrix],
+        "zmin": -1,
+        "zmax": 1,
+        "colorscale": [[0, "#d55e00"], [0.5, "rgba(128,128,128,0.10)"], [1, "#0072b2"]],
+        "colorbar": {"thickness": 10, "tickfont": {"size": 9}},
+    }
+    return Figure(
+        "correlations",
+        "Correlations of the estimated parameters",
+        "Strong colour off the diagonal: these poses determine only the sum or difference of "
+        "the two, so each alone is uncertain.",
+        f"Map of the correlations of {len(sds)} parameters: {strongest}",
+        (data,),
+        layout(
+            220 + LABEL * len(sds),
+            xaxis=axis("", tickangle=-90, **ticks),
+            yaxis=axis("", autorange="reversed", **ticks),
+        ),
+        least_width=160 + LABEL * len(sds),
     )

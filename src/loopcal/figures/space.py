@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.figures.figure import Array, Figure, axis, layout, names, numbers
-from loopcal.figures.thinning import thinned
-from loopcal.presentation.rounding import significant
+from loopcal.figures.figure import Array, Figure, axis, layout, names, spots, thinned
+from loopcal.presentation.shown import significant
 
 # More hide each other, and a browser turns them slowly.
 ARROWS = 500
@@ -62,7 +61,8 @@ def arrows(
         ]
         scale = _scale(at, size)
         drawn[name] = _stage(at, scale * along, size / factor, labels, f"{unit} {name}")
-        enlargements.append(f"{_times(scale)} times {name}")
+        times = f"{scale:,.0f}" if scale >= 1 else f"{scale:.3g}"
+        enlargements.append(f"{times} times {name}")
     data: list[dict[str, Any]] = []
     if machine is not None:
         data.append(machine_trace(machine))
@@ -95,23 +95,22 @@ def _stage(
         if which.any():
             lines = _lines(at[:, which], along[:, which])
             name = f"up to {significant(float(edges[i + 1]), 2)} {words}"
-            traces.append(
-                {**_trace(lines, name, {"color": colour, "width": 2}), "hoverinfo": "skip"}
-            )
+            line = {"color": colour, "width": 2}
+            traces.append(spots("lines", lines, name=name, line=line, hoverinfo="skip"))
     marks = {"color": [SHADES[i] for i in shade], "size": 2 if len(at) == 3 else 5}
-    trace = _trace(at, "pose", {})
-    del trace["line"]
     hover = {"text": names(labels), "hoverinfo": "text", "showlegend": False}
-    return [*traces, {**trace, "mode": "markers", "marker": marks, **hover}]
+    return [*traces, spots("markers", at, name="pose", marker=marks, **hover)]
 
 
 def machine_trace(machine: Machine) -> dict[str, Any]:
     """The machine in one pose."""
-    trace = _trace(machine.points.T, "machine in one of the poses", {"color": MACHINE, "width": 5})
-    marks = {"size": 5, "color": MACHINE}
-    text = {"text": names(machine.labels), "textposition": "top right", "hoverinfo": "text"}
-    mode = "lines+markers+text" if machine.labels else "lines+markers"
-    return {**trace, "mode": mode, "marker": marks, **(text if machine.labels else {})}
+    mode = "lines+markers"
+    hover: dict[str, Any] = {"hoverinfo": "name"}
+    if machine.labels:
+        mode += "+text"
+        hover = {"text": names(machine.labels), "textposition": "top right", "hoverinfo": "text"}
+    look = {"line": {"color": MACHINE, "width": 5}, "marker": {"size": 5, "color": MACHINE}}
+    return spots(mode, machine.points.T, name="machine in one of the poses", **look, **hover)
 
 
 def _switch(stages: Sequence[str], still: int, of: Sequence[str]) -> dict[str, Any]:
@@ -135,11 +134,10 @@ def _switch(stages: Sequence[str], still: int, of: Sequence[str]) -> dict[str, A
 def _scale(at: Array, size: Array) -> float:
     extent = float(np.linalg.norm(np.ptp(at, axis=1))) or 1.0
     # The 95th percentile of the arrows becomes 8 % of the extent: visible, without overlap.
-    return _round(0.08 * extent / max(float(np.nanpercentile(size, 95)), 1e-15))
-
-
-def _times(scale: float) -> str:
-    return f"{scale:,.0f}" if scale >= 1 else f"{scale:.3g}"
+    value = 0.08 * extent / max(float(np.nanpercentile(size, 95)), 1e-15)
+    # The next number below of 1, 2, 5, 10, ...
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * 1.000001))
 
 
 def space_layout(
@@ -181,18 +179,6 @@ def _scene(data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {"aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": eye}, **axes}
 
 
-def _trace(coordinates: Array, name: str, line: dict[str, Any]) -> dict[str, Any]:
-    keys = "xyz"[: len(coordinates)]
-    return {
-        "type": "scatter" if len(keys) == 2 else "scatter3d",
-        "mode": "lines",
-        "name": name,
-        "line": line,
-        "hoverinfo": "name",
-        **{key: numbers(values) for key, values in zip(keys, coordinates, strict=True)},
-    }
-
-
 def _lines(start: Array, arrow: Array) -> Array:
     """Shafts and heads of arrows (d, n) as one broken line: NaN lifts the pen."""
     end = start + arrow
@@ -209,9 +195,3 @@ def _lines(start: Array, arrow: Array) -> Array:
     lifted = np.full_like(start, np.nan)
     drawn = np.stack([start, end, left, end, right, lifted], axis=2)
     return drawn.reshape(len(start), -1)
-
-
-def _round(value: float) -> float:
-    """The next number below of 1, 2, 5, 10, ..."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * 1.000001))

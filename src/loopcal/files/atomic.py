@@ -18,8 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from loopcal.errors import InputError
-from loopcal.files.outputs import free_name, is_foreign
-from loopcal.files.paths import refuse_outside
+from loopcal.files.outputs import free_name, is_foreign, refuse_outside
 
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NO_RIGHT = (errno.EACCES, errno.EPERM, errno.EROFS)

@@ -25,7 +25,7 @@ from typing import Any, BinaryIO
 from loopcal import errors
 from loopcal.import_path import without_folder
 
-# Why a child, and why these limits: docs/decisions/0031 and 0137.
+# Why a child, and why these limits: docs/decisions/0137.
 MEMORY, MEMORY_PER_BYTE = 1 << 30, 64
 """Bytes that any call may allocate, or else those per byte of its file."""
 SECONDS, BYTES_PER_SECOND, PATIENCE = 20, 1_000_000, 10

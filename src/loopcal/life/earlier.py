@@ -31,10 +31,10 @@ from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.statistics.another_day import day_problem, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import root_of
-from loopcal.statistics.replacing import DETERMINED
-from loopcal.statistics.verification import day_problem, noise_of
+from loopcal.statistics.replacing import least_squares
 
 Array = NDArray[np.float64]
 _MOST = 3000
@@ -45,20 +45,13 @@ _SHARE = 1e-9
 """Of the information: a prior that adds less adds nothing."""
 
 
-@dataclass(frozen=True)
-class Coordinates:
-    """values: phi(q) - p (n_all,); slopes: (n_all, n_all) derivatives by q."""
+@dataclass(frozen=True, eq=False)
+class Sloped:
+    """values (q,) and their derivatives (q, n) by the parameters: of coordinates phi(q) - p, or of
+    what a prior says in units of its sds."""
 
     values: Array
     slopes: Array
-
-
-@dataclass(frozen=True, eq=False)
-class PriorRows:
-    """rows (q, n) of steps of parameters, of unit variance, and their values (q,)."""
-
-    rows: Array
-    values: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +67,7 @@ class Seen:
     D: Array
     back: Array
 
-    def at(self, parameters: Array) -> Coordinates:
+    def at(self, parameters: Array) -> Sloped:
         """Of parameters (n_all,); these themselves where a loop has no value."""
         step = parameters - self.centre
         blocks = _blocks(self.problem, parameters)
@@ -82,9 +75,9 @@ class Seen:
         J = _rows(self.roots, [block.J for block in blocks])
         one = np.eye(len(step))
         if not (np.isfinite(e).all() and np.isfinite(J).all()):
-            return Coordinates(step, one)
+            return Sloped(step, one)
         values = step + self.back @ (e - self.D @ step)
-        return Coordinates(values, one + self.back @ (J - self.D))
+        return Sloped(values, one + self.back @ (J - self.D))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +102,7 @@ class Around:
         (n_all,) moves so that the earlier loops stay closed."""
         moves, then = np.diag((~anew).astype(float)), anew & self.estimated
         if self.D is not None:
-            moves[np.ix_(then, ~anew)] = -_least_squares(self.D[:, then], self.D[:, ~anew])
+            moves[np.ix_(then, ~anew)] = -least_squares(self.D[:, then], self.D[:, ~anew])
         return moves
 
 
@@ -168,7 +161,7 @@ class Earlier:
             return None
         return taken(day_problem(calibrated, calibrated.poses, noise_of(calibrated)), self.kept)
 
-    def prior(self, parameters: Array) -> PriorRows:
+    def prior(self, parameters: Array) -> Sloped:
         """What the earlier calibration knew beside its poses, of steps from parameters (n_all,)."""
         assert self.added is not None
         assert self.pull is not None
@@ -177,7 +170,7 @@ class Earlier:
         root = np.sqrt(values[kept])
         rows = (root[:, None] * V[:, kept].T) @ self.inverse
         away = self.inverse @ (parameters - self.begin)
-        return PriorRows(rows, -(root * (V[:, kept].T @ away)) - V[:, kept].T @ self.pull / root)
+        return Sloped(-(root * (V[:, kept].T @ away)) - V[:, kept].T @ self.pull / root, rows)
 
     def linear(
         self, calibrated: Calibrated, parameters: Array, components: Sequence[Sequence[int]]
@@ -210,7 +203,7 @@ class Earlier:
         root, pull = self.root @ half, DR.T @ E - self.pull - self.added @ step
         carried = self.root
         if self.seen is not None:
-            carried = _least_squares(self.seen.at(centre).slopes, self.root)
+            carried = least_squares(self.seen.at(centre).slopes, self.root)
         mean = centre + root @ (half.T @ pull)
         seen = self._seen(centre, root)
         return Around(centre, mean, root, carried, seen, D, self.estimated)
@@ -225,7 +218,7 @@ class Earlier:
         parameters, then = np.where(anew, self.begin, today), anew & self.estimated
         for _ in range(_PLACINGS if self.problem is not None and then.any() else 0):
             E, D = self._equations(parameters)
-            parameters[then] += _least_squares(D[:, then], E[:, None])[:, 0]
+            parameters[then] += least_squares(D[:, then], E[:, None])[:, 0]
         return parameters
 
     def _closed(self, parameters: Array) -> Array:
@@ -257,14 +250,6 @@ class Earlier:
             return None
         D = _rows(roots, [block.J for block in blocks])
         return Seen(problem, centre, roots, D, root @ (D @ root).T)
-
-
-def _least_squares(A: Array, b: Array) -> Array:
-    """x (n, m) of the least |A x - b|, A (R, n), without directions that A does not show."""
-    scale = np.linalg.norm(A, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    x: Array = np.linalg.lstsq(A / scale, b, rcond=DETERMINED)[0] / scale[:, None]
-    return x
 
 
 def _blocks(problem: Problem, parameters: Array) -> Sequence[ModelBlock]:

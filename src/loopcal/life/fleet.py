@@ -22,9 +22,7 @@ from loopcal.errors import InputError, listed
 from loopcal.life.measured_machine import MeasuredMachine
 from loopcal.life.spread import LEVEL, Spread
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.presentation.shown import by_sd, chance, size, unit_shown
-from loopcal.presentation.text_table import columns
-from loopcal.presentation.wrapped import wrapped
+from loopcal.presentation.shown import by_sd, chance, columns, size, unit_shown, wrapped
 
 Array = NDArray[np.float64]
 FEWEST = 3

@@ -9,6 +9,17 @@ of yesterday touches, rows of unit variance under C + Q,
 Phi the merit of the new poses (`loopcal.estimation.solve.merit`). Where the problem is linear and
 nothing moved, the end is that of all poses fitted at once (Kalman 1960): yesterday's poses enter
 by their sums.
+
+Sds of sensors from the poses of both days.
+
+Near the machine p of today the misclosures of the earlier poses and of the new ones are
+
+    e_1 = J_1 (p - d) + F_1 a_1 + v_1,    e_2 = J_2 p + F_2 a_2 + v_2,    d ~ N(0, Q),
+
+with what was placed anew (a_1, a_2) free on each day, d the drift, and the prior of the earlier
+calibration as further rows. The covariances of v_1 and v_2 share the variances of the sensors,
+which the restricted likelihood of both together estimates (Patterson and Thompson 1971): of one
+model of all poses, so that no day's estimate has to be summed up by a curvature.
 """
 
 from __future__ import annotations
@@ -21,32 +32,37 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, nearest
-from loopcal.estimation.calibrate import LEARNT, calibrate
+from loopcal.document.fit import NoiseEntry
+from loopcal.errors import InputError, NoTrustworthyResult, nearest
+from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.inherited import UPDATED, Inherited
 from loopcal.estimation.methods.method import Method
+from loopcal.estimation.noise.estimation import judged
+from loopcal.estimation.noise.learning import learnt_entry
+from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
+from loopcal.estimation.noise.variance_components import Component, estimate_ratios
 from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.unknowns import Unknowns
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import UPDATED, Inherited, Result
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import Evaluation
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solution import MOST_ITERATIONS, Solution
 from loopcal.estimation.solve.solver import Progress, solve_with
-from loopcal.estimation.solve.status import MOST_ITERATIONS
 from loopcal.estimation.solve.sweep import Sweeper
-from loopcal.life.both_days import learnt
-from loopcal.life.earlier import Around, Coordinates, Earlier
+from loopcal.estimation.steps import LEARNT
+from loopcal.life.earlier import Around, Earlier, Sloped
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.parameters import ROLES
+from loopcal.small_samples import LearntCovariance, contrasts
+from loopcal.statistics.another_day import Day, as_learnt, day_problem, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.gauge import values_of
-from loopcal.statistics.replacing import Freedom, Replaced, replaced
-from loopcal.statistics.verification import as_learnt, day_problem, noise_of, verify
+from loopcal.statistics.replacing import Replaced, freed
+from loopcal.statistics.verification import verify
 from loopcal.statistics.verified import Verification
 
 Array = NDArray[np.float64]
@@ -54,7 +70,6 @@ DRIFTING = tuple(role for role in ROLES if role not in ("placement", "model erro
 """Roles of parameters that may drift."""
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
 _NOTHING, _NEWS = "The update changed no parameter of the machine", 0.01
-_RANK = 1e-12
 _ROUNDS, _SETTLED = 12, 2e-2
 """Most fits of an update, each begun near the end of the last. They have settled where parameters
 change by less than this share of an sd, and learnt variances by less than this share."""
@@ -129,11 +144,11 @@ def updated(
         stated, data = noise_of(calibrated), as_learnt(calibrated, data)
     data = with_latest(calibrated.mechanism, data)
     with one_blas_thread():
-        problem = day_problem(calibrated, data, stated)
-        freedom = Freedom.of(calibrated.mechanism, since.remounted)
+        day = Day.of(calibrated, data, stated, since.remounted)
         if not since.moved:
-            freedom = _without_placement(calibrated, freedom)
-        placed = replaced(problem, freedom)
+            standing = freed(calibrated.mechanism)
+            day = replace(day, freed=tuple(n for n in day.freed if n not in standing))
+        placed = day.placed()
         earlier = Earlier.of(calibrated)
     result: Result | None = None
     for _ in range(_ROUNDS):
@@ -221,12 +236,6 @@ def _unchanged(calibrated: Calibrated, result: Result, placed: Replaced) -> str 
     return None
 
 
-def _without_placement(calibrated: Calibrated, freedom: Freedom) -> Freedom:
-    """What else was mounted anew: the instruments stand where they stood."""
-    standing = set(Freedom.of(calibrated.mechanism).names)
-    return Freedom(tuple(n for n in freedom.names if n not in standing))
-
-
 def _drifts(calibrated: Calibrated, drift: Mapping[str, float]) -> Array:
     """(n_all,) sds [SI] of the drift of each parameter."""
     parameters = calibrated.mechanism.parameters
@@ -306,15 +315,7 @@ class _Prior:
         C = root @ root.T + drift @ drift.T
         loose = (calibrated.undetermined * held)[free]
         open_ = np.hstack([loose, np.eye(len(C))[:, placed.anew[free]]])
-        sd = np.sqrt(np.maximum(np.diag(C), 0.0))
-        scale = np.where(sd > 0.0, sd, 1.0)
-        U, s, _ = np.linalg.svd(np.hstack([open_ / scale[:, None], np.zeros((len(C), 1))]))
-        K = U[:, int((s > 1e-9 * max(s.max(), 1e-300)).sum()) :].T / scale
-        values, vectors = np.linalg.eigh(K @ C @ K.T)
-        # Contrasts that yesterday determines exactly, such as fixed parameters, have no variance to
-        # whiten.
-        kept = values > _RANK * max(float(values.max(initial=0.0)), 1e-300)
-        rows = (vectors[:, kept] / np.sqrt(values[kept])).T @ K
+        rows, sd = contrasts(LearntCovariance.certain(C), open_), np.sqrt(np.diag(C))
         carried = rows @ (around.carried * held)[free]
         informed = (np.abs(rows).max(axis=0, initial=0.0) > 0.0) & (sd > 0.0)
         centre = np.where(placed.anew, placed.parameters, around.mean)
@@ -328,16 +329,16 @@ class _Prior:
             around.follows(placed.anew),
         )
 
-    def at(self, parameters: Array) -> Coordinates:
+    def at(self, parameters: Array) -> Sloped:
         """The rows (q,) and their derivatives (q, n)."""
         around, free = self.around, self.free
         if around.seen is None:
-            return Coordinates(self.rows @ (parameters - self.centre)[free], self.rows)
+            return Sloped(self.rows @ (parameters - self.centre)[free], self.rows)
         then = around.mean + self.follows @ (parameters - around.mean)
         coordinates = around.seen.at(then)
         away = coordinates.values - (around.mean - around.centre)
         slopes = (coordinates.slopes @ self.follows)[np.ix_(free, free)]
-        return Coordinates(self.rows @ away[free], self.rows @ slopes)
+        return Sloped(self.rows @ away[free], self.rows @ slopes)
 
     def widened(self, result: Result) -> Array:
         """(n, n) what the covariance of a fit gains: G wider G^T, G its change with the rows."""
@@ -383,3 +384,108 @@ def _solved(
             tolerance=tolerance,
             progress=progress,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Sds:
+    """noise: the entries of all sensors, with new sds; change: largest logarithm of a ratio of
+    variances of a sensor that has noise."""
+
+    noise: tuple[NoiseEntry, ...]
+    change: float
+
+
+def learnt(
+    calibrated: Calibrated, earlier: Earlier, result: Result, anew: NDArray[np.bool_], drifts: Array
+) -> Sds | None:
+    """The learnt sds of a calibration, learnt from its poses and those of an update.
+
+    known: at the sds of the update; found: the update; anew: (n_all,) what was placed anew; drifts:
+    (n_all,) sds. None where no sd was learnt, the earlier poses are not there, or the loops have no
+    noise.
+    """
+    which = [i for i, entry in enumerate(calibrated.noise) if _begun(entry) is not None]
+    if not which or earlier.problem is None:
+        return None
+    begun = {i: _begun(calibrated.noise[i]) or 0.0 for i in which}
+    apart = tuple(
+        replace(entry, sd=begun[i]) if i in begun else entry
+        for i, entry in enumerate(calibrated.noise)
+    )
+    reference = replace(calibrated, noise=apart)
+    names = result.problem.mechanism.tape.quantities
+    components = [
+        Component(", ".join(entry.quantities), tuple(names.index(q) for q in entry.quantities))
+        for entry in (calibrated.noise[i] for i in which)
+    ]
+    model = _model(components, reference, result, earlier, anew, drifts)
+    # Ratios are of variances to those at which the loadings are made.
+    start = np.square([calibrated.noise[i].sd / begun[i] for i in which])
+    try:
+        estimate = estimate_ratios(model, start)
+    except NoTrustworthyResult:
+        return None
+    noise = list(calibrated.noise)
+    for j, i in enumerate(which):
+        unsure = any(j in pair for pair in estimate.alike)
+        learnt_sd = judged(model, estimate, j, components[j], unsure)
+        noise[i] = replace(learnt_entry(noise[i], learnt_sd, begun[i]), slopes=())
+    noisy = (start > 0.0) & (estimate.ratios > 0.0)
+    change = np.abs(np.log(estimate.ratios[noisy] / start[noisy])).max(initial=0.0)
+    vanished = bool(((start > 0.0) != (estimate.ratios > 0.0)).any())
+    return Sds(tuple(noise), np.inf if vanished else float(change))
+
+
+def _begun(entry: NoiseEntry) -> float | None:
+    """The sd that a search begins at: of one that was learnt, else None."""
+    if entry.source != "estimated":
+        return None
+    return entry.sd or entry.upper or None
+
+
+def _model(
+    components: Sequence[Component],
+    reference: Calibrated,
+    result: Result,
+    earlier: Earlier,
+    anew: NDArray[np.bool_],
+    drifts: Array,
+) -> LinearModel:
+    """One model of all poses: steps of today's parameters, of what stood elsewhere, and drifts.
+
+    reference: at the sds whose ratios are sought.
+    """
+    today = day_problem(reference, result.dataset, noise_of(reference))
+    positions = [component.quantities for component in components]
+    parameters = result.solution.parameters
+    new = linear_model(today, parameters, result.solution.corrections, positions).blocks
+    parameters_then = earlier.parameters_then(parameters, anew)
+    old = earlier.linear(reference, parameters_then, positions)
+    free = np.array([not p.fixed for p in result.mechanism.parameters])
+    every = np.eye(len(parameters))
+    shared, placed = every[:, free & ~anew], every[:, free & anew]
+    drift = every[:, free & ~anew & (drifts > 0.0)]
+    stood = every[:, free & anew & earlier.estimated]
+    of_today = np.hstack([shared, placed, np.zeros_like(stood), np.zeros_like(drift)])
+    # d = p - drift: the earlier poses saw the machine before it drifted.
+    of_then = np.hstack([shared, np.zeros_like(placed), stood, -drift])
+    n, prior = of_today.shape[1], earlier.prior(parameters_then)
+    unit = np.hstack([np.zeros((drift.shape[1], n - drift.shape[1])), np.eye(drift.shape[1])])
+    sds = drifts[free & ~anew & (drifts > 0.0)]
+    blocks = (
+        *(replace(block, J=block.J @ of_today) for block in new),
+        *(replace(block, J=block.J @ of_then) for block in old),
+        *_rows(Sloped(prior.values, prior.slopes @ of_then)),
+        *_rows(Sloped(np.zeros(len(sds)), unit / sds[:, None])),
+    )
+    return LinearModel(blocks, np.zeros(n), np.zeros(n), len(components))
+
+
+def _rows(prior: Sloped) -> tuple[ModelBlock, ...]:
+    """Rows of unit variance, as poses whose covariance is known."""
+    q = len(prior.values)
+    none = np.zeros(0, dtype=np.intp)
+    block = ModelBlock(
+        prior.values[:, None], prior.slopes[:, None], np.ones((q, 1, 1)), np.zeros((q, 1, 0)), none
+    )
+    return (block,) if q else ()

@@ -291,8 +291,10 @@ def _partly_exact(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[Dat
         sd = dataset.sds.get(quantity)
         if sd is None:
             continue
-        exact = np.flatnonzero(sd == 0)
-        if 0 < exact.size < len(dataset):
+        # Beside a blank reading a blank sd is as good as any.
+        read = ~np.isnan(dataset.readings[quantity])
+        exact = np.flatnonzero((sd == 0) & read)
+        if 0 < exact.size < read.sum():
             yield DataWarning(
                 quantity,
                 f"{dataset.place(int(exact[0]), quantity, sd=True)}: the sd of {quantity!r} is 0 "

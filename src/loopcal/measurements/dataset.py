@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, unknown_name
 from loopcal.measurements.poses import counted, pose_id, positions_of
 from loopcal.measurements.source import Source
 from loopcal.measurements.tables import as_numbers, column, column_names
@@ -74,10 +74,8 @@ class Dataset:
         names = [name for name in column_names(table) if name not in aside]
         for name in (*units, *sds):
             if name not in names:
-                raise InputError(
-                    f"a unit or sd is given for {name!r}, which is not in the table",
-                    code="unknown-name",
-                    remedy=nearest(name, names),
+                raise unknown_name(
+                    f"a unit or sd is given for {name!r}, which is not in the table", name, names
                 )
 
         def si(
@@ -127,11 +125,7 @@ class Dataset:
     def __getitem__(self, quantity: str) -> Array:
         """Readings (N,) [SI] of one quantity; InputError naming the nearest if there is none."""
         if quantity not in self.readings:
-            raise InputError(
-                f"there are no readings of {quantity!r}",
-                code="unknown-name",
-                remedy=nearest(quantity, self.readings),
-            )
+            raise unknown_name(f"there are no readings of {quantity!r}", quantity, self.readings)
         return self.readings[quantity]
 
     def place(self, index: int, quantity: str | None = None, *, sd: bool = False) -> str:

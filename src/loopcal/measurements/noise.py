@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import DatasheetSd, Tracker
 
@@ -68,11 +68,7 @@ class Noise:
         for key, how in self.estimate.items():
             _check_key(key)
             if how not in ESTIMATES:
-                raise InputError(
-                    f"estimate of {key!r} is {how!r}",
-                    code="unknown-name",
-                    remedy=nearest(how, ESTIMATES),
-                )
+                raise unknown_name(f"estimate of {key!r} is {how!r}", how, ESTIMATES)
 
     @classmethod
     def of(cls, noise: NoiseLike | None) -> Noise | None:
@@ -196,6 +192,15 @@ class ReadingUncertainty:
             return self
         sd = self.sd if self.sd.shape[1] == 1 else self.sd[:, chosen]
         return ReadingUncertainty(sd, tuple(b.of(chosen) for b in self.blocks), self.sources)
+
+    def through(self, S: Array) -> Array:
+        """(N, o, k) a square root of the covariance of S (N, o, k) times the readings; what is
+        unmeasured causes none."""
+        sd = np.where(np.isinf(self.sd), 0.0, self.sd)
+        G: Array = S * sd.T[:, None, :]
+        for block in self.blocks:
+            G[:, :, block.indices] = S[:, :, block.indices] @ block.factor
+        return G
 
 
 def resolve_noise(

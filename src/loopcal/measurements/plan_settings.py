@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.measurements.dataset import Dataset
 
 Array = NDArray[np.float64]
@@ -95,8 +95,6 @@ class PlanSettings:
                 remedy="request at least as many candidates as poses",
             )
         if self.model_error not in MODEL_ERRORS:
-            raise InputError(
-                f"there is no model_error {self.model_error!r}",
-                code="unknown-name",
-                remedy=nearest(self.model_error, MODEL_ERRORS),
+            raise unknown_name(
+                f"there is no model_error {self.model_error!r}", self.model_error, MODEL_ERRORS
             )

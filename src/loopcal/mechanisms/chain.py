@@ -6,20 +6,26 @@ A step moves along or turns about one coordinate axis of the current frame by
 
 and a chain is the product of its steps, from the instrument's frame to the tool point:
 p_instrument = S_1 S_2 ... S_n p_tool. Tz Rz means: first move along z, then turn about the new z.
+
+Motion of a joint about any axis, as elementary steps: exp([S] theta) = A Rz(theta) A^-1.
+
+A is the frame of the axis. Its steps may carry parameters, which then move the axis alone: what
+comes behind the joint stays where it was at theta = 0.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import PLANES, rotate, vector
+from loopcal.keys import Key
 from loopcal.mechanisms.parameters import Parameter, Role
 
 MOST_JOINTS = 64
@@ -162,3 +168,131 @@ def product(
     for step in steps:
         T = T @ matrix(step, float(step.amount(joints, parameters)))
     return T
+
+
+def frames(
+    steps: Sequence[Step],
+    joints: Mapping[str, NDArray[np.float64]],
+    parameters: Mapping[str, float],
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """The frames ahead of each step and behind the last, at joint readings (N,).
+
+    Of each R (N, 3, 3) and the origin (N, 3), both in the first frame.
+    """
+    count = len(next(iter(joints.values())))
+    R, origin = np.broadcast_to(np.eye(3), (count, 3, 3)), np.zeros((count, 3))
+    yield R, origin
+    for step in steps:
+        amount = np.broadcast_to(step.amount(joints, parameters), (count,))[:, None]
+        if step.motion[0] == "t":
+            origin = origin + R[:, :, "xyz".index(step.motion[1])] * amount
+        else:
+            i, j = PLANES[step.motion[1]]
+            c, s = np.cos(amount), np.sin(amount)
+            turned = R.copy()
+            turned[:, :, i] = c * R[:, :, i] + s * R[:, :, j]
+            turned[:, :, j] = c * R[:, :, j] - s * R[:, :, i]
+            R = turned
+        yield R, origin
+
+
+Triple = tuple[float, float, float]
+JointName = Annotated[str, Key("The quantity that is read; begins the names of its parameters.")]
+
+
+def moved_in(joint: Any) -> str:
+    """SI unit in which a joint moves, by its kind."""
+    return "m" if joint.kind == "prismatic" else "rad"
+
+
+Limits = Annotated[
+    tuple[float, float] | None,
+    Key("Range of the reading, within which identifiable parameters are chosen.", unit=moved_in),
+]
+ROUNDED = 1e-3
+"""How far from 1 the norm of a direction may be: digits were left out when it was written."""
+_CYCLE = {"x": "yzx", "y": "zxy", "z": "xyz"}
+
+
+@dataclass(frozen=True)
+class AxisFrame:
+    """A frame one of whose axes is the joint's.
+
+    turns: fixed rotations into it, none where the joint's axis is a coordinate axis; letters:
+    its two axes normal to the joint's, in cyclic order, and the joint's; sign: -1 where the
+    joint's axis runs against that letter.
+    """
+
+    turns: tuple[Step, ...]
+    letters: str
+    sign: int
+
+    @classmethod
+    def of(cls, axis: Sequence[float], joint: str) -> AxisFrame:
+        """The frame of a direction, given as a unit vector.
+
+        Raises InputError for a direction of another length than 1.
+        """
+        x, y, z = unit_direction(axis, joint)
+        along = [letter for letter, v in zip("xyz", (x, y, z), strict=True) if v != 0.0]
+        if len(along) == 1:
+            return cls((), _CYCLE[along[0]], 1 if x + y + z > 0.0 else -1)
+        # Rz Ry bring z onto the direction: its azimuth, then its angle to z.
+        turns = (
+            Step("rz", constant=math.atan2(y, x)),
+            Step("ry", constant=math.atan2(math.hypot(x, y), z)),
+        )
+        return cls(turns, _CYCLE["z"], 1)
+
+    def moving(
+        self,
+        joint: str,
+        kind: str,
+        displacement: Sequence[Step] = (),
+        direction: float = 1.0,
+        constant: float = 0.0,
+    ) -> list[Step]:
+        """The joint's motion by constant + direction * reading.
+
+        own: steps with parameters that displace the axis, in this frame.
+        """
+        placed = [*self.turns, *displacement]
+        motion = ("t" if kind == "prismatic" else "r") + self.letters[2]
+        moved = Step(
+            motion, joint=joint, direction=self.sign * direction, constant=self.sign * constant
+        )
+        # The axis frame is left again: its parameters move the axis and nothing behind the joint.
+        return [*placed, moved, *(step.inverse() for step in reversed(placed))]
+
+
+def unit_direction(axis: Sequence[float], joint: str) -> Triple:
+    """The direction with norm 1, where rounding has left it a little off.
+
+    Raises InputError for a vector that is no direction, or has not been normalised.
+    """
+    x, y, z = (float(v) for v in axis)
+    norm = math.hypot(x, y, z)
+    if norm == 0.0 or not math.isfinite(norm):
+        raise InputError(
+            f"the axis ({x:g}, {y:g}, {z:g}) of the joint {joint!r} is zero or not finite",
+            code="invalid-value",
+            remedy="give a unit vector, as 0 0 1 for the z axis",
+        )
+    unit = (x / norm, y / norm, z / norm)
+    if abs(norm - 1.0) > ROUNDED:
+        words = " ".join(f"{v:.9g}" for v in unit)
+        raise InputError(
+            f"the axis ({x:g}, {y:g}, {z:g}) of the joint {joint!r} has the norm {norm:.6g}; a "
+            f"unit vector is needed",
+            code="invalid-value",
+            remedy=f"write {words} if this direction is meant; otherwise check the digits",
+        )
+    return unit
+
+
+def fixed_frame(xyz: Sequence[float], rpy: Sequence[float]) -> list[Step]:
+    """A frame that does not move: Tx Ty Tz Rz(yaw) Ry(pitch) Rx(roll), without what is zero."""
+    roll, pitch, yaw = rpy
+    amounts = (*xyz, yaw, pitch, roll)
+    motions = ("tx", "ty", "tz", "rz", "ry", "rx")
+    return [Step(m, constant=v) for m, v in zip(motions, amounts, strict=True) if v != 0.0]

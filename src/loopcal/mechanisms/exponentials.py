@@ -19,8 +19,16 @@ from typing import Annotated
 
 from loopcal.errors import InputError
 from loopcal.keys import Key
-from loopcal.mechanisms.axes import AxisFrame, JointName, Limits, Triple, fixed_frame
-from loopcal.mechanisms.chain import Step, axis_parameters, check_joints
+from loopcal.mechanisms.chain import (
+    AxisFrame,
+    JointName,
+    Limits,
+    Step,
+    Triple,
+    axis_parameters,
+    check_joints,
+    fixed_frame,
+)
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.machine import Machine
 

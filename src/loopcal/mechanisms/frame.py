@@ -9,10 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.errors import InputError
 from loopcal.expressions.vectors import rotate
 from loopcal.mechanisms.chain import Step, apply
+from loopcal.mechanisms.parameters import Parameter
 
 Vector = NDArray[Any]
 Values = Mapping[str, Any]
@@ -64,3 +67,69 @@ class BodyFrame:
         """R v."""
         turned: Vector = self.rotation @ v
         return turned
+
+
+# A direction that is known nominally: the normal of a plane, gravity.
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Direction:
+    """The unit vector n = cos a cos b n_0 + sin a cos b e_1 + sin b e_2 near the nominal one.
+
+    tilts: names of the parameters a and b [rad], in a plane a alone; axes: n_0, and e_1, e_2
+    across it (for n_0 = z: x and y), (3,) each.
+    """
+
+    tilts: tuple[str, ...]
+    axes: tuple[Array, Array, Array]
+
+    @classmethod
+    def near(
+        cls, nominal: Sequence[float], *, name: str, what: str, dimension: int = 3
+    ) -> Direction:
+        """The direction with the parameters NAME_tilt_1 and NAME_tilt_2; nominal: of any length.
+
+        what: how messages call it. Raises InputError for a vector without direction.
+        """
+        axes = _axes(nominal, f"the nominal {what} of {name!r}", dimension)
+        return cls(tuple(f"{name}_tilt_{i}" for i in range(1, dimension)), axes)
+
+    @property
+    def declared(self) -> dict[str, Parameter]:
+        """The parameters, nominal 0."""
+        return {tilt: Parameter(tilt, 0.0, "rad") for tilt in self.tilts}
+
+    def vector(self, p: Values) -> Vector:
+        """n, (3,)."""
+        n_0, e_1, e_2 = self.axes
+        angles = [p[tilt] for tilt in self.tilts]
+        n: Vector = np.cos(angles[0]) * n_0 + np.sin(angles[0]) * e_1
+        for b in angles[1:]:
+            n = np.cos(b) * n + np.sin(b) * e_2
+        return n
+
+
+def _axes(nominal: Sequence[float], called: str, dimension: int) -> tuple[Any, Any, Any]:
+    vector = np.array(nominal, dtype=float)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise InputError(
+            f"{called} is {list(nominal)}",
+            code="invalid-value",
+            remedy="give the three components of a direction, say [0, 0, 1]",
+        )
+    if dimension == 2 and vector[2]:
+        raise InputError(
+            f"{called} is {list(nominal)}, but the machine is planar",
+            code="unsupported",
+            remedy="give a direction in the plane, say [0, 1, 0]",
+        )
+    n_0 = vector / np.linalg.norm(vector)
+    if dimension == 2:
+        return n_0, np.array([-n_0[1], n_0[0], 0.0]), np.zeros(3)
+    # The coordinate axis farthest from n_0, so that the projection loses no digits.
+    least = np.eye(3)[int(np.argmin(np.abs(n_0)))]
+    e_1 = least - (least @ n_0) * n_0
+    e_1 /= np.linalg.norm(e_1)
+    return n_0, e_1, np.cross(n_0, e_1)

@@ -21,10 +21,9 @@ from loopcal.keys import described
 from loopcal.mechanisms.body import Body, Displaced, displacement_names
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import Frame, Values, Vector
-from loopcal.mechanisms.gauge import Gauge, fixed, held
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
-from loopcal.mechanisms.parameters import Parameter, stated
+from loopcal.mechanisms.parameters import Gauge, Parameter, fixed, held, stated
 
 Arguments = ParamSpec("Arguments")
 SECOND = 0.01

@@ -23,7 +23,7 @@ from loopcal.mechanisms.terms import Term, check_terms
 from loopcal.units import unit
 
 if TYPE_CHECKING:
-    from loopcal.mechanisms.structure.parts import Structure
+    from loopcal.mechanisms.structure.sag import Structure
 
 
 class Placement(Protocol):

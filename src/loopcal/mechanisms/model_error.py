@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from loopcal.errors import InputError
-from loopcal.expressions.graph import Graph, Node
-from loopcal.expressions.operations import LEAVES
+from loopcal.expressions.graph import LEAVES, Graph, Node
 from loopcal.expressions.tape import Tape
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.quantity import Quantity

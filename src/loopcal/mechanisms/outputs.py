@@ -148,3 +148,21 @@ def cartesian(readings: Array) -> Array:
     level = distance * np.cos(readings[2])
     height = distance * np.sin(readings[2])
     return np.array([level * np.cos(azimuth), level * np.sin(azimuth), height])
+
+
+def cartesian_slopes(polar: Array) -> Array:
+    """Derivatives (N, d, d) of coordinates by range, azimuth and elevation (d, N)."""
+    r, a = polar[0], polar[1]
+    e = polar[2] if len(polar) == 3 else np.zeros_like(r)
+    ca, sa, ce, se = np.cos(a), np.sin(a), np.cos(e), np.sin(e)
+    zero = np.zeros_like(r)
+    whole = np.array(
+        [
+            [ce * ca, -r * ce * sa, -r * se * ca],
+            [ce * sa, r * ce * ca, -r * se * sa],
+            [se, zero, r * ce],
+        ]
+    )
+    d = len(polar)
+    slopes: Array = np.moveaxis(whole[:d, :d], 2, 0)
+    return slopes

@@ -29,10 +29,16 @@ _NO_JOINTS: Mapping[str, float] = {}
 
 
 def rigid(rotation: Array, shift: Array) -> Array:
-    """The 4x4 matrix of p -> rotation @ p + shift."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = rotation, shift
+    """(..., 4, 4) of p -> rotation @ p + shift."""
+    T = np.zeros((*shift.shape[:-1], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation, shift, 1.0
     return T
+
+
+def inverse(T: Array) -> Array:
+    """The inverse motions (..., 4, 4)."""
+    R = np.swapaxes(T[..., :3, :3], -1, -2)
+    return rigid(R, -(R @ T[..., :3, 3, None])[..., 0])
 
 
 def yaw_pitch_roll(rotation: Array) -> tuple[float, float, float]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.mechanisms.chain import Step, matrix, product
-from loopcal.mechanisms.placement import rigid
+from loopcal.mechanisms.placement import rigid, yaw_pitch_roll
 
 Array = NDArray[np.float64]
 
@@ -133,8 +133,6 @@ def roll_pitch_yaw(R: Array, near: Sequence[float] = (0.0, 0.0, 0.0)) -> tuple[f
         M = R @ rotation((1.0, 0.0, 0.0), -old[0])
         triples = [(old[0], math.atan2(-M[2, 0], M[2, 2]), math.atan2(-M[0, 1], M[1, 1]))]
     else:
-        from loopcal.mechanisms.placement import yaw_pitch_roll
-
         yaw, pitch, roll = yaw_pitch_roll(R)
         triples = [(roll, pitch, yaw), (roll + math.pi, math.pi - pitch, yaw + math.pi)]
     turn = 2.0 * math.pi

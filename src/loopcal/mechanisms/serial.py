@@ -23,8 +23,7 @@ from typing import Annotated, Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.keys import Key
-from loopcal.mechanisms.axes import JointName
-from loopcal.mechanisms.chain import MOTIONS, Step, chain_parameters, refuse_long_chain
+from loopcal.mechanisms.chain import MOTIONS, JointName, Step, chain_parameters, refuse_long_chain
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.instruments.point import point as cartesian
 from loopcal.mechanisms.machine import Machine, assemble

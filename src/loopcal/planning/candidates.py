@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.measurements.plan_settings import PlanSettings, Span
+from loopcal.mechanisms.chain import frames, product
 from loopcal.mechanisms.limits import joint_limits
-from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.planning.rules import allowed
+from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.mechanisms.outputs import POLAR, cartesian_slopes, point_outputs, points
+from loopcal.mechanisms.placement import inverse
+from loopcal.mechanisms.skeleton import target_names
+from loopcal.mechanisms.station import Station
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate, within_reach
 
@@ -167,8 +172,8 @@ def _sifted(mechanism: Mechanism, poses: Dataset, site: PlanSettings) -> _Sifted
     if not rules.poses.any():
         return _Sifted(len(poses), refused)
     closed = closed.take(np.flatnonzero(rules.poses))
-    shown_quantities = [q for q in closed.readings if q in units and q not in computed]
-    shown_quantities = [q for q in shown_quantities if q in readings or q not in mechanism.implied]
+    hidden = computed | (mechanism.implied.keys() - readings.keys())
+    shown_quantities = [q for q in closed.readings if q in units and q not in hidden]
     shown_quantities.sort(key=lambda q: q not in readings)
     shown = Dataset.from_arrays(
         {q: closed.readings[q] for q in shown_quantities},
@@ -238,39 +243,161 @@ def _rounded(mechanism: Mechanism, readings: Mapping[str, Array]) -> dict[str, A
     return rounded
 
 
-def typical_sds(problem: Problem) -> Dataset | None:
-    """Measured poses with those sds that came with their readings; None where none did."""
-    names = problem.mechanism.tape.quantities
-    rows = [i for i, source in enumerate(problem.uncertainty.sources) if source == "reading"]
-    if not rows:
-        return None
+def typical_sds(problem: Problem) -> dict[str, float]:
+    """The medians of those sds that came with the readings of measured poses, by quantity."""
+    sources = problem.uncertainty.sources
     sds = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
-    return Dataset(
-        {names[i]: problem.readings[i] for i in rows},
-        {},
-        problem.poses,
-        {names[i]: sds[i] for i in rows},
+    rows = zip(problem.mechanism.tape.quantities, sources, sds, strict=True)
+    finite = {q: sd[np.isfinite(sd)] for q, source, sd in rows if source == "reading"}
+    return {q: float(np.median(sd)) for q, sd in finite.items() if sd.size}
+
+
+def with_sds(data: Dataset, typical: Mapping[str, float]) -> Dataset:
+    """The data with the typical sds of readings that came with their own."""
+    sds = {q: np.full(len(data), sd) for q, sd in typical.items() if q in data.readings}
+    return replace(data, sds=sds) if typical else data
+
+
+def in_shares(driven: Dataset) -> Array:
+    """Readings (j, N) in shares of their ranges."""
+    spans = {q: float(np.ptp(v)) for q, v in driven.readings.items()}
+    shares = [driven.readings[q] / s for q, s in spans.items() if s > 0.0 and math.isfinite(s)]
+    return np.array(shares).reshape(-1, len(driven))
+
+
+# Which candidates may be measured: boxes, the instrument's line of sight, forbidden rows.
+
+Mask = NDArray[np.bool_]
+NEAR = {"rad": math.radians(1.0), "m": 1e-3}
+"""A candidate is forbidden if every reading is so near to that of a forbidden row [SI]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Allowed:
+    """Which candidates (N,) may be measured, and how many each rule takes away."""
+
+    poses: Mask
+    refused: Mapping[str, int] = field(default_factory=dict)
+
+
+def allowed(mechanism: Mechanism, site: PlanSettings, data: Dataset) -> Allowed:
+    """The rules applied to closed candidates, each to what the ones before it left.
+
+    Raises InputError where a rule needs a point that the mechanism does not have.
+    """
+    left = np.ones(len(data), dtype=bool)
+    refused: dict[str, int] = {}
+
+    def without(rule: str, bad: Mask) -> None:
+        refused[rule] = int((left & bad).sum())
+        np.logical_and(left, ~bad, out=left)
+
+    if site.forbidden is not None:
+        without("forbidden rows", _forbidden(mechanism, site.forbidden, data))
+    if site.reach is None and not site.keep_out and site.sight is None:
+        return Allowed(left, refused)
+    family = _sees_point(mechanism)
+    base = _base(mechanism, family)
+    seen = np.array([data.readings[q] for q in point_outputs(mechanism, family)])
+    read = points(family, seen)
+    at = _moved(base, read)
+    if site.reach is not None:
+        without("reach", ~site.reach.holds(at))
+    if site.keep_out:
+        bad = np.zeros(len(data), dtype=bool)
+        chain = _links(mechanism, data)
+        for box in site.keep_out:
+            bad |= box.holds(at)
+            for a, b in zip(chain, [*chain[1:], at], strict=False):
+                bad |= box.crossed(a, b)
+        without("keep-out boxes", bad)
+    if site.sight is not None:
+        stands = np.array(site.sight.station)[: len(read), None]
+        bad = np.zeros(len(data), dtype=bool)
+        for box in site.keep_out:
+            bad |= box.crossed(np.broadcast_to(_moved(base, stands), at.shape), at)
+        without("line of sight", bad)
+        if site.sight.normal is not None:
+            angle = _incidence(mechanism, family, data, stands - read, site.sight.normal)
+            without("incidence angle", ~(angle <= site.sight.within))
+    return Allowed(left, refused)
+
+
+def _sees_point(mechanism: Mechanism) -> Family:
+    for family in mechanism.families:
+        if point_outputs(mechanism, family):
+            return family
+    if not mechanism.families and len(mechanism.outputs) in (2, 3):
+        return Family("", (), mechanism.outputs, "point")
+    raise InputError(
+        f"no instrument of {mechanism.name!r} sees a point",
+        code="unsupported",
+        remedy="state poses that may not be measured as forbidden rows; leave out reach, keep_out "
+        "and sight",
     )
 
 
-def with_sds(data: Dataset, like: Dataset | None) -> Dataset:
-    """The data with the typical sds of readings that came with their own."""
-    if like is None or not like.sds:
-        return data
-    sds = {}
-    for q, values in like.sds.items():
-        finite = values[np.isfinite(values)]
-        if q in data.readings and finite.size:
-            sds[q] = np.full(len(data), float(np.median(finite)))
-    return Dataset(data.readings, data.units, data.poses, sds, data.source)
+def _base(mechanism: Mechanism, family: Family) -> Array:
+    """T_base_readings (4, 4)."""
+    station = family.placement or mechanism.placement
+    if not isinstance(station, Station):
+        return np.eye(4)
+    values = {p.name: p.nominal for p in mechanism.parameters}
+    return inverse(product(station.steps, {}, values))
 
 
-def in_shares(driven: Dataset, everything: Dataset) -> Array:
-    """Readings (j, N) in shares of their ranges over all candidates."""
-    rows = []
-    for q, values in driven.readings.items():
-        every = everything.readings[q]
-        span = float(np.ptp(every)) if len(every) else 0.0
-        if span > 0.0 and math.isfinite(span):
-            rows.append(values / span)
-    return np.array(rows).reshape(-1, len(driven))
+def _moved(T: Array, at: Array) -> Array:
+    whole = np.zeros((3, at.shape[1]))
+    whole[: len(at)] = at
+    return np.asarray((T[:3, :3] @ whole + T[:3, 3:])[: len(at)])
+
+
+def _links(mechanism: Mechanism, data: Dataset) -> list[Array]:
+    """The joints (3, N) of a serial arm from its base on; none of other machines."""
+    values = {p.name: p.nominal for p in mechanism.parameters}
+    *ahead, (_, tip) = frames(mechanism.chain, data.readings, values)
+    pairs = zip(mechanism.chain, ahead, strict=True)
+    joints = [origin.T for step, (_, origin) in pairs if step.joint is not None]
+    return [*joints, tip.T] if joints else []
+
+
+def _incidence(
+    mechanism: Mechanism, family: Family, data: Dataset, away: Array, normal: tuple[float, ...]
+) -> Array:
+    """(N,) angle between the body's normal and the lines `away` (3, N) to the instrument.
+
+    How the seen point moves with its place on the body is how the body is turned.
+    """
+    target = target_names(mechanism)
+    outputs = point_outputs(mechanism, family)
+    if len(target) != len(outputs):
+        raise InputError(
+            "nothing says how the body is turned where the instrument sees it",
+            code="unsupported",
+            remedy="leave out sight.normal",
+        )
+    machine = mechanism.predicting()
+    x = np.array([data.readings[q] for q in machine.tape.quantities])
+    pose_constants = np.array([data.readings[q] for q in machine.tape.pose_constants]).reshape(
+        -1, len(data)
+    )
+    values = np.array([p.nominal for p in machine.parameters])
+    S = output_sensitivity(mechanism, values, target, x, pose_constants).by_parameter
+    R = S[:, [mechanism.outputs.index(q) for q in outputs]]
+    if family.form in POLAR:
+        R = cartesian_slopes(np.array([data.readings[q] for q in outputs])) @ R
+    looks = (R @ np.array(normal)[: R.shape[2]]).T
+    # R has the columns d(point) / d(place on the body): the rotation matrix of the body.
+    cosine = (looks * away).sum(axis=0)
+    cosine /= np.linalg.norm(looks, axis=0) * np.linalg.norm(away, axis=0)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _forbidden(mechanism: Mechanism, rows: Dataset, data: Dataset) -> Mask:
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    shared = [q for q in rows.readings if q in data.readings and q not in mechanism.outputs]
+    near = np.ones((len(data), len(rows)), dtype=bool)
+    for q in shared:
+        gap = np.abs(data.readings[q][:, None] - rows.readings[q])
+        near &= ~(gap > NEAR.get(units[q], 1e-3))
+    return np.asarray(near.any(axis=1))

@@ -15,21 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.plain import finite
-from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.steps import started
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.measurements.plan_settings import PlanSettings
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.planning.candidates import drawn, ranges_of, typical_sds, with_sds
-from loopcal.planning.information import closed_corrections, information, rows_of
-from loopcal.planning.plan import as_problem
+from loopcal.planning.information import information, rows_of
+from loopcal.planning.plan import as_problem, measured_poses
 from loopcal.planning.search import Search
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import SHOWN
-from loopcal.presentation.text_table import columns
+from loopcal.presentation.shown import SHOWN, columns, significant
 from loopcal.statistics.check import FEW
 from loopcal.statistics.identifiability import SCHROER
 from loopcal.units import from_si
@@ -97,17 +93,14 @@ def cure(mechanism: Mechanism, existing: Dataset, noise: Noise, settings: PlanSe
     Raises InputError where nothing says where poses may be.
     """
     with one_blas_thread():
-        machine, data = with_model(mechanism, existing, noise)
-        problem = started(machine, data, noise, "auto")
-        values = dict(zip(machine.parameters.names, problem.start.tolist(), strict=True))
-        placed = mechanism.with_nominal(values)
-        ranges = ranges_of(placed, settings.ranges, existing)
-        pool = drawn(placed, ranges, replace(settings, number=CANDIDATES))
-        like = with_sds(pool.closed, typical_sds(problem))
-        other = as_problem(placed, like, noise)
-        before = rows_of(problem, problem.start, closed_corrections(problem))
+        measured = measured_poses(mechanism, existing, noise)
+        ranges = ranges_of(measured.start, settings.ranges, existing)
+        pool = drawn(measured.start, ranges, replace(settings, number=CANDIDATES))
+        like = with_sds(pool.closed, typical_sds(measured.problem))
+        other = as_problem(measured.start, like, noise)
+        before = rows_of(measured.problem, measured.problem.start, measured.corrections)
         rows = rows_of(other, other.start, np.zeros(other.readings.shape))
-        return _cured(other, rows, before, problem.equations, pool.driven)
+        return _cured(other, rows, before, measured.problem.equations, pool.driven)
 
 
 def _cured(problem: Problem, rows: Array, before: Array, equations: int, driven: Dataset) -> Cure:

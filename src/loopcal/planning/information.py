@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.pose_equations import pose_equations
-from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting
+from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Accumulator, spectrum
-from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.outputs import POLAR, seen_outputs
+from loopcal.mechanisms.outputs import POLAR, cartesian_slopes, seen_outputs
 
 Array = NDArray[np.float64]
 # Small beside any information that counts, large beside rounding of sums: inverses exist.
@@ -132,24 +132,6 @@ def placed_anew(tests: Array, stands: NDArray[np.bool_]) -> Array:
     return remaining
 
 
-def cartesian_slopes(polar: Array) -> Array:
-    """Derivatives (T, d, d) of coordinates by range, azimuth and elevation (d, T)."""
-    r, a = polar[0], polar[1]
-    e = polar[2] if len(polar) == 3 else np.zeros_like(r)
-    ca, sa, ce, se = np.cos(a), np.sin(a), np.cos(e), np.sin(e)
-    zero = np.zeros_like(r)
-    whole = np.array(
-        [
-            [ce * ca, -r * ce * sa, -r * se * ca],
-            [ce * sa, r * ce * ca, -r * se * sa],
-            [se, zero, r * ce],
-        ]
-    )
-    d = len(polar)
-    slopes: Array = np.moveaxis(whole[:d, :d], 2, 0)
-    return slopes
-
-
 def information(
     problem: Problem, rows: Array, measured: Array, tests: Array, counts: NDArray[np.bool_]
 ) -> Information:
@@ -189,9 +171,6 @@ def _unmoved(parameter_root: Array) -> Array:
 
 def closed_corrections(problem: Problem) -> Array:
     """Corrections (k, N) that close the loops of measured poses at the parameters of the start."""
-    from loopcal.estimation.problem.starting import start_corrections
-    from loopcal.estimation.solve.sweep import NEAR
-
     exact = Sweeper(problem.weighted(Weighting.ALIKE))
     corrections = start_corrections(exact, problem.start)
     return exact.close(problem.start, corrections, NEAR, 1.0).corrections

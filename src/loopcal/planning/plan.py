@@ -1,8 +1,25 @@
-"""Which poses to measure: candidates, their information under the stated noise, and the choice."""
+"""Which poses to measure: candidates, their information under the stated noise, and the choice.
+
+How far any choice could still be better: the continuous optimum and its bound.
+
+Let every candidate be measured w_i times, 0 <= w_i <= 1 and sum w_i = n, fractions allowed. The
+criterion f is convex in w. With its slopes -g_i at any w,
+
+    f(v) >= f(w) - (the n largest g_i added up - sum w_i g_i)   for every such v,
+
+so also for the best choice of n poses. The weights follow multiplicative steps w_i (g_i / mean)^a
+(Silvey, Titterington and Torsney 1978), capped at 1. a = 1/2 lowers f always, and grows as long as
+it does.
+
+An order of poses with short joint travel: nearest neighbour, then 2-opt.
+
+All joints move at once. So the way between two poses is as long as the longest of their moves, each
+in shares of its range.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,8 +48,6 @@ from loopcal.planning.candidates import (
     typical_sds,
     with_sds,
 )
-from loopcal.planning.certificate import certificate
-from loopcal.planning.expected import expected_curve, expected_of, random_sets, to_validate
 from loopcal.planning.information import (
     Information,
     closed_corrections,
@@ -41,9 +56,26 @@ from loopcal.planning.information import (
     placed_anew,
     rows_of,
 )
-from loopcal.planning.planned import CALIBRATE, CRITERIA, VALIDATE, Plan
-from loopcal.planning.route import route, travel
-from loopcal.planning.search import Chosen, Criterion, Progress, choose
+from loopcal.planning.planned import (
+    CALIBRATE,
+    CRITERIA,
+    VALIDATE,
+    Plan,
+    expected_curve,
+    expected_of,
+    random_sets,
+    to_validate,
+)
+from loopcal.planning.search import (
+    Chosen,
+    Criterion,
+    Progress,
+    choose,
+    criterion_value,
+    inverse,
+    linear_aim,
+    test_variances,
+)
 from loopcal.simulation.simulate import within_reach
 
 Array = NDArray[np.float64]
@@ -99,7 +131,7 @@ def plan(
         count = poses + (0 if existing is None else len(existing))
         mechanism = structured(mechanism, discrepancy=vectors_for(count))
     with one_blas_thread():
-        measured = None if existing is None else _measured(mechanism, existing, sensor_noise)
+        measured = None if existing is None else measured_poses(mechanism, existing, sensor_noise)
         if measured is not None:
             mechanism = measured.start
         pool = _pool(mechanism, candidates, existing, settings)
@@ -111,8 +143,9 @@ def plan(
 
 
 @dataclass(frozen=True, eq=False)
-class _Measured:
-    """Poses already measured, closed at the mechanism with its instruments placed."""
+class Measured:
+    """Poses already measured; corrections: that close their loops; start: the mechanism with its
+    instruments placed."""
 
     problem: Problem
     corrections: Array
@@ -143,11 +176,12 @@ def _criterion(mechanism: Mechanism, stated: str | None) -> Criterion:
     return how  # type: ignore[return-value]
 
 
-def _measured(mechanism: Mechanism, existing: Dataset, noise: Noise) -> _Measured:
+def measured_poses(mechanism: Mechanism, existing: Dataset, noise: Noise) -> Measured:
+    """Poses already measured, as a plan adds to them."""
     machine, data = with_model(mechanism, existing, noise)
     problem = started(machine, data, noise, "auto")
     values = dict(zip(machine.parameters.names, problem.start.tolist(), strict=True))
-    return _Measured(problem, closed_corrections(problem), mechanism.with_nominal(values))
+    return Measured(problem, closed_corrections(problem), mechanism.with_nominal(values))
 
 
 def _pool(
@@ -166,7 +200,7 @@ def _pool(
 def pooled(
     mechanism: Mechanism,
     pool: Candidates,
-    measured: _Measured | None,
+    measured: Measured | None,
     noise: Noise,
     settings: PlanSettings,
 ) -> Pooled:
@@ -209,9 +243,11 @@ def _tests(mechanism: Mechanism, pool: Candidates, settings: PlanSettings) -> Da
     return pool.driven.take(pool.even[index])
 
 
-def _problem(mechanism: Mechanism, driven: Dataset, noise: Noise, like: Dataset | None) -> Problem:
+def _problem(
+    mechanism: Mechanism, driven: Dataset, noise: Noise, typical: Mapping[str, float]
+) -> Problem:
     closed = stated_candidates(mechanism, driven, PlanSettings()).closed
-    return as_problem(mechanism, with_sds(closed, like), noise)
+    return as_problem(mechanism, with_sds(closed, typical), noise)
 
 
 def as_problem(mechanism: Mechanism, closed: Dataset, noise: Noise) -> Problem:
@@ -224,11 +260,11 @@ def _at(
     mechanism: Mechanism,
     pool: Candidates,
     tests: Dataset,
-    measured: _Measured | None,
+    measured: Measured | None,
     noise: Noise,
 ) -> _Drawn:
-    like = None if measured is None else typical_sds(measured.problem)
-    problem = _problem(mechanism, pool.driven, noise, like)
+    typical = {} if measured is None else typical_sds(measured.problem)
+    problem = _problem(mechanism, pool.driven, noise, typical)
     rows = rows_of(problem, problem.start, np.zeros(problem.readings.shape))
     before = np.empty((0, *rows.shape[1:]))
     if measured is not None:
@@ -238,7 +274,7 @@ def _at(
         )
     T = np.empty((0, 1, rows.shape[2]))
     if mechanism.outputs:
-        at = _problem(mechanism, tests, noise, like)
+        at = _problem(mechanism, tests, noise, typical)
         T = end_point_rows(at, at.start, at.readings, at.pose_constants)
     roles = [mechanism.roles.get(n, "placement") for n in problem.names]
     counts = np.array([role not in ("placement", "model error") for role in roles])
@@ -253,7 +289,7 @@ def _depends(
     """Whether a draw of the parameters changes what these candidates say."""
     if not within_reach(other, pool.driven).all():
         return True
-    problem = _problem(other, pool.driven, noise, None)
+    problem = _problem(other, pool.driven, noise, {})
     rows = rows_of(problem, problem.start, np.zeros(problem.readings.shape))
     nominal_rows = first.rows[some] @ first.information.root
     drawn_rows = rows @ first.information.root
@@ -273,7 +309,7 @@ def _planned(
     bound = certificate(made.draws, chosen, how)
     curve = expected_curve(draw, names, chosen, how)
     marked = to_validate(made.draws, chosen, how)
-    shares = in_shares(pool.driven, pool.driven)[:, chosen]
+    shares = in_shares(pool.driven)[:, chosen]
     order = route(shares)
     way, before = travel(shares, order), travel(shares, list(range(len(chosen))))
     taken = pool.take([chosen[i] for i in order])
@@ -312,3 +348,157 @@ def _remarks(sds: Mapping[str, float | None], units: Mapping[str, str]) -> tuple
         f"These poses do not determine {', '.join(map(repr, loose))}. Plan more poses, widen the "
         "ranges, or state how well these are known ([prior]).",
     )
+
+
+_CLOSE = 1e-3
+"""Share of the criterion that the bound may still miss."""
+# Floating-point operations spent on the bound: some seconds on one core.
+_EFFORT = 1.5e10
+_FEWEST, _MOST = 12, 400
+# Of G: the step of the multiplicative weights of test poses is just below 1.
+_PEAK = 60.0
+_POWER, _GROWS, _STEEPEST = 0.5, 1.4, 8.0
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """bound: no choice of so many candidates has a smaller criterion; value: of the choice;
+    efficiency: bound over value, of D the root of the ratio of determinants, at most 1."""
+
+    value: float
+    bound: float
+    efficiency: float
+
+
+def certificate(
+    draws: Sequence[Information], chosen: Sequence[int], criterion: Criterion
+) -> Certificate:
+    """The bound for as many candidates as were chosen."""
+    n = len(chosen)
+    N = len(draws[0].rows)
+    value = float(np.mean([criterion_value(d, d.of(list(chosen)), criterion) for d in draws]))
+    # Begun half at the choice, half even: no weight is 0, from which a multiplicative step never
+    # rises.
+    w = np.full(N, 0.5 * n / N)
+    w[list(chosen)] += 0.5
+    w = _capped(w, n)
+    work = 4.0 * draws[0].rows.size * draws[0].rows.shape[2] * len(draws)
+    best, mix, power, before = -np.inf, None, _POWER, np.inf
+    for _ in range(int(np.clip(_EFFORT / max(work, 1.0), _FEWEST, _MOST))):
+        f, g, mix = _slopes(draws, w, criterion, mix)
+        largest = np.partition(g, N - n)[N - n :].sum()
+        # The inequality above holds at every w, so the best bound on the way counts.
+        best = max(best, f - (float(largest) - float(w @ g)))
+        if value - best <= _CLOSE * _scale(value, draws, criterion):
+            break
+        power = min(_GROWS * power, _STEEPEST) if f < before else _POWER
+        mean, before = float(w @ g) / n, f
+        w = _capped(w * np.power(np.maximum(g, 1e-12 * mean) / mean, power), n)
+    best = min(best, value)
+    if criterion == "D":
+        q = draws[0].root.shape[1] - draws[0].nuisance.shape[1]
+        return Certificate(value, best, float(np.exp((best - value) / max(q, 1))))
+    return Certificate(value, best, max(best, 0.0) / value if value > 0.0 else 1.0)
+
+
+def _scale(value: float, draws: Sequence[Information], criterion: Criterion) -> float:
+    return float(draws[0].root.shape[1]) if criterion == "D" else value
+
+
+def _capped(w: Array, n: int) -> Array:
+    """Weights of this proportion, none above 1, that add up to n."""
+    w = w * (n / w.sum())
+    fixed = np.zeros(len(w), dtype=bool)
+    while (over := (w > 1.0) & ~fixed).any():
+        fixed |= over
+        left = n - int(fixed.sum())
+        rest = float(w[~fixed].sum())
+        w = np.where(fixed, 1.0, w * (left / rest if rest > 0.0 else 0.0))
+    return w
+
+
+def _slopes(
+    draws: Sequence[Information], w: Array, criterion: Criterion, mix: list[Array] | None
+) -> tuple[float, Array, list[Array]]:
+    """f, g (N,) at weights, and for G the weights of the test poses that make f linear."""
+    f, g = 0.0, np.zeros(len(w))
+    mixes: list[Array] = []
+    for number, d in enumerate(draws):
+        flat = d.rows.reshape(-1, d.rows.shape[2])
+        each = np.repeat(w, d.rows.shape[1])
+        some = each > 0.0
+        total = d.start + (flat[some] * each[some, None]).T @ flat[some]
+        C = inverse(total)
+        if criterion == "D":
+            f += criterion_value(d, total, criterion)
+            V = d.nuisance
+            # The slope of log det(V^T M V), what the nuisance parameters take up of it.
+            inner = V @ inverse(V.T @ total @ V) @ V.T if V.shape[1] else 0.0
+            H = C - inner
+        elif criterion == "G":
+            v = test_variances(d, C)
+            now = np.full(len(v), 1.0 / len(v)) if mix is None else mix[number]
+            now = now * np.exp(_PEAK / (1.0 + _PEAK) * (v / v.max() - 1.0))
+            now = now / now.sum()
+            mixes.append(now)
+            aim = np.einsum("t,tok,tol->kl", now, d.tests, d.tests, optimize=True)
+            f += float(now @ v)
+            H = C @ aim @ C
+        else:
+            aim_of = linear_aim(d, criterion)
+            assert aim_of is not None
+            f += float((C * aim_of).sum())
+            H = C @ aim_of @ C
+        g += np.einsum("ij,ij->i", flat @ H, flat).reshape(len(w), -1).sum(axis=1)
+    return f / len(draws), g / len(draws), mixes
+
+
+# 2-opt of dozens of poses settles in a few rounds; the bound keeps ties from going on forever.
+_ROUNDS = 50
+
+
+def route(joints: Array) -> list[int]:
+    """Order of poses (j, n), the first one first; joints in shares of their ranges."""
+    n = joints.shape[1]
+    if n < 3:
+        return list(range(n))
+    away = np.abs(joints[:, :, None] - joints[:, None, :]).max(axis=0)
+    order = _nearest(away)
+    for _ in range(_ROUNDS):
+        if not _uncrossed(order, away):
+            break
+    return order
+
+
+def travel(joints: Array, order: list[int]) -> float:
+    """Length of the way through the poses in this order."""
+    at = joints[:, order]
+    return float(np.abs(np.diff(at, axis=1)).max(axis=0).sum()) if at.shape[1] > 1 else 0.0
+
+
+def _nearest(away: Array) -> list[int]:
+    order, left = [0], set(range(1, len(away)))
+    while left:
+        near = min(left, key=lambda j: (away[order[-1], j], j))
+        order.append(near)
+        left.remove(near)
+    return order
+
+
+def _uncrossed(order: list[int], away: Array) -> bool:
+    """Turn round parts of the way that are shorter so; whether any was."""
+    n, changed = len(order), False
+    for i in range(n - 2):
+        at = np.array(order)
+        a, b = at[i], at[i + 1]
+        c = at[i + 2 :]
+        after = np.append(at[i + 3 :], -1)
+        # the way ends anywhere: turning round its end drops one link only
+        old = away[a, b] + np.where(after >= 0, away[c, after], 0.0)
+        new = away[a, c] + np.where(after >= 0, away[b, after], 0.0)
+        j = int(np.argmax(old - new))
+        if old[j] - new[j] > 1e-12:
+            end = i + 2 + j
+            order[i + 1 : end + 1] = order[i + 1 : end + 1][::-1]
+            changed = True
+    return changed

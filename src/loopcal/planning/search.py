@@ -106,10 +106,10 @@ class _System:
         gain: Array = np.linalg.slogdet(np.eye(self.A.shape[1]) + self.A)[1]
         return gain
 
-    def linear_gain(self) -> Array:
+    def linear_gain(self, Q: Array | None) -> Array:
         """(N,) tr[(I + A)^-1 Q]."""
-        assert self.Q is not None
-        solved = np.linalg.solve(np.eye(self.A.shape[1]) + self.A, self.Q)
+        assert Q is not None
+        solved = np.linalg.solve(np.eye(self.A.shape[1]) + self.A, Q)
         return np.asarray(np.trace(solved, axis1=1, axis2=2))
 
 
@@ -182,7 +182,7 @@ class Search:
                 _worst_gains(s, d, also) for s, d in zip(self.systems, self.draws, strict=True)
             ]
         else:
-            parts = [system.linear_gain() for system in self.systems]
+            parts = [system.linear_gain(system.Q) for system in self.systems]
         total: Array = np.mean(parts, axis=0)
         total[self.chosen] = -np.inf
         return total
@@ -253,8 +253,7 @@ def _worst_gains(system: _System, draw: Information, also: int | None) -> Array:
         # The max-norm of the variances by a p-norm, whose gradient is one linear criterion.
         weight = np.power(before / worst, _PEAK)
         pull = np.einsum("t,tok,tol->kl", weight, draw.tests, draw.tests, optimize=True)
-        Q = system._blocks(system.C @ pull @ system.C)
-        promised = np.trace(np.linalg.solve(np.eye(Q.shape[1]) + system.A, Q), axis1=1, axis2=2)
+        promised = system.linear_gain(system._blocks(system.C @ pull @ system.C))
         some = np.argpartition(-promised, _SHORTLIST)[:_SHORTLIST]
         some = some if also is None else np.union1d(some, [also])
     gains = np.full(N, -np.inf)

@@ -41,6 +41,11 @@ class Group:
     direction: str | None
     rows: NDArray[np.intp]
 
+    @property
+    def name(self) -> str:
+        """The pose, and its direction where there are several."""
+        return self.pose if self.direction is None else f"{self.pose}, {self.direction}"
+
 
 @dataclass(frozen=True, eq=False)
 class Means:

@@ -68,6 +68,13 @@ def length_interval(
     return _length_bounds(value, covariance, along, t)
 
 
+def size_interval(value: float, scatter: float, variance: float, degrees: float) -> Estimate:
+    """The size of one number; variance: of it, scatter: the part of that which was estimated."""
+    return length_interval(
+        np.array([value]), np.array([[variance]]), np.array([[scatter]]), degrees
+    )
+
+
 def _length_bounds(value: float, covariance: Array, along: float, t: float) -> Estimate:
     from scipy.special import chndtr, ndtr
 

@@ -9,9 +9,10 @@ Assessment of the positioning performance of an industrial robot, Industrial Rob
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,6 @@ from loopcal.pose_performance.accuracy import (
     covariance_of_mean,
     fitted_base,
 )
-from loopcal.pose_performance.drift import blocks_of, drift
 from loopcal.pose_performance.instrument import MeasuringErrors
 from loopcal.pose_performance.intervals import (
     LEVEL,
@@ -33,6 +33,7 @@ from loopcal.pose_performance.intervals import (
     NormalScatter,
     length_interval,
     repeatability,
+    size_interval,
     spread_interval,
 )
 from loopcal.pose_performance.parts import (
@@ -42,8 +43,10 @@ from loopcal.pose_performance.parts import (
     DistancePerformance,
     Drift,
     PosePerformance,
+    blocks_of,
+    drift,
 )
-from loopcal.pose_performance.result import Performance
+from loopcal.pose_performance.summary import Performance
 from loopcal.small_samples import t_quantile
 from loopcal.statistics.repeats import CLEAR, FEWEST, slow_p_value
 
@@ -86,22 +89,26 @@ def pose_performance(
                 place=attained.file,
                 remedy="name two poses",
             )
+    columns = attained.conditions or {}
+    conditions = _rows_by(
+        range(len(attained)), lambda i: tuple(values[i] for values in columns.values())
+    )
     parts = [
-        _Part(attained, condition, rows, errors).figures(distances)
-        for condition, rows in _conditions(attained)
+        _Part(attained, dict(zip(columns, key, strict=True)), rows, errors).figures(distances)
+        for key, rows in conditions.items()
     ]
     notes = (*attained.notes, *errors.words())
     return Performance(attained.file, len(attained), tuple(parts), notes)
 
 
-def _conditions(attained: AttainedPoses) -> Iterable[tuple[dict[str, str], NDArray[np.intp]]]:
-    columns = attained.conditions or {}
-    rows: dict[tuple[str, ...], list[int]] = {}
-    for i in range(len(attained)):
-        rows.setdefault(tuple(values[i] for values in columns.values()), []).append(i)
-    return [
-        (dict(zip(columns, key, strict=True)), np.array(indices)) for key, indices in rows.items()
-    ]
+def _rows_by(
+    rows: Iterable[int], key: Callable[[int], tuple[str | None, ...]]
+) -> dict[tuple[Any, ...], NDArray[np.intp]]:
+    """The rows of each key, in the order in which the keys come."""
+    grouped: dict[tuple[Any, ...], list[int]] = {}
+    for i in rows:
+        grouped.setdefault(key(i), []).append(i)
+    return {key: np.array(indices) for key, indices in grouped.items()}
 
 
 class _Part:
@@ -115,11 +122,9 @@ class _Part:
         errors: MeasuringErrors,
     ) -> None:
         self.all, self.condition, self.errors = attained, condition, errors
-        rows_of_group: dict[tuple[str, str | None], list[int]] = {}
-        for i in rows:
-            direction = attained.direction[i] if attained.direction else None
-            rows_of_group.setdefault((attained.pose[i], direction), []).append(i)
-        self.groups = [Group(*key, np.array(indices)) for key, indices in rows_of_group.items()]
+        directions = attained.direction or (None,) * len(attained)
+        groups = _rows_by(rows, lambda i: (attained.pose[i], directions[i]))
+        self.groups = [Group(pose, way, rows) for (pose, way), rows in groups.items()]
         self.missing: list[str] = []
 
     def figures(self, distances: Sequence[tuple[str, str]]) -> ConditionPerformance:
@@ -291,12 +296,8 @@ class _Part:
         along = (ends[0] - ends[1]) / max(float(np.linalg.norm(ends[0] - ends[1])), 1e-300)
         common = sum(float(along @ self.errors.of_point(end) @ along) for end in ends)
         by_scatter = sd**2 / n
-        accuracy = length_interval(
-            np.array([apart.mean() - commanded]),
-            np.array([[by_scatter + common]]),
-            np.array([[by_scatter]]),
-            n - 1.0,
-        )
+        difference = float(apart.mean()) - commanded
+        accuracy = size_interval(difference, by_scatter, by_scatter + common, n - 1.0)
         return DistancePerformance(poses, n, commanded, accuracy, spread_interval(sd, n - 1.0, 3.0))
 
     def _drifts(self, means: Means, base: FittedBase | None) -> Iterable[Drift]:
@@ -316,8 +317,7 @@ class _Part:
                 continue
             drifting = True
             common = means.shared[i] + frame[i]
-            name = group.pose if group.direction is None else f"{group.pose}, {group.direction}"
-            yield drift(name, blocks, offsets, common, seen)
+            yield drift(group.name, blocks, offsets, common, seen)
         if not drifting:
             self.missing.append("Drift: it takes two blocks of cycles (20 cycles) of a pose.")
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
+from loopcal.document.plain import plain
 from loopcal.pose_performance.intervals import Estimate
 from loopcal.pose_performance.parts import ConditionPerformance
-from loopcal.presentation.rounding import rounded_by_sd
-from loopcal.presentation.shown import NONE, in_unit, percent, unit_shown
-from loopcal.presentation.text_table import columns
+from loopcal.presentation.shown import NONE, columns, in_unit, percent, rounded_by_sd, unit_shown
 
 Rows = Sequence[tuple[str, ...]]
 
@@ -149,3 +150,41 @@ def bounded(estimate: Estimate | None, unit: str) -> str:
         return f"{value:.4f}"
     shown = [rounded_by_sd(x, quarter) for x in (value, low, high)]
     return f"{shown[0]} [{shown[1]}, {shown[2]}]"
+
+
+# Pose performance as one typed value [SI].
+
+METHOD = "computed after ISO 9283, no conformity is claimed"
+
+
+@dataclass(frozen=True)
+class Performance:
+    """Pose performance computed after ISO 9283, without any claim of conformity [SI].
+
+    conditions: the figures at each payload and speed; notes: how the table was understood and what
+    is not stated. `print` shows the figures, `document()` gives them as plain data.
+    """
+
+    file: str
+    measurements: int
+    conditions: tuple[ConditionPerformance, ...]
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+    def document(self) -> dict[str, Any]:
+        """Plain data for JSON [m, rad, s]."""
+        figures: dict[str, Any] = plain(self)
+        return {"method": METHOD, "coverage": 0.95, **figures}
+
+    def __str__(self) -> str:
+        poses = len({pose.pose for part in self.conditions for pose in part.poses})
+        lines = [
+            f"Pose performance of {self.file}: {poses} poses, {self.measurements} measurements; "
+            f"{METHOD}."
+        ]
+        if rows := overview(self.conditions):
+            lines += ["", *columns(rows)]
+        for part in self.conditions:
+            lines += ["", *condition_lines(part)]
+        if self.notes:
+            lines += ["", *self.notes]
+        return "\n".join(lines)

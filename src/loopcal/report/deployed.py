@@ -12,8 +12,9 @@ from loopcal.figures.deployment import model_bars, target_errors
 from loopcal.figures.figure import Figure
 from loopcal.figures.planning import Line, by_number
 from loopcal.files.result.deployed import CORRECTION, EXPORT, PLAN, Deployed
-from loopcal.presentation.shown import factor, size, unit_shown, with_unit
-from loopcal.report.tables import Table
+from loopcal.presentation.shown import Table, factor, size, unit_shown, with_unit
+from loopcal.report.section import Part, Section
+from loopcal.report.source import Source
 
 Array = NDArray[np.float64]
 _MM = 1e3
@@ -23,14 +24,21 @@ _MOST = 200
 """Targets in a table; the others are in the figure and in the JSON of the command."""
 
 
-def deployed_figures(notes: Sequence[Deployed]) -> dict[str, Figure]:
-    """Key -> figure."""
-    figures = [_models(notes), *_corrections(notes), *_plans(notes)]
-    return {figure.key: figure for figure in figures if figure is not None}
+def deployed(source: Source) -> Section | None:
+    """What was exported, corrected and planned; None: nothing."""
+    notes, words = source.deployed, _words(source.deployed)
+    figures = (
+        _models(notes),
+        *_corrections(notes),
+        *map(planned, (n.document for n in notes if n.kind == PLAN)),
+    )
+    by_key = {figure.key: figure for figure in figures if figure is not None}
+    parts: list[Part] = [*by_key.values(), *_tables(notes)]
+    return Section("deployed", "Into the robot", words, parts) if words else None
 
 
-def deployed_words(notes: Sequence[Deployed]) -> list[str]:
-    """What was exported, corrected and planned, one sentence each."""
+def _words(notes: Sequence[Deployed]) -> list[str]:
+    """One sentence each."""
     words = []
     for note in notes:
         document = note.document
@@ -58,7 +66,7 @@ def deployed_words(notes: Sequence[Deployed]) -> list[str]:
     return words
 
 
-def deployed_tables(notes: Sequence[Deployed]) -> list[Table]:
+def _tables(notes: Sequence[Deployed]) -> list[Table]:
     """Accuracy of the models, targets, and lines that were left alone."""
     exports = [note.document for note in notes if note.kind == EXPORT]
     tables = [_accuracy(exports[-1]["accuracy"])] if exports and exports[-1]["accuracy"] else []
@@ -134,32 +142,25 @@ def _corrections(notes: Sequence[Deployed]) -> list[Figure | None]:
     return figures
 
 
-def _plans(notes: Sequence[Deployed]) -> list[Figure | None]:
-    figures = []
-    for note in notes:
-        if note.kind != PLAN:
-            continue
-        plan, scale = note.document, factor(note.document["unit"])
-        curve, random = plan["expected"], plan["random"]
-        count = [one["poses"] for one in curve]
-        lines = [
-            Line(f"planned, {name}", count, _numbers([one[key] for one in curve]) / scale)
-            for name, key in (("rms", "end_point"), ("largest", "largest"))
-        ]
-        if random is not None:
-            sds = _numbers(random["end_point"]) / scale
-            lines.append(Line("random, rms", random["poses"], sds))
-        figures.append(by_number(lines, unit_shown(plan["unit"]), count[-1]))
-    return figures
+def planned(plan: Mapping[str, Any]) -> Figure | None:
+    """What a plan promises by the number of poses, beside random ones."""
+    curve, random, scale = plan["expected"], plan["random"], factor(plan["unit"])
+    count = [one["poses"] for one in curve]
+    lines = [
+        Line(f"planned, {name}", count, _numbers([one[key] for one in curve]) / scale)
+        for name, key in (("rms", "end_point"), ("largest", "largest"))
+    ]
+    if random is not None:
+        lines.append(Line("random, rms", random["poses"], _numbers(random["end_point"]) / scale))
+    return by_number(lines, unit_shown(plan["unit"]), len(plan["poses"]))
 
 
 def _length(error: Sequence[float | None]) -> float | None:
     """Of the shift in an error of six components."""
+    length = float(np.linalg.norm(_numbers(error[:3])))
     # Null where the joints that the controller takes are unknown.
-    if any(v is None for v in error[:3]):
-        return None
-    return float(np.linalg.norm(_numbers(error[:3])))
+    return None if np.isnan(length) else length
 
 
 def _numbers(values: Sequence[float | None]) -> Array:
-    return np.array([np.nan if v is None else v for v in values], dtype=float)
+    return np.array(values, dtype=float)  # NaN for None

@@ -13,8 +13,7 @@ from loopcal.document.tables import shown_parameters
 from loopcal.estimation.accuracy import Apart, by_pose, deviations, main_distances
 from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.figure import Figure, colours
-from loopcal.figures.parameters import Change, changes, correlations
-from loopcal.figures.sensors import drift, normalised
+from loopcal.figures.sensors import Change, changes, correlations, drift, normalised
 from loopcal.figures.space import Machine, arrows
 from loopcal.mechanisms.outputs import point_outputs, points
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
@@ -177,7 +176,7 @@ def _parameters(document: ResultDocument) -> Figure | None:
     for unit in dict.fromkeys(p.unit for p in entries):
         group = [p for p in entries if p.unit == unit]
         off = np.array([p.value - p.nominal for p in group]) / factor(unit)
-        sds = np.array([np.nan if p.sd is None else p.sd for p in group]) / factor(unit)
+        sds = np.array([p.sd for p in group], dtype=float) / factor(unit)
         groups.append(Change(unit_shown(unit), [p.name for p in group], off, sds))
     return changes(groups)
 

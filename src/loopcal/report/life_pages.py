@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from statistics import NormalDist
 
 import numpy as np
 
-from loopcal.document.tables import distances_shown
 from loopcal.figures.figure import Figure
-from loopcal.figures.life import Reach, changes, spread
+from loopcal.figures.life import (
+    Event,
+    Line,
+    Reach,
+    Weighted,
+    accuracy_chart,
+    changes,
+    courses,
+    spread,
+)
 from loopcal.life.fleet import Fleet
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import by_sd, chance, in_unit, size, unit_shown
-from loopcal.report.tables import Table
-from loopcal.report.templates import page
+from loopcal.life.history import History, Trend
+from loopcal.presentation.shown import Table, by_sd, chance, in_unit, size, unit_shown, with_unit
+from loopcal.report.section import Part, Section, section_page
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.verified import Verification
 
@@ -32,12 +38,12 @@ def verification_html(verification: Verification, title: str, files: str) -> str
             for name, a in verification.verdict.items()
         ),
     )
-    what_changed = verification.changes
-    lines = [] if what_changed is None else what_changed.lines()
-    figures = [] if what_changed is None else change_figures(what_changed)
-    tables = [answers, *_tables(verification)]
-    about = {"files": files, "poses": len(verification.poses)}
-    return _page(f"Verification of {title}", about, [verification.headline], figures, tables, lines)
+    parts: list[Part] = [answers, *(table for table in verification.tables if table.rows)]
+    if verification.changes is not None:
+        lines = "\n".join(verification.changes.lines())
+        parts = [lines, *change_figures(verification.changes), *parts]
+    section = Section("l", f"Verification of {title}", [verification.headline], parts)
+    return section_page("life", section, {"files": files, "poses": len(verification.poses)})
 
 
 def change_figures(what_changed: WhatChanged) -> list[Figure]:
@@ -51,9 +57,10 @@ def change_figures(what_changed: WhatChanged) -> list[Figure]:
 
 def fleet_html(fleet: Fleet, files: str) -> str:
     """One self-contained page: mean and spread of each parameter, and which machine is unusual."""
-    title = f"Machines of one type: {fleet.machine}"
     about = {"files": files, "poses": ", ".join(str(one.poses) for one in fleet.machines)}
-    return _page(title, about, [fleet_words(fleet)], [fleet_figure(fleet)], fleet_tables(fleet))
+    parts: list[Part] = [fleet_figure(fleet), *fleet_tables(fleet)]
+    title = f"Machines of one type: {fleet.machine}"
+    return section_page("life", Section("l", title, [fleet_words(fleet)], parts), about)
 
 
 def fleet_words(fleet: Fleet) -> str:
@@ -64,7 +71,13 @@ def fleet_words(fleet: Fleet) -> str:
 def fleet_figure(fleet: Fleet) -> Figure:
     """Deviations of each machine."""
     deviations = {
-        one.name: np.array([_normal(d.value, d.p_value) for d in one.deviations])
+        # inv_cdf is not defined at 0; 1e-300 is 37 sds, beyond any figure.
+        one.name: np.array(
+            [
+                math.copysign(NormalDist().inv_cdf(0.5 * min(max(d.p_value, 1e-300), 1.0)), d.value)
+                for d in one.deviations
+            ]
+        )
         for one in fleet.machines
     }
     unusual = {one.name for one in fleet.unusual}
@@ -105,12 +118,6 @@ def fleet_tables(fleet: Fleet) -> list[Table]:
     return [machines, parameters]
 
 
-def _normal(value: float, p_value: float) -> float:
-    """The normal deviate of the same sign and probability."""
-    # inv_cdf is not defined at 0; 1e-300 is 37 sds, beyond any figure.
-    return math.copysign(-NormalDist().inv_cdf(0.5 * min(max(p_value, 1e-300), 1.0)), value)
-
-
 def _reaches(what_changed: WhatChanged, unit: str) -> list[Reach]:
     changed = {one.name: one for one in what_changed.found}
     reaches = []
@@ -124,49 +131,65 @@ def _reaches(what_changed: WhatChanged, unit: str) -> list[Reach]:
     return reaches
 
 
-def _tables(verification: Verification) -> list[Table]:
-    unit = unit_shown(verification.unit)
-    distances = {
-        "nominal": verification.nominal,
-        "calibrated": verification.calibrated,
-        "expected": verification.expected,
-    }
+# The page of a machine's history: entries, parameters, accuracy and events over time.
+
+# Half of the 95 % interval of a normal distribution, in sds.
+_WIDE = 1.96
+_ORDER = ("accuracy", "lengths", "angles", "others")
+"""Keys of the figures."""
+
+
+def history_html(history: History) -> str:
+    """One self-contained page; nothing in it is asked of any network."""
+    entries, name = history.entries, history.entries.folder.name
+    outside = history.chart is not None and history.chart.outside
+    words = ["The accuracy is outside its limits (EWMA). Verify the machine."] if outside else []
+    words += [f"Skipped: {one.file}: {one.reason}" for one in entries.skipped]
+    figures = {one.key: one for one in history_figures(history)}
+    parts = [*map(figures.get, _ORDER), history_table(history)]
+    section = Section("h", f"History of {name}", words, parts)
+    return section_page("history", section, {"folder": name, "entries": len(entries.whole)})
+
+
+def history_figures(history: History) -> list[Figure]:
+    """Parameters and accuracy over time, with the events."""
+    events = [Event(e.time.isoformat(), e.content["words"]) for e in history.of_kind("event")]
+    figures = []
+    for unit in dict.fromkeys(trend.unit for trend in history.trends):
+        several = [one for one in history.trends if one.unit == unit and len(one.times) > 1]
+        lines = [_line(trend) for trend in several]
+        key = {"m": "lengths", "rad": "angles"}.get(unit, "others")
+        figures.append(courses(key, unit_shown(unit), lines, events))
+    measured = history.measured
+    if measured:
+        unit = measured[0].content["unit"]
+        values = np.array([in_unit(v, unit) for v in history.accuracy])
+        line = Line("rms", [e.time.isoformat() for e in measured], values, np.zeros(len(values)))
+        chart, weighted = history.chart, None
+        if chart is not None:
+            parts = (chart.smooth, chart.low, chart.high)
+            weighted = Weighted(*(np.array([in_unit(v, unit) for v in p]) for p in parts))
+        figures.append(accuracy_chart(unit_shown(unit), line, weighted, events))
+    return [figure for figure in figures if figure is not None]
+
+
+def _line(trend: Trend) -> Line:
+    values, sds = (
+        np.array([in_unit(v, trend.unit) for v in series]) for series in (trend.values, trend.sds)
+    )
+    return Line(trend.name, trend.times, values, _WIDE * sds)
+
+
+def history_table(history: History) -> Table:
+    """The entries in their order."""
     rows = tuple(
-        (n, *distances_shown(d, verification.unit)) for n, d in distances.items() if d is not None
-    )
-    tables = [Table("Accuracy", ("machine", f"mean [{unit}]", "rms", "95 %", "max"), rows)]
-    placed = tuple(
         (
-            one.name,
-            by_sd(one.value, one.sd, one.unit),
-            "unknown" if one.sd is None else size(one.sd, one.unit, 2),
-            unit_shown(one.unit),
+            str(e.sequence),
+            f"{e.time:%Y-%m-%d %H:%M}",
+            e.kind,
+            "" if e.content.get("rms") is None else with_unit(e.content["rms"], e.content["unit"]),
+            e.content["words"],
         )
-        for one in verification.placed
+        for e in history.entries.whole
     )
-    worst = tuple(
-        (one.pose, size(one.distance, verification.unit), significant(one.chi_squared, 3))
-        for one in verification.worst
-    )
-    tables.append(Table("Placed anew", ("parameter", "value", "sd", "unit"), placed))
-    tables.append(Table("Worst poses", ("pose", f"distance [{unit}]", "chi-squared"), worst))
-    return [table for table in tables if table.rows]
-
-
-def _page(
-    title: str,
-    about: Mapping[str, object],
-    words: Sequence[str],
-    figures: Sequence[Figure],
-    tables: Sequence[Table],
-    lines: Sequence[str] = (),
-) -> str:
-    return page(
-        "life.html",
-        title=title,
-        about=about,
-        words=words,
-        lines=lines,
-        drawn={"id": "l", "figures": {figure.key: figure for figure in figures}},
-        tables=tables,
-    )
+    return Table("Entries", ("number", "UTC", "entry", "rms", "result"), rows)

@@ -3,63 +3,61 @@ fleet."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.tables import distances_shown, shown_parameters
-from loopcal.estimation.inherited import UPDATED
+from loopcal.document.tables import machine_table, shown_parameters
+from loopcal.estimation.result import UPDATED
 from loopcal.figures.figure import Figure
 from loopcal.figures.life import narrowed
-from loopcal.files.result.deployed import FLEET, HISTORY, VERIFICATION, Deployed
+from loopcal.files.result.deployed import FLEET, HISTORY, VERIFICATION
 from loopcal.life.fleet import Fleet
 from loopcal.life.history import History
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import by_sd, chance, in_unit, size, unit_shown
-from loopcal.report.history_page import history_figures, history_table
+from loopcal.presentation.shown import Table, by_sd, chance, in_unit, significant, size, unit_shown
 from loopcal.report.life_pages import (
     UNITS,
     change_figures,
     fleet_figure,
     fleet_tables,
     fleet_words,
+    history_figures,
+    history_table,
 )
-from loopcal.report.tables import Table
+from loopcal.report.section import Section
+from loopcal.report.source import Source
 from loopcal.statistics.changed import WhatChanged
 
-
-@dataclass(frozen=True, eq=False)
-class OtherDays:
-    """words: one sentence each; figures: by key; tables: below them."""
-
-    words: Sequence[str]
-    figures: Mapping[str, Figure]
-    tables: Sequence[Table]
+Parts = tuple[list[str], list[Table | Figure]]
 
 
-def other_days(document: ResultDocument, notes: Sequence[Deployed]) -> OtherDays:
-    """What a result, if it is an update, and its notes say of other days."""
-    words, figures = _update(document)
-    tables: list[Table] = []
-    section_of = {VERIFICATION: _verification, HISTORY: _history, FLEET: _fleet}
-    for number, note in enumerate((n for n in notes if n.kind in section_of), 1):
+def other_days(source: Source) -> Section | None:
+    """What a result, if it is an update, and its notes say of other days; None: nothing."""
+    notes = [note for note in source.deployed if note.kind in _OF_KIND]
+    if not notes and source.document.method_label != UPDATED:
+        return None
+    words, parts = _update(source.document)
+    for number, note in enumerate(notes, 1):
         try:
-            one = section_of[note.kind](note.document)
+            sentences, shown = _OF_KIND[note.kind](note.document)
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
             # What a damaged note raises depends on the damage, since its content is not checked.
             words.append(f"A note of this {note.kind} is damaged. Run the command again.")
             continue
-        words += one.words
-        figures += [replace(figure, key=f"{key}_{number}") for key, figure in one.figures.items()]
-        tables += one.tables
-    return OtherDays(words, {figure.key: figure for figure in figures}, tables)
+        words += sentences
+        parts += [
+            replace(one, key=f"{one.key}_{number}") if isinstance(one, Figure) else one
+            for one in shown
+        ]
+    parts.sort(key=lambda one: isinstance(one, Figure))
+    return Section("later", "Other days", words, parts)
 
 
-def _update(document: ResultDocument) -> tuple[list[str], list[Figure]]:
+def _update(document: ResultDocument) -> Parts:
     """By how much an update narrowed what the earlier calibration knew."""
     estimates = [
         (p.name, p.unit, p.prior_sd, p.sd)
@@ -73,16 +71,17 @@ def _update(document: ResultDocument) -> tuple[list[str], list[Figure]]:
         f"This result updates an earlier calibration: the sds of {len(estimates)} parameters are "
         f"{significant(min(shares), 2)} to {significant(max(shares), 2)} times those before."
     )
-    drawn = []
+    drawn: list[Table | Figure] = []
     for unit in dict.fromkeys(unit for _, unit, _, _ in estimates):
         group = [one for one in estimates if one[1] == unit]
         sds = np.array([[in_unit(v, unit) for v in one[2:]] for one in group])
         key = f"sds_{UNITS.get(unit, 'others')}"
-        drawn.append(narrowed(key, unit_shown(unit), [one[0] for one in group], *sds.T))
-    return [words], [figure for figure in drawn if figure is not None]
+        figure = narrowed(key, unit_shown(unit), [one[0] for one in group], *sds.T)
+        drawn += [] if figure is None else [figure]
+    return [words], drawn
 
 
-def _verification(document: Mapping[str, Any]) -> OtherDays:
+def _verification(document: Mapping[str, Any]) -> Parts:
     file, answers = document["readings"], document["verdict"]
     words = [f"{file}, {document['poses']} poses: {answers['headline']}"]
     words += [
@@ -90,14 +89,17 @@ def _verification(document: Mapping[str, Any]) -> OtherDays:
         for name, answer in answers.items()
         if name != "headline" and answer["next"] and answer["passed"] is False
     ]
-    tables = [_accuracy(file, document["accuracy"])]
+    unit, accuracy = document["accuracy"]["unit"], document["accuracy"]
+    distances = {
+        name: None if accuracy[name] is None else Distances(**accuracy[name])
+        for name in ("nominal", "calibrated", "expected")
+    }
+    reached = machine_table(f"Accuracy: {file}", unit, distances)
     if document["changes"] is None:
-        return OtherDays(words, {}, tables)
+        return words, [reached]
     what_changed = WhatChanged.from_document(document["changes"], document["chi_squared"])
     drawn = [replace(one, title=f"{one.title}: {file}") for one in change_figures(what_changed)]
-    return OtherDays(
-        words, {one.key: one for one in drawn}, [_changes(file, what_changed), *tables]
-    )
+    return words, [_changes(file, what_changed), reached, *drawn]
 
 
 def _changes(file: str, what_changed: WhatChanged) -> Table:
@@ -118,26 +120,15 @@ def _changes(file: str, what_changed: WhatChanged) -> Table:
     return Table(f"What changed: {file}", head, tuple(rows))
 
 
-def _accuracy(file: str, accuracy: Mapping[str, Any]) -> Table:
-    unit = accuracy["unit"]
-    rows = tuple(
-        (name, *distances_shown(Distances(**accuracy[name]), unit))
-        for name in ("nominal", "calibrated", "expected")
-        if accuracy[name] is not None
-    )
-    head = ("machine", f"mean [{unit_shown(unit)}]", "rms", "95 %", "max")
-    return Table(f"Accuracy: {file}", head, rows)
-
-
-def _history(document: Mapping[str, Any]) -> OtherDays:
+def _history(document: Mapping[str, Any]) -> Parts:
     history = History.from_document(document)
-    figures = {one.key: one for one in history_figures(history)}
-    return OtherDays(
-        [], figures, [replace(history_table(history), caption="History of the machine")]
-    )
+    table = replace(history_table(history), caption="History of the machine")
+    return [], [table, *history_figures(history)]
 
 
-def _fleet(document: Mapping[str, Any]) -> OtherDays:
+def _fleet(document: Mapping[str, Any]) -> Parts:
     fleet = Fleet.from_document(document)
-    figure = fleet_figure(fleet)
-    return OtherDays([fleet_words(fleet)], {figure.key: figure}, fleet_tables(fleet))
+    return [fleet_words(fleet)], [*fleet_tables(fleet), fleet_figure(fleet)]
+
+
+_OF_KIND = {VERIFICATION: _verification, HISTORY: _history, FLEET: _fleet}

@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from statistics import median
+from typing import Any
 
 import numpy as np
 
+from loopcal.document.fit import ParameterEntry
 from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.document.verdict import UNJUDGED
 from loopcal.errors import UsageError
-from loopcal.estimation.inherited import UPDATED
 from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import Result
-from loopcal.files.result.deployed import OTHER_DAYS
 from loopcal.report import tables, top
-from loopcal.report.deployed import deployed_figures, deployed_tables, deployed_words
 from loopcal.report.drawn import distances, figures
-from loopcal.report.parameters import parameter_groups
+from loopcal.report.section import Section
 from loopcal.report.source import Source, source_of
-from loopcal.report.templates import page
+from loopcal.report.tables import parameter_cells, parameter_head
+from loopcal.report.templates import CELL, page
 
-if TYPE_CHECKING:
-    from loopcal.report.other_days import OtherDays
-
+SectionsOf = Callable[[Source], Iterable[Section]]
+"""What a report says of a result beyond the calibration."""
 MOST = 8
 """So many results stand side by side; a browser draws some sixteen scenes in space at most."""
 QUESTIONS = {
@@ -41,11 +40,11 @@ LITTLE = 0.5
 """Sd over prior sd above which it is said that the data tell little."""
 
 
-def report_html(sources: Sequence[Source]) -> str:
+def report_html(sources: Sequence[Source], sections: SectionsOf = lambda _: ()) -> str:
     """The report of one result, or of several side by side.
 
-    Everything is inside: styles, program and data; nothing is asked of any network. Raises
-    UsageError for more results than a page can hold.
+    sections: what it says beyond the calibrations. Everything is inside: styles, program and data;
+    nothing is asked of any network. Raises UsageError for more results than a page can hold.
     """
     if not 1 <= len(sources) <= MOST:
         raise UsageError(
@@ -57,25 +56,28 @@ def report_html(sources: Sequence[Source]) -> str:
         sources = [
             replace(source, name=f"{n}: {source.name}") for n, source in enumerate(sources, 1)
         ]
+    results = [_result(source, sections(source), n) for n, source in enumerate(sources, 1)]
     return page(
         "report.html",
         title=", ".join(dict.fromkeys(source.title for source in sources)),
-        results=[_result(source, number) for number, source in enumerate(sources, 1)],
+        results=results,
+        sections={key: one.title for r in results for key, one in r["sections"].items()},
         comparison=tables.comparison_table(sources) if several else None,
         questions=QUESTIONS,
         about={},
     )
 
 
-def page_of(result: Result, folder: str | Path) -> Callable[[ResultDocument], str]:
+def page_of(
+    result: Result, folder: str | Path, sections: SectionsOf
+) -> Callable[[ResultDocument], str]:
     """Makes the report of a result from its document, before both are written to a folder."""
-    return lambda document: report_html([source_of(result, document, folder)])
+    return lambda document: report_html([source_of(result, document, folder)], sections)
 
 
-def _result(source: Source, number: int) -> dict[str, Any]:
+def _result(source: Source, sections: Iterable[Section], number: int) -> dict[str, Any]:
     """What the template says of one result."""
     document = source.document
-    later = _later(source)
     verdict = UNJUDGED if document.verdict is None else document.verdict
     before, after = (
         distances(source, d) if d else np.empty(0)
@@ -95,15 +97,8 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "record": top.record(source),
         "bars": top.accuracy_bars(document),
         "region": top.region_bars(source),
-        "figures": figures(source)
-        | deployed_figures(source.deployed)
-        | (dict(later.figures) if later else {}),
-        "deployed": {
-            "words": deployed_words(source.deployed),
-            "figures": list(deployed_figures(source.deployed)),
-            "tables": deployed_tables(source.deployed),
-        },
-        "later": later,
+        "figures": figures(source),
+        "sections": {section.key: section for section in sections},
         "accuracy": tables.accuracy_tables(document),
         "worst": tables.worst_table(source, before, after),
         "models": tables.model_table(document),
@@ -118,15 +113,6 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "method": method_named(document.method).description,
         "inputs": json.dumps(plain(document.inputs), indent=1, ensure_ascii=False),
     }
-
-
-def _later(source: Source) -> OtherDays | None:
-    noted = any(note.kind in OTHER_DAYS for note in source.deployed)
-    if not noted and source.document.method_label != UPDATED:
-        return None
-    from loopcal.report.other_days import other_days
-
-    return other_days(source.document, source.deployed)
 
 
 def identifiability_words(document: ResultDocument) -> list[str]:
@@ -146,3 +132,82 @@ def identifiability_words(document: ResultDocument) -> list[str]:
     ]
     words += [entry.words for entry in learned if entry.ratio > LITTLE]
     return words
+
+
+# The parameters grouped by owner, each with its meaning and its change drawn beside its sd.
+
+REST = "machine"
+"""Group of the parameters without an owner."""
+WIDEST = 5.0
+"""The scale of the bars is at most so many times the median change of its unit."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One parameter: cells of its row; meaning: what it is; bar: its change and sd, drawn.
+
+    left, width: of the bar of the change; low, high: ends of the interval of two sds; all in
+    percent of a scale for each unit, 50 where nothing changed; beyond: whether it is longer.
+    """
+
+    cells: tuple[str, ...]
+    meaning: str
+    left: float = 50.0
+    width: float = 0.0
+    low: float = 50.0
+    high: float = 50.0
+    beyond: bool = False
+
+
+@dataclass(frozen=True)
+class Group:
+    """The parameters of one part of the machine."""
+
+    name: str
+    lines: tuple[Line, ...]
+
+
+@dataclass(frozen=True)
+class ParameterGroups:
+    """head: names of the columns; groups: in the order of the machine."""
+
+    head: tuple[str, ...]
+    groups: tuple[Group, ...]
+
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The cells, with the room of the bar."""
+        return [(*line.cells, " " * CELL) for group in self.groups for line in group.lines]
+
+
+def parameter_groups(source: Source) -> ParameterGroups:
+    """The parameters of a result, without the many of its model error."""
+    document = source.document
+    shown = shown_parameters(document.parameters, document.terms)
+    reach = _reach(shown)
+    grouped: dict[str, list[Line]] = {}
+    for entry in shown:
+        line = _line(entry, reach.get(entry.unit, 0.0), document)
+        grouped.setdefault(entry.owner or REST, []).append(line)
+    groups = tuple(Group(name, tuple(lines)) for name, lines in grouped.items())
+    return ParameterGroups((*parameter_head(document), "change, 2 sd"), groups)
+
+
+def _reach(entries: Iterable[ParameterEntry]) -> dict[str, float]:
+    """The scale of each unit: the widest change with its sd, unless most are far smaller."""
+    changes_by_unit: dict[str, list[float]] = {}
+    for p in entries:
+        if not p.fixed:
+            far = abs(p.value - p.nominal) + 2.0 * (p.sd or 0.0)
+            changes_by_unit.setdefault(p.unit, []).append(far)
+    return {unit: min(max(all_), WIDEST * median(all_)) for unit, all_ in changes_by_unit.items()}
+
+
+def _line(entry: ParameterEntry, reach: float, document: ResultDocument) -> Line:
+    cells = parameter_cells(entry, document)
+    if entry.fixed or not reach:
+        return Line(cells, entry.meaning)
+    change, sd = 50.0 * (entry.value - entry.nominal) / reach, 50.0 * (entry.sd or 0.0) / reach
+    low, middle, high = (min(max(50.0 + change + k * sd, 0.0), 100.0) for k in (-2.0, 0.0, 2.0))
+    left, width = min(50.0, middle), abs(middle - 50.0)
+    return Line(cells, entry.meaning, left, width, low, high, abs(change) > 50.0)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
-from loopcal.figures.bars import Bars
-from loopcal.figures.figure import Figure
+from loopcal.figures.figure import Bars, Figure
 from loopcal.figures.pose_performance import (
     SHADES,
     Cloud,
@@ -19,9 +17,16 @@ from loopcal.figures.pose_performance import (
 from loopcal.measurements.attained import AttainedPoses
 from loopcal.pose_performance.intervals import Estimate
 from loopcal.pose_performance.parts import ConditionPerformance
-from loopcal.pose_performance.result import METHOD, Performance
-from loopcal.pose_performance.summary import headline, overview, tables_of
-from loopcal.report.tables import Table
+from loopcal.pose_performance.summary import (
+    METHOD,
+    Performance,
+    Rows,
+    headline,
+    overview,
+    tables_of,
+)
+from loopcal.presentation.shown import Table
+from loopcal.report.section import Section
 from loopcal.report.templates import page
 
 MM = 1e3
@@ -36,39 +41,35 @@ def performance_html(done: Performance, attained: AttainedPoses) -> str:
         title=f"Pose performance of {done.file}",
         about={"file": done.file, "measurements": done.measurements},
         method=METHOD,
-        all=_overview(done.conditions),
-        conditions=[_condition(c, attained, n) for n, c in enumerate(done.conditions, 1)],
+        overview=_overview(done.conditions),
+        conditions=[
+            {"section": _condition(c, attained, n), "missing": c.missing}
+            for n, c in enumerate(done.conditions, 1)
+        ],
         notes=done.notes,
     )
 
 
-def _condition(
-    performance: ConditionPerformance, attained: AttainedPoses, number: int
-) -> dict[str, Any]:
-    figures = [_bars(performance), *_scatter(performance, attained), _drift(performance)]
-    return {
-        "id": f"c{number}",
-        "name": performance.name,
-        "headline": headline(performance),
-        "figures": {figure.key: figure for figure in figures if figure is not None},
-        "tables": [
-            Table(title, tuple(rows[0]), tuple(tuple(row) for row in rows[1:]))
-            for title, rows in tables_of(performance).items()
-        ],
-        "notes": performance.notes,
-        "missing": performance.missing,
-    }
+def _condition(performance: ConditionPerformance, attained: AttainedPoses, number: int) -> Section:
+    first, *tables = (_table(title, rows) for title, rows in tables_of(performance).items())
+    figures = [*_scatter(performance, attained), _drift(performance)]
+    words = [headline(performance), *performance.notes]
+    parts = [_bars(performance), first, *figures, *tables]
+    return Section(f"c{number}", performance.name, words, parts)
 
 
-def _overview(conditions: Sequence[ConditionPerformance]) -> dict[str, Any] | None:
-    """All payloads and speeds side by side; None for one condition."""
+def _table(title: str, rows: Rows) -> Table:
+    return Table(title, rows[0], tuple(rows[1:]))
+
+
+def _overview(conditions: Sequence[ConditionPerformance]) -> Section:
+    """All payloads and speeds side by side; nothing for one condition."""
     rows = overview(conditions)
     if not rows:
-        return None
+        return Section("all", "", (), ())
     figures = zip(*(part.largest.figures for part in conditions), strict=True)
     drawn = condition_bars([part.name for part in conditions], _series(figures))
-    table = Table("Largest figures by condition", tuple(rows[0]), tuple(map(tuple, rows[1:])))
-    return {"id": "all", "figures": {drawn.key: drawn}, "table": table}
+    return Section("all", "", (), (drawn, _table("Largest figures by condition", rows)))
 
 
 def _bars(performance: ConditionPerformance) -> Figure:

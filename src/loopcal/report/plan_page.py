@@ -3,54 +3,33 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopcal.figures.figure import Figure
-from loopcal.figures.planning import Line, by_number, chosen_points, parameters_by_number
+from loopcal.figures.planning import Line, chosen_points, parameters_by_number
 from loopcal.figures.space import Machine
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, points
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.planning.planned import Plan
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import SHOWN, factor, in_unit, size, unit_shown
-from loopcal.report.tables import Table
-from loopcal.report.templates import page
+from loopcal.presentation.shown import SHOWN, Table, in_unit, significant, size, unit_shown
+from loopcal.report.deployed import planned
+from loopcal.report.section import Section, section_page
 from loopcal.units import from_si
-
-Array = NDArray[np.float64]
 
 
 def plan_html(plan: Plan, title: str, mechanism: Mechanism, file: str) -> str:
     """The page; file: the project."""
-    figures = [_curve(plan), _chosen(plan, mechanism), _parameters(plan)]
-    return page(
-        "plan.html",
-        title=f"Plan: {title}",
-        about={"file": file, "poses": len(plan.use)},
-        words=plan.summary(),
-        plan={"id": "plan", "figures": {f.key: f for f in figures if f is not None}},
-        tables=[_poses(plan), _sds(plan)],
-    )
-
-
-def _curve(plan: Plan) -> Figure | None:
-    scale, count = factor(plan.unit), [p.poses for p in plan.curve]
-    lines = [
-        Line("planned, rms", count, _array([p.end_point for p in plan.curve]) / scale),
-        Line("planned, largest", count, _array([p.largest for p in plan.curve]) / scale),
-    ]
-    if plan.random is not None:
-        random = plan.random
-        lines.append(Line("random, rms", random.poses, _array(random.end_point) / scale))
-    return by_number(lines, unit_shown(plan.unit), len(plan.use))
+    figures = (planned(plan.document()), _chosen(plan, mechanism), _parameters(plan))
+    parts = (*figures, _poses(plan), _sds(plan))
+    section = Section("plan", f"Plan: {title}", plan.summary(), parts)
+    return section_page("plan", section, {"file": file, "poses": len(plan.use)})
 
 
 def _parameters(plan: Plan) -> Figure | None:
     groups: dict[str, list[Line]] = {}
     count = [p.poses for p in plan.curve]
     for name, unit in plan.units.items():
-        sds = _array([p.parameters[name] for p in plan.curve])
+        sds = np.array([p.parameters[name] for p in plan.curve], dtype=float)
         shown = np.array([in_unit(v, unit, fine=True) for v in sds])
         groups.setdefault(unit_shown(unit, fine=True), []).append(Line(name, count, shown))
     return parameters_by_number(groups)
@@ -87,17 +66,13 @@ def _poses(plan: Plan) -> Table:
 
 def _sds(plan: Plan) -> Table:
     rows = [
-        (name, unit_shown(unit, fine=True), *(_size(v, unit) for v in pair))
+        (
+            name,
+            unit_shown(unit, fine=True),
+            *("-" if v is None else size(v, unit, fine=True) for v in pair),
+        )
         for name, unit in plan.units.items()
         for pair in [(plan.expected.parameters[name], plan.fitted.parameters[name])]
     ]
     head = ("parameter", "unit", "expected sd", "without the poses to validate")
     return Table("Expected sds of the parameters", head, tuple(rows))
-
-
-def _size(value: float | None, unit: str) -> str:
-    return "-" if value is None else size(value, unit, fine=True)
-
-
-def _array(values: object) -> Array:
-    return np.array(values, dtype=float)

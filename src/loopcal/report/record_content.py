@@ -17,7 +17,7 @@ from loopcal.document.tables import Stage, accuracy_stages, shown_parameters
 from loopcal.document.verdict import UNJUDGED, Verdict
 from loopcal.files.result.record_file import RecordFile
 from loopcal.small_samples import t_quantile
-from loopcal.statistics.tolerance import Quantile
+from loopcal.statistics.verdict import Quantile
 
 UNSTATED = "not stated"
 # erf(sqrt(2)) = 2 Phi(2) - 1.

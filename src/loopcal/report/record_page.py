@@ -5,7 +5,7 @@ from __future__ import annotations
 from loopcal.document.fit import ParameterEntry
 from loopcal.files.result.record_file import OPEN, manifest, sealed
 from loopcal.files.versions import version
-from loopcal.presentation.shown import NONE, by_sd, size, unit_shown
+from loopcal.presentation.shown import NONE, Table, by_sd, size, unit_shown
 from loopcal.report.record_content import (
     FIELDS,
     OPTIONAL,
@@ -15,41 +15,36 @@ from loopcal.report.record_content import (
     RecordContent,
     expanded,
 )
-from loopcal.report.tables import Table
 from loopcal.report.templates import environment, part
 from loopcal.report.top import accuracy_bars, readings
 
 
 def record_page(content: RecordContent) -> str:
     """The page of a record, sealed with its SHA-256; nothing in it is asked of any network."""
-    texts, verdict = content.texts, content.verdict
+    texts = content.texts
+    fields = {
+        section: {
+            label: texts.get(key, UNSTATED)
+            for key, label in labels.items()
+            if key not in OPTIONAL or key in texts
+        }
+        for section, labels in FIELDS.items()
+    }
     html = (
         environment()
         .get_template("record.html")
         .render(
-            title=content.title,
-            number=content.number,
-            texts=texts,
-            fields={
-                section: {
-                    label: texts.get(key, UNSTATED)
-                    for key, label in fields.items()
-                    if key not in OPTIONAL or key in texts
-                }
-                for section, fields in FIELDS.items()
-            },
-            people={label: texts.get(key, UNSTATED) for key, label in PEOPLE.items()},
-            adjustment=texts.get("adjustment", UNSTATED),
-            note=texts.get("note"),
+            content=content,
             document=content.document,
+            verdict=content.verdict,
+            fields=fields,
+            people=PEOPLE,
+            unstated=UNSTATED,
             readings=readings(content.document),
-            verdict=verdict,
-            decided=verdict.tolerance.asked,
             rule=RULE,
             drawn=accuracy_bars(content.document),
             accuracy=_accuracy(content),
             parameters=_parameters(content),
-            files=content.files,
             manifest=manifest(content.files),
             seal=OPEN,
             version=version(),

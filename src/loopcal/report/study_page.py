@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,8 @@ from loopcal.figures.distributions import ErrorBar, error_bars
 from loopcal.figures.figure import Figure
 from loopcal.figures.space import arrows
 from loopcal.files.atomic import write_files
-from loopcal.presentation.shown import in_unit, percent, size, unit_shown
-from loopcal.report.tables import Table
+from loopcal.presentation.shown import Table, in_unit, percent, size, unit_shown
+from loopcal.report.section import Section
 from loopcal.report.templates import page
 from loopcal.studies.draws import first_draw
 from loopcal.studies.paired import Paired
@@ -56,22 +56,14 @@ def study_html(done: StudyDone) -> str:
 
 
 def _scenario(table: ScenarioTable, number: int, drawn: Mapping[str, Result]) -> dict[str, Any]:
-    return {
-        "id": f"s{number}",
-        "name": f"{table.scenario} ({table.poses} poses)",
-        "words": words(table),
-        "figures": {
-            figure.key: figure
-            for unit in KINDS
-            if (figure := _bars(table.methods, unit)) is not None
-        },
-        "tables": [_method(method) for method in table.methods],
-        "paired": [_paired(pair) for pair in table.paired],
-        "examples": [
-            {"id": f"s{number}m{i}", "name": name, "figures": _example(result)}
-            for i, (name, result) in enumerate(drawn.items(), 1)
-        ],
-    }
+    bars = (_bars(table.methods, unit) for unit in KINDS)
+    parts = [*bars, *map(_method, table.methods), *map(_paired, table.paired)]
+    title = f"{table.scenario} ({table.poses} poses)"
+    examples = [
+        Section(f"s{number}m{i}", f"First draw, {name}", (), (_residuals(one), _arrows(one)))
+        for i, (name, one) in enumerate(drawn.items(), 1)
+    ]
+    return {"section": Section(f"s{number}", title, words(table), parts), "examples": examples}
 
 
 def words(table: ScenarioTable) -> list[str]:
@@ -116,19 +108,15 @@ def words(table: ScenarioTable) -> list[str]:
 
 
 def _bars(methods: Sequence[MethodTable], unit: str) -> Figure | None:
-    key, title = KINDS[unit]
-    shown = unit_shown(unit, fine=True)
-    groups = [(m.method, [_bar(s, unit) for s in m.spreads if s.unit == unit]) for m in methods]
-    return error_bars(key, title, shown, groups)
-
-
-def _bar(spread: Spread, unit: str) -> ErrorBar:
     def at(value: float) -> float:
-        # Six digits keep the page small; no figure shows more.
-        return float(f"{in_unit(value, unit, fine=True):.6g}")
+        return in_unit(value, unit, fine=True)
 
-    printed = None if spread.published is None else at(spread.published.error)
-    return ErrorBar(spread.name, at(spread.bias), at(spread.low), at(spread.high), printed)
+    def bar(s: Spread) -> ErrorBar:
+        printed = None if s.published is None else at(s.published.error)
+        return ErrorBar(s.name, at(s.bias), at(s.low), at(s.high), printed)
+
+    groups = [(m.method, [bar(s) for s in m.spreads if s.unit == unit]) for m in methods]
+    return error_bars(*KINDS[unit], unit_shown(unit, fine=True), groups)
 
 
 def _method(table: MethodTable) -> Table:
@@ -154,16 +142,9 @@ def _paired(pair: Paired) -> Table:
     return Table(caption, ("error", "closer in", "rms ratio"), tuple(rows))
 
 
-def _example(result: Result) -> dict[str, Figure]:
-    """Residuals of every loop before and after, and arrows in space, of one draw."""
-    poses = result.dataset.poses
-    drawn: Iterable[Figure | None] = (_residuals(result, poses), _arrows(result))
-    return {figure.key: figure for figure in drawn if figure is not None}
-
-
-def _residuals(result: Result, poses: Sequence[str]) -> Figure | None:
+def _residuals(result: Result) -> Figure | None:
     # corrected readings close the loops to rounding, which shows no accuracy
-    after = result.residuals_after if result.fit.solver.exact else {}
+    after, poses = result.residuals_after if result.fit.solver.exact else {}, result.dataset.poses
     return over_poses(result.residuals_before, after, poses, "SI", "Values of the loop equations")
 
 

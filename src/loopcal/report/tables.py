@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +18,19 @@ from loopcal.document.tables import (
     shown_parameters,
     term_rows,
 )
-from loopcal.presentation.shown import NONE, by_sd, chance, percent, size, unit_shown, with_unit
+from loopcal.presentation.shown import (
+    NONE,
+    Table,
+    by_sd,
+    chance,
+    percent,
+    size,
+    unit_shown,
+    with_unit,
+)
 from loopcal.report.source import Source
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Table:
-    """caption: what it holds; head: names of columns; rows: cells, the first names the row."""
-
-    caption: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 def accuracy_tables(document: ResultDocument) -> list[Table]:

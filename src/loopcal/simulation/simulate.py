@@ -17,8 +17,7 @@ from loopcal.measurements.source import Source
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.closing import close_loops, reachable
-from loopcal.simulation.orientations import measured, parallel, unstated_orientations
-from loopcal.simulation.poses import stream
+from loopcal.simulation.poses import measured, parallel, stream, unstated_orientations
 
 Array = NDArray[np.float64]
 
@@ -84,7 +83,7 @@ def simulate(
     driven = readings if isinstance(readings, Dataset) else Dataset.from_arrays(readings)
     unturned = unstated_orientations(mechanism, driven)
     driven = driven.with_readings(parallel(unturned, len(driven)))
-    parameters = _true_parameters(mechanism, truth or {})
+    parameters = {p.name: p.nominal for p in mechanism.parameters.with_nominal(truth or {})}
     x, unknown = _values(mechanism, driven, start or {})
     pose_constants = _pose_constants(mechanism, driven)
     values = np.array(list(parameters.values()))
@@ -161,11 +160,6 @@ def _exact(
 
 def _sds(mechanism: Mechanism, exact: Dataset, noise: Noise) -> ReadingUncertainty:
     return resolve_noise(noise, exact, mechanism.tape.quantities, mechanism.quantity_group)
-
-
-def _true_parameters(mechanism: Mechanism, truth: Mapping[str, float]) -> dict[str, float]:
-    parameters = mechanism.parameters.with_nominal(truth)
-    return {parameter.name: parameter.nominal for parameter in parameters}
 
 
 def _values(

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.fit import NoiseEntry
-from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.choice import TermEntry
+from loopcal.document.fit import ChiSquared, NoiseEntry
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.terms import TermEntry
 from loopcal.document.triangle import symmetric
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
@@ -153,24 +152,28 @@ class Calibrated:
         loose = np.abs(self.undetermined).max(axis=1, initial=0.0) > 0.0
         return np.asarray(loose | (np.diag(self.covariance.matrix) > 0.0))
 
+    def through(self, mechanism: Mechanism, M: Array) -> Calibrated:
+        """Of another description of the machine, whose parameters change by M (n, n_all) with
+        these."""
+        return replace(
+            self,
+            mechanism=mechanism,
+            covariance=self.covariance.through(M),
+            undetermined=M @ self.undetermined,
+            gain=None if self.gain is None else M @ self.gain @ M.T,
+            scatter=self.scatter and self.scatter.through(M),
+        )
+
     @property
     def stationed(self) -> Calibrated:
         """The same as a machine that can be placed anew (see `mechanisms.stationed`)."""
-        from loopcal.mechanisms.stationed import stationed
+        from loopcal.mechanisms.station import stationed
 
         made, size = stationed(self.mechanism), len(self.nominal)
         E = np.eye(len(made.parameters))[:, :size]
-        return replace(
-            self,
-            mechanism=made,
-            covariance=self.covariance.through(E),
-            undetermined=E @ self.undetermined,
-            nominal=E @ self.nominal,
-            # A new station is placed by nothing but the readings of the day: flat.
-            prior_sd=np.append(self.prior_sd, np.full(len(E) - size, math.inf)),
-            gain=None if self.gain is None else E @ self.gain @ E.T,
-            scatter=self.scatter and self.scatter.through(E),
-        )
+        # A new station is placed by nothing but the readings of the day: flat.
+        prior_sd = np.append(self.prior_sd, np.full(len(E) - size, math.inf))
+        return replace(self.through(made, E), nominal=E @ self.nominal, prior_sd=prior_sd)
 
     def drifted(self, sds: Array) -> Calibrated:
         """After parameters may have changed by so much (n_all,) [SI]."""

@@ -1,15 +1,26 @@
-"""A calibration as it was asked for, ready to be made of all its poses or of some."""
+"""A calibration as it was asked for, ready to be made of all its poses or of some.
+
+The candidates of a choice: the methods, with a model error and without, and the drawing.
+
+The nominal machine, placed and mounted as well as can be: what a calibration must beat.
+
+Only where machine and instruments stand, and where targets and tools sit on the body, is estimated;
+all dimensions stay the drawing's. What is mounted is known to some millimetres: left free it would
+run away to make up for a wrong machine, and the comparison would flatter the drawing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.calibrate import calibrate, may_be_faulty
-from loopcal.estimation.fit import Fit
+from loopcal.estimation.fit import Fit, instrument_noise, modelled
+from loopcal.estimation.methods import implicit_loop
+from loopcal.estimation.problem.problem import Weighting
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress
 from loopcal.lazy import cached_property
@@ -17,6 +28,7 @@ from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.structure.structured import mounted
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -50,6 +62,14 @@ class Case:
     def may_be_faulty(self) -> bool:
         """Whether its calibration would seek faults of the file."""
         return not self.trusted and may_be_faulty(self.mechanism, self.data, self.noise, self.fit)
+
+    def discarding(self, outliers: Index) -> Case:
+        """The case without the poses at these positions."""
+        if not outliers.size:
+            return self
+        kept = np.setdiff1d(np.arange(len(self.data)), outliers)
+        data, noise = self.data.without_outliers(outliers), taken(self.noise, kept)
+        return replace(self, data=data, noise=noise)
 
     def calibrated(self, index: Index | None = None, progress: Progress | None = None) -> Result:
         """The calibration of these poses, by default of all; what copies are, all rows say.
@@ -86,3 +106,77 @@ def of_poses(values: Mapping[str, Array] | None, index: Index | None) -> Mapping
 def taken(noise: Noise | None, index: Index | None) -> Noise | None:
     """The noise of the poses at these positions; index None takes all."""
     return noise if noise is None or index is None else noise.take(index)
+
+
+NOMINAL = "nominal"
+
+
+@dataclass(frozen=True, eq=False)
+class Entrant:
+    """One way to calibrate.
+
+    name: for the reader; case: what to calibrate, and how; structured: with terms for the model
+    error; drawn: nothing but placement and mounting is estimated.
+    """
+
+    name: str
+    case: Case
+    structured: bool = False
+    drawn: bool = False
+
+    @property
+    def cheap(self) -> bool:
+        """Whether it is what every calibration is compared with: the nominal machine, or exact."""
+        return self.drawn or (self.case.fit.method.exact and not self.structured)
+
+
+def entrants(
+    case: Case, moved: Collection[str] = (), made: Mechanism | None = None
+) -> Iterator[Entrant]:
+    """All that compete for a case: those with a model error first, the nominal machine last.
+
+    moved: parameters of what slipped during the run, which all of them estimate; made: the machine
+    with its model error, where it is at hand.
+    """
+    fit, lossless = case.fit, case.fit.robust_loss is None
+    methods = fit.among(case.data, case.noise)
+    machine, with_error = fit.with_prior(case.mechanism), fit.changed(model_error="structured")
+    if made is None:
+        made = modelled(with_error, machine, len(case.data)) if lossless else machine
+    for method in methods if len(made.terms) > len(machine.terms) else ():
+        if method.weighting is Weighting.READ:
+            continue  # the noise of the model error says nothing about the parameters anyway
+        # the mechanism has the prior already
+        error_fit = with_error.changed(method=method, prior=None)
+        name = f"{method.name} with model error"
+        yield Entrant(name, replace(case, mechanism=made, fit=error_fit), True)
+    for method in methods:
+        plain = fit.changed(method=method, model_error="none")
+        yield Entrant(method.name, replace(case, fit=plain))
+    if case.mechanism.outputs:
+        drawn = nominal_case(case, moved)
+        if (
+            drawn.mechanism.parameters.free
+        ):  # else the accuracy before the fit is that of the drawing
+            yield Entrant(NOMINAL, drawn, drawn=True)
+
+
+def nominal_case(case: Case, moved: Collection[str] = ()) -> Case:
+    """The nominal machine, placed and mounted by readings of instruments weighted alike."""
+    mechanism = nominal_machine(case.fit.with_prior(case.mechanism), moved)
+    noise = instrument_noise(mechanism, case.data)
+    fit = case.fit.changed(
+        method=implicit_loop.METHOD, loss="gaussian", prior=None, model_error="none"
+    )
+    return Case(mechanism, replace(case.data, sds={}), noise, fit)
+
+
+def nominal_machine(mechanism: Mechanism, moved: Collection[str] = ()) -> Mechanism:
+    """The mechanism with all fixed but placements and mountings; these get default priors.
+
+    moved: parameters of what slipped during the run, which is no fault of the drawing's.
+    """
+    placed = {*mechanism.parameters.of_role("placement", "mounting"), *moved}
+    fixed = [p.name for p in mechanism.parameters if p.name not in placed]
+    made = mounted(mechanism)
+    return made.with_parameters(made.parameters.with_fixed(fixed))

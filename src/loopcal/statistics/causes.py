@@ -22,8 +22,10 @@ from loopcal.statistics.pose_tests import Fitted, try_rows
 from loopcal.units import from_si, to_si
 
 Array = NDArray[np.float64]
+# Record 0054: p-value of a single test.
 FITS = 0.001
 """A row put right fits if a good one would be worse with at least this probability."""
+# Chosen, not derived: of ten digits that are named one is named by chance, and a user looks at it.
 BY_CHANCE = 0.1
 """A mistyped digit is named if one would fit by chance with at most about this probability."""
 # A joint that runs through a grid repeats its reading from row to row: that is no fault.

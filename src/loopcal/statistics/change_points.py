@@ -18,30 +18,30 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.chi_squared import tail
 from loopcal.document.change_points import Change, ChangePoint, Moved
 from loopcal.errors import InputError
 from loopcal.estimation.dependence.dependence import joint_rows
-from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.placement import ChainPlacement
-from loopcal.mechanisms.station import Station
-from loopcal.mechanisms.stationed import BASE
-from loopcal.presentation.wrapped import wrapped
-from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
+from loopcal.presentation.shown import wrapped
+from loopcal.statistics.estimated import log_tail
+from loopcal.statistics.ordered_system import Fitted, ordered_system
+from loopcal.statistics.possible_changes import ALONG_A_RUN, Possible, possible, unit_of
 from loopcal.statistics.run_order import order_by_joints, path_cosines
 
 Array = NDArray[np.float64]
+# Chosen, not derived: time and memory of the search.
 MOST_POSES = 5000
 """More poses are not searched: parts of a long run can be."""
+# Chosen, not derived: fewer poses are outliers, which have tests of their own.
 LEAST = 5
 """Poses between two changes, and before the first and after the last."""
+# Record 0054: p-value of a single test.
 UNREMARKABLE = 1e-3
 """A pose that is at least so probable fits."""
 # Six cosines, R^2 of 0.5 and e^10 below: record 0051.
@@ -53,6 +53,7 @@ it is one of an instrument."""
 _RARE = 10.0
 """By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
 the last joint does the same, and does it more often."""
+# A factor of e^7, about 1000, in p: chosen, not derived.
 _ALIKE = 7.0
 """An alternative whose log p is within this of the best explains the change about as well."""
 
@@ -93,30 +94,33 @@ class Shifts:
         return [f"shifts: {len(self.found)} ({rule})", *points]
 
 
+# The level is that of the search, 1 % family-wise (record 0051).
 NOT_SEARCHED = Shifts((), 0.01, 0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Candidate:
-    """Something that may move: parameters or readings, and its columns (N, R, d).
+    """Something that may change, and its columns (N, R, d)."""
 
-    steps, ramps: whether it may change at once, and all along the run.
-    """
-
-    moved: Moved
-    names: tuple[str, ...]
+    change: Possible
     columns: Array
-    steps: bool
-    ramps: bool
 
 
 @dataclass(frozen=True)
 class _Step:
     """A candidate that changes at position `at` in order, or all along the run."""
 
-    candidate: int
+    candidate: _Candidate
     at: int
     ramp: bool = False
+
+    @property
+    def columns(self) -> Array:
+        """(N, R, d)"""
+        N = len(self.candidate.columns)
+        # From 0 to 1: the size of a ramp is its change over the whole run.
+        rows = np.arange(N) / (N - 1.0) if self.ramp else 1.0 * (np.arange(N) >= self.at)
+        return rows[:, None, None] * self.candidate.columns
 
 
 def find_shifts(result: Result, *, level: float = 0.01, most: int = 8) -> Shifts:
@@ -155,9 +159,10 @@ class _Search:
     def __init__(self, result: Result, level: float) -> None:
         self.problem, self.level = result.problem, level
         self.system = ordered_system(result)
-        self.candidates = _candidates(self.problem, self.system)
-        steps = len(self.system.E) * sum(c.steps for c in self.candidates)
-        ramps = sum(c.ramps for c in self.candidates)
+        changes = possible(self.problem, ALONG_A_RUN)
+        self.candidates = [_Candidate(one, self.system.columns(one.names)) for one in changes]
+        steps = len(self.system.E) * sum(one.steps for one in changes)
+        ramps = sum(one.ramps for one in changes)
         # Half of the level for steps, half for ramps; each shared by all of its tests (Bonferroni).
         self.tests = {False: 2.0 * max(steps, 1), True: 2.0 * max(ramps, 1)}
 
@@ -165,24 +170,24 @@ class _Search:
         """The change points in order."""
         steps, fit = list[_Step](), self.system.fitted()
         while len(steps) < most:
-            best, log_p = self._best(fit, steps, range(len(self.candidates)))
+            best, log_p = self._best(fit, steps, self.candidates)
             if best is None or log_p > math.log(self.level):
                 break
             # `beside` puts columns first; `_without` counts on the same order of steps.
-            steps, fit = [best, *steps], fit.beside(self._columns(best)).again()
+            steps, fit = [best, *steps], fit.beside(best.columns).again()
         smooth = self._smooth(fit, steps)
         # Sized beside all others, before any of them leaves the fit.
         unsure = tuple(self._point(fit, steps, step) for step in smooth)
         for step in smooth:
-            fit = self._without(fit, steps, step)
+            fit = _without(fit, steps, step)
             steps.remove(step)
         fit = fit.again() if smooth else fit
         for step in tuple(steps):
             if not step.ramp:
-                rest = self._without(fit, steps, step)
+                rest = _without(fit, steps, step)
                 steps.remove(step)
                 new = self._best(rest, steps, [step.candidate], ramps=False)[0] or step
-                steps, fit = [new, *steps], rest.beside(self._columns(new))
+                steps, fit = [new, *steps], rest.beside(new.columns)
         points = [self._point(fit, steps, step) for step in steps]
         apart = self._distinct(fit, steps)
         order = self.system.order
@@ -204,15 +209,10 @@ class _Search:
         followed = order_by_joints(joints) if any(step.ramp for step in steps) else 1.0
         cosines = path_cosines(joints)
         smooth = self._smooth(fit, steps, cosines) if cosines > _WAVES else []
-        return [
-            step
-            for step in steps
-            if (
-                step not in smooth
-                if not step.ramp
-                else followed < _FOLLOWED and self.candidates[step.candidate].moved in _INSTRUMENT
-            )
-        ]
+        clear = [step for step in steps if step.ramp or step not in smooth]
+        if followed < _FOLLOWED:
+            return [s for s in clear if not s.ramp or s.candidate.change.kind in _INSTRUMENT]
+        return [step for step in clear if not step.ramp]
 
     def _smooth(self, fit: Fitted, steps: Sequence[_Step], cosines: int = _WAVES) -> list[_Step]:
         """The steps that slow changes over the run explain, beside which only an edge counts."""
@@ -220,59 +220,44 @@ class _Search:
         if not sudden:
             return []
         waved = fit.beside(np.concatenate(self.system.waves(cosines), axis=2))
-        rests = [(step, self._without(waved, steps, step)) for step in sudden]
-        return [s for s, rest in rests if self._log_p(rest, s, fit.spare) >= math.log(_EDGE)]
-
-    def _without(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> Fitted:
-        """A fit with these steps, without one of them."""
-        sizes = [self.candidates[one.candidate].columns.shape[2] for one in steps]
-        at = steps.index(step)
-        return fit.without(fit.further - sum(sizes[at:]), sizes[at])
+        edges = [_without(waved, steps, step).step(step.columns) for step in sudden]
+        unclear = [edge.log_p(fit.spare) >= math.log(_EDGE) for edge in edges]
+        return [step for step, smooth in zip(sudden, unclear, strict=True) if smooth]
 
     def _point(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> ChangePoint:
         """One of the steps of a fit beside all others, with its size."""
-        rest, spare = self._without(fit, steps, step), fit.spare
-        candidate, alone = self.candidates[step.candidate], self._log_p(rest, step)
+        rest, spare, change = _without(fit, steps, step), fit.spare, step.candidate.change
+        estimated = rest.step(step.columns)
         others = [
-            i
-            for i, c in enumerate(self.candidates)
-            if (c.ramps if step.ramp else c.steps) and not set(c.names) & set(candidate.names)
+            c
+            for c in self.candidates
+            if (c.change.ramps if step.ramp else c.change.steps)
+            and not {*c.change.names} & {*change.names}
         ]
-        step_fit = rest.step(self._columns(step))
-        sds = np.sqrt(np.diag(step_fit.covariance)).tolist()
+        sizes = zip(change.names, estimated.size.tolist(), estimated.sds.tolist(), strict=True)
         poses, order = self.problem.poses, self.system.order
         return ChangePoint(
             "ramp" if step.ramp else "step",
             poses[order[step.at]],
             poses[order[step.at - 1]],
             step.at + 1,
-            candidate.moved,
-            {
-                name: Change(size, sd, _unit(self.problem, name))
-                for name, size, sd in zip(candidate.names, step_fit.size.tolist(), sds, strict=True)
-            },
-            step_fit.before(spare),
-            min(1.0, math.exp(self._log_p(rest, step, spare)) * self.tests[step.ramp]),
+            cast(Moved, change.kind),
+            {name: Change(size, sd, unit_of(self.problem, name)) for name, size, sd in sizes},
+            estimated.before(spare),
+            min(1.0, math.exp(estimated.log_p(spare)) * self.tests[step.ramp]),
             tuple(
-                ", ".join(self.candidates[i].names)
-                for i in others
-                if self._log_p(rest, replace(step, candidate=i)) - alone < _ALIKE
+                ", ".join(c.change.names)
+                for c in others
+                if rest.step(replace(step, candidate=c).columns).log_p() - estimated.log_p()
+                < _ALIKE
             ),
         )
-
-    def _columns(self, step: _Step) -> Array:
-        """(N, R, d) the columns of a step."""
-        columns = self.candidates[step.candidate].columns
-        N = len(columns)
-        # From 0 to 1: the size of a ramp is its change over the whole run.
-        rows = np.arange(N) / (N - 1.0) if step.ramp else 1.0 * (np.arange(N) >= step.at)
-        return rows[:, None, None] * columns
 
     def _best(
         self,
         fitted: Fitted,
         steps: Sequence[_Step],
-        candidates: Sequence[int],
+        candidates: Sequence[_Candidate],
         *,
         ramps: bool = True,
     ) -> tuple[_Step | None, float]:
@@ -284,119 +269,27 @@ class _Search:
             if not step.ramp:
                 free[max(step.at - LEAST + 1, 0) : step.at + LEAST] = False
         trials: list[tuple[float, float, _Step]] = []
-        for c in candidates:
-            candidate = self.candidates[c]
-            rare = _RARE if candidate.moved == "joint" else 0.0
-            gains, ranks = fitted.gains(candidate.columns) if candidate.steps else (free, 0 * free)
+        for candidate in candidates:
+            change = candidate.change
+            rare = _RARE if change.kind == "joint" else 0.0
+            gains, ranks = fitted.gains(candidate.columns) if change.steps else (free, 0 * free)
             # Gains of different rank cannot be compared, only their p-values.
             for rank in np.unique(ranks[free & (ranks > 0)]).tolist():
                 at = int(np.argmax(np.where(free & (ranks == rank), gains, -1.0)))
-                log_p = _log_tail(float(gains[at]), rank) + math.log(self.tests[False])
-                trials.append((log_p + rare, log_p, _Step(c, at)))
-            ramp = _Step(c, 0, ramp=True)
-            if ramps and candidate.ramps and ramp not in steps:
-                log_p = self._log_p(fitted, ramp) + math.log(self.tests[True])
+                log_p = log_tail(float(gains[at]), rank) + math.log(self.tests[False])
+                trials.append((log_p + rare, log_p, _Step(candidate, at)))
+            ramp = _Step(candidate, 0, ramp=True)
+            if ramps and change.ramps and ramp not in steps:
+                log_p = fitted.step(ramp.columns).log_p() + math.log(self.tests[True])
                 trials.append((log_p, log_p, ramp))
         if not trials:
             return None, 0.0
         _, log_p, best = min(trials, key=lambda one: one[0])
         return best, log_p
 
-    def _log_p(self, fitted: Fitted, step: _Step, spare: float = math.inf) -> float:
-        """spare: degrees of freedom, where the rows are scaled by a fit with the step."""
-        step_fit = fitted.step(self._columns(step))
-        return _log_tail(step_fit.before(spare), step_fit.rank)
 
-
-def _log_tail(gain: float, rank: int) -> float:
-    """Log of the probability of a chi-squared above the gain, also where it underflows."""
-    if not rank:
-        return 0.0
-    p = float(tail(np.array([gain]), np.array([rank]))[0])
-    # Below, doubles lose digits until they end at 0, whose logarithm says nothing.
-    if p > 1e-280:
-        return math.log(p)
-    half = 0.5 * rank  # the leading term of the asymptotic series
-    return -0.5 * gain + (half - 1.0) * math.log(0.5 * gain) - math.lgamma(half)
-
-
-def _unit(problem: Problem, name: str) -> str:
-    mechanism = problem.mechanism
-    if name in mechanism.quantities:
-        return mechanism.quantities[name]
-    declared = (
-        mechanism.parameters if name in mechanism.parameters.names else Station(BASE).declared
-    )
-    return declared[name].unit
-
-
-def _mounted(mechanism: Mechanism) -> Sequence[tuple[str, ...]]:
-    """The parameters of each thing on the body; by instrument where the body gives way already."""
-    if mechanism.body is not None:
-        return mechanism.body.mounted
-    mounted = mechanism.parameters.of_role("mounting")
-    groups = [tuple(n for n in f.mounted if n in mounted) for f in mechanism.families]
-    alone = tuple(n for n in mounted if not any(n in names for names in groups))
-    return [names for names in (*groups, alone) if names]
-
-
-def _of_held_station(problem: Problem, system: OrderedSystem) -> dict[str, Array]:
-    """Columns (N, R) of the station that an arm of transitions has or would get; none where it is
-    estimated.
-
-    The transitions alone would move the geometry without what is stated in their frames (see
-    `mechanisms.stationed`). A small motion moves a point p by t + w x p, as zeros of its readings.
-    """
-    station = Station(BASE)
-    if set(station.parameters) & set(problem.names):
-        return {}
-    (family,) = problem.mechanism.families
-    rows = [problem.mechanism.tape.quantities.index(q) for q in family.readings]
-    p = np.nan_to_num(problem.readings[rows][:, system.order].T)
-    along = system.columns(family.readings)
-    axes = np.eye(3)
-    # Turns last axis first, as a station orders its parameters.
-    motions = [*(np.broadcast_to(t, p.shape) for t in axes), *(np.cross(w, p) for w in axes[::-1])]
-    each = [np.einsum("nri,ni->nr", along, motion) for motion in motions]
-    return dict(zip(station.parameters, each, strict=True))
-
-
-def _candidates(problem: Problem, system: OrderedSystem) -> list[_Candidate]:
-    """What may move: targets, stations, joints and the instruments' own zeros."""
-    mechanism = problem.mechanism
-    movable: list[tuple[Moved, tuple[str, ...]]] = []
-    movable += [("target", names) for names in _mounted(mechanism)]
-    placed = [mechanism.placement, *(f.placement for f in mechanism.families)]
-    still = {}
-    if isinstance(mechanism.placement, ChainPlacement):
-        still = _of_held_station(problem, system)
-        placed = [] if still else placed
-        movable += [("station", tuple(still))] if still else []
-    movable += [("station", p.parameters) for p in placed if p is not None]
-    read = {q for f in mechanism.families for q in f.readings} | {*mechanism.outputs}
-    aside = {*mechanism.disturbances, *mechanism.turns}
-    missing = np.isinf(problem.uncertainty.sd).max(axis=1).tolist()
-    names = mechanism.tape.quantities
-    movable += [
-        ("joint", (q,))
-        for q, gone in zip(names, missing, strict=True)
-        if q not in read | aside and not gone
-    ]
-    groups = [f.readings for f in mechanism.families if f.form != "closure"]
-    by_family = [[q for q in group if q not in aside] for group in groups or [mechanism.outputs]]
-    movable += [
-        ("reading", tuple(q for q in group if mechanism.quantities[q] == unit))
-        for group in by_family
-        for unit in dict.fromkeys(mechanism.quantities[q] for q in group)
-    ]
-    together = {group for _, group in movable}
-    movable += [("reading", (q,)) for group in by_family for q in group]
-    candidates = []
-    for moved, group in dict.fromkeys(movable):
-        free = tuple(n for n in group if n in problem.names or n in names or n in still)
-        if free:
-            ramps = len(group) == 1 if moved == "reading" else moved != "joint"
-            held = [still[n] for n in free if n in still]
-            columns = np.stack(held, axis=2) if held else system.columns(free)
-            candidates.append(_Candidate(moved, free, columns, group in together, ramps))
-    return candidates
+def _without(fit: Fitted, steps: Sequence[_Step], step: _Step) -> Fitted:
+    """A fit with these steps, without one of them."""
+    sizes = [len(one.candidate.change.names) for one in steps]
+    at = steps.index(step)
+    return fit.without(fit.further - sum(sizes[at:]), sizes[at])

@@ -27,95 +27,80 @@ two-sided critical value of the smallest p-value.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import NoTrustworthyResult
-from loopcal.mechanisms.parameters import GEOMETRY
-from loopcal.mechanisms.structure.structured import driven_joints
+from loopcal.small_samples import f_tail, t_quantile
+from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, POWER, Candidate, Change, WhatChanged
+from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.innovation import Innovation, Linearised
-from loopcal.statistics.replacing import ASTRAY, Replaced, zero_columns
+from loopcal.statistics.possible_changes import BETWEEN_DAYS, possible, unit_of
+from loopcal.statistics.replacing import ASTRAY, Replaced
 
 Array = NDArray[np.float64]
 # Record 0053.
 _MOST = 3
 """Changes that are sought; with more the machine is calibrated anew."""
+# Chosen, not derived: a cap, and a step that changes no p-value.
 _ROUNDS, _SETTLED = 8, 1e-3
 """Linearisations of accepted changes, and the step [sds] that ends them."""
+# Chosen, not derived: each candidate costs linearisations; the likeliest come first.
 _TRIED = 3
+# Chosen, not derived: a candidate that does not halve it is not the cause.
 _HALVED = 0.5
 """What a linearisation leaves of the misfit, for the next one of a candidate that is compared."""
+# Chosen, not derived: what helps less may be chance. `analyses.what_changed` counts what is named.
 _HELPED, _EXPLAINED = 0.9, 0.1
 """What one change, and all together, leave at most of a misfit that stays gross."""
+# Chosen, not derived: a variance from fewer is unsure by more than its half.
 _ENOUGH = 5
 """Degrees of freedom from which the poses show their own variance."""
+# A change of 1000 sds would show as one sd. Chosen, not derived.
 _VISIBLE = 1e-6
 """Share of a column that the placement leaves, below which these poses do not show the change."""
+# Chosen, not derived: far above rounding, far below two columns that differ.
 _SAME = 1e-6
 """1 - |correlation| of two columns that are one."""
-_TESTED = {*GEOMETRY, "mounting"}
-
-At = Callable[[Mapping[str, float], Mapping[str, float]], Replaced]
-"""The poses placed anew after changes of parameters, and of zeros of joints, by name [SI]."""
-
-
-@dataclass(frozen=True)
-class _Named:
-    name: str
-    kind: str
-    unit: str
+# Chosen, not derived: a few thousand times the rounding of a unit column.
+_ROUNDING = 1e-12
+"""Information along a direction of columns of length 1 that is rounding."""
 
 
-def what_changed(
-    placement: Replaced,
-    linear: Linearised,
-    at: At,
-    linearised: Callable[[Replaced], Linearised],
-    beyond: bool,
-) -> WhatChanged | None:
+def what_changed(day: Day, linear: Linearised) -> WhatChanged | None:
     """Search for changes; None where these poses have no redundancy.
 
-    placement, linear: the machine as calibrated; at: places it anew with changes; linearised: its
-    equations there; beyond: whether the machine has an error that its model does not hold.
+    linear: the machine as calibrated, at these poses.
     """
     if linear.innovation().p_value is None:
         return None
-    search = _Search(_candidates(placement), at, linearised, beyond)
-    begun = search.system(placement, linear)
-    innovation = begun.innovation(())
-    tests = search.tests(begun, ())
+    candidates = _candidates(linear.placement)
+    begun = system = _System.of(day, candidates, linear, np.zeros(len(candidates)))
     chosen: tuple[int, ...] = ()
-    system = begun
     p_values: dict[int, float] = {}
     for _ in range(_MOST):
-        step_tests = search.tests(system, chosen)
-        if not step_tests.order or step_tests.adjusted[step_tests.order[0]] >= LEVEL:
+        tests = system.tests(chosen)
+        if not tests or min(tests.values()) >= LEVEL:
             break
-        several = [(*chosen, j) for j in search.tried(system, step_tests, chosen)]
-        fits = [(one, search.settled(system, one, _HALVED)) for one in several]
+        several = [(*chosen, j) for j in system.tried([*tests], chosen)]
+        fits = [(one, system.settled(one, _HALVED)) for one in several]
         best, trial = min(fits, key=lambda fit: fit[1].present)
         if trial.astray and trial.present > _HELPED * system.present:
             break
-        chosen, system = best, search.settled(trial, best)
-        p_values[chosen[-1]] = float(step_tests.adjusted[chosen[-1]])
-        if kept := search.kept(system, chosen):
-            chosen, system = kept, search.settled(system, kept)
+        chosen, system = best, trial.settled(best)
+        p_values[chosen[-1]] = tests[chosen[-1]]
+        if kept := system.kept(chosen):
+            chosen, system = kept, system.settled(kept)
     if system.astray and system.present > _EXPLAINED * begun.present:
         chosen, system = (), begun
-    changes = search.changes(system, chosen, [p_values[j] for j in chosen])
-    left = system.innovation(chosen).p_value
-    return WhatChanged(
-        _verdict(innovation.p_value, changes, left),
-        changes,
-        search.tested(begun, tests),
-        innovation,
-        begun.scale,
-        left,
-    )
+    whole, left = begun.innovation(()), system.innovation(chosen).p_value
+    changes = system.changes(chosen, [p_values[j] for j in chosen])
+    verdict = _verdict(whole.p_value, changes, left)
+    return WhatChanged(verdict, changes, begun.tested(), whole, begun.scale, left)
 
 
 def _verdict(p_value: float | None, changes: Sequence[Change], left: float | None) -> str:
@@ -127,34 +112,30 @@ def _verdict(p_value: float | None, changes: Sequence[Change], left: float | Non
     return "calibrate-anew"
 
 
-def _candidates(placement: Replaced) -> tuple[_Named, ...]:
-    """Of candidates that do the same the first speaks: zeros of joints, then mountings."""
-    mechanism = placement.problem.mechanism
-    zeros = [_Named(q, "zero", mechanism.quantities[q]) for q in driven_joints(mechanism)]
-    anew = dict(zip(mechanism.parameters.names, placement.anew, strict=True))
-    held = [p for p in mechanism.parameters if p.role in _TESTED and not anew[p.name]]
-    held.sort(key=lambda p: p.role != "mounting")
-    return (*zeros, *(_Named(p.name, p.dimension or p.role, p.unit) for p in held))
-
-
-@dataclass(frozen=True)
-class _Spread:
-    """By how much S is larger than stated, and the degrees of freedom of that."""
-
-    scale: float
-    freedom: float
+def _candidates(placement: Replaced) -> tuple[Candidate, ...]:
+    """What may have changed of all that is held."""
+    problem = placement.problem
+    anew = dict(zip(problem.mechanism.parameters.names, placement.anew, strict=True))
+    return tuple(
+        Candidate(name, one.kind, unit_of(problem, name))
+        for one in possible(problem, BETWEEN_DAYS)
+        for name in one.names
+        if not anew.get(name)
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """The tests at some changes t (m,): G (m, m), g (m,) as if nothing had changed yet.
+    """The tests of m candidates at some changes t (m,): G (m, m), g (m,) as if nothing had changed.
 
     present: the innovation at t; value: that as if nothing had changed; visible: (m,); group: (m,)
     the first candidate with the same column; freedom: (m,) degrees of freedom of the variance of
-    each change; linear: the equations at t; every, rank: what all candidates explain of the
-    innovation, and how many they are; spread: of these poses, None where the stated one is taken.
+    each change; linear: the equations at t; every: all candidates together; scale: of S, by these
+    poses; scale_freedom: its degrees of freedom, None where the stated variances are taken.
     """
 
+    day: Day
+    candidates: tuple[Candidate, ...]
     G: Array
     g: Array
     t: Array
@@ -164,79 +145,17 @@ class _System:
     group: NDArray[np.intp]
     freedom: Array
     linear: Linearised
-    every: float
-    rank: int
-    spread: _Spread | None
+    every: Estimated
+    scale: float
+    scale_freedom: float | None
 
-    def solved(self, chosen: Sequence[int]) -> Array:
-        """The changes of these candidates, estimated together."""
-        rows = list(chosen)
-        return np.asarray(_inverse(self.G[np.ix_(rows, rows)]) @ self.g[rows])
-
-    def explained(self, chosen: Sequence[int]) -> float:
-        """By how much these changes lower the innovation."""
-        return float(self.g[list(chosen)] @ self.solved(chosen)) if chosen else 0.0
-
-    def innovation(self, chosen: Sequence[int]) -> Innovation:
-        """The innovation after these changes."""
-        if self.spread is not None:
-            value = (self.every - self.explained(chosen)) / self.spread.scale
-            return Innovation.of(max(value, 0.0), self.rank - len(chosen), self.spread.freedom)
-        total = self.linear.innovation().value
-        return self.linear.innovation(total - self.value + self.explained(chosen), len(chosen))
-
-    @property
-    def astray(self) -> bool:
-        """Whether the misfit is gross."""
-        return self.present > ASTRAY * len(self.linear.e)
-
-    @property
-    def scale(self) -> float:
-        """Of S."""
-        return 1.0 if self.spread is None else self.spread.scale
-
-    def tail(self, z: float, i: int) -> float:
-        """p-value of a change of so many sds, either way."""
-        from scipy.special import ndtr, stdtr
-
-        nu = self.freedom[i]
-        return 2.0 * float(ndtr(-z) if np.isinf(nu) else stdtr(nu, -z))
-
-    def quantile(self, chance: float, i: int) -> float:
-        """How many sds a change exceeds with this probability, one way."""
-        from scipy.special import ndtri, stdtrit
-
-        nu = self.freedom[i]
-        return -float(ndtri(chance) if np.isinf(nu) else stdtrit(nu, chance))
-
-    def critical(self, i: int) -> float:
-        """Of the most significant of all candidates [sds]."""
-        groups = len(np.unique(self.group[self.visible]))
-        return self.quantile(0.5 * LEVEL / max(groups, 1), i)
-
-
-@dataclass(frozen=True)
-class _Tests:
-    """Of single candidates: order by p-value, adjusted p-values (m,), NaN where not tested."""
-
-    order: tuple[int, ...]
-    adjusted: Array
-
-
-@dataclass(frozen=True)
-class _Search:
-    named: tuple[_Named, ...]
-    at: At
-    linearised: Callable[[Replaced], Linearised]
-    beyond: bool
-
-    def system(self, placement: Replaced, linear: Linearised, t: Array | None = None) -> _System:
+    @classmethod
+    def of(
+        cls, day: Day, candidates: tuple[Candidate, ...], linear: Linearised, t: Array
+    ) -> _System:
         """The tests where the machine has changed by t."""
-        names = placement.problem.mechanism.parameters.names
-        joints = [one.name for one in self.named if one.kind == "zero"]
-        indices = [names.index(one.name) for one in self.named if one.kind != "zero"]
-        columns = [zero_columns(placement, joints), placement.J[:, indices]]
-        raw = np.hstack(columns) / np.sqrt(linear.factor)
+        names = [one.name for one in candidates]
+        raw = linear.placement.columns(names) / np.sqrt(linear.factor)
         U = raw - linear.F @ (linear.solve @ raw)
         visible = np.linalg.norm(U, axis=0) > _VISIBLE * np.linalg.norm(raw, axis=0)
         G, g = linear.weighed(U, U), linear.weighed(U, linear.left)
@@ -247,83 +166,103 @@ class _Search:
                 remedy="check that they belong to this machine, and their columns and units",
             )
         visible &= np.diag(G) > 0.0
-        t = np.zeros(len(self.named)) if t is None else t
         present = float(linear.weighed(linear.left, linear.left))
         # With e = e_0 - U t: |e_0|^2 = |e|^2 + 2 t^T g + t^T G t in the metric S^-1, g_0 = g + G t.
         value = present + float(t @ (2.0 * g + G @ t))
+        g = g + G @ t
         scale = np.sqrt(np.where(visible, np.diag(G), 1.0))
-        same = np.abs(G / scale / scale[:, None]) > 1.0 - _SAME
+        alike = G / scale / scale[:, None]
+        same = np.abs(alike) > 1.0 - _SAME
         same[~visible], same[:, ~visible] = False, False
         np.fill_diagonal(same, True)
         group, freedom = same.argmax(axis=0), linear.freedom(raw)
         heads = np.unique(group[visible])
-        sizes, vectors = np.linalg.eigh((G / scale / scale[:, None])[np.ix_(heads, heads)])
-        along = vectors.T @ ((g + G @ t) / scale)[heads]
-        kept = sizes > _SAME
-        every, rank = float((np.square(along[kept]) / sizes[kept]).sum()), int(kept.sum())
-        spread, left = None, len(linear.e) - linear.rank - rank
-        if self.beyond and left >= _ENOUGH:
-            wider = max((value - every) / left, 1.0)
-            axes = (U / scale)[:, heads] @ (vectors[:, kept] / np.sqrt(sizes[kept]))
-            learnt = linear.denominator(axes) or np.inf
+        ones = np.ones(len(heads))
+        every = Estimated.of((g / scale)[heads], alike[np.ix_(heads, heads)], ones, _SAME)
+        wider, wider_freedom = 1.0, None
+        left = len(linear.e) - linear.rank - every.rank
+        if (day.calibrated.carried or day.calibrated.rejected is not None) and left >= _ENOUGH:
+            wider = max((value - every.gain) / left, 1.0)
+            learnt = linear.denominator((U / scale)[:, heads] @ every.root) or np.inf
             # Relative variances 2 / nu of independent errors of a scale add up.
-            spread = _Spread(wider, 1.0 / (1.0 / left + 1.0 / learnt))
+            wider_freedom = 1.0 / (1.0 / left + 1.0 / learnt)
             freedom = 1.0 / (1.0 / freedom + 1.0 / left)
-        return _System(
-            G, g + G @ t, t, present, value, visible, group, freedom, linear, every, rank, spread
-        )
+        held = G, g, t, present, value, visible, group, freedom, linear, every
+        return cls(day, candidates, *held, wider, wider_freedom)
 
-    def tests(self, system: _System, chosen: Sequence[int]) -> _Tests:
-        """Each further candidate beside those that were accepted, one for each group."""
-        G, g, rows = system.G, system.g, list(chosen)
-        heads = [i for i in np.unique(system.group[system.visible]).tolist() if i not in rows]
-        X = _inverse(G[np.ix_(rows, rows)]) @ G[rows]
+    def estimated(self, chosen: Sequence[int]) -> Estimated:
+        """The changes of these candidates together."""
+        rows = list(chosen)
+        G, g = self.G[np.ix_(rows, rows)], self.g[rows]
+        length = np.sqrt(np.diag(G))
+        scale = 1.0 / np.where(length > 0.0, length, 1.0)
+        return Estimated.of(scale * g, G * np.outer(scale, scale), scale, _ROUNDING)
+
+    def innovation(self, chosen: Sequence[int]) -> Innovation:
+        """The innovation after these changes."""
+        explained = self.estimated(chosen).gain
+        if self.scale_freedom is not None:
+            value = max((self.every.gain - explained) / self.scale, 0.0)
+            return Innovation.of(value, self.every.rank - len(chosen), self.scale_freedom)
+        total = self.linear.innovation().value
+        return self.linear.innovation(total - self.value + explained, len(chosen))
+
+    @property
+    def astray(self) -> bool:
+        """Whether the misfit is gross."""
+        return self.present > ASTRAY * len(self.linear.e)
+
+    def critical(self, i: int) -> float:
+        """Of the most significant of all candidates [sds]."""
+        groups = len(np.unique(self.group[self.visible]))
+        return t_quantile(1.0 - LEVEL / max(groups, 1), self.freedom[i])
+
+    def tests(self, chosen: Sequence[int]) -> dict[int, float]:
+        """Adjusted p-values of the further candidates beside those that were accepted, one for each
+        group, the most significant first."""
+        G, g, rows = self.G, self.g, list(chosen)
+        heads = [i for i in np.unique(self.group[self.visible]).tolist() if i not in rows]
+        X = self.estimated(chosen).covariance @ G[rows]
         left = np.diag(G) - (G[:, rows] * X.T).sum(axis=1)
         seen = [i for i in heads if left[i] > _VISIBLE * G[i, i]]
-        score = g - (g[rows] @ X if rows else 0.0)
-        p = np.array(
-            [system.tail(abs(score[i]) / np.sqrt(system.scale * left[i]), i) for i in seen]
-        )
+        score = g - g[rows] @ X
+        squares = np.square(score) / (self.scale * np.where(left > 0.0, left, 1.0))
+        p = np.array([f_tail(float(squares[i]), 1, self.freedom[i]) for i in seen])
         order = np.argsort(p, kind="stable")
         # The smallest of m counts m times, the next m - 1; none falls below the one before.
         holm = np.maximum.accumulate(p[order] * (len(p) - np.arange(len(p))))
-        adjusted = np.full(len(g), np.nan)
-        for place, i in enumerate(order.tolist()):
-            adjusted[seen[i]] = min(float(holm[place]), 1.0)
-        return _Tests(tuple(seen[i] for i in order.tolist()), adjusted)
+        adjusted = np.minimum(holm, 1.0).tolist()
+        return {seen[i]: p_value for i, p_value in zip(order.tolist(), adjusted, strict=True)}
 
-    def tried(self, system: _System, tests: _Tests, chosen: Sequence[int]) -> tuple[int, ...]:
+    def tried(self, order: Sequence[int], chosen: Sequence[int]) -> tuple[int, ...]:
         """The candidates whose fits are compared: the best one where the equations are linear.
 
         Where it leaves differences, changes may be too large for that: all zeros, and the best.
         """
-        best = tests.order[0]
-        p_value = system.innovation((*chosen, best)).p_value
+        p_value = self.innovation((*chosen, order[0])).p_value
         if p_value is None or p_value >= LEVEL:
-            return (best,)
-        zeros = [i for i in tests.order if self.named[i].kind == "zero"]
-        return tuple(dict.fromkeys([*tests.order[:_TRIED], *zeros]))
+            return (order[0],)
+        zeros = [i for i in order if self.candidates[i].kind == "zero"]
+        return tuple(dict.fromkeys([*order[:_TRIED], *zeros]))
 
-    def settled(
-        self, system: _System, chosen: Sequence[int], falling: float | None = None
-    ) -> _System:
+    def settled(self, chosen: Sequence[int], falling: float | None = None) -> _System:
         """Linearised where the accepted changes are the estimated ones.
 
         It ends where a change leaves more misfit than before, by more than noise does; falling: or
         more than this share of it.
         """
-        rows = list(chosen)
+        system, rows = self, list(chosen)
         # Where changes are dropped, the system at hand fits better than the new one can.
         least = np.inf if np.delete(system.t, rows).any() else system.present
         for _ in range(_ROUNDS):
-            t = np.zeros(len(self.named))
-            t[rows] = system.solved(chosen)
+            t = np.zeros(len(system.t))
+            t[rows] = system.estimated(chosen).size
             moved = np.abs(t - system.t) * np.sqrt(np.diag(system.G))
             if moved.max() < _SETTLED:
                 break
+            changes = {self.candidates[i].name: float(t[i]) for i in np.flatnonzero(t)}
             try:
-                placement = self.at(self._by_name(t, zero=False), self._by_name(t, zero=True))
-                trial = self.system(placement, self.linearised(placement), t)
+                trial = _System.of(self.day, self.candidates, self.day.linearised(changes), t)
             except NoTrustworthyResult:
                 break
             # 1: about what noise adds to a chi-squared by one degree of freedom.
@@ -334,88 +273,49 @@ class _Search:
                 break
         return system
 
-    def _by_name(self, t: Array, *, zero: bool) -> dict[str, float]:
-        return {
-            one.name: float(v)
-            for one, v in zip(self.named, t, strict=True)
-            if v and (one.kind == "zero") == zero
-        }
-
-    def kept(self, system: _System, chosen: Sequence[int]) -> tuple[int, ...]:
+    def kept(self, chosen: Sequence[int]) -> tuple[int, ...]:
         """Those that are still significant beside the others; the last one is."""
-        rows = list(chosen)
-        sds = np.sqrt(system.scale * np.diag(_inverse(system.G[np.ix_(rows, rows)])))
-        z = np.abs(system.solved(chosen)) / sds
-        return tuple(j for j, size in zip(chosen, z, strict=True) if size >= system.critical(j))
+        changes = self.estimated(chosen)
+        z = np.abs(changes.size) / (np.sqrt(self.scale) * changes.sds)
+        return tuple(j for j, size in zip(chosen, z, strict=True) if size >= self.critical(j))
 
-    def changes(
-        self, system: _System, chosen: Sequence[int], p_values: Sequence[float]
-    ) -> tuple[Change, ...]:
+    def changes(self, chosen: Sequence[int], p_values: Sequence[float]) -> tuple[Change, ...]:
         """The accepted changes, with what cannot be distinguished from each."""
-        if not chosen:
-            return ()
-        rows = list(chosen)
-        estimates = system.solved(chosen)
-        wide = [system.quantile(0.025, j) for j in rows]
-        sds = np.sqrt(system.scale * np.diag(_inverse(system.G[np.ix_(rows, rows)])))
-        return tuple(
-            Change(
-                self.named[j].name,
-                self.named[j].kind,
-                self.named[j].unit,
-                float(t),
-                float(sd),
-                float(t - w * sd),
-                float(t + w * sd),
-                p,
-                self._alike(system, chosen, j),
-            )
-            for j, t, sd, w, p in zip(rows, estimates, sds, wide, p_values, strict=True)
-        )
+        together, changes = self.estimated(chosen), list[Change]()
+        sizes, sds = together.size.tolist(), (np.sqrt(self.scale) * together.sds).tolist()
+        for j, size, sd, p in zip(chosen, sizes, sds, p_values, strict=True):
+            one, half = self.candidates[j], t_quantile(0.95, self.freedom[j]) * sd
+            alike, interval = self._alike(chosen, j), (size - half, size + half)
+            changes.append(Change(one.name, one.kind, one.unit, size, sd, *interval, p, alike))
+        return tuple(changes)
 
-    def _alike(self, system: _System, chosen: Sequence[int], j: int) -> tuple[Candidate, ...]:
+    def _alike(self, chosen: Sequence[int], j: int) -> tuple[Candidate, ...]:
         """The candidates in whose presence j adds nothing significant."""
         others = [i for i in chosen if i != j]
-        limit = system.scale * system.critical(j) ** 2
+        limit = self.scale * self.critical(j) ** 2
         alike = []
-        for k, one in enumerate(self.named):
-            if k in chosen or not system.visible[k]:
+        for k, one in enumerate(self.candidates):
+            if k in chosen or not self.visible[k]:
                 continue
-            same = system.group[k] == system.group[j]
+            same = self.group[k] == self.group[j]
             if not same:
                 with_k = [*others, k]
-                both = system.G[np.ix_([*with_k, j], [*with_k, j])]
+                both = self.G[np.ix_([*with_k, j], [*with_k, j])]
                 # Of two columns that are nearly one, what either adds would be rounding.
                 if np.linalg.cond(both / np.sqrt(np.outer(np.diag(both), np.diag(both)))) < 1e12:
-                    gained = system.explained([*with_k, j]) - system.explained(with_k)
+                    gained = self.estimated([*with_k, j]).gain - self.estimated(with_k).gain
                     same = gained <= limit
             if same:
-                alike.append(Candidate(one.name, one.kind, one.unit, None, None))
+                alike.append(one)
         return tuple(alike)
 
-    def tested(self, system: _System, tests: _Tests) -> tuple[Candidate, ...]:
+    def tested(self) -> tuple[Candidate, ...]:
         """All candidates, with the smallest change that is seen with the stated power."""
-        reach = [
-            system.critical(i) + system.quantile(1.0 - POWER, i) for i in range(len(self.named))
-        ]
-        return tuple(
-            Candidate(
-                one.name,
-                one.kind,
-                one.unit,
-                float(tests.adjusted[system.group[i]]) if system.visible[i] else None,
-                float(reach[i] * np.sqrt(system.scale / system.G[i, i]))
-                if system.visible[i]
-                else None,
-            )
-            for i, one in enumerate(self.named)
-        )
-
-
-def _inverse(G: Array) -> Array:
-    """Of a covariance's inverse (m, m), scaled first; along what it does not tell 0."""
-    scale = np.sqrt(np.diag(G))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    scaled = np.linalg.pinv(G / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-    inverse: Array = scaled / np.outer(scale, scale)
-    return inverse
+        tests, tested = self.tests(()), []
+        for i, one in enumerate(self.candidates):
+            if self.visible[i]:
+                reach = self.critical(i) + t_quantile(2.0 * POWER - 1.0, self.freedom[i])
+                smallest = float(reach * np.sqrt(self.scale / self.G[i, i]))
+                one = replace(one, p_value=tests[int(self.group[i])], smallest=smallest)
+            tested.append(one)
+        return tuple(tested)

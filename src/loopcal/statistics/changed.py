@@ -13,6 +13,7 @@ from loopcal.statistics.innovation import Innovation
 # Record 0053.
 LEVEL = 0.025
 """p-value of either test, of the whole and of single changes: together 5 %."""
+# Chosen, not derived: the usual power of a statement on what is missed.
 POWER = 0.9
 """With which a change of the stated smallest size is seen."""
 _WORDS = {
@@ -22,9 +23,12 @@ _WORDS = {
     "mounting": "mountings",
     "gain": "gains",
 }
+# Chosen, not derived: what fits a line.
 _MOST_NAMED = 4
+# Chosen, not derived: such a change would be of the size of the machine.
 _HARDLY = 1000.0
 """A change that must be so many times as large as the smallest of its kind is not visible."""
+# Chosen, not derived: sds that differ by less than a fifth change no decision.
 _WIDER = 1.5
 """A ratio of variances from which it is told."""
 
@@ -41,8 +45,8 @@ class Candidate:
     name: str
     kind: str
     unit: str
-    p_value: float | None
-    smallest: float | None
+    p_value: float | None = None
+    smallest: float | None = None
 
     @property
     def words(self) -> str:

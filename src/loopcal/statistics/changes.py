@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +18,24 @@ from numpy.typing import NDArray
 from loopcal.document.change_points import ChangePoint, ChangePoints, when
 from loopcal.document.findings import Outlier
 from loopcal.errors import InputError, NoTrustworthyResult
-from loopcal.estimation.fit import Fit
-from loopcal.estimation.model_error import modelled
+from loopcal.estimation.fit import Fit, modelled
 from loopcal.estimation.result import Result
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.case import Case, taken
+from loopcal.mechanisms.station import standing
+from loopcal.statistics.case import Case
 from loopcal.statistics.change_points import Shifts, apart, find_shifts
 from loopcal.statistics.outliers import find_poses
-from loopcal.statistics.shifted import shift_lines, with_shifts
+
+if TYPE_CHECKING:
+    from loopcal.mechanisms.effects.drift import Drift, Shift
+
 
 # CERTAIN and MOST_OUTLIERS: record 0051.
 CERTAIN = 1e-6
 """Changes of so small a p-value, corrected for the search, are modelled; such poses discarded."""
+# Chosen, not derived: each further search costs a fit.
 ROUNDS = 2
 """Searches: the second on the fit with what the first found."""
 MOST_OUTLIERS = 0.03
@@ -104,10 +111,11 @@ def changes(case: Case, way: Fit, whole: Result) -> Changes:
         if not new:
             break
         try:
-            run_changes, whole = _modelled(case, way, replace(run_changes, searched=searched), new)
-            run_changes = replace(run_changes, whole=whole)
+            run_changes = _modelled(case, way, replace(run_changes, searched=searched), new)
         except (InputError, NoTrustworthyResult):
             break
+        assert run_changes.whole is not None
+        whole = run_changes.whole
     return run_changes
 
 
@@ -116,43 +124,136 @@ def _certain(point: ChangePoint, points: Sequence[ChangePoint]) -> bool:
     return point.p_value < CERTAIN and apart(point, points)
 
 
-def _modelled(
-    case: Case, way: Fit, run_changes: Changes, new: Sequence[ChangePoint]
-) -> tuple[Changes, Result]:
-    """The case with further changes, without what then does not fit; and the fit of the rest."""
+def _modelled(case: Case, way: Fit, run_changes: Changes, new: Sequence[ChangePoint]) -> Changes:
+    """The case with further changes and without what then does not fit, and its fit."""
     number = {pose: i + 1 for i, pose in enumerate(case.data.poses)}
     points = (replace(p, modelled=True, number=number[p.pose]) for p in new)
     modelled_points = tuple(sorted((*run_changes.points, *points), key=lambda point: point.number))
     made = with_shifts(case.mechanism, case.data, modelled_points, column=NUMBER)
     full = replace(case, mechanism=made.mechanism, data=made.data)
-    run_changes = replace(
-        run_changes, points=modelled_points, toml=shift_lines(case.data, modelled_points)
-    )
-    run_changes = _kept(run_changes, case, full, run_changes.kept)
-    machine = modelled(way, way.with_prior(run_changes.case.mechanism), len(run_changes.case.data))
+    part = _kept(case, full, run_changes.kept)
     # The machine has the prior already.
-    run_changes, way = replace(run_changes, made=machine), way.changed(prior=None)
-    fitted = replace(run_changes.case, mechanism=machine, fit=way).calibrated()
-    if not fitted.status.converged:
+    machine = modelled(way, way.with_prior(part.case.mechanism), len(part.case.data))
+    way = way.changed(prior=None)
+    whole = replace(part.case, mechanism=machine, fit=way).calibrated()
+    if not whole.status.converged:
         raise NoTrustworthyResult("the fit with the changes did not converge", code="not-converged")
-    tests = find_poses(fitted)  # columns were tried before
+    tests, outliers = find_poses(whole), dict(run_changes.outliers)  # columns were tried before
     bad = {one.pose: one for one in tests.found if one.p_value * tests.tested < CERTAIN}
-    if not bad or len(bad) + len(run_changes.outliers) > MOST_OUTLIERS * len(case.data):
-        return run_changes, fitted
-    kept = np.array([i for i in run_changes.kept if case.data.poses[i] not in bad], dtype=np.intp)
-    run_changes = _kept(
-        replace(run_changes, outliers={**run_changes.outliers, **bad}), case, full, kept
+    if bad and len(bad) + len(outliers) <= MOST_OUTLIERS * len(case.data):
+        kept = [i for i in part.kept if case.data.poses[i] not in bad]
+        part = _kept(case, full, np.array(kept, dtype=np.intp))
+        outliers |= bad
+        whole = replace(part.case, mechanism=machine, fit=way).calibrated()
+    return replace(
+        part,
+        points=modelled_points,
+        outliers=outliers,
+        searched=run_changes.searched,
+        toml=shift_lines(case.data, modelled_points),
+        whole=whole,
+        made=machine,
     )
-    fitted = replace(run_changes.case, mechanism=machine, fit=way).calibrated()
-    return run_changes, fitted
 
 
-def _kept(run_changes: Changes, case: Case, full: Case, kept: NDArray[np.intp]) -> Changes:
+def _kept(case: Case, full: Case, kept: NDArray[np.intp]) -> Changes:
+    """The poses at these positions, with the effects and without."""
     gone = np.setdiff1d(np.arange(len(case.data)), kept)
+    return Changes(full.discarding(gone), case.discarding(gone), kept)
 
-    def without(one: Case) -> Case:
-        if not gone.size:
-            return one
-        return replace(one, data=one.data.without_outliers(gone), noise=taken(one.noise, kept))
 
-    return replace(run_changes, case=without(full), plain=without(case), kept=kept)
+# A calibration with what moved as effects: mechanism, readings, and the lines of a project.
+
+COLUMN = "pose"
+
+
+@dataclass(frozen=True)
+class Shifted:
+    """mechanism: with an effect for each thing that moved; data: with the known constant that they
+    need; toml: the lines that say so in a project or mechanism file."""
+
+    mechanism: Mechanism
+    data: Dataset
+    toml: str
+
+
+def with_shifts(
+    mechanism: Mechanism, data: Dataset, found: Sequence[ChangePoint], *, column: str = COLUMN
+) -> Shifted:
+    """The mechanism and data with these change points as effects `shift` and `drift`.
+
+    An arm of transitions gets a station where a change moves its instrument.
+    Their known constant `column` is the number of the pose: its id where ids are rising numbers,
+    else its position from 1. The lines call it `pose`. Raises InputError where the mechanism cannot
+    have such an effect.
+    """
+    effects = _effects(data, found, column)
+    if not effects:
+        return Shifted(mechanism, data, "")
+    if column not in mechanism.pose_constants:
+        data = data.with_readings({column: pose_numbers(data)}, units={column: "1"})
+    mechanism = standing(mechanism, [name for effect in effects for name in effect.changing])
+    return Shifted(with_effects(mechanism, effects), data, shift_lines(data, found))
+
+
+def shift_lines(data: Dataset, points: Sequence[ChangePoint]) -> str:
+    """The lines of a project or mechanism file that model these changes."""
+    tables = ["\n".join(_table(effect)) for effect in _effects(data, points, COLUMN)]
+    return "\n\n".join(tables) + "\n" if tables else ""
+
+
+def _effects(data: Dataset, points: Sequence[ChangePoint], column: str) -> list[Shift | Drift]:
+    if not points:
+        return []
+    from loopcal.mechanisms.effects.drift import Drift, Shift
+
+    numbers = pose_numbers(data)
+    first = {pose: float(number) for pose, number in zip(data.poses, numbers, strict=True)}
+    effects: list[Shift | Drift] = []
+    for names in dict.fromkeys(p.names for p in points if p.shape == "step"):
+        at = tuple(sorted(first[p.pose] for p in points if p.shape == "step" and p.names == names))
+        effects.append(Shift(names, at, column, name=f"shift of {', '.join(names)}"))
+    for names in dict.fromkeys(p.names for p in points if p.shape == "ramp"):
+        since, over = float(numbers.min()), float(np.ptp(numbers))
+        title = f"drift of {', '.join(names)}"
+        # Ending with the run, so that predictions hold for its end (docs/explanation/drift.md).
+        effects.append(Drift(names, column, "1", since, over, title, since + over))
+    return effects
+
+
+def pose_numbers(data: Dataset) -> NDArray[np.float64]:
+    """(N,) rising numbers of the poses: their ids where these are, else positions from 1."""
+    if ids_are_numbers(data.poses):
+        return np.array([float(pose) for pose in data.poses])
+    return np.arange(1.0, len(data) + 1.0)
+
+
+def ids_are_numbers(poses: Sequence[str]) -> bool:
+    """Whether ids of poses are rising numbers."""
+    try:
+        ids = np.array([float(pose) for pose in poses])
+    except ValueError:
+        return False
+    return bool(len(ids) and np.isfinite(ids).all() and (np.diff(ids) > 0.0).all())
+
+
+def _table(effect: Shift | Drift) -> list[str]:
+    from loopcal.mechanisms.effects.drift import Shift
+
+    numbers = (
+        {"at": f"[{', '.join(f'{a:.12g}' for a in effect.at)}]"}
+        if isinstance(effect, Shift)
+        else {
+            key: f"{value:.12g}"
+            for key in ("since", "over", "until")
+            if (value := getattr(effect, key)) is not None
+        }
+    )
+    return [
+        "[[mechanism.effect]]",
+        f'type = "{"shift" if "at" in numbers else "drift"}"',
+        f'name = "{effect.name}"',
+        f"changing = [{', '.join(f'{chr(34)}{n}{chr(34)}' for n in effect.changing)}]",
+        f'column = "{effect.column}"',
+        *(f"{key} = {value}" for key, value in numbers.items()),
+    ]

@@ -17,15 +17,14 @@ from numpy.typing import NDArray
 
 from loopcal.document.catalogue import findings
 from loopcal.document.findings import Observability, UsualSd
-from loopcal.document.judgement import Fact, Finding, Where, fact
 from loopcal.document.plain import plain
-from loopcal.estimation.contradiction import refuse_contradiction
+from loopcal.document.verdict import Fact, Finding, Where, fact
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.fit import Fit, Start
 from loopcal.estimation.noise.learning import with_model
-from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.plausible import refuse_contradiction
+from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.problem.weighting import Weighting
 from loopcal.estimation.solve.reduction import Spectrum, spectrum, undetermined
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
@@ -34,17 +33,15 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import PriorLike
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import SHOWN
-from loopcal.presentation.text_table import columns
+from loopcal.presentation.shown import SHOWN, columns, significant
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.identifiability import (
     SCHROER,
     WhatDataSay,
     calibration_index,
+    observability,
     what_data_say,
 )
-from loopcal.statistics.observability import observability
 from loopcal.statistics.predictor import (
     Predictor,
     ReadingNoise,
@@ -59,6 +56,7 @@ Array = NDArray[np.float64]
 # As in the search for change points (record 0051).
 FOLLOWED = 0.5
 """Share of the order of the poses from which a drift looks like an error of the machine."""
+# Chosen, not derived: a rule of thumb; below, residuals follow the model more than the noise.
 FEW = 3.0
 """Loop equations per parameter below which there is little to check the model against."""
 

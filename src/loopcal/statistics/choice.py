@@ -30,17 +30,15 @@ from numpy.typing import NDArray
 from loopcal.document.choice import Candidate, Chosen, beats
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
-from loopcal.estimation.contradiction import CODE as CONTRADICTED
 from loopcal.estimation.dependence.dependence import likenesses
+from loopcal.estimation.plausible import CODE as CONTRADICTED
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import helping, process_cores
-from loopcal.presentation.shown import by_sd, size, unit_shown
-from loopcal.presentation.wrapped import shortened
-from loopcal.statistics.candidates import Entrant, entrants
-from loopcal.statistics.case import Case
+from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
+from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
@@ -62,9 +60,11 @@ Array = NDArray[np.float64]
 # Record 0047.
 FOLDS, BLOCKS, FEWEST = 10, 5, 25
 """Parts at random, regions, and the different poses from which on regions are left out."""
+# Chosen, not derived: it saves half the fits of a candidate that is far behind.
 HOPELESS = 3.0
 """A costly candidate is discarded halfway whose rms is so many times that of the best, on poses at
 random and on regions."""
+# Chosen, not derived: a mean over fewer may be one over easy poses.
 _LEAST = 0.5
 """A candidate must predict this share of the poses."""
 

@@ -11,19 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.catalogue import findings
-from loopcal.document.judgement import Fact, Finding, Where, fact
 from loopcal.document.plain import finite
+from loopcal.document.verdict import Fact, Finding, Where, fact
 from loopcal.lazy import cached_property
-from loopcal.presentation.rounding import rounded_by_sd, significant
-from loopcal.presentation.shown import SHOWN, percent
-from loopcal.presentation.text_table import columns
+from loopcal.presentation.shown import SHOWN, columns, percent, rounded_by_sd, significant
 from loopcal.small_samples import f_tail, t_quantile
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
+# The level that the pages state (docs/explanation/comparison.md, `analyses.compared`).
 SIGNIFICANT = 0.05
+# Chosen, not derived: beyond, what one calibration holds where the other measured rests on its
+# prior.
 FAR = 2.0
 """Regions differ where one calibration is so many times less certain in that of the other."""
+# Chosen, not derived: what fits a line.
 _NAMED = 3
 
 

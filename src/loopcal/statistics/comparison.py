@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.chi_squared import tail
-from loopcal.document.judgement import Fact, Where, fact
+from loopcal.document.verdict import Fact, Where, fact
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.alignment import align
@@ -47,7 +47,7 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.small_samples import LearntCovariance, f_limit
+from loopcal.small_samples import LearntCovariance, contrasts, f_limit
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.compared import (
     SIGNIFICANT,
@@ -59,12 +59,12 @@ from loopcal.statistics.compared import (
 from loopcal.statistics.gauge import carried, changes, difference, gauge, moved, values_of
 
 Array = NDArray[np.float64]
+# Chosen, not derived: covariances of poses by pairs; time and memory.
 MOST_POSES = 500
 """Common poses from each calibration, evenly thinned."""
+# Record 0066: Bancroft and Han (1977).
 _CHOOSES = 0.25
 """p-value below which the poses scatter more than the sds allow."""
-_RANK = 1e-12
-"""Variances this far below the largest, of contrasts in sds, are rounding."""
 
 
 def compare(
@@ -148,7 +148,7 @@ def _check_same(a: Mechanism, b: Mechanism) -> None:
 
 def _unstationed(one: Calibrated) -> Calibrated:
     """An updated arm of transitions, its geometry where it stands: as others describe it."""
-    from loopcal.mechanisms.stationed import unstationed
+    from loopcal.mechanisms.station import unstationed
 
     before, made = one.mechanism, unstationed(one.mechanism)
     if made is before:
@@ -162,16 +162,8 @@ def _unstationed(one: Calibrated) -> Calibrated:
 
     M = changes(made, values, values_of(before))
     kept = [names.index(name) for name in made.parameters.names]
-    return replace(
-        one,
-        mechanism=made,
-        covariance=one.covariance.through(M),
-        undetermined=M @ one.undetermined,
-        nominal=one.nominal[kept],
-        prior_sd=one.prior_sd[kept],
-        gain=None if one.gain is None else M @ one.gain @ M.T,
-        scatter=one.scatter and one.scatter.through(M),
-    )
+    nominal, prior_sd = one.nominal[kept], one.prior_sd[kept]
+    return replace(one.through(made, M), nominal=nominal, prior_sd=prior_sd)
 
 
 def _points(
@@ -263,14 +255,7 @@ def _brought(b: Calibrated, points: _Points) -> tuple[Calibrated, Array]:
     M = carried(machine, values, motion.rotation, motion.shift)
     new = moved(machine, values, motion.rotation, motion.shift)
     named = dict(zip(machine.parameters.names, new.tolist(), strict=True))
-    brought = replace(
-        b,
-        mechanism=machine.with_nominal(named),
-        covariance=b.covariance.through(M),
-        gain=None if b.gain is None else M @ b.gain @ M.T,
-        undetermined=M @ b.undetermined,
-        scatter=b.scatter and b.scatter.through(M),
-    )
+    brought = b.through(machine.with_nominal(named), M)
     return brought, np.column_stack([motion.rotation, motion.shift])
 
 
@@ -335,7 +320,7 @@ def _by_scatter(
     """The test by the scatter of the poses; None where that does not show to be larger than C."""
     freedom = sum(one.scatter.freedom for one in (a, b) if one.scatter is not None)
     seen = _covariance(a.by_scatter, b.by_scatter)
-    K = _contrasts(C, left_out)
+    K = contrasts(C, left_out)
     size = len(K)
     ratio = float(np.trace(seen.through(K).matrix)) / size if size else 0.0
     denominator = freedom - size + 1.0
@@ -347,26 +332,11 @@ def _by_scatter(
     return _ByScatter(seen, ContrastTest(square, size, denominator), ratio)
 
 
-def _contrasts(C: LearntCovariance, left_out: Array) -> Array:
-    """(q, n) contrasts of unit variance under C that feel nothing of these directions."""
-    sd = np.sqrt(np.maximum(np.diag(C.matrix), 0.0))
-    fixed = sd == 0.0  # in both: not what the calibrations say
-    scale = np.where(fixed, 1.0, sd)
-    directions = left_out / scale[:, None]
-    # Directions of length 1, so that the cut below counts them and not their units.
-    directions = directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
-    U, s, _ = np.linalg.svd(np.hstack([directions, np.zeros((len(sd), 1))]))
-    K = U[:, int((s > 1e-9).sum()) :].T / scale
-    values, vectors = np.linalg.eigh(C.through(K).matrix)
-    kept = values > _RANK * max(float(values.max(initial=0.0)), 1e-300)
-    return np.asarray((vectors[:, kept] / np.sqrt(values[kept])).T @ K)
-
-
 def _statistic(d: Array, C: LearntCovariance, left_out: Array) -> ContrastTest:
     """The test of the contrasts that feel nothing of these directions."""
-    contrasts = _contrasts(C, left_out)
-    denominator = float(C.through(contrasts).denominator)
-    return ContrastTest(float(np.square(contrasts @ d).sum()), len(contrasts), denominator)
+    K = contrasts(C, left_out)
+    denominator = float(C.through(K).denominator)
+    return ContrastTest(float(np.square(K @ d).sum()), len(K), denominator)
 
 
 def _parameters(

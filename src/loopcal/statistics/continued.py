@@ -18,10 +18,8 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.candidates import Entrant, entrants
-from loopcal.statistics.case import Case, taken
-from loopcal.statistics.changes import NUMBER
-from loopcal.statistics.shifted import with_shifts
+from loopcal.statistics.case import Case, Entrant, entrants
+from loopcal.statistics.changes import NUMBER, with_shifts
 from loopcal.statistics.validation import NEARLY
 
 
@@ -113,11 +111,7 @@ def _as_modelled(case: Case, ending: Ending) -> Case:
     if changes:
         made = with_shifts(case.mechanism, case.data, changes, column=NUMBER)
         case = replace(case, mechanism=made.mechanism, data=made.data)
-    gone = np.flatnonzero(np.isin(poses, ending.outliers))
-    if not gone.size:
-        return case
-    kept = np.setdiff1d(np.arange(len(poses)), gone)
-    return replace(case, data=case.data.without_outliers(gone), noise=taken(case.noise, kept))
+    return case.discarding(np.flatnonzero(np.isin(poses, ending.outliers)))
 
 
 def _moved(point: ChangePoint, order: Sequence[str], poses: set[str]) -> ChangePoint | None:

@@ -1,4 +1,10 @@
-"""What a calibration's own equations tell beyond the parameters: collected for file and summary."""
+"""What a calibration's own equations tell beyond the parameters: collected for file and summary.
+
+How far a change along the run moves the end point: its size beside its significance.
+
+In long runs a change of a tenth of the noise is significant. Whether it matters is another
+question: by how much it moves what the machine is calibrated for.
+"""
 
 from __future__ import annotations
 
@@ -8,27 +14,32 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from loopcal.document.accuracy import Distances
-from loopcal.document.change_points import ChangePoints
+from loopcal.document.change_points import ChangePoint, ChangePoints
 from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
 from loopcal.errors import InputError, NoTrustworthyResult
+from loopcal.estimation.accuracy import accuracy
+from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import gathered
 from loopcal.execution.forked import process_cores
-from loopcal.statistics.candidates import nominal_case
-from loopcal.statistics.case import Case
+from loopcal.statistics.case import Case, nominal_case
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
-from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
-from loopcal.statistics.moved_by import sized
+from loopcal.statistics.changes import shift_lines
+from loopcal.statistics.identifiability import (
+    WhatDataSay,
+    calibration_index,
+    data_spectrum,
+    observability,
+    what_data_say,
+)
 from loopcal.statistics.noise_floor import noise_floor
-from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
 from loopcal.statistics.outliers import Outliers, find_columns, find_poses, of_file
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
 from loopcal.statistics.region import Span, region_of
 from loopcal.statistics.reliability import ReadingReliability, reliability
 from loopcal.statistics.scatter import Scatter, scatter
-from loopcal.statistics.shifted import shift_lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,3 +150,30 @@ def nominal_distances(result: Result) -> Distances | None:
     except (InputError, NoTrustworthyResult):
         return None  # nothing can be placed, or not by these readings
     return None if nominal_accuracy is None else nominal_accuracy.distances
+
+
+def sized(result: Result, point: ChangePoint) -> ChangePoint:
+    """The change with `moves`, the rms distance over the poses by which the whole of it moves the
+    outputs, computed or read; unknown without outputs, and of a stream.
+
+    Less what noise alone adds to its square: a change of r parameters by chance has a gain of r.
+    """
+    names = result.mechanism.compared
+    if not names or result.all_poses is not None:
+        return point
+    problem, at = result.problem, result.solution
+    values, readings = at.parameters.copy(), problem.readings.copy()
+    parameters, read = result.mechanism.parameters.names, result.mechanism.tape.quantities
+    for name, change in point.changes.items():
+        if name in parameters:
+            values[parameters.index(name)] += change.size
+        elif name in read:
+            readings[read.index(name)] += change.size
+    moved = output_differences(replace(problem, readings=readings), values, at.corrections)
+    before = result.differences_after
+    off = {q: row - before[q] for q, row in zip(names, moved, strict=True)}
+    displacement = accuracy(result.deviations(off))
+    if displacement is None:
+        return point
+    real = max(1.0 - len(point.changes) / point.gain, 0.0) if point.gain else 0.0
+    return replace(point, moves=displacement.rms * math.sqrt(real), unit=displacement.unit)

@@ -3,6 +3,13 @@
 Three views of the same system: each parameter's sd beside what was known of it before; the
 directions in which parameters trade against each other, in words; and the count of equations,
 Hollerbach and Wampler's calibration index.
+
+How well a set of poses shows the parameters, in the five numbers of the literature.
+
+They are taken from the singular values sigma of the whitened parameter Jacobian of all poses, each
+column divided by its length: numbers without a unit, which do not depend on the units of the
+parameters, on how large all sds are together, nor on how the loop equations are written. Prior
+knowledge is left out; they speak of the poses alone.
 """
 
 from __future__ import annotations
@@ -14,23 +21,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.findings import CalibrationIndex, Identifiability, Learned, WeakDirection
+from loopcal.document.findings import (
+    CalibrationIndex,
+    Identifiability,
+    Learned,
+    Observability,
+    WeakDirection,
+)
 from loopcal.document.plain import finite
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.solve.reduction import Accumulator, Spectrum, undetermined
+from loopcal.estimation.solve.reduction import Accumulator, Spectrum, spectrum, undetermined
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import BEYOND
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import SHOWN
-from loopcal.statistics.observability import data_spectrum
+from loopcal.presentation.shown import SHOWN, significant
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
 SCHROER = 100.0
 """Condition number of the scaled system up to which poses are good. Schroer (1993)."""
+# Shares of the variance that the data took away: a tenth, and a half.
 SAYS_NOTHING, SAYS_LITTLE = 0.95, 0.7
 """Posterior over prior sd from which on the data said nothing, or little."""
+# Chosen, not derived: a tenth of the square of the largest, and what fits a line.
 _LEADING, _MOST_NAMED = 0.3, 4
+# Within 18 degrees. Chosen, not derived: a scale with small other parts is still one.
 _SAME = 0.95
 """Cosine from which on a direction is that of the size."""
 
@@ -244,3 +258,26 @@ def _list(names: Sequence[str]) -> str:
     if len(quoted) == 1:
         return quoted[0]
     return ", ".join(quoted[:-1]) + f" and {quoted[-1]}"
+
+
+def data_spectrum(information: Accumulator) -> Spectrum:
+    """The spectrum of what the data alone say, columns scaled to length 1."""
+    n = len(information.total) - 1
+    return spectrum(information, np.zeros(n), np.full(n, np.inf))
+
+
+def observability(information: Accumulator, poses: int) -> Observability:
+    """The indices of the poses whose whitened equations were added up."""
+    system = data_spectrum(information)
+    s = np.where(system.kept, system.singular_values, 0.0)
+    if not s.all():
+        return Observability(0.0, 0.0, 0.0, 0.0, 0.0)
+    low, high = float(s.min()), float(s.max())
+    return Observability(
+        # By logarithms: the product of many small values would underflow.
+        O1=float(np.exp(np.log(s).mean())) / float(np.sqrt(poses)),
+        O2=low / high,
+        O3=low,
+        O4=low**2 / high,
+        O5=1.0 / float((1.0 / s).sum()),
+    )

@@ -24,23 +24,26 @@ and F has the denominator of Fai and Cornelius (`loopcal.small_samples`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal import chi_squared
 from loopcal.document.fit import NoiseEntry
 from loopcal.lazy import cached_property
+from loopcal.small_samples import f_tail
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import DETERMINED, Replaced
 
 Array = NDArray[np.float64]
+# Chosen, not derived: far above rounding, far below a step that counts.
 _UNSEEN = 1e-9
 """An undetermined step that moves the loops by less of what its parts move does not count."""
 _TAKEN_UP = 1e-6
 """A share of a pose's variance that is rounding: the placement takes up all of it."""
+# The mean is nu / (nu - 2), here 11 at most: chosen, not derived.
 _FEWEST = 2.2
 """Degrees of freedom, at least: below 2 the mean of F has no bound."""
 
@@ -63,11 +66,8 @@ class Innovation:
         """With its p-value."""
         if freedom <= 0:
             return cls(value, max(freedom, 0), learnt, None)
-        if learnt is None:
-            return cls(value, freedom, None, chi_squared.tail(value, freedom))
-        from scipy.special import fdtrc
-
-        return cls(value, freedom, learnt, float(fdtrc(freedom, learnt, value / freedom)))
+        denominator = math.inf if learnt is None else learnt
+        return cls(value, freedom, learnt, f_tail(value, freedom, denominator))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class PoseSquares:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """The equations of a held machine, and how what is placed anew answers to them.
+    """The equations of a held machine that was placed anew, and how the placement answers to them.
 
     e (R,), F (R, g + d), A (R, r); root: (n_all, r) with root root^T the covariance of the
     parameters that are held; solve: (g + d, R) the least squares of F; rank: of F; factor: by
@@ -89,6 +89,7 @@ class Linearised:
     of freedom of learnt sds, inf where all are stated.
     """
 
+    placement: Replaced
     e: Array
     F: Array
     A: Array
@@ -118,7 +119,8 @@ class Linearised:
         solve = (Vt[kept].T / s[kept]) @ U[:, kept].T / scale[:, None]
         A, rank, noise = J @ root, int(kept.sum()), _noise_freedom(calibrated, placement)
         slopes = _slopes(calibrated, root_of(f * calibrated.covariance.matrix), ~placement.anew)
-        return cls(placement.e / np.sqrt(f), F, A, root, solve, rank, f, slopes, noise)
+        e = placement.e / np.sqrt(f)
+        return cls(placement, e, F, A, root, solve, rank, f, slopes, noise)
 
     @cached_property
     def left(self) -> Array:
@@ -152,11 +154,11 @@ class Linearised:
         """a^T S^-1 b, S = 1 + A A^T, of what the placement leaves: (R, p), (R, q) -> (p, q)."""
         return np.asarray(self._halved(a).T @ self._halved(b))
 
-    def by_pose(self, placement: Replaced) -> PoseSquares:
+    def by_pose(self) -> PoseSquares:
         """The squares of what the placement leaves of single poses, in their own covariance."""
-        count = len(placement.problem.poses)
+        count = len(self.placement.problem.poses)
         squares, loops, begin = np.full(count, np.nan), np.zeros(count, dtype=np.intp), 0
-        for rows in placement.rows:
+        for rows in self.placement.rows:
             b, r = rows.e.shape
             span = slice(begin, begin + b * r)
             e = self.left[span].reshape(b, r, 1)

@@ -38,11 +38,15 @@ from loopcal.mechanisms.parameters import matching
 from loopcal.small_samples import t_quantile
 
 Array = NDArray[np.float64]
+# Chosen, not derived: a tenth of a half width changes no decision.
 DIFFERS = 0.1
 """Share of the half width by which an end may differ before the interval is marked."""
+# Chosen, not derived: a hundredth of what DIFFERS looks at.
 _CLOSE = 1e-3
 """The root is found when the rise is right to this much of a standard deviation."""
+# Chosen, not derived: a cap.
 _MOST = 30
+# Chosen, not derived: an interval that ends farther out is open for any use.
 _FARTHEST = 1e3
 """Sds out to which a profile is followed."""
 

@@ -9,23 +9,26 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from loopcal.document.fit import ParameterEntry
-from loopcal.document.judgement import Fact, Figure, Where, fact
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import f_limit
 from loopcal.statistics.judged_readings import RARE
 
-# FAR and BEYOND: record 0058, end points.
+# FAR and BEYOND: record 0054, end points.
 FAR = 10.0
 """A length that ends this many times the machine's size away from its nominal value is none."""
 BEYOND = 100.0
 """The same of prior sds."""
+# Chosen, not derived: machines collapse to nothing, and drawings are right to some per cent.
 SHRUNK = 0.1
 """A fit whose lengths add up to less than this share of the nominal ones has collapsed."""
+# Chosen, not derived: record 0052 takes no drawing to be off by a tenth of its size.
 ANOTHER = 0.1
 """Lengths that are off the drawing by this share of their size, and angles by so many rad, all in
 all, are those of another machine."""
+# Chosen, not derived: fewer give no size, and 5 sds leave no doubt among a hundred parameters.
 _FEWEST, _CLEAR = 3, 5.0
 """Other parameters of a kind that one is compared with; by how many of its own sds, and of their
 distances, it must be off."""

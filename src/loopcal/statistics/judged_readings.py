@@ -2,19 +2,117 @@
 
 from __future__ import annotations
 
-from loopcal.document.judgement import Fact, Where, fact
-from loopcal.document.result_document import ResultDocument
-from loopcal.document.terms import DECISIVE
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from loopcal.document.choice import DECISIVE
+from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
+from loopcal.document.result_document import DataEntry, ResultDocument
+from loopcal.document.verdict import Fact, Where, fact
 from loopcal.mechanisms.structure.structured import DISCREPANCY
-from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import significant
 
 # Record 0054.
 RARE = 1e-3
 """p-value of a single test from which a result is not sound: several tests are made."""
+# Half as large in sd, a quarter in the square.
 LOOSE = 0.25
 """Chi-squared per degree of freedom of sds twice as large as the readings show."""
+# Chosen, not derived: 3 mm of a metre, more than the noise of any instrument here.
 SIZE = 3e-3
 """Relative sd of a size that only priors determine from which on its bias counts."""
+# Chosen, not derived: one good data set of a hundred; `analyses.alarms` counts all codes together.
+_CHANCE = 0.01
+"""Share of good data sets with a pose so far off; the search for outliers names more."""
+# Record 0054; `analyses.residual_outliers` counts the good poses that are named.
+_UNLIKE = 1.5
+"""Where residuals are the scale, a good pose may have so many times the usual variance: errors of
+joints act through lever arms of unlike length. The log of a p-value falls in proportion."""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What was found out about the readings of a calibration, or of another day.
+
+    faults: of whole columns; tests: of the outliers, None where none were sought; spare: degrees of
+    freedom that the residuals have as a scale, inf where that is not known.
+    """
+
+    data: DataEntry
+    faults: Sequence[ColumnFault]
+    outliers: Sequence[Outlier]
+    tests: OutlierTests | None
+    spare: float
+
+    @classmethod
+    def of(cls, document: ResultDocument) -> Readings:
+        """Of a calibration."""
+        index, chi = document.identifiability.calibration_index, document.chi_squared
+        left = math.inf if index is None else index.value - document.identifiability.rank
+        spare = max(left if chi is None else float(chi.degrees_of_freedom), 1.0)
+        faults, outliers = document.column_faults or (), document.outliers or ()
+        return cls(document.data, faults, outliers, document.outlier_tests, spare)
+
+    def facts(self) -> list[Fact]:
+        """Faults of the file, outliers, copies and coarse digits, where there are any."""
+        stated = (self._column_fault(), self._outliers(), self._rows_copied(), self._coarse())
+        return [one for one in stated if one is not None]
+
+    def _column_fault(self) -> Fact | None:
+        words = "; ".join(fault.words for fault in self.faults)
+        place = Where(readings=tuple(dict.fromkeys(q for f in self.faults for q in f.quantities)))
+        return fact("column-fault", place, faults=words) if self.faults else None
+
+    def _outliers(self) -> Fact | None:
+        """As in `find_outliers`, half of the level goes to the poses and half to their readings."""
+        poses = 0 if self.tests is None else self.tests.poses
+        by_residuals = self.tests is not None and self.tests.by_residuals
+        # Bonferroni, over the poses and over all their readings.
+        whole = 0.5 * _CHANCE / poses if poses else 1.0
+        single = whole / max(len(self.data.quantities), 1) if poses else 1.0
+        spare = math.inf
+        if by_residuals:
+            whole, single, spare = whole**_UNLIKE, single**_UNLIKE, self.spare
+        named = [
+            entry.pose
+            for entry in self.outliers
+            if _by_few(entry.p_value, spare) <= (whole if entry.quantity is None else single)
+        ]
+        bad = tuple(dict.fromkeys(named))
+        # Too few poses are left to tell: any few can be fitted exactly.
+        few = 2 * poses < self.data.used or 2 * len(bad) > poses
+        if not bad or (by_residuals and few):
+            return None
+        return fact(
+            "outliers",
+            Where(poses=bad),
+            {"poses": len(bad)},
+            named=", ".join(bad[:5]) + (", ..." if len(bad) > 5 else ""),
+            count=f"{len(bad)} poses do" if len(bad) > 1 else "1 pose does",
+        )
+
+    def _rows_copied(self) -> Fact | None:
+        copied = self.data.copied
+        if not copied:
+            return None
+        return fact("rows-copied", numbers={"rows": len(copied)}, copied=self.data.warnings()[0])
+
+    def _coarse(self) -> Fact | None:
+        """Readings recorded in steps that are not small against their sds."""
+        steps = self.data.coarse
+        if not steps:
+            return None
+        numbers = {"sd": max(one.sd for one in steps)}
+        return fact("readings-coarse", numbers=numbers, quantities="; ".join(map(str, steps)))
+
+
+def _by_few(p: float, spare: float) -> float:
+    """The p-value of what has p beside a known scale, where the scale has so many degrees of
+    freedom: exp(-x / 2) becomes (1 + x / nu)^(-(nu + 1) / 2), as from the normal to Student's t."""
+    if math.isinf(spare) or p <= 0.0:
+        return p
+    return math.exp(-0.5 * (spare + 1.0) * math.log1p(-2.0 * math.log(p) / spare))
 
 
 def suspects(document: ResultDocument) -> str:
@@ -45,28 +143,11 @@ def size_unsure(document: ResultDocument) -> Fact | None:
     return fact("size-unsure", numbers={"relative_sd": sure}, share=share)
 
 
-def coarse(document: ResultDocument) -> Fact | None:
-    """Readings recorded in steps that are not small against their sds."""
-    steps = document.data.coarse
-    if not steps:
-        return None
-    numbers = {"sd": max(one.sd for one in steps)}
-    return fact("readings-coarse", numbers=numbers, quantities="; ".join(map(str, steps)))
-
-
 def undetected(document: ResultDocument) -> Fact | None:
     """Sensors whose learnt sd is 0."""
     zero = [e for e in document.noise if e.source == "estimated" and not e.sd]
     names = tuple(q for e in zero if e.role == "reading" for q in e.quantities)
     return fact("sd-not-detectable", Where(readings=names)) if names else None
-
-
-def rows_copied(document: ResultDocument) -> Fact | None:
-    """Rows that copy others."""
-    data = document.data
-    if not data.copied:
-        return None
-    return fact("rows-copied", numbers={"rows": len(data.copied)}, copied=data.warnings()[0])
 
 
 def errors_beyond_sds(document: ResultDocument) -> Fact | None:

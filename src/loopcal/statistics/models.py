@@ -32,7 +32,7 @@ from loopcal.estimation.result import Result
 from loopcal.execution.executor import Executor, Progress
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
-from loopcal.mechanisms.effects.model import Model, with_only
+from loopcal.mechanisms.effects.effect import Model, with_only
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case
 from loopcal.statistics.folds import Scheme, grouped, stated_sds
@@ -41,6 +41,7 @@ from loopcal.statistics.validation import Asked, Validation, ValidationOptions, 
 Array = NDArray[np.float64]
 GEOMETRIC = "geometric"
 """The model without effects, always among those compared."""
+# Record 0013: Sivula, Magnusson and Vehtari (2020).
 ERRORS, LEAST = 2.0, 4.0
 """A model is refused that is behind by more than so many standard errors and by more than this."""
 

@@ -25,10 +25,15 @@ from loopcal.estimation.result import Result
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.structure.smooth import Smooth
 from loopcal.mechanisms.structure.structured import DISCREPANCY
+from loopcal.statistics.estimated import Estimated
+from loopcal.statistics.possible_changes import held_station
 
 Array = NDArray[np.float64]
+# Chosen, not derived: from two sds on a pose counts less, in so many rounds of weights.
 _HUBER, _ROUNDS = 2.0, 3
+# By decades: over all sizes at first, then beside the last one. Chosen, not derived.
 _RATIOS, _BESIDE = 10.0 ** np.arange(-4.0, 5.0), 10.0 ** np.arange(-1.0, 2.0)
+# An sd from ten values is sure to 1 / sqrt(20) = 22 %: chosen, not derived.
 _ENOUGH = 10
 """Poses for each equation of a pose, from which their scatter is taken as it is."""
 _ABSORBED = 1e-4
@@ -66,9 +71,28 @@ class OrderedSystem:
             -self.X[:, :, quantities.index(n)]
             if n in quantities
             else self.D[:, :, self.problem.names.index(n)]
+            if n in self.problem.names
+            else self._held_station[n]
             for n in names
         ]
         return np.stack(changes, axis=2)
+
+    @cached_property
+    def _held_station(self) -> dict[str, Array]:
+        """Columns (N, R) of a station that is not estimated.
+
+        A small motion moves a point p by t + w x p, as zeros of its readings.
+        """
+        mechanism = self.problem.mechanism
+        (family,) = mechanism.families
+        rows = [mechanism.tape.quantities.index(q) for q in family.readings]
+        p = np.nan_to_num(self.problem.readings[rows][:, self.order].T)
+        along, axes = self.columns(family.readings), np.eye(3)
+        # Turns last axis first, as a station orders its parameters.
+        motions = [*(np.broadcast_to(t, p.shape) for t in axes)]
+        motions += [np.cross(w, p) for w in axes[::-1]]
+        each = [np.einsum("nri,ni->nr", along, motion) for motion in motions]
+        return dict(zip(held_station(self.problem), each, strict=True))
 
     def waves(self, count: int) -> list[Array]:
         """(N, R, q) each: slow cosines over the run along the readings of the instruments."""
@@ -241,18 +265,13 @@ class Fitted:
         gains = np.where(kept, np.square(along) / np.where(kept, values, 1.0), 0.0).sum(axis=1)
         return gains, kept.sum(axis=1)
 
-    def step(self, columns: Array) -> Step:
+    def step(self, columns: Array) -> Estimated:
         """What these columns (N, R, d) explain."""
         C, scale = self._alike(columns)
         flat = C.reshape(-1, C.shape[2])
-        u, Q = flat.T @ self.left.ravel(), flat.T @ flat
-        W = (flat.T @ self.scaled.reshape(len(flat), -1)) @ self._factor.root
-        values, vectors = np.linalg.eigh(Q - W @ W.T)
-        kept = values > _ABSORBED * max(float(np.trace(Q)), 1e-300)
-        root = vectors[:, kept] / np.sqrt(values[kept])
-        along = root.T @ u
-        root = scale[:, None] * root
-        return Step(float(along @ along), int(kept.sum()), root @ along, root @ root.T)
+        Q, W = flat.T @ flat, (flat.T @ self.scaled.reshape(len(flat), -1)) @ self._factor.root
+        least = _ABSORBED * max(float(np.trace(Q)), 1e-300)
+        return Estimated.of(flat.T @ self.left.ravel(), Q - W @ W.T, scale, least)
 
     @cached_property
     def _factor(self) -> _Factor:
@@ -278,22 +297,6 @@ class Fitted:
         length = np.sqrt(np.square(C).sum(axis=(0, 1)))
         scale = 1.0 / np.where(length > 0.0, length, 1.0)
         return C * scale, scale
-
-
-@dataclass(frozen=True)
-class Step:
-    """A step: gain in chi-squared, rank, size (d,) and covariance (d, d) [SI]."""
-
-    gain: float
-    rank: int
-    size: Array
-    covariance: Array
-
-    def before(self, spare: float) -> float:
-        """The gain in units of the scatter without the step, where it was found in units of that
-        with it, of so many degrees of freedom."""
-        # The squares left are spare + gain without the step, and spare with it.
-        return self.gain / (1.0 + self.gain / spare)
 
 
 def _scaled(system: OrderedSystem, Z: Array, T: Array, weights: Array, ratios: Array) -> Fitted:

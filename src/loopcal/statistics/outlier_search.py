@@ -22,7 +22,7 @@ from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.solution import Solution
-from loopcal.statistics.blocks import blocks
+from loopcal.statistics.folds import blocks
 from loopcal.statistics.pose_tests import Fitted, PoseTests, independent, pose_tests, settle
 
 Array = NDArray[np.float64]
@@ -31,11 +31,13 @@ MOST = 0.3
 """At most this share of the poses is taken for bad where the first search leaves doubts."""
 ENOUGH = 1e-3
 """Where terms are learnt, whose sds nobody knows better, fits converge to so many sds."""
-# A trimmed square must be a tenth smaller (record 0058).
+# A trimmed square must be a tenth smaller (record 0054).
 _REGIONS, _MANY, _FINALISTS, _LESS = (4, 8), 6, 2, 0.9
 # ln 2 = 0.69 for two degrees of freedom, 0.79 for three.
 _MEDIAN = 0.75
 """Of chi-squared over its degrees of freedom, of two or three of them, at most 0.79."""
+# Chosen, not derived: a cap; residuals of 10 sds, and a fit that brings outputs ten times as near,
+# from which columns may be wrong. The last is the p-value of a single test (record 0054).
 _ROUNDS, _HOPELESS, _BENT, _REJECTED = 10, 100.0, 10.0, 1e-3
 
 

@@ -27,12 +27,12 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import significant, with_unit
 from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
 from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
 
 Array = NDArray[np.float64]
+# Record 0054: valid up to 3.
 ALARM = 3.0
 """Extrapolation: the parameters' part of the sd is more than so many times that at 95 % of the
 calibration poses."""
@@ -334,10 +334,7 @@ def _by_readings(
     uncertainty = resolve_noise(
         noise, replace(data, readings=readings), names, solved.quantity_group
     )
-    sd = np.where(np.isinf(uncertainty.sd), 0.0, uncertainty.sd)
-    G = S * np.broadcast_to(sd, (len(names), len(data))).T[:, None, :]
-    for block in uncertainty.blocks:
-        G[:, :, block.indices] = S[:, :, block.indices] @ block.factor
+    G = uncertainty.through(S)
     turned = G.transpose(0, 2, 1)
     covariance = G @ turned
     return LearntCovariance(covariance, covariance, (G * slopes[:, None, None, :]) @ turned)

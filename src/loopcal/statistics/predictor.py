@@ -29,7 +29,9 @@ from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.stored_covariance import stored_covariance
 
 Array = NDArray[np.float64]
+# The 95 % point over 2000 poses is sure to half a per cent of them: sqrt(0.95 x 0.05 / 2000).
 _MOST_POSES = 2000
+# Chosen, not derived: far above rounding, far below an effect that counts.
 _UNSEEN = 1e-6
 """An undetermined direction moves an output if more than this share of its single effects is
 left when they are added up."""

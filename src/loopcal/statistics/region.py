@@ -31,9 +31,11 @@ from loopcal.statistics.predictor import Predictor, by_parameters, trace_sd
 Array = NDArray[np.float64]
 # If squares vary by as much as their mean, the rms of 400 is sure to 1 / (2 sqrt(400)) = 2.5 %.
 _POSES = 400
+# Chosen, not derived: memory of the sweep; more poses hardly change a mean.
 _MOST = 2000
 # A quarter turn either way (record 0054).
 _QUARTER = 0.5 * math.pi
+# Chosen, not derived: an rms of 40 is sure to 8 %, by the same formula.
 _FEWEST = 40
 """Poses of the box that the machine can reach; of fewer nothing is said."""
 Span = tuple[float, float]

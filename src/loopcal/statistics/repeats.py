@@ -23,8 +23,10 @@ from loopcal.statistics.separation import Separation
 from loopcal.units import from_si, unit
 
 Array = NDArray[np.float64]
+# Chosen, not derived: two readings have a difference, and no scatter that could be judged.
 FEWEST = 3
 """Readings a series must have."""
+# Chosen, not derived: a few tests per file, so one file of a hundred is called coarse by chance.
 CLEAR = 0.01
 """A p-value below this counts as found out."""
 

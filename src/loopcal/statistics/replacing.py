@@ -19,46 +19,44 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, NoTrustworthyResult, listed
 from loopcal.estimation.noise.linear_model import linear_model
+from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.alignment import placed
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.kernel import eliminate
 from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.predictive import unmeasured_corrections
 
 Array = NDArray[np.float64]
+# Chosen, not derived: a cap, and what shows which start is best.
 _STEPS, _ROUGHLY = 100, 4
 """Steps at most, and those that tell which of several starts is best."""
 _SETTLED = 1e-9
 """Share of the sum of squares: a step that promises to lower it by less is not taken."""
+# Chosen, not derived: of unit columns; a step is then shorter than rounding shows.
 _MOST_DAMPING = 1e12
 # A mean square is about 1 where machine and sds are right.
 ASTRAY, _STARTS = 100.0, 10
 """A mean square from which on a misfit is gross; then so many other starts are tried."""
+# Chosen, not derived: far above rounding, far below a direction that poses show.
 DETERMINED = 1e-9
 """Singular values so far below the largest are of directions that these poses do not show."""
 
 
-@dataclass(frozen=True)
-class Freedom:
-    """What may have changed since a calibration: names of the parameters that are found anew."""
+def freed(mechanism: Mechanism, remounted: bool | Sequence[str] = False) -> tuple[str, ...]:
+    """The parameters that are found anew: where every instrument stands, and what was mounted anew.
 
-    names: tuple[str, ...]
-
-    @classmethod
-    def of(cls, mechanism: Mechanism, remounted: bool | Sequence[str] = False) -> Freedom:
-        """Where every instrument stands, and what was mounted anew.
-
-        remounted: True for everything that instruments look at; or names of instruments, targets
-        or parameters (globs). Raises InputError for a name that is none of these.
-        """
-        names = [n for family in mechanism.families for n in family.standing]
-        if mechanism.placement is not None:
-            names += mechanism.placement.parameters
-        patterns = remounted if not isinstance(remounted, bool) else mounted(mechanism, remounted)
-        for name in (patterns,) if isinstance(patterns, str) else patterns:
-            names += _named(mechanism, name)
-        return cls(tuple(n for n in mechanism.parameters.names if n in names))
+    remounted: True for everything that instruments look at; or names of instruments, targets
+    or parameters (globs). Raises InputError for a name that is none of these.
+    """
+    names = [n for family in mechanism.families for n in family.standing]
+    if mechanism.placement is not None:
+        names += mechanism.placement.parameters
+    patterns = remounted if not isinstance(remounted, bool) else mounted(mechanism, remounted)
+    for name in (patterns,) if isinstance(patterns, str) else patterns:
+        names += _named(mechanism, name)
+    return tuple(n for n in mechanism.parameters.names if n in names)
 
 
 def mounted(mechanism: Mechanism, remounted: bool = True) -> tuple[str, ...]:
@@ -117,15 +115,22 @@ class Replaced:
     rows: tuple[Rows, ...]
     anew: NDArray[np.bool_]
 
-    @property
+    @cached_property
     def e(self) -> Array:
         """(R,) the whitened misclosures of all poses."""
         return np.concatenate([rows.e.ravel() for rows in self.rows])
 
-    @property
+    @cached_property
     def J(self) -> Array:
         """(R, n_all) the whitened equations."""
         return np.concatenate([rows.J.reshape(-1, rows.J.shape[2]) for rows in self.rows])
+
+    @cached_property
+    def merit(self) -> float:
+        """The sum of squares; infinite where a loop has no value."""
+        with np.errstate(all="ignore"):  # steps may lead anywhere; what is not finite is refused
+            finite = np.isfinite(self.e).all() and np.isfinite(self.J).all()
+            return float(self.e @ self.e) if finite else np.inf
 
     @property
     def directions(self) -> Array:
@@ -133,75 +138,93 @@ class Replaced:
         unit: Array = np.eye(len(self.anew))[:, self.anew]
         return unit
 
+    @property
+    def measured(self) -> Array:
+        """(c, N) [SI] what is compared with computed outputs."""
+        mechanism = self.problem.mechanism
+        rows = [mechanism.tape.quantities.index(q) for q in mechanism.compared]
+        return self.problem.readings[rows]
+
+    @cached_property
+    def differences(self) -> Array:
+        """(c, N) [SI] computed minus measured outputs."""
+        return output_differences(self.problem, self.parameters, self.corrections)
+
+    def columns(self, names: Sequence[str]) -> Array:
+        """(R, m) how the whitened equations change with zeros of readings and with parameters,
+        zeros first.
+
+        A zero is what a true value exceeds its reading by; its column has the sign of those of J.
+        """
+        mechanism = self.problem.mechanism
+        order, parameters = mechanism.tape.quantities, mechanism.parameters.names
+        zeros = [order.index(name) for name in names if name in order]
+        return np.hstack(
+            [
+                self._zero_columns(zeros),
+                self.J[:, [parameters.index(name) for name in names if name not in order]],
+            ]
+        )
+
+    def _zero_columns(self, quantities: Sequence[int]) -> Array:
+        sweeper = Sweeper(self.problem)
+        by_block = []
+        for (pattern, block), rows in zip(
+            sweeper.blocks(self.parameters, self.corrections), self.rows, strict=True
+        ):
+            values = sweeper.loop_values(pattern, block)
+            unmeasured = list(block.noise.unmeasured)
+            by_reading = values.by_quantity[list(quantities)]
+            if unmeasured:
+                by_reading = eliminate(values.by_quantity[unmeasured]).apply(by_reading)
+            columns = by_reading[:, len(unmeasured) :].transpose(2, 1, 0)
+            by_block.append(np.linalg.solve(rows.root, columns).reshape(-1, len(quantities)))
+        return np.concatenate(by_block)
+
 
 def replaced(
     problem: Problem,
-    freedom: Freedom,
+    names: Sequence[str],
     *,
     variance: float | None = None,
     components: Sequence[Sequence[int]] = (),
 ) -> Replaced:
     """The machine of a problem, at its start, placed anew by the problem's poses.
 
-    Raises NoTrustworthyResult where a loop has no value. problem: of which every parameter counts
-    as estimated; variance: of every loop equation, where
-    the readings are taken as exact; components: quantities whose noise is told apart in the rows.
+    problem: of which every parameter counts as estimated; names: of what is found anew; variance:
+    of every loop equation, where the readings are taken as exact; components: quantities whose
+    noise is told apart in the rows. Raises NoTrustworthyResult where a loop has no value.
     """
-    search = _Search(problem, freedom, variance, components)
-    place, equations = search.lowest(search.begun())
-    if equations.merit > ASTRAY * len(equations.e):
-        others = [search.lowest(start, _ROUGHLY) for start in search.elsewhere(place)]
-        near = min(others, key=lambda one: one[1].merit, default=None)
-        if near is not None and (end := search.lowest(near[0]))[1].merit < equations.merit:
-            place, equations = end
-    if not np.isfinite(equations.merit):
+    search = _Search(problem, names, variance, components)
+    lowest = search.lowest(search.begun())
+    if lowest.merit > ASTRAY * len(lowest.e):
+        starts = search.elsewhere(lowest.parameters)
+        others = [search.lowest(start, _ROUGHLY) for start in starts]
+        near = min(others, key=lambda one: one.merit, default=None)
+        if near is not None and (end := search.lowest(near.parameters)).merit < lowest.merit:
+            lowest = end
+    if not np.isfinite(lowest.merit):
         raise NoTrustworthyResult(
             "the machine cannot be placed by these readings: some loop has no value wherever the "
             "search went",
             code="not-verified",
             remedy="check that the readings belong to this machine, and their columns and units",
         )
-    return equations.replaced
+    return lowest
 
 
-def zero_columns(placement: Replaced, quantities: Sequence[str]) -> Array:
-    """(R, q) how the whitened equations change with the zeros of these readings.
-
-    A zero is what a true value exceeds its reading by; columns have the sign of those of J.
-    """
-    sweeper = Sweeper(placement.problem)
-    order = placement.problem.mechanism.tape.quantities
-    by_block = []
-    for (pattern, block), rows in zip(
-        sweeper.blocks(placement.parameters, placement.corrections), placement.rows, strict=True
-    ):
-        values = sweeper.loop_values(pattern, block)
-        unmeasured = list(block.noise.unmeasured)
-        by_reading = values.by_quantity[[order.index(q) for q in quantities]]
-        if unmeasured:
-            by_reading = eliminate(values.by_quantity[unmeasured]).apply(by_reading)
-        columns = by_reading[:, len(unmeasured) :].transpose(2, 1, 0)
-        by_block.append(np.linalg.solve(rows.root, columns).reshape(-1, len(quantities)))
-    return np.concatenate(by_block)
-
-
-def _damped(A: Array, e: Array, damping: float) -> Array:
-    """The step that lowers |e - A step|, kept short by the damping (Marquardt 1963)."""
+def least_squares(A: Array, b: Array, damping: float = 0.0) -> Array:
+    """x (n, m) of the least |A x - b|, without directions that A (R, n) does not show; damping:
+    keeps it short (Marquardt 1963)."""
     scale = np.linalg.norm(A, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    # Rows below each other: A^T A would square the condition number.
-    rows = np.vstack([A / scale, np.sqrt(damping) * np.eye(A.shape[1])])
-    right = np.concatenate([e, np.zeros(A.shape[1])])
-    step: Array = np.linalg.lstsq(rows, right, rcond=DETERMINED)[0] / scale
-    return step
-
-
-@dataclass(frozen=True)
-class _Equations:
-    replaced: Replaced
-    e: Array
-    J: Array
-    merit: float
+    rows, n = A / scale, A.shape[1]
+    if damping:
+        # Rows below each other: A^T A would square the condition number.
+        rows = np.vstack([rows, np.sqrt(damping) * np.eye(n)])
+        b = np.concatenate([b, np.zeros((n, b.shape[1]))])
+    x: Array = np.linalg.lstsq(rows, b, rcond=DETERMINED)[0] / scale[:, None]
+    return x
 
 
 @dataclass(frozen=True)
@@ -209,14 +232,14 @@ class _Search:
     """The poses, what is free, and how loop equations are weighted."""
 
     problem: Problem
-    freedom: Freedom
+    names: Sequence[str]
     variance: float | None
     components: Sequence[Sequence[int]]
 
     @property
     def _free(self) -> list[int]:
         order = self.problem.mechanism.parameters.names
-        return [order.index(name) for name in self.freedom.names]
+        return [order.index(name) for name in self.names]
 
     def begun(self) -> Array:
         """Where points are best aligned; as calibrated where no points are seen, or too few."""
@@ -225,46 +248,40 @@ class _Search:
             parameters = placed(self.problem)[0].parameters
         except InputError:
             return values
-        values[free] = [parameters[name].nominal for name in self.freedom.names]
+        values[free] = [parameters[name].nominal for name in self.names]
         return values
 
-    def at(self, values: Array, near: _Equations | None = None) -> _Equations:
-        """The equations there; their merit is infinite where a loop has no value.
-
-        near: at a place nearby, from which loops are closed.
-        """
+    def at(self, values: Array, near: Replaced | None = None) -> Replaced:
+        """The machine there; near: at a place nearby, from which loops are closed."""
         problem = self.problem
         if near is not None:
-            problem = replace(problem, first_corrections=near.replaced.corrections)
+            problem = replace(problem, first_corrections=near.corrections)
         anew = np.zeros(len(values), dtype=bool)
         anew[self._free] = True
-        with np.errstate(all="ignore"):  # steps may lead anywhere; what is not finite is refused
+        with np.errstate(all="ignore"):  # steps may lead anywhere
             corrections = unmeasured_corrections(problem, values)
             rows = tuple(self.rows(values, corrections))
-            placement = Replaced(self.problem, values, corrections, rows, anew)
-            e, J = placement.e, placement.J
-            merit = float(e @ e) if np.isfinite(e).all() and np.isfinite(J).all() else np.inf
-        return _Equations(placement, e, J, merit)
+        return Replaced(self.problem, values, corrections, rows, anew)
 
-    def lowest(self, values: Array, steps: int = _STEPS) -> tuple[Array, _Equations]:
+    def lowest(self, values: Array, steps: int = _STEPS) -> Replaced:
         """The lowest place near one, or that after so many steps."""
-        equations, damping, free = self.at(values), 1e-3, self._free
+        lowest, damping, free = self.at(values), 1e-3, self._free
         for _ in range(steps):
-            if not free or not damping < _MOST_DAMPING or not np.isfinite(equations.merit):
+            if not free or not damping < _MOST_DAMPING or not np.isfinite(lowest.merit):
                 break
-            A = equations.J[:, free]
-            step = _damped(A, equations.e, damping)
-            promised = equations.merit - float(np.square(equations.e - A @ step).sum())
-            if promised <= _SETTLED * equations.merit:
+            A = lowest.J[:, free]
+            step = least_squares(A, lowest.e[:, None], damping)[:, 0]
+            promised = lowest.merit - float(np.square(lowest.e - A @ step).sum())
+            if promised <= _SETTLED * lowest.merit:
                 break
-            trial = values.copy()
+            trial = lowest.parameters.copy()
             trial[free] += step
-            tried = self.at(trial, equations)
-            if tried.merit < equations.merit:
-                values, equations, damping = trial, tried, 0.1 * damping
+            tried = self.at(trial, lowest)
+            if tried.merit < lowest.merit:
+                lowest, damping = tried, 0.1 * damping
             else:
                 damping *= 10.0
-        return values, equations
+        return lowest
 
     def elsewhere(self, place: Array) -> Iterator[Array]:
         """Other starts, for points such as anchors that no aligned points say anything of."""

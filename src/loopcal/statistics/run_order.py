@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+# Chosen, not derived: more cosines describe more, and take up real steps.
 DESCRIBED = 0.99
 """The share of the variance of every joint that its description leaves nothing of to see."""
+# Chosen, not derived: with more cosines any order of poses looks like a path.
 MOST = 3
 """So many poses for each cosine at least: as many cosines as poses describe any order."""
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.chi_squared import tail
 from loopcal.errors import InputError
+from loopcal.estimation.noise.estimation import judged
 from loopcal.estimation.noise.linear_model import LinearModel, linear_model
-from loopcal.estimation.noise.variance_bounds import upper_bound, without_component
 from loopcal.estimation.noise.variance_components import (
     ALIKE,
+    Component,
     Estimate,
     estimate_ratios,
 )
@@ -31,11 +31,10 @@ from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_UNCERTAIN = 0.5
-"""Relative sd of an sd from which on an upper bound says more."""
 # Places on one line leave the turn about it open.
 _SPREAD = 0.05
 """Places of which one direction spreads less than this beside another show no rotation."""
+# Chosen, not derived: drawings and placements are right to centimetres.
 _ELSEWHERE = 0.1
 """A machine that misses by more [m] has its directions wrong."""
 
@@ -119,8 +118,8 @@ def separate(
     lengths = [len(one) for one in whole]
     offsets = _with_offsets(model, np.repeat(np.arange(len(whole)), lengths), len(whole))
     estimate = estimate_ratios(offsets)
-    judged = tuple(_judged(offsets, estimate, i, group) for i, group in enumerate(groups))
-    return Separation(judged, _correlation(estimate), sum(lengths), miss)
+    separated = tuple(_judged(offsets, estimate, i, group) for i, group in enumerate(groups))
+    return Separation(separated, _correlation(estimate), sum(lengths), miss)
 
 
 def _placed(
@@ -217,20 +216,15 @@ def _with_offsets(model: LinearModel, owner: NDArray[np.intp], count: int) -> Li
 
 
 def _judged(model: LinearModel, estimate: Estimate, which: int, group: SeparatedSd) -> SeparatedSd:
-    ratio = math.sqrt(float(estimate.ratios[which]))
-    sd_of_ratio = estimate.sd_of_root(which)
-    unsure = sd_of_ratio is None or sd_of_ratio > _UNCERTAIN * ratio
-    bound = upper_bound(model, estimate, which) if unsure else None
-    # One group alone cannot be left out: nothing would remain to explain the scatter.
-    without = None if len(estimate.ratios) == 1 else without_component(model, estimate, which)
-    rise = None if without is None else max(without - estimate.criterion, 0.0)
+    """The group with what the model says of its sd, of which `raw` is the stated one."""
+    learnt = judged(model, estimate, which, Component(group.name, ()), unsure=False)
+    sd, bound = learnt.sd_of_ratio, learnt.upper_ratio
     return replace(
         group,
-        sd=ratio * group.raw,
-        sd_of_sd=None if sd_of_ratio is None else sd_of_ratio * group.raw,
-        upper=None if bound is None else math.sqrt(bound) * group.raw,
-        # at the boundary the rise is zero in half of all cases (Self and Liang 1987)
-        p_value=None if rise is None else 0.5 * tail(rise, 1) if rise > 0.0 else 1.0,
+        sd=learnt.ratio * group.raw,
+        sd_of_sd=None if sd is None else sd * group.raw,
+        upper=None if bound is None else bound * group.raw,
+        p_value=learnt.p_value,
     )
 
 

@@ -1,7 +1,8 @@
 """What speaks for and against a result: facts of a calibration's document.
 
-Each function states a fact where there is one to state; `SOUND` lists them all. The catalogue says
-what each amounts to, and docs/explanation/verdict.md describes every code.
+Each function states a fact where there is one to state; `SOUND` lists them all, but for those of
+the readings (`judged_readings`). The catalogue says what each amounts to, and
+docs/explanation/verdict.md describes every code.
 """
 
 from __future__ import annotations
@@ -11,30 +12,23 @@ from collections.abc import Callable, Sequence
 
 from loopcal.document.accuracy import Coverage
 from loopcal.document.change_points import ChangePoint, hold, when
-from loopcal.document.judgement import Fact, Figure, Where, fact
+from loopcal.document.choice import DECISIVE, TermEntry
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.terms import DECISIVE, TermEntry
+from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.presentation.shown import percent
 from loopcal.statistics.judged_machine import far_from_nominal, off_the_drawing, prior_tension
 from loopcal.statistics.judged_readings import (
     LOOSE,
     RARE,
-    coarse,
     errors_beyond_sds,
     order_or_model,
-    rows_copied,
     sds_overruled,
     size_unsure,
     suspects,
     undetected,
 )
 
-_CHANCE = 0.01
-"""Share of good data sets with a pose so far off; the search for outliers names more."""
-# Record 0054; `analyses.residual_outliers` counts the good poses that are named.
-_UNLIKE = 1.5
-"""Where residuals are the scale, a good pose may have so many times the usual variance: errors of
-joints act through lever arms of unlike length. The log of a p-value falls in proportion."""
+# Chosen, not derived: less is within what single regions differ by.
 WORSE = 1.5
 """Rms on poses not used over rms on poses used that is called too large."""
 # Record 0054; `analyses.small_changes` counts what the regions then hold.
@@ -43,19 +37,14 @@ SMALL = 0.5
 # Half an sd beside one in quadrature: 0.25 / (1 + 0.25) = 0.2.
 LEAST_SHARE = 0.2
 """The share of the variance that adds half an sd to errors, as in SMALL."""
+# Chosen, not derived: what fits a line.
 _NAMED = 3
 """Change points that a finding names."""
+# Chosen, not derived: what fits a line.
 _MODELLED = 2
 """Learnt effects that a result names."""
 _GEOMETRY = ("lengths", "angles")
 """Terms that give a plain model nothing but priors."""
-
-
-def _column_faults(document: ResultDocument) -> Fact | None:
-    faults = document.column_faults or ()
-    words = "; ".join(fault.words for fault in faults)
-    place = Where(readings=tuple(dict.fromkeys(q for fault in faults for q in fault.quantities)))
-    return fact("column-fault", place, faults=words) if faults else None
 
 
 def _not_converged(document: ResultDocument) -> Fact | None:
@@ -223,57 +212,6 @@ def _overfitted(document: ResultDocument) -> Fact | None:
     return fact("overfitted", numbers={"ratio": unseen.rms / accuracy.after.rms})
 
 
-def _outliers(document: ResultDocument) -> Fact | None:
-    """As in `find_outliers`, half of the level goes to the poses and half to their readings."""
-    tests = document.outlier_tests
-    poses = 0 if tests is None else tests.poses
-    # Bonferroni, over the poses and over all their readings.
-    whole = 0.5 * _CHANCE / poses if poses else 1.0
-    single = whole / max(len(document.data.quantities), 1) if poses else 1.0
-    spare = math.inf
-    if tests is not None and tests.by_residuals:
-        whole, single = whole**_UNLIKE, single**_UNLIKE
-        spare = _spare(document)
-    named = [
-        entry.pose
-        for entry in document.outliers or ()
-        if _by_few(entry.p_value, spare) <= (whole if entry.quantity is None else single)
-    ]
-    bad = tuple(dict.fromkeys(named))
-    if not bad or (tests is not None and tests.by_residuals and _too_few(document, len(bad))):
-        return None
-    return fact(
-        "outliers",
-        Where(poses=bad),
-        {"poses": len(bad)},
-        named=", ".join(bad[:5]) + (", ..." if len(bad) > 5 else ""),
-        count=f"{len(bad)} poses do" if len(bad) > 1 else "1 pose does",
-    )
-
-
-def _too_few(document: ResultDocument, bad: int) -> bool:
-    """Whether the poses without the bad ones are too few to tell: any few can be fitted exactly."""
-    tested = 0 if document.outlier_tests is None else document.outlier_tests.poses
-    return 2 * tested < document.data.used or 2 * bad > tested
-
-
-def _spare(document: ResultDocument) -> float:
-    """Degrees of freedom that the residuals have as a scale; inf: unknown."""
-    index, chi = document.identifiability.calibration_index, document.chi_squared
-    if chi is not None:
-        return max(float(chi.degrees_of_freedom), 1.0)
-    left = math.inf if index is None else index.value - document.identifiability.rank
-    return max(left, 1.0)
-
-
-def _by_few(p: float, spare: float) -> float:
-    """The p-value of what has p beside a known scale, where the scale has so many degrees of
-    freedom: exp(-x / 2) becomes (1 + x / nu)^(-(nu + 1) / 2), as from the normal to Student's t."""
-    if math.isinf(spare) or p <= 0.0:
-        return p
-    return math.exp(-0.5 * (spare + 1.0) * math.log1p(-2.0 * math.log(p) / spare))
-
-
 def _mounting(document: ResultDocument) -> Fact | None:
     unstated = () if document.mechanism is None else document.mechanism.unstated
     if not unstated:
@@ -315,7 +253,6 @@ def _effects_learnt(document: ResultDocument) -> Fact | None:
 
 
 SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
-    _column_faults,
     _not_converged,
     far_from_nominal,
     prior_tension,
@@ -332,10 +269,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _model_error,
     off_the_drawing,
     sds_overruled,
-    _outliers,
-    rows_copied,
     size_unsure,
-    coarse,
     _unsettled,
     undetected,
     _mounting,
@@ -345,4 +279,4 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _effects_learnt,
     errors_beyond_sds,
 )
-"""Whether a result is sound follows from these facts."""
+"""Whether a result is sound follows from these facts, and from those of its readings."""

@@ -27,14 +27,14 @@ from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.leaving_out import leaving_out
 from loopcal.estimation.prediction import output_differences
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Weighting
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import process_cores
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
-from loopcal.statistics.blocks import blocks_of
+from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.case import Case, of_poses, taken
 from loopcal.statistics.folds import (
@@ -42,21 +42,20 @@ from loopcal.statistics.folds import (
     Parts,
     Scheme,
     SchemeOptions,
+    blocks_of,
     grouped,
     parts_of,
     stated_sds,
 )
-from loopcal.statistics.innovation import Linearised, components_of
-from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive
-from loopcal.statistics.replacing import Freedom, replaced
-from loopcal.statistics.same_run import Run
-from loopcal.statistics.verification import day_problem
+from loopcal.statistics.predictive import LEVEL, Held, Predictive, Run, held_problem, predictive
+from loopcal.statistics.replacing import freed
 
 Array = NDArray[np.float64]
 # Record 0061.
 NEARLY = 1e-2
 """Where sds of terms are learnt, or weights are found in rounds, refits converge to so many sds: no
 prediction moves by more than a hundredth of its error."""
+# Chosen, not derived: far below what a prediction shows.
 ENOUGH = 1e-5
 """Elsewhere: no prediction moves by more than a hundred-thousandth of its error."""
 
@@ -178,8 +177,7 @@ def planned(case: Case, scheme: Scheme) -> Plan:
     groups = grouped(case.mechanism, case.data, scheme.groups, sds)
     blocked = blocks_of(scheme, case.mechanism, case.data, groups) if scheme.blocks else None
     parts = parts_of(scheme, case.data, groups)
-    freedom = Freedom.of(case.mechanism) if scheme.place_anew else Freedom(())
-    if freedom.names:
+    if scheme.place_anew and freed(case.mechanism):
         placed = "the instrument is placed by the readings of the group"
         parts = replace(parts, words=f"{parts.words}; {placed}")
     return Plan(parts, blocked, groups, scheme.place_anew)
@@ -396,18 +394,10 @@ def _placed_anew(fit: Result, data: Dataset, noise: Noise | None, index: Index) 
     """
     calibrated = Calibrated.of(fit, "").stationed
     stated_noise = None if noise is None or noise.estimate else noise
-    problem = day_problem(calibrated, data, stated_noise)
-    variance = None if calibrated.residual is None else calibrated.residual.value
-    components = components_of(calibrated, calibrated.mechanism.tape.quantities)
-    freedom = Freedom.of(calibrated.mechanism)
-    placement = replaced(problem, freedom, variance=variance, components=components)
-    linear = Linearised.of(placement, calibrated)
-    seen = linear.by_pose(placement)
-    denominator = np.full(len(index), linear.noise)
-    stated = Predictive(None, seen.squares, seen.loops, denominator)
-    rows = [calibrated.mechanism.tape.quantities.index(q) for q in calibrated.mechanism.compared]
-    differences = output_differences(problem, placement.parameters, placement.corrections)
-    return Predicted(index, problem.readings[rows], differences, regions=stated)
+    linear = Day.of(calibrated, data, stated_noise).linearised()
+    placement, seen = linear.placement, linear.by_pose()
+    stated = Predictive(None, seen.squares, seen.loops, np.full(len(index), linear.noise))
+    return Predicted(index, placement.measured, placement.differences, regions=stated)
 
 
 def _pooled(

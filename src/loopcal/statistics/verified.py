@@ -8,17 +8,23 @@ from typing import Any
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.catalogue import findings
-from loopcal.document.judgement import Fact, Figure, Finding, Question, Where, fact
-from loopcal.document.tables import distances_shown
-from loopcal.document.verdict import Answer, answer_lines
+from loopcal.document.tables import machine_table
+from loopcal.document.verdict import (
+    Answer,
+    Fact,
+    Figure,
+    Finding,
+    Question,
+    Where,
+    answer_lines,
+    fact,
+)
 from loopcal.lazy import cached_property
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import by_sd, chance, size, unit_shown
-from loopcal.presentation.text_table import columns
+from loopcal.presentation.shown import Table, by_sd, chance, significant, size, unit_shown
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Innovation
-from loopcal.statistics.tolerance import Quantile, kept
+from loopcal.statistics.verdict import Quantile, kept
 
 _QUESTIONS: tuple[Question, ...] = ("consistent", "better", "tolerance")
 
@@ -167,41 +173,38 @@ class Verification:
         lines = [self.headline, *answer_lines(self.verdict)]
         if self.changes is not None:
             lines += ["", *self.changes.lines()]
-        lines += ["", *self._accuracy_table()]
-        if self.placed:
-            lines += ["", *self._placed_table()]
-        lines += ["", *self._worst_table()]
+        accuracy, placed, worst = self.tables
+        unknown = ["accuracy unknown: too few of these poses have measured outputs"]
+        lines += ["", *(accuracy.lines() if accuracy.rows else unknown)]
+        if placed.rows:
+            lines += ["", *placed.lines()]
+        lines += ["", *worst.lines()]
         return "\n".join(lines)
 
-    def _accuracy_table(self) -> list[str]:
-        shown = unit_shown(self.unit)
-        rows = [["accuracy", f"mean [{shown}]", "rms", "95 %", "max"]]
+    @property
+    def tables(self) -> tuple[Table, Table, Table]:
+        """Accuracy, what was placed anew, and the worst poses."""
+        unit = self.unit
         accuracies = {
             "nominal": self.nominal,
             "calibrated": self.calibrated,
             "expected": self.expected,
         }
-        rows += [
-            [n, *distances_shown(d, self.unit)] for n, d in accuracies.items() if d is not None
-        ]
-        return (
-            columns(rows)
-            if len(rows) > 1
-            else ["accuracy unknown: too few of these poses have measured outputs"]
+        placed = tuple(
+            (
+                one.name,
+                by_sd(one.value, one.sd, one.unit),
+                "unknown" if one.sd is None else size(one.sd, one.unit, 2),
+                unit_shown(one.unit),
+            )
+            for one in self.placed
         )
-
-    def _placed_table(self) -> list[str]:
-        rows = [["placed anew", "value", "sd", "unit"]]
-        for one in self.placed:
-            sd = "unknown" if one.sd is None else size(one.sd, one.unit, 2)
-            value = by_sd(one.value, one.sd, one.unit)
-            rows.append([one.name, value, sd, unit_shown(one.unit)])
-        return columns(rows)
-
-    def _worst_table(self) -> list[str]:
-        rows = [["worst poses", f"distance [{unit_shown(self.unit)}]", "chi-squared"]]
-        rows += [
-            [one.pose, size(one.distance, self.unit), significant(one.chi_squared, 3)]
+        worst = tuple(
+            (one.pose, size(one.distance, unit), significant(one.chi_squared, 3))
             for one in self.worst
-        ]
-        return columns(rows)
+        )
+        return (
+            machine_table("Accuracy", unit, accuracies),
+            Table("Placed anew", ("parameter", "value", "sd", "unit"), placed),
+            Table("Worst poses", ("pose", f"distance [{unit_shown(unit)}]", "chi-squared"), worst),
+        )

@@ -75,7 +75,7 @@ def paired(
     return Paired(methods, draws, tuple(advantages))
 
 
-def binomial_interval(wins: float, draws: int, level: float = LEVEL) -> tuple[float, float]:
+def binomial_interval(wins: float, draws: int) -> tuple[float, float]:
     """The exact interval of the probability of a win (Clopper-Pearson).
 
     >>> [round(end, 3) for end in binomial_interval(970, 1000)]
@@ -83,7 +83,7 @@ def binomial_interval(wins: float, draws: int, level: float = LEVEL) -> tuple[fl
     """
     from scipy.special import betaincinv
 
-    tail = (1.0 - level) / 2.0
+    tail = (1.0 - LEVEL) / 2.0
     low = betaincinv(wins, draws - wins + 1.0, tail) if wins > 0 else 0.0
     high = betaincinv(wins + 1.0, draws - wins, 1.0 - tail) if wins < draws else 1.0
     return float(low), float(high)

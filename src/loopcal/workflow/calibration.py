@@ -25,10 +25,11 @@ from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import ParquetStream, project_stream
 from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.files.result import result_file
-from loopcal.files.result.residual_parts import NAME as RESIDUALS
+from loopcal.files.result.pose_table import NAME as RESIDUALS
 from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.verdict import refuses
+from loopcal.workflow.keeping import Keeper
 from loopcal.workflow.projects import named_project, stored_files
 from loopcal.workflow.result import Result, save_result
 
@@ -59,8 +60,8 @@ class Request:
     require: questions of the verdict that must be answered with yes, beside "sound"; folds: of a
     validation, instead of the project's; profile: parameters that get a profile interval, beside
     those of the project; compare: whether the project's models are compared, and the result is
-    that of the one recommended; report: whether report.html is written as well; history: folder to
-    which the result is added.
+    that of the one recommended; report: whether report.html is written as well; keeper: keeps the
+    result too.
     """
 
     method: str | None = None
@@ -71,7 +72,7 @@ class Request:
     profile: Sequence[str] = ()
     compare: bool = False
     report: bool = False
-    history: str | Path | None = None
+    keeper: Keeper | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,10 +243,8 @@ class _Run:
         # Cached properties: their refusals come now, not after an hour of fitting.
         _ = self.truth, self.fit
         refuse_foreign(*(self.folder / name for name in (*result_file.NAMES, "report.html")))
-        if self.request.history is not None:
-            from loopcal.files.history.folder import refuse_no_history
-
-            refuse_no_history(self.request.history)
+        if self.request.keeper is not None:
+            self.request.keeper.refuse()
         if self.executor and self.listeners.sharing:
             self.listeners.sharing(self.executor)
 
@@ -323,7 +322,7 @@ class _Run:
         return Result.of(
             fitted,
             title=self.project.title,
-            inputs=result_file.finite_only(self.project.inputs),
+            inputs=dict(self.project.inputs),
             about_readings=tuple(str(warning) for warning in warnings),
             errors=errors,
             tolerance=self.project.verdict.tolerance,
@@ -334,7 +333,7 @@ class _Run:
     def _written(self, result: Result) -> Calibration:
         """The result and its files."""
         request = self.request
-        written = save_result(result, self.folder, report=request.report, history=request.history)
+        written = save_result(result, self.folder, report=request.report, keeper=request.keeper)
         return Calibration(result, written, self._objection(written.document))
 
     def _objection(self, document: ResultDocument) -> str | None:

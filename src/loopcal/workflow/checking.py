@@ -14,7 +14,6 @@ from loopcal.files.project.stream import load_sample
 from loopcal.files.tables.writer import check_ending, table_bytes
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
-from loopcal.planning.cure import Cure, cure
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.prediction import Prediction, predict
 from loopcal.workflow.projects import named_project, project_files
@@ -25,14 +24,15 @@ from loopcal.workflow.saved_result import read_result
 class Checked:
     """A project that was looked at before any fit; warnings: about its readings.
 
-    cure: the poses that would raise a verdict that is not good; None where it is, or where nothing
-    says where poses may be.
+    data, noise: the readings of it that were looked at, and their sds, None where they are not
+    needed.
     """
 
     check: Check
-    title: str
+    project: Project
+    data: Dataset
+    noise: Noise | None
     warnings: tuple[str, ...]
-    cure: Cure | None = None
 
 
 def run_check(project: str | Path, *, function: str | None = None) -> Checked:
@@ -54,16 +54,7 @@ def run_check(project: str | Path, *, function: str | None = None) -> Checked:
         raise error.at(read.name) from None
     done = replace(done, files=project_files(read, function))
     warnings = tuple(str(warning) for warning in loaded.warnings)
-    return Checked(done, read.title, warnings, _cure(done, read, loaded.dataset, noise))
-
-
-def _cure(done: Check, project: Project, data: Dataset, noise: Noise | None) -> Cure | None:
-    if done.verdict == "good" or noise is None:
-        return None
-    try:
-        return cure(project.mechanism, data, noise, project.plan)
-    except InputError:
-        return None  # nothing says where poses may be
+    return Checked(done, read, loaded.dataset, noise, warnings)
 
 
 def run_prediction(

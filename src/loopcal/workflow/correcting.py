@@ -19,12 +19,10 @@ from loopcal.deployment.corrected import (
     Targets,
     corrected,
 )
-from loopcal.deployment.correction import Correction, Left
+from loopcal.deployment.correction import Correction, StraightMove, divided, line_errors
 from loopcal.deployment.inverse import solve
-from loopcal.deployment.rigid import inverse
+from loopcal.deployment.rigid import CALIBRATED, Tool, tool_of
 from loopcal.deployment.solutions import solutions, with_turns
-from loopcal.deployment.straight import StraightMove, divided, line_errors
-from loopcal.deployment.tool import CALIBRATED, Tool, tool_of
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
@@ -43,6 +41,7 @@ from loopcal.files.project.new_readings import result_columns, result_pose_colum
 from loopcal.files.recognition.robots import dh_robot
 from loopcal.files.result.deployed import CORRECTION, note_deployed, result_path, was_corrected
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.placement import inverse
 from loopcal.statistics.predictor import Predictor
 from loopcal.workflow.readings import readings
 from loopcal.workflow.resolved import result_of
@@ -110,12 +109,7 @@ def correct(
     placed = np.eye(4) if frame is None else pose_of_turns([*frame, 0.0, 0.0, 0.0][:6])
     wanted = _wanted(arms, program, placed, frame is not None)
     corrections = corrected(arms, calibrated, wanted, bounds, at)
-    # T_frame_target = T_base_frame^-1 T_base_target: programs state poses in their frame.
-    new = {
-        i: program.write(target, corrections.joints[i], inverse(placed) @ corrections.poses[i])
-        for i, target in enumerate(program.targets)
-        if corrections.refused[i] is None
-    }
+    # The correction may carry a joint across the border of a quadrant or turn.
     changed = tuple(
         Refusal("configuration-changed", "the corrected joints are in another configuration")
         if refusal is None and not program.fits(target, q)
@@ -124,9 +118,13 @@ def correct(
             program.targets, corrections.joints, corrections.refused, strict=True
         )
     )
-    # The correction may carry a joint across the border of a quadrant or turn.
-    new = {i: texts for i, texts in new.items() if changed[i] is None}
     corrections = replace(corrections, refused=changed)
+    # T_frame_target = T_base_frame^-1 T_base_target: programs state poses in their frame.
+    new = {
+        i: program.write(target, corrections.joints[i], inverse(placed) @ corrections.poses[i])
+        for i, target in enumerate(program.targets)
+        if changed[i] is None
+    }
     moves, ahead = _straight(arms, program, corrections, bounds.line), dict[int, list[list[str]]]()
     for index, move in moves.items():
         if len(move.inserted):
@@ -141,7 +139,7 @@ def correct(
         program.name,
         program.kind,
         tuple(target.line for target in program.targets),
-        tuple(Left(note.line, note.words) for note in program.noted),
+        program.noted,
         _remarks(seated, arms),
         program.edited(new, [*inserted(program, ahead), *mark]),
         moves=tuple(moves.values()),

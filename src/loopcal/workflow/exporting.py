@@ -12,9 +12,14 @@ from loopcal.deployment.exporting import exported
 from loopcal.document.exported import Exported, accuracy_lines
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError, listed, nearest
-from loopcal.files.exports.format import ExportFiles, ExportOptions, Format
+from loopcal.files.exports.format import (
+    ExportFiles,
+    ExportOptions,
+    Format,
+    PlacedFiles,
+    place_files,
+)
 from loopcal.files.exports.geometry_json import accuracy
-from loopcal.files.exports.placing import PlacedFiles, place_files
 from loopcal.files.exports.registry import EXPORTS, format_named
 from loopcal.files.exports.tables import ORIENTATIONS
 from loopcal.files.machines.mechanism_writer import source_file

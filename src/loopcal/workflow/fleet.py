@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from loopcal.errors import InputError, UsageError
-from loopcal.estimation.inherited import UPDATED
+from loopcal.estimation.result import UPDATED
 from loopcal.files.atomic import Data, write_all
-from loopcal.files.project.start_writer import Start, start_to_toml
 from loopcal.files.result.deployed import FLEET, note_deployed, result_path
+from loopcal.files.toml.writer import document
 from loopcal.life.fleet import Fleet, learn
 from loopcal.life.measured_machine import MeasuredMachine
 from loopcal.statistics.calibrated import Calibrated
@@ -40,13 +40,16 @@ def run_fleet(
     """
     comparison = learn([_measured(read_result(path, mechanism=function), "") for path in results])
     # prior_sd is of one more machine: that of the spread is in it (docs/decisions/0084).
-    starts = {p.name: Start(p.mean, p.prior_sd, p.unit) for p in comparison.parameters}
+    starts = {
+        "parameters": {p.name: {"value": p.mean, "unit": p.unit} for p in comparison.parameters},
+        "prior": {p.name: {"sd": p.prior_sd, "unit": p.unit} for p in comparison.parameters},
+    }
     remarks = (
         f"Where the next machine of this type begins: {comparison.machine}.",
         f"Learnt from {len(comparison.machines)} machines. Put this into its project file.",
         "value: mean of the machines; sd: of one more machine, lengths in m, angles in rad.",
     )
-    written: dict[Path, Data] = {Path(out): start_to_toml(remarks, starts)}
+    written: dict[Path, Data] = {Path(out): document(starts, remarks)}
     if report:
         from loopcal.report.life_pages import fleet_html
 

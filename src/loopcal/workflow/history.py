@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from loopcal.document.judgement import Finding
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.verdict import Finding
 from loopcal.errors import InputError
+from loopcal.files.atomic import Data
 from loopcal.files.history.folder import append_entries, read_entries, refuse_no_history
 from loopcal.files.result.deployed import HISTORY, note_deployed, result_path
 from loopcal.life.history import History, verification_words
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.verified import Verification
+from loopcal.workflow.keeping import Writer
 from loopcal.workflow.saved_result import read_result
 
 _ELSEWHERE = ("placement", "effect", "model error")
@@ -28,6 +31,44 @@ class HistoryDone:
     page: Path
 
 
+@dataclass(frozen=True)
+class HistoryKeeper:
+    """Keeps calibrations and verifications as entries of the history in this folder."""
+
+    folder: str | Path
+
+    def refuse(self) -> None:
+        """Raise InputError, before any work, where the path is no folder."""
+        refuse_no_history(self.folder)
+
+    def of_calibration(self, document: ResultDocument, mechanism: Mechanism, path: Path) -> Writer:
+        """Writes the files of a calibration with its entry; path: of its result.json."""
+        return self._writer("calibration", calibration_entry(document, mechanism, path))
+
+    def of_verification(
+        self, verification: Verification, result: str | Path, readings: str | Path
+    ) -> Writer:
+        """Writes the files of a verification with its entry."""
+        return self._writer("verification", verification_entry(verification, result, readings))
+
+    def note(self, result: str | Path) -> None:
+        """Keep the history beside a result in it too, for its report."""
+        note_history(history(self.folder), result)
+
+    def _writer(self, kind: str, content: Mapping[str, Any]) -> Writer:
+        return partial(_write_with, self.folder, (kind, content))
+
+
+def _write_with(
+    folder: str | Path,
+    entry: tuple[str, Mapping[str, Any]],
+    files: Mapping[Path, Data],
+    *,
+    remove: Iterable[Path] = (),
+) -> None:
+    append_entries(folder, [entry], lambda _: files, remove=remove)
+
+
 def run_history(
     folder: str | Path,
     *,
@@ -39,7 +80,7 @@ def run_history(
 
     Raises InputError for what cannot be read or written; nothing was added then.
     """
-    from loopcal.report.history_page import history_html
+    from loopcal.report.life_pages import history_html
 
     refuse_no_history(folder)
     page = Path(f"{str(folder).rstrip('/')}.html") if out is None else Path(out)

@@ -15,7 +15,7 @@ from loopcal.pose_performance.instrument import Figures, MeasuringErrors, tracke
 from loopcal.pose_performance.performance import pose_performance
 
 if TYPE_CHECKING:
-    from loopcal.pose_performance.result import Performance
+    from loopcal.pose_performance.summary import Performance
 
 
 def performance(

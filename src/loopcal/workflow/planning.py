@@ -13,8 +13,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_all
 from loopcal.files.json_writer import marked, marked_json
-from loopcal.files.outputs import refuse_foreign
-from loopcal.files.paths import expanded
+from loopcal.files.outputs import expanded, refuse_foreign
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables
@@ -32,7 +31,7 @@ from loopcal.report.plan_page import plan_html
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.workflow.plan_program import program_writer
 from loopcal.workflow.projects import named_project
-from loopcal.workflow.saved_result import SavedResult, read_result
+from loopcal.workflow.resolved import result_of
 
 POSES, DOCUMENT, PAGE = "plan.csv", "plan.json", "plan.html"
 
@@ -118,7 +117,9 @@ def run_plan(
         )
     except InputError as error:
         raise error.at(read.name) from None
-    files: dict[str, str | bytes] = dict(_tables(made, read, folder))
+    # In the columns of the project, with the use of each pose.
+    tables = readings_tables(made.poses, read.data, {}, folder / POSES, {"use": made.use})
+    files: dict[str, str | bytes] = {**tables}
     document = marked({"title": read.title, **made.document()}, files)
     files[DOCUMENT] = marked_json(document)
     if request.report:
@@ -191,11 +192,11 @@ def of_calibration(result: Any) -> PlanningBasis:
 
 
 def _calibrated(result: Any) -> Calibrated:
-    if isinstance(result, Calibrated):
-        return result
+    result = result_of(result)
     if isinstance(result, Result):
         return Calibrated.of(result, "the result")
-    return (result if isinstance(result, SavedResult) else read_result(result)).calibrated
+    calibrated: Calibrated = result.calibrated
+    return calibrated
 
 
 def candidates_of(project: Project, path: str | Path | None) -> Dataset | None:
@@ -206,8 +207,3 @@ def candidates_of(project: Project, path: str | Path | None) -> Dataset | None:
     if poses is not None:
         return poses
     return read_new_readings(path, project.inputs, project.mechanism)
-
-
-def _tables(made: Plan, project: Project, folder: Path) -> Mapping[str, bytes]:
-    """plan.csv in the columns of the project, with the use of each pose."""
-    return readings_tables(made.poses, project.data, {}, folder / POSES, {"use": made.use})

@@ -10,7 +10,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.result import Result
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_poses import poses_of_result
-from loopcal.files.tables.readers import column_labels, read_dataset
+from loopcal.files.tables.readers import column_labels, read_dataset, read_once
 from loopcal.measurements.checks import refuse_implausible
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.tables import column_names
@@ -38,7 +38,8 @@ def readings(data: Any, mechanism: Mechanism, units: Units = None) -> Dataset:
         return data
     units_of = {**mechanism.quantities, **mechanism.pose_constants}
     from_file = isinstance(data, str | Path)
-    names = column_labels(data) if from_file else column_names(data)
+    source = read_once(data) if from_file else data
+    names = column_labels(source) if from_file else column_names(data)
     stated_units = {
         name: unit for key, unit in (units or {}).items() for name in matching(key, names, "column")
     }
@@ -46,7 +47,7 @@ def readings(data: Any, mechanism: Mechanism, units: Units = None) -> Dataset:
     pose = POSE if POSE in names and POSE not in units_of else None
     if from_file:
         named = {q: q for q in units_of if q in names} or None
-        dataset = read_dataset(data, named, pose=pose, units=stated_units)
+        dataset = read_dataset(source, named, pose=pose, units=stated_units)
     else:
         dataset = Dataset.from_arrays(data, units=stated_units, poses=pose)
     # A stated unit is believed; SI is only assumed.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from loopcal.document.plain import finite_only
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.estimation import result as estimation
 from loopcal.estimation.fit_document import fit_document
@@ -20,6 +21,7 @@ from loopcal.statistics.calibration_document import calibration_document, with_f
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.predictor import Predictor, predictor, without_outputs
 from loopcal.statistics.verdict import judged
+from loopcal.workflow.keeping import Keeper
 from loopcal.workflow.views import Views
 
 if TYPE_CHECKING:
@@ -123,9 +125,9 @@ def save_result(
     inputs: Mapping[str, Any] | None = None,
     warnings: tuple[str, ...] = (),
     report: bool = False,
-    history: str | Path | None = None,
+    keeper: Keeper | None = None,
 ) -> WrittenResult:
-    """`write_result` within a command; history: folder to which the result is added with it."""
+    """`write_result` within a command; keeper: keeps the result with its files."""
     result = Result.of(result)
     document = result.document
     if result.parts.files is None:
@@ -137,24 +139,18 @@ def save_result(
         loopcal=versions["loopcal"],
         title=document.title if title is None else title,
         warnings=(*warnings, *document.warnings),
-        inputs=document.inputs if inputs is None else result_file.finite_only(inputs),
+        inputs=document.inputs if inputs is None else finite_only(inputs),
         versions=versions,
     )
     page = None
     if report:
         from loopcal.report.page import page_of
+        from loopcal.workflow.report_sections import sections
 
-        page = page_of(result, folder)
-    entry = None
-    if history is not None:
-        from loopcal.workflow.history import calibration_entry
-
-        path = Path(folder) / "result.json"
-        entry = history, calibration_entry(document, result.calibrated, path)
-    written = result_file.write_result(result, document, folder, report=page, entry=entry)
-    if history is not None:
-        from loopcal.workflow.history import history as read_history
-        from loopcal.workflow.history import note_history
-
-        note_history(read_history(history), written.folder)
+        page = page_of(result, folder, sections)
+    if keeper is None:
+        return result_file.write_result(result, document, folder, report=page)
+    write = keeper.of_calibration(document, result.calibrated, Path(folder) / "result.json")
+    written = result_file.write_result(result, document, folder, report=page, write=write)
+    keeper.note(written.folder)
     return written

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.fit import ChiSquared
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.errors import InputError
 from loopcal.files.machines.python_function import Loops, load_function
 from loopcal.files.result.result_file import read_result as read_document
-from loopcal.files.result.result_folder import read_result_mechanism
+from loopcal.files.result.result_file import read_result_mechanism
 from loopcal.files.result.result_poses import read_result_poses
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset

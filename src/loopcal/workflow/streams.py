@@ -16,8 +16,8 @@ from loopcal.estimation.stream.last_pass import Parts
 from loopcal.execution.executor import Executor
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import ParquetStream
+from loopcal.files.result.pose_table import ResidualParts, residual_part
 from loopcal.files.result.progress_file import ProgressFile
-from loopcal.files.result.residual_parts import ResidualParts, residual_part
 from loopcal.files.versions import versions
 
 DROPPED = (

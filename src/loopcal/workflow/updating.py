@@ -10,15 +10,16 @@ from typing import Any
 
 from loopcal.document.result_document import WrittenResult
 from loopcal.errors import InputError, UsageError
-from loopcal.files.history.folder import is_history, refuse_no_history
+from loopcal.files.history.folder import is_history
 from loopcal.files.outputs import refuse_foreign
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_file import NAMES
 from loopcal.files.result.result_poses import poses_of_result
 from loopcal.life.updating import Since, updated
-from loopcal.statistics.replacing import Freedom, mounted
+from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verdict import refuses
 from loopcal.units import difference_to_si
+from loopcal.workflow.history import HistoryKeeper
 from loopcal.workflow.history import history as read_history
 from loopcal.workflow.result import Result, save_result
 from loopcal.workflow.saved_result import read_result
@@ -68,8 +69,9 @@ def run_update(
     rest as in `update`.
     Raises InputError for what cannot be used.
     """
-    if history is not None:
-        refuse_no_history(history)
+    keeper = None if history is None else HistoryKeeper(history)
+    if keeper is not None:
+        keeper.refuse()
     usual = {} if drift or history is None else _usual(history)
     read = read_result(result, mechanism=function)
     folder = read.path.parent
@@ -85,7 +87,7 @@ def run_update(
         )
     refuse_foreign(*(target / name for name in (*NAMES, "report.html")))
     anew = (*mounted(read.mechanism, mounting.remounted), *mounting.anew)
-    Freedom.of(read.mechanism, anew)  # raises for a name that is not there
+    freed(read.mechanism, anew)  # raises for a name that is not there
     data, inputs = poses_of_result(readings, read.mechanism), read.inputs
     if data is None:
         inputs = _with_file(inputs, readings)
@@ -97,7 +99,7 @@ def run_update(
     title = read.document.title
     updated_result = Result.of(done.result)
     written = save_result(
-        updated_result, target, title=title, inputs=inputs, report=report, history=history
+        updated_result, target, title=title, inputs=inputs, report=report, keeper=keeper
     )
     verdict = written.document.verdict
     assert verdict is not None

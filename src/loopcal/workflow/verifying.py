@@ -8,13 +8,11 @@ from pathlib import Path
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import Data, write_all
-from loopcal.files.history.folder import append_entries, refuse_no_history
 from loopcal.files.result.deployed import VERIFICATION, note_deployed
-from loopcal.life.history import History
-from loopcal.statistics.replacing import Freedom, mounted
+from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verification import check_tolerance, verify
 from loopcal.statistics.verified import Verification
-from loopcal.workflow.history import note_history, verification_entry
+from loopcal.workflow.keeping import Keeper, Writer
 from loopcal.workflow.readings import later_readings
 from loopcal.workflow.saved_result import read_result
 
@@ -27,19 +25,18 @@ def run_verification(
     anew: Sequence[str] = (),
     tolerance: float | None = None,
     out: str | Path | None = None,
-    history: str | Path | None = None,
+    keeper: Keeper | None = None,
     function: str | None = None,
 ) -> Verification:
     """Check a result against readings in the columns of its project, or those of another result.
 
     remounted: everything that instruments look at; anew: further instruments, targets or
-    parameters; tolerance: [m]; out: file of a page with figures; history: folder to which this is
-    added.
+    parameters; tolerance: [m]; out: file of a page with figures; keeper: keeps this too.
     Raises InputError for what cannot be used.
     """
     check_tolerance(tolerance)
-    if history is not None:
-        refuse_no_history(history)
+    if keeper is not None:
+        keeper.refuse()
     read = read_result(result, mechanism=function)
     units = {read.mechanism.quantities[q] for q in read.mechanism.outputs}
     if tolerance is not None and "m" not in units:
@@ -51,7 +48,7 @@ def run_verification(
             "outputs",
         )
     changed = (*mounted(read.mechanism, remounted), *anew)
-    Freedom.of(read.mechanism, changed)  # raises for a name that is not there
+    freed(read.mechanism, changed)  # raises for a name that is not there
     data = later_readings(read, readings, None, whole=True)
     try:
         verification = verify(read.calibrated, data, remounted=changed, tolerance=tolerance)
@@ -64,12 +61,12 @@ def run_verification(
 
         names = f"{read.path.parent.name}, {Path(readings).name}"
         files[Path(out)] = verification_html(verification, read.mechanism.name, names)
-    if history is None:
-        write_all(files)
-    else:
-        entry = verification_entry(verification, result, readings)
-        every = append_entries(history, [("verification", entry)], lambda _: files)
-        note_history(History(every), result)
+    write: Writer = write_all
+    if keeper is not None:
+        write = keeper.of_verification(verification, result, readings)
+    write(files)
+    if keeper is not None:
+        keeper.note(result)
     name = Path(readings)
     document = {"readings": name.name, **verification.document()}
     note_deployed(read.path, VERIFICATION, name.stem, document)

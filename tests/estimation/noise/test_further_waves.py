@@ -6,7 +6,7 @@ import pytest
 import loopcal as lc
 from analyses.gauntlet_worlds import World
 from analyses.smooth_errors import shifted
-from loopcal.estimation.noise.further_waves import _gained, _Sums, shared
+from loopcal.estimation.noise.kenward_roger import _gained, _Sums, shared
 from loopcal.mechanisms.structure.smooth import Smooth
 
 

@@ -11,7 +11,7 @@ import pytest
 import loopcal as lc
 from analyses.gauntlet_kinds import KINDS
 from analyses.gauntlet_truth import SIX
-from loopcal.document.terms import TermEntry, TermPart
+from loopcal.document.choice import TermEntry, TermPart
 from tests.reference.verdicts import verdict_of
 
 

@@ -9,8 +9,8 @@ import pytest
 
 import loopcal as lc
 from analyses.machines import CASES, STEWART_GOUGH
+from loopcal.estimation.problem.alignment import open_loops
 from loopcal.estimation.problem.problem import build_problem
-from loopcal.estimation.problem.unclosed import open_loops
 from loopcal.mechanisms.mechanism import Mechanism
 from tests.refusals import refused
 

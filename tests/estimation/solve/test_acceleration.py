@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loopcal.estimation.solve.acceleration import MOST, accelerated, remembered
+from loopcal.estimation.solve.course import MOST, accelerated, remembered
 from loopcal.estimation.solve.reduction import Spectrum, Stacked, Summed
 
 Array = NDArray[np.float64]

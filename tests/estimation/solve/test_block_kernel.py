@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import build_problem
-from loopcal.estimation.solve import searching
+from loopcal.estimation.solve import block_kernel as searching
 from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.block_kernel import BlockKernel, kernel_for
 from loopcal.estimation.solve.in_memory import InMemory
@@ -22,8 +22,7 @@ from loopcal.estimation.solve.solver import solve, solve_with
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.choice import AVAILABLE, ENGINES
 from loopcal.expressions.derivative import linearise
-from loopcal.expressions.engine import Stage, engine_for
-from loopcal.expressions.numpy_engine import NumpyEngine
+from loopcal.expressions.engine import NumpyEngine, Stage, engine_for
 from loopcal.expressions.trace import trace
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import CovarianceBlock, Noise, ReadingUncertainty

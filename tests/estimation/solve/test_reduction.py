@@ -14,7 +14,7 @@ from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum, spectrum, undetermined
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import AXES, DIRECTIONS, NOMINAL
+from loopcal.mechanisms.planar import AXES, DIRECTIONS, NOMINAL
 from loopcal.mechanisms.prior import Prior
 from loopcal.mechanisms.serial import Joint, serial_arm
 from tests.reference.simulated import MA1400_RANGES, Simulated, arm_at, ma1400, planar_arm

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.problem.problem import build_problem
-from loopcal.estimation.solve.seed_iteration import iterate_undamped
-from loopcal.estimation.solve.status import Status
+from loopcal.estimation.solve.fallback import iterate_undamped
+from loopcal.estimation.solve.solution import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
 from analyses.instruments import SIX, SLIDES, Z
-from loopcal.estimation.problem.problem import Problem, taken
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting, taken
 from loopcal.estimation.solve import solver
 from loopcal.estimation.solve.reweighted import solve_reweighted
 from loopcal.estimation.solve.solver import solve

@@ -15,15 +15,14 @@ from loopcal.errors import Code
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.checkpoint import Checkpoint
-from loopcal.estimation.stream import learning
+from loopcal.estimation.stream import calibrate as learning
 from loopcal.estimation.stream.calibrate import calibrate_stream
-from loopcal.estimation.stream.chunks import Chunk
 from loopcal.estimation.stream.last_pass import Parts
+from loopcal.estimation.stream.merit import Chunk
 from loopcal.execution.executor import AHEAD, Executor
 from loopcal.execution.local import Processes, Threads
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
-from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
 from loopcal.mechanisms.prior import Prior
 from loopcal.mechanisms.structure.structured import structured
 from loopcal.simulation.poses import random_poses
@@ -341,8 +340,8 @@ def test_so_does_a_search_from_afar_whatever_it_has_in_mind() -> None:
         start, data = drawn.off(0.3, 1.0, seed=seed), drawn.read(sds, seed=seed)
         fit = Fit(method="implicit-loop", start="nominal")
         kept += resumed_alike(start, data, Noise(sds), fit, 7)
-    assert sum(one.damping > 0.0 for one in kept) >= 3
-    assert sum(one.recent is not None for one in kept) >= 3
+    assert sum(one.course.damping > 0.0 for one in kept) >= 3
+    assert sum(one.course.recent is not None for one in kept) >= 3
 
 
 def resumed_alike(

@@ -14,14 +14,12 @@ from lxml import etree
 from scipy.spatial.transform import Rotation
 
 from loopcal.document.exported import Exported, Placed, ZeroOffset
-from loopcal.files.exports.format import ExportOptions
-from loopcal.files.exports.placing import place_files
+from loopcal.files.exports.format import ExportOptions, place_files
 from loopcal.files.exports.registry import EXPORTS, format_named
 from loopcal.files.exports.tables import ORIENTATIONS
 from loopcal.files.machines.urdf import read_urdf
 from loopcal.files.outputs import command
-from loopcal.mechanisms.calibrated_origins import calibrated_origins
-from loopcal.mechanisms.origins import LinkJoint, joint_chain
+from loopcal.mechanisms.origins import LinkJoint, calibrated_origins, joint_chain
 from loopcal.mechanisms.placement import rigid
 from loopcal.mechanisms.rest import rest_chain, rotation
 from tests.reference.robots import CHAINS, urdf_of

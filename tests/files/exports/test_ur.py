@@ -10,19 +10,22 @@ import yaml
 
 from loopcal.document.exported import Exported
 from loopcal.files.exports.format import ExportOptions
-from loopcal.files.exports.ur import controller_hash, read_calibration, table_hash, ur
+from loopcal.files.exports.ur import (
+    LINKS,
+    MODELS,
+    UrTable,
+    controller_hash,
+    drawing,
+    nominal_origins,
+    read_calibration,
+    table_hash,
+    ur,
+    ur_origins,
+)
 from loopcal.files.machines.urdf import read_urdf
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.origins import joint_chain
 from loopcal.mechanisms.rest import RestChain, rest_chain, roll_pitch_yaw
-from loopcal.mechanisms.universal_robots import (
-    LINKS,
-    MODELS,
-    UrTable,
-    drawing,
-    nominal_origins,
-    ur_origins,
-)
 from tests.reference.robots import CHAINS, urdf_of
 from tests.refusals import refused
 

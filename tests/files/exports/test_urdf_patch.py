@@ -10,9 +10,8 @@ import pytest
 
 from loopcal.files.exports.urdf import decimal, patched_urdf
 from loopcal.files.machines.urdf import read_urdf
-from loopcal.mechanisms.calibrated_origins import calibrated_origins
 from loopcal.mechanisms.chain import product
-from loopcal.mechanisms.origins import joint_chain
+from loopcal.mechanisms.origins import calibrated_origins, joint_chain
 from tests.reference.robots import CHAINS, urdf_of
 from tests.refusals import refused
 

@@ -21,7 +21,7 @@ from loopcal.files.machines.python_function import load_function
 from loopcal.files.machines.urdf import branches
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.reader import read_program
-from loopcal.files.recognition.titles import below_titles
+from loopcal.files.recognition.headers import below_titles
 from loopcal.files.tables import raw
 from loopcal.files.tables.readers import read_dataset
 from loopcal.files.toml import reader

@@ -15,9 +15,9 @@ from analyses.hostile_inputs import FRAGMENTS
 from loopcal import errors
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files.exports import ur
-from loopcal.files.programs import fanuc, krl, program, rapid, table, urscript, yaskawa
+from loopcal.files.programs import program
 from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.registry import BY_ENDING
+from loopcal.files.programs.registry import BY_ENDING, DIALECTS
 from loopcal.files.recognition import headers
 from loopcal.files.recognition.headers import heading
 from loopcal.files.tables import cells
@@ -26,13 +26,10 @@ from tests.files.hostile.steps import steps
 
 AXES = JointAxes({f"joint_{i}": "rad" for i in range(1, 7)}, pulses=(1000.0,) * 6)
 MODULES: dict[str, ModuleType] = {
-    ".mod": rapid,
-    ".src": krl,
-    ".ls": fanuc,
-    ".jbi": yaskawa,
-    ".script": urscript,
-    ".csv": table,
+    one.endings[0]: importlib.import_module(one.read.__module__) for one in DIALECTS.values()
 }
+ANY = ("a ", "1,", "(", "[", '"', ";", "=", "\n", "move(")
+"""Fragments of a dialect that `FRAGMENTS` does not have."""
 MOST = 2.6
 """Times the steps that twice the text may take."""
 
@@ -51,7 +48,7 @@ def patterns(module: ModuleType) -> Iterator[tuple[re.Pattern[Any], bool]]:
 
 def repeats(ending: str) -> Iterator[Callable[[int], str]]:
     """Texts in which one fragment, or two in turn, repeat, on one line or on many."""
-    own = FRAGMENTS[ending]
+    own = FRAGMENTS.get(ending, ANY)
     for i, one in enumerate(own):
         for behind in (" ", own[(i + 5) % len(own)]):
             yield lambda n, one=one, behind=behind: own[0] + (one + behind) * n + "!"  # type: ignore[misc]

@@ -12,8 +12,7 @@ from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mech
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import toml_data
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import NOMINAL, motoman_ma1400
-from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.planar import NOMINAL, motoman_ma1400, planar_two_link
 from loopcal.mechanisms.serial import Joint, serial_arm
 from tests.refusals import refused
 

@@ -14,9 +14,8 @@ from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.mechanisms.chain import MOTIONS
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.mechanisms.parameters import Parameters
-from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
 from loopcal.mechanisms.serial import FORMS, Joint, serial_arm
 
 numbers = st.floats(-1e6, 1e6) | st.floats(allow_nan=False, allow_infinity=False)

@@ -49,7 +49,7 @@ def test_the_keys_of_each_type_are_those_of_its_row(kind: str) -> None:
 
 
 def test_every_table_of_the_page_is_of_a_type() -> None:
-    assert sorted(named(PAGE)) == sorted(MAKERS)
+    assert sorted(named(PAGE)) == sorted(MAKERS), "each type has a section with its own marks"
 
 
 @pytest.mark.parametrize("kind", kinds())

@@ -11,7 +11,7 @@ import pytest
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.reader import read_program
 from loopcal.files.programs.registry import WRITTEN
-from loopcal.files.programs.skeleton import program_of_stops
+from loopcal.workflow.plan_program import program_of_stops
 from tests.refusals import refused
 
 ARMS = {

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from loopcal.errors import InputError
-from loopcal.files.project.folder_lock import FolderLock
+from loopcal.files.project.project_folder import FolderLock
 
 HOLDS = """
 import sys
 from pathlib import Path
-from loopcal.files.project.folder_lock import FolderLock
+from loopcal.files.project.project_folder import FolderLock
 lock = FolderLock(Path(sys.argv[1]), "http://there")
 print("held", flush=True)
 sys.stdin.read()

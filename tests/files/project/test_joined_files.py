@@ -11,6 +11,8 @@ from loopcal.errors import InputError
 from loopcal.files.project.project_data import LoadedData, load_dataset
 from loopcal.files.project.project_file import read_project
 from loopcal.files.project.validation_entries import validation_arguments
+from loopcal.files.tables import delimited
+from loopcal.files.tables.raw import Text, read_text
 from loopcal.workflow.calibration import Request, run_calibration
 from loopcal.workflow.simulation import run_simulation
 from tests.refusals import refused
@@ -65,6 +67,20 @@ def load(folder: Path, text: str = MECHANISM + DATA, **files: str) -> LoadedData
         (folder / f"{name}.csv").write_text(content)
     (folder / "project.toml").write_text(text)
     return load_dataset(read_project(folder / "project.toml"))
+
+
+def test_each_of_several_files_is_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[str] = []
+
+    def noted(path: Path, encoding: str | None) -> Text:
+        opened.append(path.name)
+        return read_text(path, encoding)
+
+    monkeypatch.setattr(delimited, "read_text", noted)
+    load(tmp_path)
+    assert sorted(opened) == ["cup.csv", "joints.csv", "tracker.csv"]
 
 
 def test_each_pose_takes_what_the_files_say_of_it(tmp_path: Path) -> None:

@@ -106,6 +106,13 @@ def test_sds_of_readings_come_from_their_column_and_have_a_floor(tmp_path):
     assert "exact" in str(loaded.warnings[0])
 
 
+def test_a_blank_sd_beside_a_blank_reading_makes_nothing_exact(tmp_path):
+    column = 'xP = { column = "X", unit = "mm", sd_column = "uX" }'
+    columns = COLUMNS.replace('xP = { column = "X", unit = "mm" }', column)
+    csv = CSV.replace("1000,600,0", ",600,")
+    assert load(tmp_path, "", columns=columns, csv=csv).warnings == ()
+
+
 COVARIANCE = "pose,A,B,X,Y,xx,xy,yy\na,0,9,1400,0,4,1,2\nb,1,2,1000,600,1,0,1\n"
 
 

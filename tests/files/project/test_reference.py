@@ -11,11 +11,10 @@ from loopcal.files.machines.parameter_entries import StatedParameter, StatedPrio
 from loopcal.files.project.data_table import DataColumn, DataTable
 from loopcal.files.project.fit_table import FitTable, Validation
 from loopcal.files.project.noise_table import StatedNoise
-from loopcal.files.project.plan_table import PlanTable, sight
+from loopcal.files.project.plan_table import PlanTable, VerdictTable, sight, span
 from loopcal.files.project.project_schema import ModelTable, ProjectTables, RecordTable
 from loopcal.files.project.simulation_table import SimulationTable, driven_range
-from loopcal.files.project.verdict_table import VerdictTable, span
-from loopcal.files.study.study_tables import MethodTable, Published, ScenarioTable, StudyTables
+from loopcal.files.study.study_file import MethodTable, Published, ScenarioTable, StudyTables
 from loopcal.keys import arguments
 from loopcal.measurements.datasheet import Tracker, encoder_sd
 from tests.key_tables import REFERENCE, assert_stated, named

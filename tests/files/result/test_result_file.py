@@ -15,12 +15,10 @@ import numpy as np
 import pytest
 
 from loopcal.document.accuracy import Coverage, ValidationEntry
-from loopcal.document.choice import Candidate, Chosen
-from loopcal.document.judgement import answered
-from loopcal.document.plain import plain
+from loopcal.document.choice import Candidate, Chosen, TermEntry
+from loopcal.document.plain import finite_only, plain
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.terms import TermEntry
-from loopcal.document.verdict import Answer, Verdict
+from loopcal.document.verdict import Answer, Verdict, answered
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit_document import fit_document
@@ -28,7 +26,6 @@ from loopcal.estimation.result import Result as FitResult
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.result.pose_table import residuals_csv
 from loopcal.files.result.result_file import (
-    finite_only,
     read_result,
     result_json,
     result_schema,

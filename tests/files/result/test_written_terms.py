@@ -11,7 +11,7 @@ import numpy as np
 import loopcal as lc
 from loopcal.document.triangle import symmetric
 from loopcal.files.result.result_file import result_json, write_result
-from loopcal.report.parameters import parameter_groups
+from loopcal.report.page import parameter_groups
 from loopcal.report.source import source_of
 from loopcal.report.tables import term_table
 from loopcal.statistics.predictor import predictor_of

@@ -40,12 +40,12 @@ def test_a_bag_has_a_row_for_each_stand(tmp_path: Path, container: str) -> None:
 def test_topics_are_told_apart(tmp_path: Path) -> None:
     bag = write_bag(tmp_path, "mcap", JOINTS, {"/a/point": PLACES, "/b": PLACES + 1.0})
     assert read_table(bag).names[-3:] == ("b_x [m]", "b_y [m]", "b_z [m]")
-    one = read_table(bag, "/b")
+    one = read_table(bag, topic="/b")
     assert one.names[-3:] == ("x [m]", "y [m]", "z [m]")
     x = one.numbers(3, np.arange(len(POSES)))
     np.testing.assert_allclose(x, PLACES[:, 0] + 1.0, atol=1e-12)
     with refused("unknown-name", "/a/point"):
-        read_table(bag, "/a/points")
+        read_table(bag, topic="/a/points")
     with refused("conflicting-keys", "sheet"):
         lc.read_dataset(bag, sheet="Sheet1")
     with refused("conflicting-keys", "topic"):

@@ -13,17 +13,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from loopcal.errors import InputError
-from loopcal.files.tables.delimited import read_delimited
+from loopcal.files.tables.delimited import LARGE, read_delimited
 from loopcal.files.tables.raw import read_text
+from loopcal.files.tables.reader import Layout
 from loopcal.files.tables.readers import read_dataset
 from tests.refusals import refused
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
-def table_of(text: str | bytes, **options):
+def table_of(text: str | bytes, large=LARGE, **options):
     data = text.encode() if isinstance(text, str) else text
-    return read_delimited(read_text(io.BytesIO(data)), **options)
+    return read_delimited(read_text(io.BytesIO(data)), Layout(**options), large=large)
 
 
 def columns_of(table) -> list[list[float]]:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import loopcal as lc
 from loopcal.estimation.mounted import bodies_of
 from loopcal.mechanisms.frame import ChainFrame
-from loopcal.mechanisms.motoman import motoman_ma1400
+from loopcal.mechanisms.planar import motoman_ma1400
 
 NOISE = 5e-5
 REFLECTORS = np.array([[0.02, -0.07, -0.35], [-0.1, 0.06, -0.3]])

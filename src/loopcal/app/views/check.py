@@ -12,8 +12,7 @@ from loopcal.app.controls import offer, printed
 from loopcal.app.session import checked
 from loopcal.app.steps import GRADES
 from loopcal.app.view import View, heading, table
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import in_unit, unit_shown
+from loopcal.presentation.shown import in_unit, significant, unit_shown
 
 CheckDocument = Mapping[str, Any]
 

@@ -10,9 +10,8 @@ from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.cells import bad_cells, columns
-from loopcal.app.controls import folded, offer, text
+from loopcal.app.controls import folded, offer, text, uploader
 from loopcal.app.pictures import joints_of, machine_figure, moved
-from loopcal.app.uploads import uploader
 from loopcal.app.view import View, heading, table
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
@@ -53,11 +52,7 @@ def show(view: View) -> None:
 
 def _recognise(view: View) -> None:
     kind, value = view.session.robot()
-    files = [
-        f.name
-        for f in view.session.folder.listed()
-        if f.name.lower().endswith(ENDS) and f.name != value and "/" not in f.name
-    ]
+    files = [name for name in view.files(ENDS) if name != value]
     if not files:
         ui.label(words.NO_READINGS)
         return

@@ -9,14 +9,23 @@ from pathlib import Path
 from nicegui import ui
 
 from loopcal.app import words
-from loopcal.app.controls import choice, download, offer, page, printed, pulses, text, written
-from loopcal.app.uploads import uploader
+from loopcal.app.controls import (
+    choice,
+    download,
+    offer,
+    page,
+    printed,
+    pulses,
+    text,
+    uploader,
+    written,
+)
 from loopcal.app.view import View, heading
 from loopcal.files.exports.registry import EXPORTS
 from loopcal.files.exports.tables import ORIENTATIONS
 from loopcal.files.programs.registry import BY_ENDING
 from loopcal.files.result.deployed import PREVIEW
-from loopcal.presentation.wrapped import shortened
+from loopcal.presentation.shown import shortened
 
 LONGEST = 400
 """Lines of a difference that are shown."""
@@ -44,7 +53,7 @@ def show(view: View) -> None:
 def _export(view: View) -> None:
     folder = view.session.folder
     heading(words.EXPORT)
-    sources = ["", *_named(view, (".urdf", ".xml", ".conf", ".yaml"))]
+    sources = ["", *view.files((".urdf", ".xml", ".conf", ".yaml"))]
     with ui.row().classes("items-end"):
         choice(view, "export.to", words.FORMAT, _formats(view), on_change_too=view.refresh)
         one = EXPORTS[str(view.kept["export.to"])]
@@ -99,7 +108,7 @@ def _correct(view: View) -> None:
     heading(words.CORRECT_PROGRAM)
     ui.label(words.CORRECT).classes("text-body2")
     uploader(view, words.DROP_PROGRAM)
-    files = _named(view, tuple(BY_ENDING))
+    files = view.files(tuple(BY_ENDING))
     if not files:
         return
     with ui.row().classes("items-end"):
@@ -181,12 +190,6 @@ def _kind(line: str) -> str:
     if line.startswith(("---", "+++", "@@")):
         return "none"
     return "gone" if line.startswith("-") else "come" if line.startswith("+") else ""
-
-
-def _named(view: View, ends: tuple[str, ...]) -> list[str]:
-    """Files of the folder itself that end so."""
-    files = [f.name for f in view.session.folder.listed() if "/" not in f.name]
-    return [name for name in files if name.lower().endswith(ends)]
 
 
 def _bytes(size: int) -> str:

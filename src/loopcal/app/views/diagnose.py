@@ -13,8 +13,7 @@ from loopcal.app import words
 from loopcal.app.pictures import Errors, Framed
 from loopcal.app.view import Part, View, heading, stale, table
 from loopcal.app.views.fit import offer_fit
-from loopcal.app.views.linked import OVER_POSES, Linked
-from loopcal.app.views.selection import offer_selection
+from loopcal.app.views.linked import OVER_POSES, Linked, offer_selection
 from loopcal.document.change_points import ChangePoints
 from loopcal.report.tables import outlier_table
 

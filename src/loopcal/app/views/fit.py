@@ -15,12 +15,11 @@ from loopcal.document.tables import shown_parameters
 from loopcal.errors import LoopcalError
 from loopcal.estimation.methods.registry import METHODS, method_named
 from loopcal.files.result.result_file import read_result
-from loopcal.presentation.shown import by_sd, in_unit, unit_shown
-from loopcal.presentation.wrapped import shortened
+from loopcal.presentation.shown import by_sd, in_unit, shortened, unit_shown
 from loopcal.report.page import QUESTIONS
 from loopcal.report.tables import accuracy_tables, model_table
 from loopcal.units import to_si
-from loopcal.workflow.refitting import Refit
+from loopcal.workflow.projects import Refit
 
 PARAMETER_HEAD = ("parameter", "nominal", "calibrated", "change", "sd", "unit")
 MARKS = {"yes": "good", "open": "care", "no": "bad"}

@@ -10,7 +10,7 @@ from loopcal.app.view import View, figure, heading, table
 from loopcal.errors import LoopcalError
 from loopcal.files.history.folder import read_entries
 from loopcal.life.history import History
-from loopcal.report.history_page import history_figures, history_table
+from loopcal.report.life_pages import history_figures, history_table
 
 FOLDER = "machine.history"
 

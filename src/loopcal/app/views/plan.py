@@ -40,8 +40,7 @@ def show(view: View) -> None:
     if project is None:
         ui.label(view.session.objection() or words.NO_PROJECT).classes("printed")
         return
-    files = [f.name for f in view.session.folder.listed() if "/" not in f.name]
-    tables = {name: name for name in files if name.endswith(ENDS)}
+    tables = {name: name for name in view.files(ENDS)}
     measured = {OLD: "none"}
     if view.session.source() is not None:
         measured[view.session.folder.result.name] = "those of the result"

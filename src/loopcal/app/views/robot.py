@@ -9,15 +9,14 @@ import numpy as np
 from nicegui import ui
 
 from loopcal.app import words
+from loopcal.app.controls import uploader
 from loopcal.app.pictures import joints_of, machine_figure, moved
-from loopcal.app.uploads import uploader
 from loopcal.app.view import View, heading, table
+from loopcal.files.machines.registry import drawn
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.registry import TEXT
 from loopcal.presentation.shown import in_unit, unit_shown
 
-TYPES = ("motoman-ma1400",)
-"""Machines whose dimensions loopcal knows."""
 KINDS = {"urdf": "URDF", "dh": words.DH_TABLE, "machine": words.TYPE}
 ENDS = {"urdf": (".urdf", ".xml"), "dh": (*TEXT.endings, ".xlsx")}
 
@@ -50,15 +49,11 @@ def _choose(view: View) -> None:
 
     ui.toggle(KINDS, value=shown, on_change=of_kind).props('no-caps aria-label="described by"')
     if shown == "machine":
-        options = list(TYPES)
+        options = list(drawn())
     else:
         chosen = partial(view.session.choose_robot, shown)
         uploader(view, words.DROP_ROBOT.format(kind=KINDS[shown]), chosen)
-        options = [
-            f.name
-            for f in view.session.folder.listed()
-            if f.name.endswith(ENDS[shown]) and "/" not in f.name
-        ]
+        options = view.files(ENDS[shown])
     selected = value if kind == shown and value in options else None
     box = ui.select(options, value=selected, label=KINDS[shown], on_change=of_value).classes("w-96")
     box.props(f'aria-label="{KINDS[shown]}"')
@@ -72,11 +67,11 @@ def _machine(view: View, project: Project) -> None:
     joints: dict[str, float] = view.kept.setdefault(f"robot.{view.project_name()}", {})
     for name in joints_of(mechanism):
         joints.setdefault(name, 0.0)
-    drawn = machine_figure(mechanism, joints)
-    if drawn is not None:
+    figure = machine_figure(mechanism, joints)
+    if figure is not None:
         with ui.element("div").classes("beside"):
             with ui.column().classes("figures"):
-                plot = ui.plotly(drawn).classes("w-full").props('aria-label="the robot"')
+                plot = ui.plotly(figure).classes("w-full").props('aria-label="the robot"')
             with ui.column().classes("acts"), ui.grid(columns="auto 1fr 5rem").classes("w-full"):
 
                 def move(name: str, value: float) -> None:

@@ -1,7 +1,25 @@
-"""The dependence of a fit's residuals: tested for every instrument, and learnt where it drifts."""
+"""The dependence of a fit's residuals: tested for every instrument, and learnt where it drifts.
+
+Whether residuals of neighbouring poses are alike: neighbours in order, or in joint space.
+
+For pairs of neighbours (i, j) the statistic is
+
+    r = sum over pairs of y_i . y_j / (|E|^2 + prior),
+
+von Neumann's ratio (1941) where neighbours follow each other, Moran's I (1950) where they are near
+in joint space. It is the score test of a component that neighbours share. The fit has taken part of
+the residuals; the moments of r allow for it exactly (Durbin and Watson 1950): with M the projector
+onto what is left, nu its rank and K the pairs as a matrix,
+
+    E r = tr MK / nu,   Var r = 2 (nu tr (MK)^2 - (tr MK)^2) / (nu^2 (nu + 2)).
+
+Errors of unlike size or direction, such as those of an arm that bends, scatter r more: the variance
+is at least sum (y_i . y_j)^2 / (|E|^2 + prior)^2, right for independent errors of any kind.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -10,9 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.chi_squared import tail
-from loopcal.document.dependence import Dependence, InstrumentDependence, Likeness
-from loopcal.estimation.dependence.neighbours import Pairs, in_order, likeness, near
-from loopcal.estimation.dependence.seen import instruments, seen
+from loopcal.document.change_points import Dependence, InstrumentDependence, Likeness
+from loopcal.estimation.dependence.seen import Seen, instruments, seen
 from loopcal.estimation.dependence.serial import Drift, Whole, learnt_drift
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
@@ -22,10 +39,14 @@ from loopcal.estimation.solve.solution import Solution
 Array = NDArray[np.float64]
 # docs/decisions/0050: family-wise.
 LEVEL = 0.001
+# Chosen, not derived: distances by pairs grow with the square, here to 32 MB.
 MOST_NEIGHBOURS = 2000
 """Poses among which neighbours in joint space are sought; of more, every second, third, ..."""
+# Chosen, not derived: where poses are as few as readings, canonical correlations are 1 by
+# themselves.
 _PAIRED = 3
 """Poses for each reading of two instruments from which their errors are compared."""
+# Chosen, not derived: a drift makes poses alike that are near in order; more leaves too few pairs.
 _APART = 0.1
 """Poses closer in order than this share of all are no neighbours in joint space."""
 _ROUNDING = 1e-14
@@ -196,4 +217,71 @@ def _spatial(problem: Problem, order: NDArray[np.intp]) -> Pairs:
         else:
             points.append((readings - readings.mean()) / max(float(readings.std()), 1e-300))
     pairs: Pairs = order[near(np.array(points).T, apart=int(_APART * len(order)))]
+    return pairs
+
+
+Pairs = NDArray[np.intp]
+# Chosen, not derived: with fewer, the normal distribution of Moran's I is not to be believed.
+_LEAST = 10
+"""Degrees of freedom and pairs that a test needs at least."""
+
+
+def in_order(seen: Seen) -> Pairs:
+    """(2, p) the poses that follow each other among those that were read."""
+    read = np.flatnonzero(seen.read)
+    return np.array([read[:-1], read[1:]])
+
+
+def likeness(seen: Seen, pairs: Pairs, square: float, freedom: int) -> Likeness | None:
+    """The test for these pairs; None where there is too little to test.
+
+    seen: in directions z of the parameters with D^T D + P = I; square: |E|^2 and that of the prior;
+    freedom: nu.
+    """
+    i, j = pairs[:, seen.read[pairs].all(axis=0)]
+    if freedom < _LEAST or len(i) < _LEAST or not square > 0.0:
+        return None
+    y, A, M = seen.y, seen.A, seen.M
+    products = np.einsum("pq,pq->p", y[i], y[j])
+    total = float(products.sum())
+    near = np.zeros_like(A)
+    # A pose may be in many pairs; near[i] += would count only the last of them.
+    np.add.at(near, i, 0.5 * A[j])
+    np.add.at(near, j, 0.5 * A[i])
+    N, q, k = A.shape
+    once = A.reshape(N * q, k).T @ near.reshape(N * q, k)
+    twice = float(np.einsum("nqi,nqi->", near, M @ near))
+    # M = 1 - D D^T, and K pairs different poses: of tr MK only -tr D^T K D is left.
+    trace = -float(np.trace(once))
+    # tr (MK)^2 = tr K^2 - 2 tr D^T K^2 D + tr (D^T K D)^2; a pair is in K twice, as 1/2.
+    squared = 0.5 * float(np.einsum("pqr,prq->", M[i], M[j])) - 2.0 * twice
+    squared += float(np.square(once).sum())
+    variance = 2.0 * (freedom * squared - trace**2) / (freedom**2 * (freedom + 2.0))
+    variance = max(variance, float(products @ products) / square**2)
+    if not variance > 0.0:
+        return None
+    deviate = (total / square - trace / freedom) / math.sqrt(variance)
+    mean_square = float(np.einsum("nq,nq->", y, y)) / int(seen.read.sum())
+    correlation = total / len(i) / mean_square if mean_square > 0.0 else 0.0
+    # One-sided: errors that neighbours share make residuals alike, never unlike.
+    return Likeness(correlation, 0.5 * math.erfc(deviate / math.sqrt(2.0)))
+
+
+def near(points: Array, neighbours: int = 6, apart: int = 0) -> Pairs:
+    """(2, p) pairs of poses that are nearest to each other at points (N, d).
+
+    apart: poses that follow each other within so many are no pair. A drift along a path is then
+    not taken for a place in joint space.
+    """
+    N = len(points)
+    if 2 * apart + 2 >= N:
+        return np.zeros((2, 0), dtype=np.intp)
+    squares = np.square(points).sum(axis=1)
+    distance = squares[:, None] + squares - 2.0 * points @ points.T
+    rows = np.arange(N)
+    distance[np.abs(rows[:, None] - rows) <= apart] = np.inf
+    nearest = np.argpartition(distance, min(neighbours, N - 1), axis=1)[:, :neighbours]
+    both = np.sort(np.array([np.repeat(rows, nearest.shape[1]), nearest.ravel()]), axis=0)
+    kept = np.isfinite(distance[both[0], both[1]])
+    pairs: Pairs = np.array(np.divmod(np.unique(both[0, kept] * N + both[1, kept]), N))
     return pairs

@@ -19,8 +19,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.alignment import align, can_be_placed, placed, seen_points
-from loopcal.estimation.problem.problem import Problem, taken
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting, taken
 from loopcal.estimation.residuals import residuals
 from loopcal.estimation.solve.solver import solve
 from loopcal.estimation.solve.sweep import Sweeper
@@ -37,6 +36,8 @@ GROSS = 10.0
 # One over the normal distribution's quantile of 3/4.
 NORMAL = 1.4826
 """The sd of normal values, over the median of their distances from the middle."""
+# Chosen, not derived: rounds of leaving poses aside, and steps of each. A placement in closed form
+# is near.
 _ROUNDS, _STEPS = 3, 10
 # As in docs/decisions/0046.
 _MOUNTED = 5e-3

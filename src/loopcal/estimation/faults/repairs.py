@@ -19,8 +19,10 @@ from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.mechanisms.instruments.orientation import Orientation
 
 Array = NDArray[np.float64]
+# Chosen, not derived: a joint that wanders less says nothing on its sign or unit.
 PARKED = 0.01
 """A quantity stands still if its readings spread over no more than this share of their size."""
+# Factors follow from the definitions of the units.
 LENGTHS = (
     (1e-3, "in millimetres, taken as metres"),
     (1e3, "in metres, taken as millimetres"),
@@ -33,6 +35,7 @@ LENGTHS = (
     (0.01, "in centimetres, taken as metres"),
     (100.0, "in metres, taken as centimetres"),
 )
+# Factors follow from the definitions of the units.
 ANGLES = (
     (math.pi / 180, "in degrees, taken as radians"),
     (180 / math.pi, "in radians, taken as degrees"),
@@ -41,8 +44,10 @@ ANGLES = (
     (math.pi / 200, "in gon, taken as radians"),
     (200 / math.pi, "in radians, taken as gon"),
 )
+# Chosen, not derived: rows slip where a header or a pose is lost, one to three of them.
 SHIFTS = (1, -1, 2, -2, 3, -3)
 """By how many rows the readings of the instruments may be displaced."""
+# 256 combinations: chosen, not derived, with the time that they take.
 MOST_SIGNS = 8
 """Of more joints than these not all combinations of signs are tried, single ones and pairs only."""
 

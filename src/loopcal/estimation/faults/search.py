@@ -31,8 +31,8 @@ from loopcal.estimation.faults.misfit import (
     unread,
 )
 from loopcal.estimation.problem.alignment import can_be_placed, seen_points
+from loopcal.estimation.problem.constants import standing
 from loopcal.estimation.problem.problem import Problem, taken
-from loopcal.estimation.problem.standing import standing
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Family
 from loopcal.presentation.shown import enumerated, size, unit_shown
@@ -48,24 +48,33 @@ PLAUSIBLE = 0.1
 """A repair must leave no larger share."""
 MUCH_BETTER = 1 / 3
 """A fault is suspected if undoing it leaves at most this of the misfit."""
+# Chosen, not derived: as PLAUSIBLE, but a share of the misfit.
 SURE = 0.1
 """A repair that leaves at most this of the misfit needs no fit to verify it. A fit would mislead:
 it shrinks a machine whose readings are all in another unit as well as it fits the right one."""
+# Chosen, not derived: 1 % is beyond what rounding and the last steps of a fit change.
 BETTER = 0.99
 """The fit of all parameters must improve by at least this factor, a fit that was the very measure
 of the suspicion by MUCH_BETTER: a repair that changes nothing proves nothing."""
+# Chosen, not derived: wider names two repairs where one is right, narrower one by chance.
 EQUAL = 1.05
 """Repairs whose misfits differ by less than this factor cannot be told apart."""
+# Points that have nothing to do with the machine miss by about their spread (1): chosen, not
+# derived, between that and PLAUSIBLE.
 NOTHING = 0.3
 """A drawing that misses the better half of the poses by this share of their spread describes
 another machine, or another file."""
 UNREPAIRED = ("rows-shuffled", "wrong-machine")
 """Codes of faults that no repair proves: a fit may yet show that only the drawing is far off."""
+# Chosen, not derived: above the scatter of quantiles of some hundred points.
 SAME = 0.05
 """Two sets of points have the same shape if the quantiles of their distances differ by less."""
 MOST_READ, MOST_UNREAD = 1000, 200
 """So many repairs are tried, the second where each takes a search for what nobody reads: at most
 some ten seconds of one core, whatever the machine."""
+# Poses of a trial, of a first glance, and of one that searches unread quantities; faults of one
+# file; steps of a fit of all and of a first glance; repairs that are looked at twice. Chosen, not
+# derived: they bound the time, and `analyses.file_faults` counts what is then named.
 _SAMPLE, _FEW, _FEWEST, _MOST, _STEPS, _FIRST, _BEST = 120, 40, 10, 3, 15, 3, 8
 
 

@@ -1,7 +1,7 @@
 """Least squares: the readings are exact, the squares of the loop values are minimised."""
 
 from loopcal.estimation.methods.method import Method
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Weighting
 from loopcal.estimation.solve.solver import solve
 
 METHOD = Method(

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.solve.loss import Loss
-from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solution import MOST_ITERATIONS, Solution
 from loopcal.estimation.solve.solver import Progress
-from loopcal.estimation.solve.status import MOST_ITERATIONS
 
 
 class Solve(Protocol):

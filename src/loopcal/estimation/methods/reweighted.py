@@ -1,7 +1,7 @@
 """Reweighted least squares: the open loops, weighted by the noise of their readings."""
 
 from loopcal.estimation.methods.method import Method
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Weighting
 from loopcal.estimation.solve.reweighted import solve_reweighted
 
 METHOD = Method(

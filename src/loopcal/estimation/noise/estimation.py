@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +30,10 @@ from loopcal.estimation.noise.variances import (
     scales_of,
     with_scales,
 )
-from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.solve.solution import Solution
 from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
-
-if TYPE_CHECKING:
-    from loopcal.estimation.noise.terms import EstimatedTerm
 
 Array = NDArray[np.float64]
 
@@ -53,20 +49,26 @@ class Fitting(Protocol):
 _MOST, _SETTLED, _BETTER = 60, 1e-5, 1e-6
 """Rounds; what logarithms of ratios still change by, and the criterion, where a search has ended:
 near enough that searches which come to the same end do not seem better than each other."""
+# An sd tenfold off, either way. Chosen, not derived: the linearisation may have misled.
 _FAR = 100.0
 """A variance so many times the stated one, or less than it by as much, is checked again."""
+# Chosen, not derived: an early linearisation may call a variance zero that is not.
 _ROUGHLY, _SLOWLY = 0.1, 100.0
 """Variance ratios that change less than this are roughly right; early ones fall no faster."""
 NEAR, NEARBY, ROUGH = 1e-3, 1e-1, 1e-2
 """With terms, logarithms of variances still change by so much in the last round, far less than
 their uncertainty, the second where the search begins at those of nearly the same readings or has
 gone on for half of all rounds; the first fit ends so many sds near the optimum, the third."""
+# Chosen, not derived: looser fits cost rounds, tighter ones steps.
 _SHARE = 0.1
 """A rough fit ends so many sds near its optimum for each unit by which the logarithms change."""
+# Chosen, not derived: new sds may mend one failure; every further one costs a fit.
 _FAILURES = 1
 """So many fits in succession may end without converging."""
+# Residuals of 300 sds: chosen, not derived, beyond any sds that are only wrong.
 _HOPELESS = 1e5
 """An unconverged fit with whitened residuals this large (mean square) ends the search."""
+# Chosen, not derived: an interval of two such sds reaches zero.
 _UNCERTAIN = 0.5
 """Relative sd of an sd from which on an upper bound says more than the estimate."""
 
@@ -86,10 +88,10 @@ class EstimatedSd:
     name: str
     quantities: tuple[int, ...]
     ratio: float
-    sd_of_ratio: float | None
-    upper_ratio: float | None
-    likelihood_ratio: float | None
-    p_value: float | None
+    sd_of_ratio: float | None = None
+    upper_ratio: float | None = None
+    likelihood_ratio: float | None = None
+    p_value: float | None = None
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ class NoiseEstimate:
             return self.variances.sensors
         at = fit_at(self.model, self.ratios)
         assert at is not None  # they were found there
-        return Estimate(self.ratios, at, True)
+        return Estimate(at)
 
     @cached_property
     def criterion(self) -> float:
@@ -146,28 +148,6 @@ class NoiseEstimate:
         at = fit_at(self.model, self.variances.ratios)
         assert at is not None
         return at.criterion + self.variances.terms.prior_criterion
-
-    @cached_property
-    def terms(self) -> tuple[EstimatedTerm, ...]:
-        """What the calibration says of each term."""
-        learnt = self.variances.terms
-        if learnt is None:
-            return ()
-        from loopcal.estimation.noise.terms import judged_terms
-
-        return judged_terms(learnt)
-
-    def _by_sums(self) -> tuple[EstimatedSd, ...]:
-        """What the sums of all poses say of the factor common to all noise."""
-        learnt = self.variances.terms
-        assert learnt is not None
-        from loopcal.estimation.noise.terms import curvature_sds
-
-        sd = 0.5 * float(curvature_sds(learnt)[0])
-        return tuple(
-            EstimatedSd(c.name, c.quantities, ratio, ratio * sd, None, None, None)
-            for c, ratio in zip(self.stated, self.factors.values(), strict=True)
-        )
 
     @property
     def factors(self) -> Mapping[str, float]:
@@ -189,13 +169,12 @@ class NoiseEstimate:
 
         Without statistics where the fit did not converge.
         """
+        plain = tuple(EstimatedSd(c.name, c.quantities, self.factors[c.name]) for c in self.stated)
         if not self.solution.status.converged:
-            return tuple(
-                EstimatedSd(c.name, c.quantities, self.factors[c.name], None, None, None, None)
-                for c in self.stated
-            )
-        if self.variances.by_sums:
-            return self._by_sums()
+            return plain
+        if self.variances.by_sums and self.variances.terms is not None:
+            sd = 0.5 * float(self.variances.terms.sds[0])  # of the factor common to all noise
+            return tuple(replace(one, sd_of_ratio=one.ratio * sd) for one in plain)
         unsure = {name for pair in self.alike for name in pair}
         return tuple(
             judged(self.model, self.sensor_estimate, i, component, component.name in unsure)

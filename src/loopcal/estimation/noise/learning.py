@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from loopcal.document.fit import NoiseCovarianceEntry, NoiseEntry
 from loopcal.errors import InputError
+from loopcal.estimation.problem.constants import standing
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.problem.standing import standing
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism

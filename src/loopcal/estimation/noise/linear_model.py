@@ -17,14 +17,13 @@ for every pose.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.products import rows_times, rows_times_upper
 from loopcal.estimation.solve.kernel import eliminate, loadings
 from loopcal.estimation.solve.reduction import WELL_CONDITIONED, inverse_of_upper
@@ -32,6 +31,7 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.lazy import cached_property
 
 Array = NDArray[np.float64]
+# Chosen, not derived: squared 1e-14, some 50 roundings.
 KEPT = 1e-7
 """Directions of a triangle with a singular value this far below the largest do not count."""
 
@@ -67,15 +67,18 @@ class LinearModel:
 
 @dataclass(frozen=True)
 class MixedFit:
-    """The linear model at some variance ratios.
+    """The restricted likelihood at some variances x, here ratios (c,).
 
-    criterion: -2 log of the restricted likelihood, up to a constant; score: (c,) derivatives of
-    the log likelihood by the ratios; information: (c, c) its expected negative second derivatives.
+    criterion: -2 log of it, up to a constant; score: (c,) derivatives of its logarithm by x;
+    information: (c, c) expected negative second derivatives; fresh: whether these are of this x,
+    not of one near by.
     """
 
+    x: Array
     criterion: float
     score: Array
     information: Array
+    fresh: bool = True
 
 
 def linear_model(
@@ -123,12 +126,13 @@ def linear_model(
 
 @dataclass(frozen=True)
 class Joined:
-    """The whitened columns of all blocks at some ratios.
+    """The whitened columns of all blocks at some ratios (c,).
 
     rows: (b, r, n + 1) each, W = L^-1 G: (b, r, K) each; volume: sum log|V|; sums: `total`, where
     the fit at these ratios has it.
     """
 
+    ratios: Array
     rows: list[Array]
     W: list[Array]
     volume: float
@@ -143,42 +147,32 @@ class Joined:
         return np.asarray(sum(rows.T @ rows for rows in flat))
 
 
-def fit(model: LinearModel, ratios: Array) -> MixedFit | None:
+def fit(model: LinearModel, ratios: Array, information: Array | None = None) -> MixedFit | None:
     """The restricted likelihood at these variance ratios; None where some V is singular."""
     joined = whitened(model, ratios)
-    return None if joined is None else mixed_fit(model, joined)
+    return None if joined is None else mixed_fit(model, joined, information)
 
 
-def mixed_fit(model: LinearModel, joined: Joined) -> MixedFit:
+def mixed_fit(model: LinearModel, joined: Joined, information: Array | None = None) -> MixedFit:
     """The restricted likelihood where the columns are whitened.
 
     -2 log L = sum log|V| + log|H| + residual, H = sum J^T V^-1 J + prior (Patterson and
     Thompson 1971). With P the projector V^-1 - V^-1 J H^-1 J^T V^-1 and r = e - J dp,
     score_j = (|G_j^T V^-1 r|^2 - tr G_j^T P G_j) / 2, information_jk = |G_j^T P G_k|^2 / 2.
+    information: one from near by that will do, at a third of the cost.
     """
-    solved = _solved(model, joined)
-    at = _projected(model, joined, solved)
-    held = np.trace(at.first, axis1=1, axis2=2)
-    score = _score(model, joined, solved.root @ solved.along, held)
-    return MixedFit(joined.volume + solved.log_volume + solved.residual, score, at.information)
-
-
-@dataclass(frozen=True)
-class Slope:
-    """The linear model at some variance ratios, at a third of the cost of a `MixedFit`."""
-
-    criterion: float
-    score: Array
-
-
-def slope(model: LinearModel, joined: Joined) -> Slope:
-    """The restricted likelihood and its first derivatives, from sums over all poses alone."""
-    solved, held = _solved(model, joined), np.zeros(model.components)
-    for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
-        squares = np.square(_taken_up(rows, W, solved)).sum(axis=(0, 2))
-        held += np.equal.outer(np.arange(model.components), block.owner) @ squares
-    score = _score(model, joined, solved.root @ solved.along, held)
-    return Slope(joined.volume + solved.log_volume + solved.residual, score)
+    solved, fresh = _solved(model, joined), information is None
+    if information is None:
+        at = _projected(model, joined, solved)
+        information, taken_up = at.information, np.trace(at.first, axis1=1, axis2=2)
+    else:
+        taken_up = np.zeros(model.components)
+        for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
+            squares = np.square(_taken_up(rows, W, solved)).sum(axis=(0, 2))
+            taken_up += np.equal.outer(np.arange(model.components), block.owner) @ squares
+    score = _score(model, joined, solved.root @ solved.along, taken_up)
+    criterion = joined.volume + solved.log_volume + solved.residual
+    return MixedFit(joined.ratios, criterion, score, information, fresh)
 
 
 @dataclass(frozen=True)
@@ -197,10 +191,14 @@ class Projected:
     first: Array
     information: Array
 
-    @property
-    def blocks(self) -> Iterator[tuple[Array, Array, NDArray[np.intp]]]:
-        """Y, W and the component of each column, by block."""
-        return zip(self.Y, self.W, self.owners, strict=True)
+    def second(self, weights: Array) -> Array:
+        """(rank, rank) sum_jk w_jk root^T J^T V^-1 V_j V^-1 V_k V^-1 J root, w (c, c) symmetric."""
+        rank = self.root.shape[1]
+        total = np.zeros((rank, rank))
+        for Y, W, owner in zip(self.Y, self.W, self.owners, strict=True):
+            weighed = weights[np.ix_(owner, owner)] * (np.swapaxes(W, 1, 2) @ W)
+            total += (weighed @ Y).reshape(-1, rank).T @ Y.reshape(-1, rank)
+        return total
 
 
 def projected(model: LinearModel, ratios: Array) -> Projected | None:
@@ -291,7 +289,7 @@ def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Jo
         whitened = np.linalg.inv(L) @ block.columns
         rows.append(np.ascontiguousarray(whitened[:, :, : n + 1]))
         W.append(whitened[:, :, n + 1 :])
-    return Joined(rows, W, log_V, sums)
+    return Joined(ratios, rows, W, log_V, sums)
 
 
 def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected:
@@ -331,9 +329,9 @@ def columns(owner: NDArray[np.intp], which: int) -> slice:
     return slice(first, last)
 
 
-def _score(model: LinearModel, joined: Joined, dp: Array, held: Array) -> Array:
-    """held: (c,) = tr G_j^T V^-1 J H^-1 J^T V^-1 G_j over all poses."""
-    n, score = len(dp), 0.5 * held
+def _score(model: LinearModel, joined: Joined, dp: Array, taken_up: Array) -> Array:
+    """taken_up: (c,) = tr G_j^T V^-1 J H^-1 J^T V^-1 G_j over all poses."""
+    n, score = len(dp), 0.5 * taken_up
     for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
         r = rows[:, :, n] - rows[:, :, :n] @ dp
         misfit = np.square(np.einsum("brk,br->bk", W, r)).sum(axis=0)

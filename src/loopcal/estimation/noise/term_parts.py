@@ -13,24 +13,29 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.terms import TermEntry, TermPart
+from loopcal.document.choice import TermEntry, TermPart
+from loopcal.estimation.noise.term_scales import TermFit, TermSystem, TermVariances, searched
 from loopcal.estimation.problem.problem import Problem
 from loopcal.expressions.engine import LoopValues, engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
-from loopcal.mechanisms.structure.parts import Structure
-from loopcal.mechanisms.structure.sag import BASE, Column, Sag
+from loopcal.mechanisms.parameters import BEYOND
+from loopcal.mechanisms.structure.sag import BASE, Column, Sag, Structure
 from loopcal.mechanisms.structure.smooth import Smooth
 from loopcal.mechanisms.structure.structured import DISCREPANCY, ORDERS
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import enumerated, with_unit
+from loopcal.presentation.shown import enumerated, significant, with_unit
+
+if TYPE_CHECKING:
+    from loopcal.mechanisms.mechanism import Mechanism
+
 
 Array = NDArray[np.float64]
+# Chosen, not derived: an even function of six joints gives each a sixth.
 _COUNTS = 0.2
 """Share of the variance of a smooth function from which a joint counts among its arguments."""
 _NOTHING = 1e-12
@@ -61,15 +66,7 @@ def with_parts(
     corrections: Array,
     covariance: Array,
 ) -> tuple[TermEntry, ...]:
-    """The terms with what each does; arguments as in `term_parts`."""
-    parts = term_parts(problem, parameters, corrections, covariance)
-    return tuple(replace(term, parts=parts.get(term.name, ())) for term in terms)
-
-
-def term_parts(
-    problem: Problem, parameters: Array, corrections: Array, covariance: Array
-) -> dict[str, tuple[TermPart, ...]]:
-    """By term, what it does; the largest first.
+    """The terms with what each does; the largest first.
 
     parameters: (n_all,); corrections: (k, N); covariance: (n, n) of the estimated parameters [SI].
     """
@@ -93,10 +90,13 @@ def term_parts(
     if structure.smooth is not None:
         for name, unit in _TERMS.items():
             parts_by_term[name] = _remaining(at, structure.smooth, unit)
-    order = {
-        name: sorted(parts, key=lambda part: -part.size) for name, parts in parts_by_term.items()
-    }
-    return {name: tuple(parts) for name, parts in order.items() if parts}
+    return tuple(
+        replace(
+            term,
+            parts=tuple(sorted(parts_by_term.get(term.name, ()), key=lambda part: -part.size)),
+        )
+        for term in terms
+    )
 
 
 def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[TermPart]:
@@ -219,3 +219,56 @@ def _depends_on(at: _Fitted, smooth: Smooth, c: Array) -> tuple[str, ...]:
 
 def _turn(size: float, sd: float, pose: str) -> str:
     return f"{significant(1e3 * size, 2)} mrad (sd {significant(1e3 * sd, 2)} mrad, pose {pose})"
+
+
+# What a calibration says of each term: the scale it learnt, how sure, and what it gains.
+
+_QUANTILE = 1.959963984540054
+"""Of the normal distribution, for 95 %."""
+# Chosen, not derived: far below any effect that readings show.
+_ABSENT = 1e-6
+"""A term with this share of its expected sd has no effect."""
+
+
+def term_entries(mechanism: Mechanism, learnt: TermVariances) -> tuple[TermEntry, ...]:
+    """What the last linearisation says of each term, as a document holds it.
+
+    The interval is from the curvature of the criterion by the logarithm of the scale.
+    """
+    system, at, sds = learnt.system, learnt.at, learnt.sds
+    # With all noise free to have a factor, which may grow in the place of a term.
+    present = searched(system, at.x, np.ones(len(at.x), dtype=bool)).at
+    entries = []
+    for i, term in enumerate(system.terms):
+        unit = mechanism.parameters[term.parameters[0]].unit
+        # The sds are those of log sd^2, twice those of log sd.
+        scale, spread = float(at.scales[i]), math.exp(0.5 * _QUANTILE * sds[1 + i])
+        words = term.words or f"{term.name} deviate from nominal by {{scale}} (sd)"
+        entries.append(
+            TermEntry(
+                term.name,
+                unit,
+                scale,
+                (scale / spread, scale * spread),
+                term.sd,
+                int((system.owner == i).sum()),
+                max(float(at.freedom[i]), 0.0),
+                _gain(system, present, i),
+                words.replace("{scale}", with_unit(scale, unit, 2, fine=True)),
+                tuple(n for n in term.parameters if mechanism.roles.get(n) in BEYOND),
+            )
+        )
+    return tuple(entries)
+
+
+def _gain(system: TermSystem, present: TermFit, term: int) -> float:
+    """By how much the criterion is lower with a term than without it.
+
+    present: with all terms, and all noise free to have a factor. Without a term the other terms and
+    that factor make up for it where they can.
+    """
+    x, others = present.x.copy(), np.ones(len(present.x), dtype=bool)
+    x[1 + term], others[1 + term] = 2.0 * math.log(_ABSENT * system.terms[term].sd), False
+    without = searched(system, x, others).at
+    gain = without.criterion - present.criterion
+    return gain - float(without.penalties[term] - present.penalties[term])

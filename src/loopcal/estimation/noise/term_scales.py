@@ -6,7 +6,7 @@ Parameters with a flat prior are eliminated once; what is left is S = D^T Q D, s
 
     -2 log L = count log phi + log|K| + residual + sum over terms ((log sd - log median)/spread)^2,
 
-K = 1 + T S T / phi, is minimised over x = (log phi, log sd_b^2 of each term) by Newton's method.
+K = 1 + T S T / phi, is minimised over x = (log phi, log sd_b^2 of each term) by its curvature.
 With B = K^-1 and w = T^-1 (p - nominal) at the estimate, its derivatives by log sd_b^2 are
 m_b - tr B_bb - |w_b|^2, and its second ones sums of squares of blocks of B. One evaluation costs
 O(parameters^3). Searle, Casella and McCulloch, Variance Components (1992), chapter 6.
@@ -14,13 +14,15 @@ O(parameters^3). Searle, Casella and McCulloch, Variance Components (1992), chap
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.noise.linear_model import KEPT
+from loopcal.estimation.noise.linear_model import KEPT, MixedFit
+from loopcal.estimation.noise.search import Bounds, search
 from loopcal.estimation.solve.reduction import SUMMED_TOLERANCE
 
 if TYPE_CHECKING:
@@ -29,11 +31,11 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.terms import Term
 
 Array = NDArray[np.float64]
-_MOST, _HALVINGS = 60, 30
-_SETTLED, _ROUNDING = 1e-9, 1e-14
-"""A step is the last one if it promises the criterion less than this, or than its rounding."""
+# A factor of e in the sd, where the quadratic model of the criterion holds at most. Chosen, not
+# derived.
 _FARTHEST = 2.0
 """No logarithm of a variance changes by more in one step."""
+# Chosen, not derived: an sd of 30 in the logarithm of a variance says nothing on it.
 _FLAT = 1e-3
 """Curvature below which a direction counts as flat."""
 
@@ -73,26 +75,15 @@ class Sums:
 
 
 @dataclass(frozen=True)
-class Start:
-    """Where a search begins, x = (log phi, log sd^2 of each term), and which of these are free."""
+class TermFit(MixedFit):
+    """The restricted likelihood at some x = (log phi, log sd^2 of each term).
 
-    x: Array
-    free: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class TermFit:
-    """The criterion at some x = (log phi, log sd^2 of each term).
-
-    criterion: -2 log of the restricted likelihood with the prior of the scales, up to a constant;
-    gradient, hessian: its derivatives by x; freedom: (terms,) degrees of freedom that the data use.
+    With the prior of the scales, of which penalties (terms,) are the part in the criterion. The
+    information is that of the curvature; freedom: (terms,) degrees of freedom that the data use.
     """
 
-    x: Array
-    criterion: float
+    _: KW_ONLY
     penalties: Array
-    gradient: Array
-    hessian: Array
     freedom: Array
 
     @property
@@ -104,6 +95,40 @@ class TermFit:
     def scales(self) -> Array:
         """The sd of each term."""
         return np.asarray(np.exp(0.5 * self.x[1:]))
+
+
+@dataclass(frozen=True)
+class TermVariances:
+    """The terms at one linearisation: the sums that say it, and where the likelihood is greatest.
+
+    free: which of log phi and the logarithms of the variances were learnt.
+    """
+
+    system: TermSystem
+    at: TermFit
+    free: NDArray[np.bool_]
+
+    @property
+    def scales(self) -> Array:
+        """The sd of each term [SI]."""
+        return self.at.scales
+
+    @property
+    def prior_criterion(self) -> float:
+        """What the priors of the terms' parameters and of their scales add to -2 log likelihood."""
+        owner = self.system.owner
+        volume = 2.0 * float(np.log(self.scales)[owner[owner >= 0]].sum())
+        return volume + float(self.at.penalties.sum())
+
+    @property
+    def sds(self) -> Array:
+        """Of log phi and log sd^2 of each term, by the curvature of the criterion; 0 where held."""
+        sds = np.zeros(len(self.at.x))
+        index = np.flatnonzero(self.free)
+        values, vectors = np.linalg.eigh(2.0 * self.at.information[np.ix_(index, index)])
+        # the criterion is -2 log likelihood: its curvature is twice the information
+        sds[index] = np.sqrt(np.square(vectors) @ (2.0 / np.maximum(values, _FLAT)))
+        return sds
 
 
 def term_system(
@@ -163,16 +188,14 @@ def _root(K: Array) -> Array:
     return turned
 
 
-def evaluate(system: TermSystem, x: Array) -> TermFit:
-    """The criterion and its derivatives at x = (log phi, log sd^2 of each term)."""
+def evaluate(system: TermSystem, x: Array, _information: Array | None = None) -> TermFit:
+    """The likelihood at x = (log phi, log sd^2 of each term), always with its own curvature."""
     from scipy.linalg import lapack
 
     phi, owner = float(np.exp(x[0])), system.owner
-    T = (
-        np.where(owner >= 0, np.exp(0.5 * x[1:])[owner], system.prior_sd)
-        if len(x) > 1
-        else (system.prior_sd)
-    )
+    T = system.prior_sd
+    if len(x) > 1:
+        T = np.where(owner >= 0, np.exp(0.5 * x[1:])[owner], T)
     m = len(T)
     K = system.S * (T / phi)
     K *= T[:, None]
@@ -212,7 +235,9 @@ def evaluate(system: TermSystem, x: Array) -> TermFit:
     criterion += float(squares.sum() + penalties.sum())
     # tr (1 - B_bb): a parameter that only its prior determines has B = 1 and counts nothing.
     freedom = members.sum(axis=1) - traces
-    return TermFit(x, criterion, penalties, gradient, hessian, freedom)
+    # Of the criterion, -2 log of the likelihood.
+    score, information = -0.5 * gradient, 0.5 * hessian
+    return TermFit(x, criterion, score, information, penalties=penalties, freedom=freedom)
 
 
 def _both_halves(sums: Array, diagonal: Array) -> Array:
@@ -220,42 +245,18 @@ def _both_halves(sums: Array, diagonal: Array) -> Array:
     return np.asarray(sums + sums.T - np.diag(diagonal))
 
 
-def learn_scales(system: TermSystem, start: Start) -> TermFit:
-    """The least criterion over what is free, from the start on."""
-    current = evaluate(system, start.x)
-    for _ in range(_MOST):
-        step = _newton_step(current, start.free)
-        slope = float(step @ current.gradient)
-        if -slope <= _SETTLED + _ROUNDING * abs(current.criterion):
-            break
-        length = min(1.0, _FARTHEST / float(np.abs(step).max()))
-        for _ in range(_HALVINGS):
-            trial = evaluate(system, current.x + length * step)
-            # Sufficient decrease (Armijo 1966) with the 1e-4 of Nocedal and Wright (2006), 3.1.
-            if trial.criterion < current.criterion + 1e-4 * length * slope:
-                break
-            length /= 2
-        else:
-            break
-        current = trial
-    return current
+def learn_scales(system: TermSystem, scales: Array, *, common: bool) -> TermVariances:
+    """The scales of greatest likelihood, from these on; common: whether phi is learnt too."""
+    x = np.concatenate([[0.0], 2.0 * np.log(scales)])
+    free = np.arange(len(x)) >= (0 if common else 1)
+    return searched(system, x, free)
 
 
-def begun(scales: Array, *, common: bool) -> Start:
-    """Where the search for the scales begins; common: whether the factor of all noise is free."""
-    free = np.ones(len(scales) + 1, dtype=bool)
-    free[0] = common
-    return Start(np.concatenate([[0.0], 2.0 * np.log(scales)]), free)
-
-
-def _newton_step(at: TermFit, free: NDArray[np.bool_]) -> Array:
-    """Newton's step; where the criterion curves downwards, down along the slope."""
-    step = np.zeros(len(at.x))
-    index = np.flatnonzero(free)
-    values, vectors = np.linalg.eigh(at.hessian[np.ix_(index, index)])
-    along = vectors.T @ at.gradient[index]
-    step[index] = -vectors @ (along / np.maximum(np.abs(values), _FLAT))
-    return step
+def searched(system: TermSystem, x: Array, free: NDArray[np.bool_]) -> TermVariances:
+    """The greatest likelihood over what is free, from x = (log phi, log sd^2 of each term) on."""
+    bounds = Bounds(np.full(len(x), -np.inf), free, _FARTHEST)
+    end = search(partial(evaluate, system), evaluate(system, x), bounds)
+    return TermVariances(system, end.at, free)
 
 
 def _away(terms: Sequence[Term], x: Array) -> Array:

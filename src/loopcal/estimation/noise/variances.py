@@ -14,56 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import NoTrustworthyResult
-from loopcal.estimation.noise.linear_model import (
-    LinearModel,
-    mixed_fit,
-    slope,
-    whitened,
-)
-from loopcal.estimation.noise.term_scales import (
-    Sums,
-    TermFit,
-    TermSystem,
-    begun,
-    learn_scales,
-    term_system,
-)
-from loopcal.estimation.noise.variance_components import (
-    Estimate,
-    estimate_ratios,
-    scoring_step,
-)
+from loopcal.estimation.noise.linear_model import LinearModel, mixed_fit, whitened
+from loopcal.estimation.noise.search import Bounds, scoring_step
+from loopcal.estimation.noise.term_scales import Sums, TermVariances, learn_scales, term_system
+from loopcal.estimation.noise.variance_components import Estimate, estimate_ratios, no_noise
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.solution import End
 
 Array = NDArray[np.float64]
+# Chosen, not derived: farther, the linearisation is not to be believed.
 _FARTHEST = 100.0
 """No variance grows more in one step."""
-
-
-@dataclass(frozen=True)
-class TermVariances:
-    """The terms at one linearisation: the sums that say it, and where the criterion is least.
-
-    free: which of the criterion's arguments were learnt.
-    """
-
-    system: TermSystem
-    at: TermFit
-    free: NDArray[np.bool_]
-
-    @property
-    def scales(self) -> Array:
-        """The sd of each term [SI]."""
-        return self.at.scales
-
-    @property
-    def prior_criterion(self) -> float:
-        """What the priors of the terms' parameters and of their scales add to -2 log likelihood."""
-        owner = self.system.owner
-        volume = 2.0 * float(np.log(self.scales)[owner[owner >= 0]].sum())
-        return volume + float(self.at.penalties.sum())
 
 
 @dataclass(frozen=True)
@@ -120,16 +81,14 @@ def with_scales(problem: Problem) -> Problem:
     return replace(problem, mechanism=made)
 
 
-def system_of(problem: Problem, sums: Sums, parameters: Array) -> TermSystem:
-    """The system of a problem's terms where a fit has ended."""
-    offset = problem.unknowns.offset(parameters)
+def learnt_terms(problem: Problem, sums: Sums, offset: Array, *, common: bool) -> TermVariances:
+    """What the sums of some poses say of a problem's terms, and of all noise if that is learnt.
+
+    offset: (n,) nominal - present value, where the loops were linearised.
+    """
     terms = problem.mechanism.learnt_terms
-    return term_system(sums, problem.prior_sd, offset, owners(problem), terms)
-
-
-def sums_of(end: End[Any]) -> Sums:
-    """The sums of a fit, whitened with the sds that it used."""
-    return Sums(end.data.total, end.data.triangular, end.equations)
+    system = term_system(sums, problem.prior_sd, offset, owners(problem), terms)
+    return learn_scales(system, scales_of(problem), common=common)
 
 
 def by_common_factor(problem: Problem, end: End[Any], ratio: float | None) -> Variances:
@@ -137,35 +96,14 @@ def by_common_factor(problem: Problem, end: End[Any], ratio: float | None) -> Va
 
     problem: at the sds of the fit; ratio: of these to the stated variances, None: not learnt.
     """
-    system, common = system_of(problem, sums_of(end), end.parameters), ratio is not None
-    start = begun(scales_of(problem), common=common)
-    at = learn_scales(system, start)
-    learnt = TermVariances(system, at, start.free)
+    sums = Sums(end.data.total, end.data.triangular, end.equations)
+    offset = problem.unknowns.offset(end.parameters)
+    learnt = learnt_terms(problem, sums, offset, common=ratio is not None)
     if ratio is None:
-        return Variances(np.zeros(0), at.criterion, True, learnt)
+        return Variances(np.zeros(0), learnt.at.criterion, True, learnt)
     # The sums are whitened at the present sds, so log|V| lacks log ratio for each equation.
-    volume = end.equations * float(np.log(ratio))
-    return Variances(np.array([ratio * at.factor]), at.criterion + volume, True, learnt)
-
-
-@dataclass(frozen=True)
-class Learnt:
-    """The problem at the sds of its terms, and the factor common to all noise."""
-
-    problem: Problem
-    factor: float
-
-
-def learnt_by_sums(
-    problem: Problem, sums: Sums, parameters: Array, components: Sequence[Sequence[int]]
-) -> Learnt:
-    """What the sums of some poses say of the terms, and of all noise where it is learnt.
-
-    parameters: (n_all,) where the loops were linearised.
-    """
-    start = begun(scales_of(problem), common=all_learnt(problem, components))
-    at = learn_scales(system_of(problem, sums, parameters), start)
-    return Learnt(begun_with(problem, at.scales), at.factor)
+    criterion = learnt.at.criterion + end.equations * float(np.log(ratio))
+    return Variances(np.array([ratio * learnt.at.factor]), criterion, True, learnt)
 
 
 def in_turn(
@@ -190,29 +128,22 @@ def in_turn(
     summed = end is not None and not end.data.triangular
     joined = whitened(linear, ratios, end.data.total if end and summed else None)
     if joined is None:
-        raise NoTrustworthyResult(
-            "the sds cannot be estimated: the loops have no usable noise model where the fit ended",
-            remedy="calibrate with stated sds first and check that the fit converges",
-        )
-    owner, terms = owners(problem), problem.mechanism.learnt_terms
+        raise no_noise()
     sums = Sums(joined.total, False, sum(block.e.size for block in linear.blocks))
-    system = term_system(sums, problem.prior_sd, linear.offset, owner, terms)
-    start = begun(scales_of(problem), common=common)
-    at = learn_scales(system, start)
-    learnt = TermVariances(system, at, start.free)
-    prior_sd = np.where(owner >= 0, at.scales[owner], problem.prior_sd)
+    learnt = learnt_terms(problem, sums, linear.offset, common=common)
+    prior_sd = begun_with(problem, learnt.scales).prior_sd
     linear = replace(linear, precision=1.0 / np.square(prior_sd))
     if (ratios <= lowest).all():
-        local_slope = slope(linear, joined)
-        if (local_slope.score <= 0.0).all():  # no information lets them rise
-            criterion = local_slope.criterion + learnt.prior_criterion
+        present = mixed_fit(linear, joined, np.zeros((len(ratios), len(ratios))))
+        if (present.score <= 0.0).all():  # no information lets them rise
+            criterion = present.criterion + learnt.prior_criterion
             return Variances(ratios, criterion, True, learnt, resting=True)
     present = mixed_fit(linear, joined)
-    step = scoring_step(present, ratios, lowest, np.ones(len(ratios), dtype=bool))
+    step = scoring_step(present, Bounds(lowest, np.ones(len(ratios), dtype=bool)))
     # No multiple leads away from a ratio of 0: it may rise to the stated variance.
     stepped = np.clip(ratios + step, lowest, _FARTHEST * ratios + (ratios == 0.0))
     criterion = present.criterion + learnt.prior_criterion
-    return Variances(stepped, criterion, True, learnt, Estimate(ratios, present, True))
+    return Variances(stepped, criterion, True, learnt, Estimate(present))
 
 
 def all_learnt(problem: Problem, components: Sequence[Sequence[int]]) -> bool:

@@ -5,23 +5,38 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.problem.constants import constants_by_pose, with_implied
+from loopcal.estimation.problem.constants import constants_by_pose, standing_exact, with_implied
 from loopcal.estimation.problem.enough import refuse_too_few, refuse_without_redundancy
 from loopcal.estimation.problem.patterns import Pattern, Poses, held_loops, patterns_of
 from loopcal.estimation.problem.size import refuse_without_length
-from loopcal.estimation.problem.standing import standing_exact
 from loopcal.estimation.problem.unknowns import Unknowns
-from loopcal.estimation.problem.weighting import Weighting
 from loopcal.expressions.tape import Tape
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
+
+# What the loops of a pose count in a fit, and where they are linearised for it.
+
+
+class Weighting(Enum):
+    """CORRECTED: by the sds of the readings, where these are corrected to (maximum likelihood).
+
+    READ: by the same sds, with derivatives by the parameters where the readings stand (reweighted
+    least squares). ALIKE: every loop alike and no prior, the readings taken as exact (3.1 to 3.6
+    of the thesis).
+    """
+
+    CORRECTED = "corrected"
+    READ = "read"
+    ALIKE = "alike"
+
 
 Array = NDArray[np.float64]
 BLOCK = 4096

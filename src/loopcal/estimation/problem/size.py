@@ -19,8 +19,11 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import GEOMETRY, Parameter
 
 Array = NDArray[np.float64]
+# Two of 1e9 normal readings are farther off.
 _NOISE = 6.0
 """So many sds away from 0 a reading is no noise."""
+# Poses that suffice for a rank, and the share of a column up to which others make it up. Chosen,
+# not derived: far above rounding, far below an effect that counts.
 _SAMPLE, _MADE_UP = 200, 1e-6
 
 

@@ -6,6 +6,12 @@ poses are therefore searched from many angles. If the place holders did as well 
 other starts are tried only for poses whose loops close worse than theirs; otherwise for every
 pose. A home says more: how the machine is assembled. Unless it is wrong altogether it is left in
 those poses only in which it did far worse than in others.
+
+Points read so far off that no machine of this size can have been there.
+
+A number that stands for a missing reading, a lost decimal point or a damaged file: a fit would be
+about this pose alone, and its loops could not be closed. Smaller gross errors are for the tests
+of outliers, which name the reading to blame.
 """
 
 from __future__ import annotations
@@ -16,19 +22,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.errors import InputError
+from loopcal.estimation.problem.alignment import seen_points
 from loopcal.estimation.problem.patterns import Pattern
+from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.presentation.shown import significant
 
 Array = NDArray[np.float64]
+# Every 30 degrees. Chosen, not derived: more starts find more ways to stand, for as much more time.
 _ROUND = 12
+# Chosen, not derived: as many as _ROUND bounds for one angle, more for several; each costs a
+# search.
 _MOST, _MOST_FROM_HOME = 72, 24
 """Starts for several angles, without and with a home among them."""
+# Chosen, not derived: a pose stays in the form of home unless another one is clearly better.
 _FAR_BETTER = 0.25
 _ELSEWHERE = 1e-3
 """Home is taken for wrong where elsewhere most poses close with so much of its misfit or less. One
 redundant reading closes by chance in some of a platform's forty ways to stand, if not in most."""
+# Chosen, not derived: every such pose costs a search.
 _ASTRAY = 100.0
 """A pose that home leaves with so many times the usual misfit may stand elsewhere."""
+# Chosen, not derived: enough to say where most poses close.
 _SAMPLE = 32
 """Poses of each pattern that are searched from everywhere."""
 
@@ -154,3 +170,50 @@ def _offsets(angles: int, most: int) -> list[Array]:
         root = (1.0 + root) ** (1.0 / (angles + 1))
     steps = root ** -np.arange(1.0, angles + 1)
     return [2 * np.pi * ((i * steps) % 1.0) for i in range(most)]
+
+
+# docs/decisions/0052 for the first.
+_FAR, _LONG, _FEW, _NAMED = 30.0, 10.0, 0.1, 5
+
+
+def refuse_unreachable(problem: Problem, parameters: Array) -> None:
+    """Raise InputError for points measured where the machine cannot be.
+
+    That is 30 times as far from the computed point, in some coordinate, as half of all points are
+    from the instrument's origin. Where this holds of more than a tenth of the poses, the machine
+    or a unit is wrong, which others report better.
+
+    parameters: (n_all,) where the machine stands as measured, at least roughly.
+    """
+    if not _long(problem):
+        return
+    for family, computed, measured in seen_points(problem, parameters):
+        complete = np.isfinite(computed).all(axis=0) & np.isfinite(measured).all(axis=0)
+        if not complete.any():
+            continue
+        size = float(np.median(np.abs(measured[:, complete]).max(axis=0)))
+        off = np.where(complete, np.abs(computed - measured).max(axis=0), 0.0)
+        far = np.flatnonzero(off > _FAR * size)
+        if not 0 < len(far) <= _FEW * complete.sum():
+            continue
+        names = [q for q in family.readings if q in problem.mechanism.outputs]
+        words = [
+            f"pose {problem.pose(int(i))!r} ({', '.join(names)} place the point "
+            f"{significant(off[i], 3)} m from the machine's prediction)"
+            for i in far[:_NAMED]
+        ]
+        more = f" and {len(far) - _NAMED} more" if len(far) > _NAMED else ""
+        raise InputError(
+            f"implausible readings: {'; '.join(words)}{more}; half of the points have all "
+            f"coordinates within {significant(size, 3)} m",
+            code="implausible-readings",
+            remedy="correct or blank these readings, or exclude the poses (data.exclude)",
+        )
+
+
+def _long(problem: Problem) -> bool:
+    """Whether any length read is so large that points are worth computing to be compared."""
+    units = problem.mechanism.quantities
+    lengths = [i for i, q in enumerate(problem.mechanism.tape.quantities) if units[q] == "m"]
+    longest = np.fmax.reduce(np.abs(problem.readings[lengths]), axis=0, initial=0.0)
+    return bool(longest.max(initial=0.0) > _LONG * np.median(longest))

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Generic
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.solve.course import Course
 from loopcal.estimation.solve.merit import Evaluation, State
 from loopcal.estimation.solve.reduction import Spectrum
 
 Array = NDArray[np.float64]
-_PLACES, _ARRAYS = ("first", "current", "lowest"), ("effects", "recent")
+_PLACES = ("first", "current", "lowest")
 
 
 @dataclass(frozen=True)
@@ -44,39 +45,39 @@ class Point(Generic[State]):
 
 @dataclass(frozen=True)
 class Checkpoint(Generic[State]):
-    """What the solver keeps at the beginning of an iteration: all it needs to go on exactly.
+    """The state of a search at the beginning of an iteration: all it needs to go on exactly.
 
     first, current, lowest: where the search began, is, and was lowest; effects: (n,) lengths of the
-    parameters' columns at the beginning; recent: (h, 2, n) [SI], the steps and moves that led here,
-    as `Course` keeps them; before: the decrement one iteration ago; floor: the decrement that
-    rounding hides; noted: the merit when progress was last looked at; triangular: whether the
-    parameter system is kept as a triangle; iterations, evaluations: done so far; stage, earlier: of
-    a robust fit, which fit of several this is, and the iterations before it.
+    parameters' columns at the beginning; floor: the decrement that rounding hides; course: how far
+    the next step may go; before: the decrement one iteration ago; noted: the merit when progress
+    was last looked at; triangular: whether the parameter system is kept as a triangle; iterations,
+    evaluations: done so far; stage, earlier: of a robust fit, which fit of several this is, and the
+    iterations before it.
     """
 
     first: Place[State]
     current: Place[State]
     lowest: Place[State]
     effects: Array
-    recent: Array | None
-    damping: float
-    before: float
     floor: float
-    noted: float
-    triangular: bool
-    iterations: int
-    evaluations: int
+    course: Course = field(default_factory=Course)
+    before: float = np.inf
+    noted: float = np.inf
+    triangular: bool = False
+    iterations: int = 0
+    evaluations: int = 0
     stage: int = 0
     earlier: int = 0
 
+    @classmethod
+    def at(cls, start: Point[State], floor: float) -> Checkpoint[State]:
+        """Where a search begins."""
+        place = start.place
+        return cls(place, place, place, start.evaluation.data.lengths, floor)
+
     def document(self) -> dict[str, Any]:
         """The checkpoint in plain lists, numbers and names; the state must be such itself."""
-        fields = asdict(self)
-        for place in (fields[name] for name in _PLACES):
-            place["parameters"] = place["parameters"].tolist()
-        for name in _ARRAYS:
-            fields[name] = None if fields[name] is None else fields[name].tolist()
-        return fields
+        return {name: _plain(value) for name, value in asdict(self).items()}
 
     @classmethod
     def read(cls, document: Mapping[str, Any]) -> Checkpoint[Any]:
@@ -85,7 +86,14 @@ class Checkpoint(Generic[State]):
             name: Place(**{**document[name], "parameters": np.array(document[name]["parameters"])})
             for name in _PLACES
         }
-        arrays = {
-            name: None if document[name] is None else np.array(document[name]) for name in _ARRAYS
-        }
-        return cls(**{**document, **places, **arrays})
+        course, effects = document["course"], np.array(document["effects"])
+        recent = None if course["recent"] is None else np.array(course["recent"])
+        course = Course(**{**course, "recent": recent})
+        return cls(**{**document, **places, "course": course, "effects": effects})
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists, however deep."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    return value.tolist() if isinstance(value, np.ndarray) else value

@@ -21,23 +21,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.problem.problem import Problem, taken
-from loopcal.estimation.problem.weighting import Weighting
-from loopcal.estimation.solve.seed_iteration import iterate_undamped
-from loopcal.estimation.solve.solution import Solution
-from loopcal.estimation.solve.solver import solve
-from loopcal.estimation.solve.status import MOST_ITERATIONS
-from loopcal.presentation.rounding import significant
+from loopcal.estimation.problem.problem import Problem, Weighting, taken
+from loopcal.estimation.solve.in_memory import outside_domain
+from loopcal.estimation.solve.kernel import unload
+from loopcal.estimation.solve.loss import Loss
+from loopcal.estimation.solve.merit import without_state
+from loopcal.estimation.solve.reduction import Accumulator, overflowing, spectrum
+from loopcal.estimation.solve.solution import MOST_ITERATIONS, Solution, Status
+from loopcal.estimation.solve.solver import Progress, solve
+from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.presentation.shown import significant
 
 Array = NDArray[np.float64]
+# docs/decisions/0023.
 _POSES = 200
 """Starts are sought on so many of the poses at most."""
+# Chosen, not derived: time of a search whose end is fitted again.
 _MOST = 100
 """Iterations of a search for a start."""
 # Three radii with eight draws are the 24 starts of docs/decisions/0023.
 _RADII, _DRAWS, _SEARCH, _GLANCE = (0.1, 0.3, 1.0), 8, 50, 3
 """Several starts: so many at each radius, as shares of half a turn, of the largest length and of
 other parameters themselves; each is searched for so many iterations, after a misfit for few."""
+# Chosen, not derived: above what convergence leaves open, below what another optimum changes.
 _HIGHER = 1e-6
 # docs/decisions/0023.
 _MISFIT = 10.0
@@ -182,3 +188,90 @@ def _several(problem: Problem) -> Iterator[Array]:
             yield problem.unknowns.moved(
                 problem.start, radius * spread * rng.uniform(-1.0, 1.0, len(spread))
             )
+
+
+# The seed's own iteration, step by step and undamped, for study: equations (3.24) to (3.30).
+
+TOLERANCE = 1e-10
+"""Converged when no normalised parameter or correction moves by more than this many sds."""
+
+
+def iterate_undamped(
+    problem: Problem,
+    *,
+    loss: Loss | None = None,
+    max_iterations: int = MOST_ITERATIONS,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
+) -> Solution:
+    """Full steps in parameters and corrections together, as the seed writes them.
+
+    D_i = R_i^-T J_q,i and E_i = Q_i^T y_i - R_i^-T f_i; [D; I] dq = [E; -q] in least squares;
+    y_i <- Q_i (E_i - D_i dq), q <- q + dq, until neither moves. Nothing keeps a step from making
+    things worse: the status then says "max_iterations" or "diverged", and the point is whatever
+    was reached. Needs finite memory for all D_i at once, and every quantity measured or exact.
+    It knows no loss, which `Fit` refuses, and reports no progress.
+
+    Raises InputError if a quantity is unmeasured.
+    """
+    if any(pattern.unmeasured for pattern in problem.patterns):
+        raise InputError(
+            "the undamped iteration of the thesis cannot handle unmeasured quantities",
+            code="unsupported",
+            remedy='use method = "implicit-loop"',
+        )
+    least = TOLERANCE if tolerance is None else tolerance
+    sweeper = Sweeper(problem)
+    parameters = problem.start.copy()
+    corrections = np.zeros_like(problem.readings)
+    reason, iteration, first = "max_iterations", 0, np.inf
+    before = parameters, corrections
+    while reason == "max_iterations" and iteration < max_iterations:
+        iteration += 1
+        offset = problem.nominal - parameters[problem.free]
+        data, steps, proposals = _linearised(sweeper, parameters, corrections)
+        if not np.all(np.isfinite(data.total)):
+            if iteration == 1:
+                raise outside_domain(problem, parameters)
+            reason, (parameters, corrections) = "diverged", before
+            break
+        before = parameters.copy(), corrections
+        if iteration == 1:
+            first = data.chi_squared + float(np.square(offset / problem.prior_sd).sum())
+        system = spectrum(data, offset, problem.prior_sd)
+        step = system.step()
+        new = proposals - np.einsum("nkb,n->kb", steps, step)
+        parameters[problem.free] += step
+        moved = np.abs(step / np.sqrt(np.maximum(np.diag(system.covariance()), 1e-300))).max()
+        sd = np.where(problem.uncertainty.sd > 0, problem.uncertainty.sd, np.inf)
+        shifted = (np.abs(new - corrections) / sd).max()
+        corrections = new
+        if max(moved, shifted) <= least * max(1.0, np.abs(corrections / sd).max()):
+            reason = "converged"
+    sweep = sweeper.sweep(parameters, corrections)
+    end = spectrum(sweep.data, problem.unknowns.offset(parameters), problem.prior_sd)
+    prior = problem.unknowns.prior_square(parameters)
+    if reason == "max_iterations" and not sweep.data.chi_squared + prior <= first:
+        reason = "diverged"
+    status = Status.of(reason, iteration, sweeper.evaluations / len(problem.poses))
+    return Solution(parameters, corrections, without_state(sweep), end, prior, status)
+
+
+@overflowing
+def _linearised(
+    sweeper: Sweeper, parameters: Array, corrections: Array
+) -> tuple[Accumulator, Array, Array]:
+    """The parameter system; S Q D, (n, k, N), which turns dq into corrections; and S Q E."""
+    problem = sweeper.problem
+    data = Accumulator(len(problem.free), True, problem.units)
+    steps = np.zeros((len(problem.free), *corrections.shape))
+    proposals = np.zeros_like(corrections)
+    for pattern, block in sweeper.blocks(parameters, corrections):
+        values = sweeper.loop_values(pattern, block)
+        sweeper.evaluations += block.count
+        whitened = sweeper.reduce(values, block)
+        data.add(whitened.rows)
+        proposals[:, block.poses] = whitened.correction
+        for j, column in enumerate(whitened.D):
+            steps[j][:, block.poses] = unload(whitened.G, column, block.noise)
+    return data, steps, proposals

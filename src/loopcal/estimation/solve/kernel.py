@@ -28,8 +28,10 @@ from loopcal.estimation.solve.scratch import scratch
 from loopcal.expressions.engine import LoopValues
 
 Array = NDArray[np.float64]
+# This and ROUNDED_AWAY: some 450 eps. Chosen, not derived.
 SINGULAR = 1e-13
 """A loop whose uncertain part is this small beside its own row cannot be closed."""
+# Leaves eps / REORTHOGONAL of orthogonality: thirty roundings, for few second projections.
 REORTHOGONAL = 0.03
 """A row of which projections left no more than this is made orthogonal once more."""
 

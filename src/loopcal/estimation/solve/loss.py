@@ -26,6 +26,7 @@ from loopcal.errors import InputError, nearest
 
 Array = NDArray[np.float64]
 LOSSES = ("gaussian", "huber", "student-t")
+# The usual value (Holland and Welsch 1977).
 EFFICIENCY = 0.95
 """What Huber's loss keeps of the gaussian fit's efficiency where every reading is good."""
 FREEDOM = 4.0

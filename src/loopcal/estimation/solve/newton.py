@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.solve.block import Block, BlockNoise
-from loopcal.estimation.solve.gauss_newton import UNMEASURED_SCALE
-from loopcal.estimation.solve.reduced import Closed
+from loopcal.estimation.solve.gauss_newton import UNMEASURED_SCALE, Closed
 from loopcal.expressions.derivative import lagrangian_gradient
 from loopcal.expressions.engine import Engine, Stage, engine_for
 from loopcal.expressions.tape import Tape
 
 Array = NDArray[np.float64]
+# Chosen, not derived: a cap of the iterations, and poses whose second derivatives fit the cache.
 _MOST, _BLOCK = 60, 256
 _LENGTHS = tuple(0.5 ** np.arange(*some) for some in ((0, 1), (1, 5), (5, 25)))
 """Shares of a step that are tried, those of a group at once: evaluations cost by their number."""

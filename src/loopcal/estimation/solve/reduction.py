@@ -22,12 +22,15 @@ Array = NDArray[np.float64]
 RANK_TOLERANCE, SUMMED_TOLERANCE = 1e-10, 1e-6
 """Directions with a singular value this much below the largest are not determined; from normal
 equations, whose rounding hides singular values up to the root of n eps, it shows only so far."""
+# docs/decisions/0012.
 ROUNDING = 2e-15
 """A column this short beside others in its unit is what cancelled terms leave: no effect at all."""
 SQUARED = 1e-150
 """The square of a smaller singular value is no number any more."""
+# Chosen, not derived: sds a million times those of the best direction.
 WEAK = 1e-6
 """Directions with a singular value this far below the largest are determined, but hardly."""
+# Chosen, not derived: real parameters keep most of their effect from start to end.
 _VANISHED, _LOOSE = 1e-4, 1e-2
 """A parameter whose effect on the loops shrinks to this share of what it was has run away, unless
 data and prior still determine it."""

@@ -32,9 +32,8 @@ from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import without_state
 from loopcal.estimation.solve.reduction import overflowing
 from loopcal.estimation.solve.scratch import one_blas_thread, scratch
-from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solution import MOST_ITERATIONS, Solution, Status
 from loopcal.estimation.solve.solver import Progress, solve_with
-from loopcal.estimation.solve.status import MOST_ITERATIONS, Status
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.expressions.engine import Engine, LoopValues, Stage
 

@@ -23,9 +23,8 @@ from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.merit import Evaluation, State
 from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solution import End, Solution
+from loopcal.estimation.solve.solution import MOST_ITERATIONS, End, Solution
 from loopcal.estimation.solve.solver import Progress
-from loopcal.estimation.solve.status import MOST_ITERATIONS
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
 Array = NDArray[np.float64]

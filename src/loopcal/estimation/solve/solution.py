@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.solve.merit import Evaluation, State
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
-from loopcal.estimation.solve.status import Status
 
 Array = NDArray[np.float64]
 Other = TypeVar("Other")
@@ -68,3 +67,77 @@ class End(Generic[State]):
 
 Solution = End[Array]
 """Where a fit of poses in memory ended."""
+
+
+# Why a fit stopped: a status is its cause and what to do about it.
+
+# docs/decisions/0002: a cap; fits end by progress.
+MOST_ITERATIONS = 1000
+"""Iterations that a fit may take, unless the user says otherwise."""
+REASONS = {
+    "converged": "The gradient of the Lagrangian is zero to rounding and every loop closes.",
+    "max_iterations": (
+        "The iterations allowed ran out before the gradient was small. Allow more "
+        "(fit.max_iterations), or start nearer: check nominal values, units and joint signs."
+    ),
+    "file_at_fault": (
+        "The file is at fault, so the fit ended early. Correct what is named and calibrate again."
+    ),
+    "stalled": (
+        "Steps no longer lower chi-squared although its gradient is not small. Check the "
+        "nominal values and units, scale sds that differ by many orders of magnitude, or give "
+        "weakly determined parameters a prior sd."
+    ),
+    "runaway": (
+        "Chi-squared falls towards infinite parameters: some have lost all effect on the loops. "
+        "Start nearer, give them a prior sd, or fix them."
+    ),
+    "diverged": (
+        'The undamped iteration diverged. Use method "implicit-loop", which damps its steps, '
+        "or start nearer."
+    ),
+    "cannot_close": (
+        "Some loops cannot be closed by correcting the readings. Check the poses named, "
+        "and whether every loop contains a quantity with an sd above zero."
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a fit ended.
+
+    reason: one of the keys of REASONS; message: cause and
+    remedy; iterations: parameter steps tried; evaluations: loop evaluations per pose;
+    note: from where the fit was started instead, if it was; part of the message.
+    """
+
+    converged: bool
+    reason: str
+    message: str
+    iterations: int
+    evaluations: float = 0.0
+    note: str = ""
+
+    @classmethod
+    def of(cls, reason: str, iterations: int, evaluations: float, detail: str = "") -> Status:
+        """The status for a reason, with its cause and remedy."""
+        message = f"{REASONS[reason]} {detail}".strip()
+        return cls(reason == "converged", reason, message, iterations, evaluations)
+
+    def ended_early(self) -> Status:
+        """The same where more iterations would be of no use, for the file is at fault."""
+        if self.reason != "max_iterations":
+            return self
+        return Status.of("file_at_fault", self.iterations, self.evaluations)
+
+
+def weakness(names: tuple[str, ...]) -> str:
+    """What to do about a direction that the poses hardly determine; nothing if there is none."""
+    if not names:
+        return ""
+    return (
+        f"These poses weakly distinguish {', '.join(names)}: fix one of them or give it a prior "
+        f"sd, "
+        'and describe axes that are nearly parallel by the form "hayati" or by transitions.'
+    )

@@ -22,15 +22,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Generic
+from typing import Any, Generic
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.solve.acceleration import accelerated
 from loopcal.estimation.solve.checkpoint import Checkpoint, Point
-from loopcal.estimation.solve.course import MOST_DAMPING, Course
+from loopcal.estimation.solve.course import MOST_DAMPING, accelerated
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
@@ -44,8 +43,7 @@ from loopcal.estimation.solve.merit import (
 )
 from loopcal.estimation.solve.reduction import hardly_determined, overflowing, spectrum, vanished
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
-from loopcal.estimation.solve.solution import End, Solution
-from loopcal.estimation.solve.status import MOST_ITERATIONS, Status, weakness
+from loopcal.estimation.solve.solution import MOST_ITERATIONS, End, Solution, Status, weakness
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
 Array = NDArray[np.float64]
@@ -58,10 +56,13 @@ RELATIVE_STEP = 1e-11
 suggest: parameters then have ten digits. With large noise a step gains only two or three."""
 _NEGLIGIBLE_STEP = 1e-6
 """The next step must be this small; if it no longer shrinks, only rounding is left."""
+# Chosen, not derived: steps of a fit that still converges shrink faster.
 _NO_LONGER = 0.8
 """The decrement no longer shrinks when it keeps this share from one step to the next."""
+# Chosen, not derived: earlier steps need no closed loops, later ones decide the end.
 _LAST_STEP = 0.1
 """Steps this small are taken with closed loops, so that the point they end at is final."""
+# Chosen, not derived: faster fits need no acceleration, and far from the end it misleads.
 _SLOW, _NEARBY = 0.1, 1.0
 """Steps are accelerated where the decrement keeps so much from one to the next, and the step is so
 many sds."""
@@ -75,12 +76,14 @@ than the linearised loops are known to hold, by more."""
 # docs/decisions/0002: limits are by progress, MOST_ITERATIONS is only the cap.
 _PATIENCE, _PROGRESS = 100, 1e-9
 """The search ends where so many iterations lower the merit by no more than this share of it."""
+# Chosen, not derived: residuals of 10 sds, of which the next step takes two thirds.
 _FAR, _EXPLAINED = 100.0, 0.9
 """Where whitened residuals are this large (mean square) and parameters explain this share of
 them, the loops need not be closed yet."""
 _ONCE, _NEAR, _CLOSED = np.inf, NEAR, NEGLIGIBLE
 """Loops are closed until what is left to correct is at most so many sds: after a single correction
 on the way, where that does not do, and at the end."""
+# Chosen, not derived: sums grow with the square of the parameters, closing loops does not.
 _WIDE = 100
 """With so many parameters, loops closed to the end cost little beside the sums over all poses."""
 
@@ -142,32 +145,21 @@ class _Solver(Generic[State]):
         self.tolerance = RELATIVE_STEP if tolerance is None else tolerance
         self.unknowns = merit.unknowns
         self.progress, self.reached = progress, reached
-        self.triangular = False
-        self.counted = 0  # evaluations of an interrupted run
-        self.floor = 0.0
-        self.iterations = 0
-        self.before = np.inf
-        self.course = Course()
-        self.noted = np.inf
+        self.search: Checkpoint[State]
 
     def run(self, max_iterations: int, resume: Checkpoint[State] | None) -> End[State]:
         current = self._resumed(resume) if resume else self._first()
-        if resume:
-            self.first, self.lowest, self.effects = resume.first, resume.lowest, resume.effects
-        else:
-            self.first = self.lowest = current.place
-            self.effects = current.evaluation.data.lengths
         while True:
             assert current.spectrum is not None
             # First, because all below judges the decrement, of which normal equations may lack
             # digits.
-            if not (self.triangular or current.spectrum.well_conditioned):
-                self.triangular = True
+            if not (self.search.triangular or current.spectrum.well_conditioned):
+                self._note(triangular=True)
                 current = self._evaluate(current.parameters, current.evaluation.state)
                 continue
             # Open loops may have a merit below that of any closed ones (docs/decisions/0002).
-            if current.merit < self.lowest.merit and current.closed is not None:
-                self.lowest = current.place
+            if current.merit < self.search.lowest.merit and current.closed is not None:
+                self._note(lowest=current.place)
             elif self._higher(current) and self._settled(current):
                 current = self._returned(current)
                 continue
@@ -180,36 +172,47 @@ class _Solver(Generic[State]):
                 if self._settled(current):
                     continue
             assert current.spectrum is not None
-            if self.iterations >= max_iterations:
+            if self.search.iterations >= max_iterations:
                 return self._give_up(current, "max_iterations")
+            self._note(current=current.place)
             if self.reached:
-                self.reached(self._checkpoint(current))
-            self.iterations += 1
+                self.reached(replace(self.search, evaluations=self.evaluations))
+            iterations = self.search.iterations + 1
+            self._note(iterations=iterations)
             if self.progress:
-                self.progress(self.iterations, current.merit, current.spectrum.decrement)
+                self.progress(iterations, current.merit, current.spectrum.decrement)
             trial = self._advance(current)
             if trial is None and self._higher(current):
                 trial = self._returned(current)
             if trial is None:
                 return self._stalled(current)
-            self.before = current.spectrum.decrement
+            self._note(before=current.spectrum.decrement)
             current = trial
-            if self.iterations % _PATIENCE == 0:
-                noted, self.noted = self.noted, self.lowest.merit
-                if not self.noted < (1 - _PROGRESS) * noted:
+            if iterations % _PATIENCE == 0:
+                noted, merit = self.search.noted, self.search.lowest.merit
+                self._note(noted=merit)
+                if not merit < (1 - _PROGRESS) * noted:
                     return self._give_up(current, "stalled")
+
+    def _note(self, **changes: Any) -> None:
+        self.search = replace(self.search, **changes)
+
+    @property
+    def evaluations(self) -> int:
+        """Loop evaluations so far, those of an interrupted run included."""
+        return self.search.evaluations + self.merit.evaluations
 
     def _higher(self, point: Point[State]) -> bool:
         """Whether the search has left its lowest point for one that is higher by more than what
         loops that are not quite closed make uncertain."""
-        return point.merit > self.lowest.merit + self._limit(point, _LAST_STEP)
+        return point.merit > self.search.lowest.merit + self._limit(point, _LAST_STEP)
 
     def _returned(self, current: Point[State]) -> Point[State]:
         """The lowest point, or the current one if that is lower once both have closed loops."""
-        self.course, self.before = self.course.returned(), np.inf
-        lowest = self._evaluate(self.lowest.parameters, self.lowest.state, _NEAR)
+        place = self.search.lowest
+        lowest = self._evaluate(place.parameters, place.state, _NEAR)
         point = lowest if lowest.merit < current.merit else current
-        self.lowest = point.place
+        self._note(course=self.search.course.returned(), before=np.inf, lowest=point.place)
         return point
 
     @overflowing
@@ -217,12 +220,15 @@ class _Solver(Generic[State]):
         start = self.unknowns.start
         evaluation = self.merit.first(start)
         # n directions, each with the square of what rounding does to whitened residuals
-        self.floor = len(self.unknowns.free) * evaluation.rounding**2
+        floor = len(self.unknowns.free) * evaluation.rounding**2
         point = self._point(start, evaluation)
+        self.search = Checkpoint.at(point, floor)
         assert point.spectrum is not None
         if point.closed is None and not self._far(point, point.spectrum.decrement):
             point = self._evaluate(start, evaluation.state, _NEAR)
-        return self._nearer(point) or point
+        point = self._nearer(point) or point
+        self.search = Checkpoint.at(point, floor)
+        return point
 
     def _nearer(self, point: Point[State]) -> Point[State] | None:
         """The same parameters with loops closed nearer to the readings; None where they are not.
@@ -237,29 +243,10 @@ class _Solver(Generic[State]):
         other = self._evaluate(point.parameters, state, _CLOSED)
         return other if other.spectrum is not None and other.merit < point.merit else None
 
-    def _checkpoint(self, current: Point[State]) -> Checkpoint[State]:
-        return Checkpoint(
-            self.first,
-            current.place,
-            self.lowest,
-            self.effects,
-            self.course.recent,
-            self.course.damping,
-            self.before,
-            self.floor,
-            self.noted,
-            self.triangular,
-            self.iterations,
-            self.counted + self.merit.evaluations,
-        )
-
     def _resumed(self, kept: Checkpoint[State]) -> Point[State]:
-        self.before, self.floor, self.noted = kept.before, kept.floor, kept.noted
-        self.course = Course(kept.damping, recent=kept.recent)
-        self.triangular, self.iterations = kept.triangular, kept.iterations
-        place = kept.current
+        self.search, place = kept, kept.current
         point = self._evaluate(place.parameters, place.state, place.closing)
-        self.counted = kept.evaluations - self.merit.evaluations
+        self._note(evaluations=kept.evaluations - self.merit.evaluations)
         return point
 
     @overflowing
@@ -274,7 +261,7 @@ class _Solver(Generic[State]):
         evaluation = self.merit.evaluate(
             parameters,
             state,
-            triangular=self.triangular,
+            triangular=self.search.triangular,
             closing=closing,
             contraction=contraction,
             trial=trial,
@@ -294,14 +281,14 @@ class _Solver(Generic[State]):
         """The next accepted point; None where no step is accepted."""
         if (fast := self._fast(current)) is not None:
             return fast
-        while self.course.damping < MOST_DAMPING:
+        while self.search.course.damping < MOST_DAMPING:
             system = current.spectrum
             assert system is not None
-            predicted = system.predicted(self.course.damping)
+            predicted = system.predicted(self.search.course.damping)
             if (descent := self._try(current, predicted)) is not None:
                 trial, move = descent
                 gain = (current.merit - trial.merit) / predicted if predicted > 0 else 1.0
-                self.course = self.course.accepted(system, move, gain)
+                self._note(course=self.search.course.accepted(system, move, gain))
                 return trial
             # The merit of open loops is an estimate: close them as well as the trial's.
             closing = _CLOSED if self._last(current, predicted) else _NEAR
@@ -311,7 +298,7 @@ class _Solver(Generic[State]):
                     current = closed
                     continue
                 current = replace(current, closed=closing)
-            self.course = self.course.rejected(system)
+            self._note(course=self.search.course.rejected(system))
         return None
 
     def _fast(self, current: Point[State]) -> Point[State] | None:
@@ -319,7 +306,8 @@ class _Solver(Generic[State]):
 
         Steps are accelerated near the end, where they no longer shrink by much.
         """
-        system, recent, slow = current.spectrum, self.course.recent, _SLOW * self.before
+        system, slow = current.spectrum, _SLOW * self.search.before
+        recent = self.search.course.recent
         assert system is not None
         if recent is None or current.closed is None or not slow < system.decrement < math.inf:
             return None
@@ -335,16 +323,16 @@ class _Solver(Generic[State]):
             if self._worth(current, trial, system.decrement):
                 # A gain below zero is rounding here, no reason to raise the damping.
                 gain = (current.merit - trial.merit) / system.decrement
-                self.course = self.course.accepted(system, step, max(gain, 0.0))
+                self._note(course=self.search.course.accepted(system, step, max(gain, 0.0)))
                 return trial
-        self.course = self.course.unaccelerated()
+        self._note(course=self.search.course.unaccelerated())
         return None
 
     def _try(self, current: Point[State], predicted: float) -> tuple[Point[State], Array] | None:
         """The point after a step, corrected or not, if its merit falls as it should, and the move
         (n,) [SI] that led there; else None."""
         assert current.spectrum is not None
-        damping, scale = self.course.damping, current.spectrum.scale
+        damping, scale = self.search.course.damping, current.spectrum.scale
         move = step = current.spectrum.step(damping)
         far, last = self._far(current, predicted), self._last(current, predicted)
         closings = [None, _NEAR] if far else [_CLOSED] if last or self._wide else [_ONCE, _NEAR]
@@ -388,7 +376,7 @@ class _Solver(Generic[State]):
         if not math.isfinite(trial.merit) or trial.spectrum is None:
             return False
         # Each of many residuals E carries a rounding d, so the merit wavers by about 2 |E| |d|.
-        wavering = 4 * math.sqrt(current.merit * self.floor) + 1e-13 * current.merit
+        wavering = 4 * math.sqrt(current.merit * self.search.floor) + 1e-13 * current.merit
         # The merit cannot show so small a fall: then the next decrement must not have doubled.
         if predicted <= wavering:
             return trial.spectrum.decrement <= 2 * predicted
@@ -397,12 +385,12 @@ class _Solver(Generic[State]):
     def _settled(self, point: Point[State]) -> bool:
         """Whether the next step leaves nothing beside the sds that the residuals suggest."""
         assert point.spectrum is not None
-        decrement = point.spectrum.decrement
+        decrement, before = point.spectrum.decrement, self.search.before
         if not self._negligible(point):
             return False
         # Linear convergence: the next step leaves a decrement of rate * decrement.
-        rate = min(decrement / self.before, 1.0) if math.isfinite(self.before) else 1.0
-        stuck = math.isfinite(self.before) and rate > _NO_LONGER
+        rate = min(decrement / before, 1.0) if math.isfinite(before) else 1.0
+        stuck = math.isfinite(before) and rate > _NO_LONGER
         return stuck or rate * decrement <= self._limit(point, self.tolerance)
 
     def _negligible(self, point: Point[State]) -> bool:
@@ -417,7 +405,7 @@ class _Solver(Generic[State]):
         n = len(self.unknowns.free)
         # A step of one sd in each of n independent directions changes chi-squared by n variances.
         variance = point.merit / max(point.evaluation.equations - n, 1)
-        return max(step**2 * n * variance, self.floor)
+        return max(step**2 * n * variance, self.search.floor)
 
     def _converged(self, point: Point[State]) -> End[State]:
         """The end: the last step is taken, and the loops are closed there, without a new sweep.
@@ -428,11 +416,15 @@ class _Solver(Generic[State]):
         parameters = self.unknowns.moved(point.parameters, point.spectrum.step())
         start, contraction = point.evaluation.proposal, point.evaluation.contraction
         closed = self.merit.close(parameters, start, RELATIVE_STEP, contraction)
-        gone = vanished(point.spectrum, point.evaluation.data.lengths, self.effects)
-        reason = "runaway" if gone.any() else "converged"
+        reason = "runaway" if self._vanished(point).any() else "converged"
         if closed is None:
             return self._solution(point, reason)
         return self._solution(replace(point, parameters=parameters), reason, closed)
+
+    def _vanished(self, point: Point[State]) -> NDArray[np.bool_]:
+        """Parameters (n,) that have run to where they have no effect any more."""
+        assert point.spectrum is not None
+        return vanished(point.spectrum, point.evaluation.data.lengths, self.search.effects)
 
     def _stalled(self, current: Point[State]) -> End[State]:
         """The end where no step lowers the merit: given up, unless only rounding is in the way."""
@@ -445,7 +437,7 @@ class _Solver(Generic[State]):
         if late or end.spectrum is None:
             # the merit of open loops is no merit: any point with closed loops is a better end
             end, reason = replace(current, merit=np.inf, closed=None), "cannot_close"
-        for place in (self.lowest, self.first):
+        for place in (self.search.lowest, self.search.first):
             if not end.merit <= place.merit:
                 for closing in (_CLOSED, _NEAR):
                     other = self._evaluate(place.parameters, place.state, closing)
@@ -466,11 +458,11 @@ class _Solver(Generic[State]):
             detail = f"Poses: {', '.join(late.poses)}."
         assert end.spectrum is not None
         if reason == "runaway":
-            gone = np.flatnonzero(vanished(end.spectrum, end.evaluation.data.lengths, self.effects))
+            gone = np.flatnonzero(self._vanished(end))
             detail = f"Parameters: {', '.join(self.unknowns.names[i] for i in gone)}."
         if reason in ("max_iterations", "stalled"):
             detail = weakness(hardly_determined(end.spectrum, self.unknowns.names))
-        evaluations = (self.counted + self.merit.evaluations) / end.evaluation.poses
+        evaluations = self.evaluations / end.evaluation.poses
         if closed is None:
             near = end.evaluation.step <= 1.0  # a longer step may lead anywhere
             closed = end.evaluation.proposal if near else end.evaluation.state
@@ -480,5 +472,5 @@ class _Solver(Generic[State]):
             without_state(end.evaluation),
             end.spectrum,
             self.unknowns.prior_square(end.parameters),
-            Status.of(reason, self.iterations, evaluations, detail),
+            Status.of(reason, self.search.iterations, evaluations, detail),
         )

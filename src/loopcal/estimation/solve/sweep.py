@@ -19,16 +19,16 @@ from loopcal.estimation.problem.patterns import Pattern, Poses
 from loopcal.estimation.problem.problem import BLOCK, Problem
 from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.block_kernel import BlockKernel, Reduce, kernel_for
-from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE, Closed, Reduced
 from loopcal.estimation.solve.kernel import unweighted, whiten
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import NAMED, NONE_FAILED, Evaluation, Failed
-from loopcal.estimation.solve.reduced import Closed, Reduced
 from loopcal.estimation.solve.reduction import Accumulator, overflowing
 from loopcal.expressions.engine import Engine, LoopValues, Stage, engine_for
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
+# Chosen, not derived: closing farther costs time, and a step is damped anyway.
 NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""
 _SEARCHED = 1024
@@ -37,6 +37,7 @@ _SEARCHED = 1024
 _ASTRAY, _ANEW, _NEARER = 25.0, 256, 0.999
 """A pose whose corrections cost so many times those of the middle pose may close nearer; so many of
 a block are tried; one does if it then costs at most this share."""
+# Chosen, not derived: rounding is alike in all poses.
 _SAMPLE = 64
 """Poses from which the rounding of loop values is estimated."""
 

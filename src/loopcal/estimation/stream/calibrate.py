@@ -2,36 +2,45 @@
 
 The steps are those of a calibration in memory (`loopcal.estimation.steps`), taken with the poses of
 the first chunk; the fit then adds up over all chunks. Where sds are learnt, they are from poses
-thinned evenly (`loopcal.estimation.stream.learning`). The arrays of a result, one value per pose,
+thinned evenly (`loopcal.estimation.stream.calibrate`). The arrays of a result, one value per pose,
 are those of such poses and of those that fit worst; the arrays of each chunk are handed out.
+
+A stream whose fit learns sds of terms: from poses thinned evenly, in memory, and shown on all.
+
+A pass over all poses with the columns of a model error costs a hundred times as much as one without
+them, and learning takes dozens. Some thousand poses say what a machine model lacks; more of them
+would lower the part of single readings' noise alone, which is small beside it. The last pass judges
+all poses, most of which took no part in the fit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.fit import Fit
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.fit import Fit, used_noise, weighed
 from loopcal.estimation.methods.registry import names_where
+from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.estimation.solve.loss import Loss
+from loopcal.estimation.solve.merit import without_state
 from loopcal.estimation.solve.robust import FIRST_STAGE, Stage, in_stages, summed
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import End
 from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.sweep import NEAR
-from loopcal.estimation.steps import State, ended, examined, placed, prepared
-from loopcal.estimation.stream.chunks import Stream
+from loopcal.estimation.steps import State, examined, fitted, placed, prepared
 from loopcal.estimation.stream.last_pass import LastPass, Parts
-from loopcal.estimation.stream.learning import AsFitted, learn
-from loopcal.estimation.stream.merit import Ratios, StreamMerit, Task, do
+from loopcal.estimation.stream.merit import Chunk, Ratios, Stream, StreamMerit, Task, do, joined
 from loopcal.execution.executor import Crew, Executor, InProcess
 from loopcal.mechanisms.mechanism import Mechanism
 
@@ -64,36 +73,41 @@ def calibrate_stream(
     first, fit = stream.chunk(0), fit or Fit()
     fit = fit.changed(method=fit.among(first.data, first.noise)[0])
     refuse_unstreamable(fit)
-    search = _Search(progress, reached, resume)
+    search = _Search(fit, progress, reached, resume)
     with one_blas_thread():
         state = prepared(State(fit, mechanism, first.data, first.noise, stream.poses, whole=False))
         if not state.learns:
             state = examined(placed(state))
             task = _task(state.mechanism, AsFitted(stream, state.mechanism, fit), fit)
             with (executor or InProcess()).crew(do, task) as crew:
-                end = search.fitted(state, task, crew, task.problem(task.stream.chunk(0)))
-                result = LastPass(task, fit, end, end.sums.sizes).result(crew, parts)
-            return replace(result, faults=ended(state, end).faults)
+                state = fitted(state, partial(search.once, task, crew))
+                assert state.end is not None
+                result = LastPass(task, fit, state.end, state.end.sums.sizes).result(crew, parts)
+            return replace(result, faults=state.faults)
         learnt = learn(mechanism, stream, fit, progress)
         task = _task(learnt.mechanism, AsFitted(stream, learnt.mechanism, fit), fit, learnt.ratios)
         with (executor or InProcess()).crew(do, task) as crew:
             end, sizes = learnt.end, learnt.sizes
             if not learnt.stands_for_all:
                 begun = replace(task.problem(task.stream.chunk(0)), start=end.parameters)
-                end = search.fitted(state, task, crew, begun)
+                end = search.once(task, crew, begun, fit.max_iterations, fit.tolerance)
             return learnt.annotated(LastPass(task, fit, end, sizes).result(crew, parts))
 
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Listeners of a fit, and where an interrupted one goes on."""
+    """A fit of all chunks: its listeners, and where an interrupted one goes on."""
 
+    fit: Fit
     progress: Progress | None
     reached: Callable[[Checkpoint[bool]], None] | None
     resume: Checkpoint[bool] | None
 
-    def fitted(self, state: State, task: Task, crew: Crew, first: Problem) -> End[bool]:
-        """Where the fit of all chunks ends, from the start of the first one's problem."""
+    def once(
+        self, task: Task, crew: Crew, first: Problem, most: int, tolerance: float | None
+    ) -> End[bool]:
+        """Where the fit ends, from the start of the problem of the first chunk."""
+        robust_loss = self.fit.robust_loss
 
         def solved(start: Array, loss: Loss | None, stage: Stage) -> End[bool]:
             def kept(checkpoint: Checkpoint[bool]) -> None:
@@ -102,20 +116,19 @@ class _Search:
 
             return solve_with(
                 StreamMerit(task, crew, replace(first, start=start), loss),
-                max_iterations=state.most_iterations,
-                tolerance=state.fit.tolerance,
+                max_iterations=most,
+                tolerance=tolerance,
                 progress=self.progress,
                 reached=kept,
                 resume=self.resume if self.resume and self.resume.stage == stage.number else None,
             )
 
         def cost() -> float:
-            merit = StreamMerit(task, crew, first, state.fit.robust_loss)
+            merit = StreamMerit(task, crew, first, robust_loss)
             return summed(merit.evaluate(first.start, False, closing=NEAR), merit.unknowns)
 
         begin = Stage(self.resume.stage, self.resume.earlier) if self.resume else FIRST_STAGE
-        end = in_stages(solved, first.start, state.fit.robust_loss, cost, begin)
-        return replace(end, status=end.status.ended_early()) if state.hopeless else end
+        return in_stages(solved, first.start, robust_loss, cost, begin)
 
 
 def _task(mechanism: Mechanism, stream: Stream, fit: Fit, ratios: Ratios = ()) -> Task:
@@ -145,3 +158,108 @@ def refuse_unstreamable(fit: Fit) -> None:
             code="unsupported",
             remedy="leave it out, or thin the poses (data.every) and set stream = false",
         )
+
+
+# docs/decisions/0016.
+ENOUGH = 5_000
+"""Poses that take part in the fit, at most."""
+NEARLY = 1e-2
+"""A fit of some of the poses converges to so many sds: others would have moved it by more."""
+
+
+@dataclass(frozen=True, eq=False)
+class AsFitted:
+    """A stream with the noise and the readings that a fit of a mechanism uses."""
+
+    stream: Stream
+    mechanism: Mechanism
+    fit: Fit
+
+    @property
+    def poses(self) -> int:
+        return self.stream.poses
+
+    @property
+    def count(self) -> int:
+        return self.stream.count
+
+    def chunk(self, number: int) -> Chunk:
+        chunk = self.stream.chunk(number)
+        noise = used_noise(self.fit, self.mechanism, chunk.data, chunk.noise)
+        if noise is None:
+            return chunk
+        _, data = with_model(self.mechanism, weighed(self.fit, chunk.data), noise)
+        return Chunk(data, noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Learnt:
+    """What was learnt from some poses.
+
+    part: their calibration; every: one pose of so many took part; sizes: poses of each chunk.
+    """
+
+    part: Result
+    every: int
+    sizes: tuple[int, ...]
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """With the learnt sds of its terms."""
+        return self.part.mechanism
+
+    @property
+    def ratios(self) -> Ratios:
+        """On the variances of sensors."""
+        if (estimate := self.part.estimate) is None:
+            return ()
+        learnt = zip(estimate.stated, estimate.variances.ratios.tolist(), strict=True)
+        return tuple((component.quantities, ratio) for component, ratio in learnt)
+
+    @property
+    def stands_for_all(self) -> bool:
+        """Whether the fit of these poses stands for all: with terms, a pass over all costs much
+        more; and where it failed, that of all would."""
+        learns_terms = bool(self.mechanism.learnt_terms)
+        return learns_terms or bool(self.part.faults) or not self.part.status.converged
+
+    @property
+    def end(self) -> End[bool]:
+        """Where the fit of the part ended, as the end of a stream."""
+        end = self.part.solution.with_state(True)
+        return replace(end, sums=without_state(end.sums))
+
+    def annotated(self, result: Result) -> Result:
+        """The result of all poses, with what was learnt and from how many."""
+        part = self.part
+        if self.every > 1:
+            share = f"{part.solution.poses} of these poses, one of every {self.every}. "
+            if self.stands_for_all:
+                result = result.noted(f"The fit used {share}The accuracy is that of all poses.")
+            else:
+                result = result.noted(f"The sds were learnt from {share}The fit used all poses.")
+        return replace(result, stated=part.stated, estimate=part.estimate, faults=part.faults)
+
+
+def learn(
+    mechanism: Mechanism, stream: Stream, fit: Fit, progress: Progress | None = None
+) -> Learnt:
+    """The calibration of at most `ENOUGH` poses of a stream, thinned evenly.
+
+    Raises InputError as `calibrate` does.
+    """
+    every = -(-stream.poses // ENOUGH)
+    parts, sizes = list[Chunk](), list[int]()
+    for number in range(stream.count):
+        chunk = stream.chunk(number)
+        # The stride goes on from chunk to chunk; otherwise each would bring its own first pose.
+        thinned = np.arange(-sum(sizes) % every, len(chunk.data), every)
+        sizes.append(len(chunk.data))
+        if thinned.size:
+            parts.append(chunk.take(thinned))
+    part = joined(parts)
+    if every > 1:
+        fit = fit.changed(tolerance=fit.tolerance or NEARLY)
+        part = replace(part, noise=part.noise.begun_at({}))  # as near as those of nearly the same
+    options: dict[str, Any] = {"noise": part.noise, "fit": fit, "progress": progress}
+    return Learnt(calibrate(mechanism, part.data, **options), every, tuple(sizes))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.chi_squared import quantile
-from loopcal.estimation.accuracy_tally import AccuracyTally
+from loopcal.estimation.accuracy import AccuracyTally
 from loopcal.estimation.all_poses import AllPoses
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
@@ -20,13 +20,13 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.robust import RobustSums
 from loopcal.estimation.solve.solution import End
-from loopcal.estimation.stream.chunks import Chunk, joined
-from loopcal.estimation.stream.merit import Task
+from loopcal.estimation.stream.merit import Chunk, Task, joined
 from loopcal.execution.executor import Crew, in_order
 from loopcal.measurements.dataset import Dataset
 
 Array = NDArray[np.float64]
 Part = TypeVar("Part")
+# docs/decisions/0016.
 WORST = 100
 """Of the poses that fit badly at most so many are shown."""
 NOT_SOUGHT = (
@@ -35,6 +35,7 @@ NOT_SOUGHT = (
     "(data.every, stream = false)."
 )
 """What every result of a stream says."""
+# Chosen, not derived: a figure shows no more points, and the rms of 10,000 is sure to 0.5 %.
 SHOWN, _ALIKE = 10_000, 0.5
 """About so many poses are kept for figures and tests; a model error is told of where these misfit
 at least this share of what all do."""

@@ -9,7 +9,7 @@ readings, which costs an evaluation or two more and needs no memory.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -18,18 +18,17 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.problem.enough import refuse_too_few
-from loopcal.estimation.problem.problem import Problem, build_problem
-from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.problem.unreachable import refuse_unreachable
-from loopcal.estimation.problem.weighting import Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting, build_problem
+from loopcal.estimation.problem.starting import refuse_unreachable, start_corrections
 from loopcal.estimation.solve.in_memory import cannot_close, outside_domain
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import Evaluation, Failed, without_state
 from loopcal.estimation.solve.reduction import Accumulator
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
-from loopcal.estimation.stream.chunks import Chunk, Stream
 from loopcal.execution.executor import Crew, in_order
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -216,3 +215,52 @@ class _SweepPiece:
         if self.first and not evaluation.finite:
             raise outside_domain(problem, self.parameters)
         return _Swept(without_state(evaluation), sweeper.evaluations)
+
+
+# Poses in chunks: what a stream brings, and some of its poses taken or joined.
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """Some consecutive poses, and what is stated of their noise."""
+
+    data: Dataset
+    noise: Noise
+
+    def take(self, index: NDArray[np.intp]) -> Chunk:
+        """Some of the poses, in this order."""
+        return Chunk(self.data.take(index), self.noise.take(index))
+
+
+def joined(parts: Sequence[Chunk]) -> Chunk:
+    """Several chunks as one."""
+    first = parts[0]
+
+    def all_of(pick: Callable[[Chunk], Any]) -> dict[str, Array]:
+        return {q: np.concatenate([pick(part)[q] for part in parts]) for q in pick(first)}
+
+    data = Dataset(
+        all_of(lambda part: part.data.readings),
+        first.data.units,
+        tuple(pose for part in parts for pose in part.data.poses),
+        all_of(lambda part: part.data.sds),
+        replace(first.data.source, rows=None),
+    )
+    return Chunk(data, first.noise.before([part.noise for part in parts[1:]]))
+
+
+class Stream(Protocol):
+    """Poses in chunks, each as often as it is asked for, the same every time.
+
+    poses: how many; count: how many chunks. Work by processes or on a cluster pickles it: what is
+    sent is how to read the poses, not the poses.
+    """
+
+    @property
+    def poses(self) -> int: ...
+
+    @property
+    def count(self) -> int: ...
+
+    def chunk(self, number: int) -> Chunk:
+        """The chunk of this number, from 0."""

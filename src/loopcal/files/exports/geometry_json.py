@@ -11,7 +11,6 @@ from loopcal.files.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.files.exports.tables import csv_text
 from loopcal.files.exports.urdf import decimal
 from loopcal.files.versions import versions
-from loopcal.mechanisms.rest import RestChain
 
 
 def geometry(exported: Exported, options: ExportOptions) -> ExportFiles:
@@ -43,23 +42,14 @@ def document(exported: Exported) -> dict[str, Any]:
             }
             for p in exported.parameters
         ],
-        "chain": None if exported.chain is None else _chain(exported.chain),
-        "zeros": [
-            {
-                "joint": zero.joint,
-                "unit": zero.unit,
-                "offset": zero.offset,
-                "u95": zero.u95,
-                "determined": zero.determined,
-            }
-            for zero in exported.zeros
-        ],
+        "chain": plain(exported.chain),
+        "zeros": plain(exported.zeros),
         "frames": [
             {
                 "frame": placed.name,
                 "in": placed.seen_in,
                 "model": placed.model,
-                "T": placed.T.tolist(),
+                "T": plain(placed.T),
                 "orientation_measured": placed.turned,
             }
             for placed in exported.frames
@@ -76,23 +66,6 @@ def accuracy(one: ModelAccuracy) -> dict[str, Any]:
         "unit": "m",
         "measured": plain(one.measured),
         "from_full": plain(one.from_full),
-    }
-
-
-def _chain(chain: RestChain) -> dict[str, Any]:
-    return {
-        "joints": [
-            {
-                "name": joint.name,
-                "reads": joint.reads,
-                "kind": joint.kind,
-                "axis": list(joint.axis),
-                "factor": joint.factor,
-                "before": joint.before.tolist(),
-            }
-            for joint in chain.joints
-        ],
-        "tip": chain.tip.tolist(),
     }
 
 

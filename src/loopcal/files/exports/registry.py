@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import unknown_name
 from loopcal.files.exports import geometry_json, simulators, tables, tf, ur, urdf, xacro
 from loopcal.files.exports.format import Format
 
@@ -16,9 +16,5 @@ EXPORTS: dict[str, Format] = {
 def format_named(name: str) -> Format:
     """The format of a name. Raises InputError for one that does not exist."""
     if name not in EXPORTS:
-        raise InputError(
-            f"there is no export format {name!r}",
-            code="unknown-name",
-            remedy=nearest(name, EXPORTS),
-        )
+        raise unknown_name(f"there is no export format {name!r}", name, EXPORTS)
     return EXPORTS[name]

@@ -32,7 +32,7 @@ def mjcf(exported: Exported, options: ExportOptions) -> ExportFiles:
     """robot.xml, in MuJoCo's format."""
     chain = _chain(exported)
     weights = _weights(exported, options)
-    light = "" if _all_weigh(chain, weights) else f' boundmass="{BOUND}" boundinertia="{BOUND}"'
+    light = "" if all(weights.values()) else f' boundmass="{BOUND}" boundinertia="{BOUND}"'
     lines = [
         f"<mujoco model={quoteattr(exported.name)}>",
         f'  <compiler angle="radian" autolimits="true"{light}/>',
@@ -75,7 +75,7 @@ def mjcf(exported: Exported, options: ExportOptions) -> ExportFiles:
         lines.append("  </equality>")
     return ExportFiles(
         {"robot.xml": "\n".join([*lines, "</mujoco>", ""])},
-        (*_follow_words(following), *_left_out(exported, weights, bool(light))),
+        _warnings(exported, weights, bounded=bool(light)),
     )
 
 
@@ -126,11 +126,8 @@ def sdf(exported: Exported, options: ExportOptions) -> ExportFiles:
         "</sdf>",
         "",
     ]
-    following = [joint for joint in chain.joints if _follows(joint)]
-    return ExportFiles(
-        {"robot.sdf": "\n".join(lines)},
-        (*_follow_words(following), *_left_out(exported, weights, bounded=False)),
-    )
+    warnings = _warnings(exported, weights, bounded=False)
+    return ExportFiles({"robot.sdf": "\n".join(lines)}, warnings)
 
 
 def _chain(exported: Exported) -> RestChain:
@@ -171,10 +168,6 @@ def _weights(exported: Exported, options: ExportOptions) -> dict[str, list[_Weig
     return weights
 
 
-def _all_weigh(chain: RestChain, weights: Mapping[str, Sequence[_Weight]]) -> bool:
-    return all(weights[joint.name] for joint in chain.joints)
-
-
 def _limits(exported: Exported, joint: RestJoint) -> tuple[float, float] | None:
     """Of the joint's motion; none of one that turns freely or follows another."""
     return None if _follows(joint) else exported.limits.get(joint.reads)
@@ -188,14 +181,18 @@ def _limit(exported: Exported, joint: RestJoint) -> str:
     return f"<limit><lower>{low}</lower><upper>{high}</upper></limit>"
 
 
-def _left_out(
-    exported: Exported, weights: Mapping[str, Sequence[_Weight]], bounded: bool
+def _warnings(
+    exported: Exported, weights: Mapping[str, Sequence[_Weight]], *, bounded: bool
 ) -> tuple[str, ...]:
-    """What the file does not state."""
+    """Which joints follow others, and what the file does not state."""
     joints = _chain(exported).joints
+    following = [j for j in joints if _follows(j)]
     light = [joint.name for joint in joints if not weights[joint.name]]
     free = [j.name for j in joints if not _follows(j) and _limits(exported, j) is None]
     words = []
+    if following:
+        by = ", ".join(f"{j.name} by {decimal(abs(j.factor))} times {j.reads}" for j in following)
+        words.append(f"These joints follow others, which the simulator has to command: {by}.")
     if light:
         least = f" MuJoCo takes {BOUND} kg and kg m2." if bounded else ""
         words.append(
@@ -216,13 +213,6 @@ def _sense(joint: RestJoint) -> float:
 def _follows(joint: RestJoint) -> bool:
     # A factor of -1 alone is no coupling: it turns the axis round (`_sense`).
     return joint.name != joint.reads or abs(joint.factor) != 1.0
-
-
-def _follow_words(following: Sequence[RestJoint]) -> tuple[str, ...]:
-    if not following:
-        return ()
-    words = ", ".join(f"{j.name} by {decimal(abs(j.factor))} times {j.reads}" for j in following)
-    return (f"These joints follow others, which the simulator has to command: {words}.",)
 
 
 def _numbers(values: Array) -> str:

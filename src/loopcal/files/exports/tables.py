@@ -1,4 +1,18 @@
-"""Tables of a calibrated arm as CSV: zeros, tool and base, and Denavit-Hartenberg parameters."""
+"""Tables of a calibrated arm as CSV: zeros, tool and base, and Denavit-Hartenberg parameters.
+
+Any chain of joints in the parameters of Denavit and Hartenberg, classical and modified.
+
+    classical:  T_base_tip = B  Rz(theta_1) Tz(d_1) Tx(a_1) Rx(alpha_1)  Rz(theta_2) ...  T
+    modified:   T_base_tip = B  Rz(theta_1) Tz(d_1)  Rx(alpha_1) Tx(a_1) Rz(theta_2) ...  T
+
+with theta_i = offset_i + factor_i q_i (of a slide d_i = offset_i + factor_i q_i). a_i and alpha_i
+follow from the common normal of the axes i and i+1; the frames of the first and the last joint
+are free and put all of their place into the base B and the tool T. Modified tables (Craig 1986)
+hold the same numbers, a and alpha one row lower.
+
+Axes that are nearly parallel have their common normal far away: d_i and d_i+1 then grow, exactly
+opposite, and nothing is wrong. Sources: Denavit and Hartenberg (1955); Craig (1986).
+"""
 
 from __future__ import annotations
 
@@ -6,18 +20,19 @@ import csv
 import io
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.exported import Exported, Placed
-from loopcal.errors import InputError, nearest
+from loopcal.errors import unknown_name
 from loopcal.files.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.files.exports.urdf import decimal
+from loopcal.files.programs.program import written
 from loopcal.measurements.poses import cell_text
-from loopcal.mechanisms.denavit import DenavitTable, dh_table, modified
-from loopcal.mechanisms.rest import quaternion, roll_pitch_yaw
+from loopcal.mechanisms.rest import RestChain, RestJoint, quaternion, roll_pitch_yaw
 
 Array = NDArray[np.float64]
 
@@ -42,10 +57,8 @@ def zeros(exported: Exported, options: ExportOptions) -> ExportFiles:
     joints = [zero.joint for zero in exported.zeros]
     for name in options.counts:
         if name not in joints:
-            raise InputError(
-                f"counts are stated for {name!r}, which is not a joint",
-                code="unknown-name",
-                remedy=nearest(name, joints),
+            raise unknown_name(
+                f"counts are stated for {name!r}, which is not a joint", name, joints
             )
     head = ["joint", "unit", "correction", "U95", "pendant reads at the true zero"]
     head += ["counts", "determined"]
@@ -59,7 +72,7 @@ def zeros(exported: Exported, options: ExportOptions) -> ExportFiles:
         counts = options.counts.get(zero.joint)
         pendant_counts = "" if counts is None else f"{round(value * counts):d}"
         # The true angle is the reading plus the offset, so the reading at the true zero is -offset.
-        cells = [_fixed(value), half, _fixed(-value), pendant_counts]
+        cells = [written(value, 6), half, written(-value, 6), pendant_counts]
         rows.append([zero.joint, unit, *cells, "yes" if zero.determined else "no"])
     return ExportFiles(
         {"zeros.csv": csv_text(rows), "accuracy.csv": accuracy_csv(exported)},
@@ -77,13 +90,8 @@ def _undetermined(exported: Exported) -> tuple[str, ...]:
     )
 
 
-def _fixed(value: float) -> str:
-    text = f"{value:.6f}"
-    return text.removeprefix("-") if float(text) == 0.0 else text
-
-
 def _rpy(R: Array) -> list[str]:
-    return [_fixed(math.degrees(v)) for v in roll_pitch_yaw(R)]
+    return [written(math.degrees(v), 6) for v in roll_pitch_yaw(R)]
 
 
 def _zyx(R: Array) -> list[str]:
@@ -132,7 +140,7 @@ def _placed(frames: Sequence[Placed], vendor: str | None) -> list[list[str]]:
     _, columns, turned = ORIENTATIONS[vendor or ""]
     rows = [["for the model", "frame", "in the frame", "x [mm]", "y [mm]", "z [mm]", *columns]]
     for placed in frames:
-        place = [_fixed(1e3 * v) for v in placed.T[:3, 3]]
+        place = [written(1e3 * v, 6) for v in placed.T[:3, 3]]
         turns = turned(placed.T[:3, :3]) if placed.turned else [""] * len(columns)
         rows.append([placed.model, placed.name, placed.seen_in, *place, *turns])
     return rows
@@ -215,3 +223,104 @@ FORMATS = (
     Format("dh", "Denavit-Hartenberg table (CSV)", _USER_MODEL, _TABLE, dh),
     Format("mdh", "modified Denavit-Hartenberg table (CSV)", _USER_MODEL, _TABLE, mdh),
 )
+
+
+PARALLEL = 3e-10
+"""Sine [rad] between axes that count as parallel: nearer ones meet 3,000 km away per mm."""
+
+
+@dataclass(frozen=True)
+class DenavitRow:
+    """A joint: a, d [m], alpha and theta [rad] behind it, at the reading 0.
+
+    factor: of the reading, which moves theta, or d of a slide.
+    """
+
+    joint: str
+    reads: str
+    kind: str
+    a: float
+    alpha: float
+    d: float
+    theta: float
+    factor: float
+
+
+@dataclass(frozen=True, eq=False)
+class DenavitTable:
+    """rows from the base to the tip; base, tool: (4, 4) ahead of the first and behind the last."""
+
+    rows: tuple[DenavitRow, ...]
+    base: Array
+    tool: Array
+
+
+def dh_table(chain: RestChain) -> DenavitTable:
+    """The classical table of a chain; its last row has a = alpha = 0."""
+    chain = chain.along_z
+    base = chain.joints[0].before
+    ahead = np.eye(4)  # from the table's frame of a joint to the chain's, turned about z, along z
+    rows = []
+    for joint, following in zip(chain.joints, chain.joints[1:], strict=False):
+        row, ahead = _row(joint, ahead @ following.before)
+        rows.append(row)
+    last = chain.joints[-1]
+    rows.append(DenavitRow(last.name, last.reads, last.kind, 0.0, 0.0, 0.0, 0.0, last.factor))
+    return DenavitTable(tuple(rows), base, ahead @ chain.tip)
+
+
+def _row(joint: RestJoint, T: Array) -> tuple[DenavitRow, Array]:
+    """The row of a joint whose next one stands at T, and what is left of T behind the row."""
+    u, p = T[:3, 2], T[:3, 3]
+    across = math.hypot(u[0], u[1])
+    if across < PARALLEL:
+        a = math.hypot(p[0], p[1])
+        theta, a = _forward(math.atan2(p[1], p[0]) if a > 0.0 else 0.0, a)
+        d = float(p[2])
+        alpha = 0.0 if u[2] > 0.0 else math.pi
+    else:
+        # x along the common normal of both axes, turned forward: theta within a quarter turn
+        theta, _ = _forward(math.atan2(u[0], -u[1]), 0.0)
+        normal = np.array([math.cos(theta), math.sin(theta)])
+        a = float(normal @ p[:2])
+        # Rx(alpha) turns z by alpha, away from the direction z x normal.
+        alpha = math.atan2(normal[1] * u[0] - normal[0] * u[1], u[2])
+        # the next axis, p + s u, comes nearest to z where p + s u - a normal is along z
+        s = -float(p[:2] @ u[:2]) / across**2
+        d = float(p[2] + s * u[2])
+    row_transform = _dh(theta, d, a, alpha)
+    row = DenavitRow(joint.name, joint.reads, joint.kind, a, alpha, d, theta, joint.factor)
+    # What the four numbers cannot express lies about and along the next z; the next row takes it.
+    left: Array = np.linalg.inv(row_transform) @ T
+    return row, left
+
+
+def _forward(theta: float, a: float) -> tuple[float, float]:
+    """The same normal with theta within a quarter turn, which is where drawings put it."""
+    if abs(theta) <= 0.5 * math.pi:
+        return theta, a
+    return theta - math.copysign(math.pi, theta), -a
+
+
+def _dh(theta: float, d: float, a: float, alpha: float) -> Array:
+    """Rz(theta) Tz(d) Tx(a) Rx(alpha)."""
+    c, s, ca, sa = math.cos(theta), math.sin(theta), math.cos(alpha), math.sin(alpha)
+    return np.array(
+        [
+            [c, -s * ca, s * sa, a * c],
+            [s, c * ca, -c * sa, a * s],
+            [0.0, sa, ca, d],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def modified(table: DenavitTable) -> DenavitTable:
+    """The modified table of a classical one: a and alpha stand ahead of their joint."""
+    ahead = [(0.0, 0.0), *((row.a, row.alpha) for row in table.rows)]
+    rows = tuple(
+        DenavitRow(r.joint, r.reads, r.kind, a, alpha, r.d, r.theta, r.factor)
+        for r, (a, alpha) in zip(table.rows, ahead, strict=False)
+    )
+    a, alpha = ahead[-1]
+    return DenavitTable(rows, table.base, _dh(0.0, 0.0, a, alpha) @ table.tool)

@@ -4,11 +4,19 @@ Of the joints calibrated the `xyz` and `rpy` of their origins are replaced where
 numbers within them where these changed (and `xyz` of an axis that was calibrated). An origin or an
 attribute that is not there is inserted where it belongs. Values are the shortest decimals that read
 back to the same double; of equivalent rpy the triple nearest to the old one is written.
+
+XML as its author wrote it: where start tags and attribute values stand in the text.
+
+A parser says what a file means, and forgets how it was written. Here attribute values are found in
+the text itself, so that single ones can be replaced and everything else stays byte for byte. The
+text is known to be well-formed, without a document type (`safe_xml`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import codecs
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +26,11 @@ import numpy as np
 from loopcal.document.exported import Exported
 from loopcal.errors import InputError, nearest
 from loopcal.files.exports.format import ExportFiles, ExportOptions, Format
-from loopcal.files.exports.xml_text import Edit, StartTag, XmlText
 from loopcal.files.machines.safe_xml import children, content_of, read_xml
 from loopcal.files.machines.urdf import NO_URDF, joint_elements
+from loopcal.files.programs.program import Place, Span, replaced
 from loopcal.files.toml.reader import shown
-from loopcal.mechanisms.calibrated_origins import CalibratedOrigin
-from loopcal.mechanisms.origins import LinkJoint
+from loopcal.mechanisms.origins import CalibratedOrigin, LinkJoint
 from loopcal.mechanisms.rest import roll_pitch_yaw, rotation
 
 # 1 nm and 1 nrad: below what a calibration changes, above what writing decimals rounds.
@@ -59,7 +66,7 @@ def patched_urdf(path: str | Path, origins: Sequence[CalibratedOrigin]) -> Patch
         )
     )
     joints = joint_elements(root, place)
-    edits: list[Edit] = []
+    edits: list[Place] = []
     changed: list[str] = []
     rising: list[str] = []
     for one in origins:
@@ -117,7 +124,7 @@ def _check_same(one: CalibratedOrigin, joint: LinkJoint, place: str) -> None:
 
 def _edits(
     one: CalibratedOrigin, joint: LinkJoint, element: Any, tags: dict[Any, StartTag]
-) -> list[Edit]:
+) -> list[Place]:
     """What changes in a joint."""
     attributes: dict[str, str] = {}
     origin = next(iter(children(element, "origin")), None)
@@ -143,7 +150,7 @@ def _rotation(rpy: Sequence[float]) -> Any:
 
 def _written(
     attributes: dict[str, str], tag: str, element: Any, parent: StartTag, tags: dict[Any, StartTag]
-) -> list[Edit]:
+) -> list[Place]:
     """The edits that give an element, which may not be there, these attributes."""
     if not attributes:
         return []
@@ -151,14 +158,14 @@ def _written(
         prefix = parent.tag.rpartition(":")[0]
         name = f"{prefix}:{tag}" if prefix else tag
         words = "".join(f' {key}="{value}"' for key, value in attributes.items())
-        return [Edit(parent.after, parent.after, f"<{name}{words}/>")]
+        return [Place(Span(parent.after, parent.after), f"<{name}{words}/>")]
     start_tag = tags[element]
     edits = []
     for key, value in attributes.items():
         if key in start_tag.values:
-            edits.append(Edit(*start_tag.values[key], value))
+            edits.append(Place(start_tag.values[key], value))
         else:
-            edits.append(Edit(start_tag.end, start_tag.end, f' {key}="{value}"'))
+            edits.append(Place(Span(start_tag.end, start_tag.end), f' {key}="{value}"'))
     return edits
 
 
@@ -168,14 +175,10 @@ def numbers(values: Iterable[float], old: Sequence[float] | None = None, written
     old, written: values that stood there and their text, which is kept of those that are the same.
     """
     words = written.split()
-    kept = words if old is not None and len(words) == len(old) else None
-    texts = []
-    for i, value in enumerate(values):
-        if kept is not None and old is not None and old[i] == value:
-            texts.append(kept[i])
-        else:
-            texts.append(decimal(value))
-    return " ".join(texts)
+    if old is None or len(words) != len(old):
+        return " ".join(map(decimal, values))
+    kept = zip(values, old, words, strict=True)
+    return " ".join(word if value == before else decimal(value) for value, before, word in kept)
 
 
 def decimal(value: float) -> str:
@@ -222,3 +225,81 @@ FORMATS = (
         options=("offsets",),
     ),
 )
+
+
+# Comments and CDATA come first: what looks like a tag inside them is none.
+_TOKEN = re.compile(
+    r"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>|</[^>]*>"
+    r"|<(?P<tag>[^\s/>!?]+)(?P<inside>(?:[^\"'>]|\"[^\"]*\"|'[^']*')*)>",
+    re.DOTALL,
+)
+_ATTRIBUTE = re.compile(r"([^\s=/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')", re.DOTALL)
+# UTF-32 first: its little-endian mark begins with that of UTF-16.
+_MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32-le"),
+    (codecs.BOM_UTF32_BE, "utf-32-be"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+
+
+@dataclass(frozen=True)
+class StartTag:
+    """A start tag in a text: its tag as written, and where its parts stand.
+
+    end: behind the tag and its blanks and attributes, ahead of "/>" or ">"; after: behind ">";
+    values: attribute as written -> its value, without the quotes.
+    """
+
+    tag: str
+    end: int
+    after: int
+    values: Mapping[str, Span]
+
+
+@dataclass(frozen=True)
+class XmlText:
+    """The text of a file and the codec that makes its bytes again."""
+
+    text: str
+    codec: str
+
+    @classmethod
+    def of(cls, content: bytes, encoding: str | None, place: str) -> XmlText:
+        """The text of a file; encoding: as its parser found it.
+
+        Raises InputError where the bytes do not come back the same.
+        """
+        mark = next((codec for bytes_, codec in _MARKS if content.startswith(bytes_)), None)
+        codec = mark or encoding or "utf-8"
+        try:
+            text = content.decode(codec)
+            same = text.encode(codec) == content
+        except (LookupError, UnicodeError):
+            same = False
+        if not same:
+            raise InputError(
+                f"the bytes of this file are not its text in {codec}, so that it cannot be patched "
+                "in place",
+                code="invalid-syntax",
+                place=place,
+                remedy="save it as UTF-8 and export again",
+            )
+        return cls(text, codec)
+
+    def tags(self) -> Iterator[StartTag]:
+        """Its start tags, in the order of the elements."""
+        for match in _TOKEN.finditer(self.text):
+            if match["tag"] is None:
+                continue
+            inside, begin = match["inside"], match.start("inside")
+            end = begin + len(inside.removesuffix("/").rstrip())
+            values = {
+                a[1]: Span(*(begin + place for place in a.span(2 if a[2] is not None else 3)))
+                for a in _ATTRIBUTE.finditer(inside)
+            }
+            yield StartTag(match["tag"], end, match.end(), values)
+
+    def edited(self, edits: Sequence[Place]) -> bytes:
+        """The bytes with the edits made."""
+        return replaced(self.text, Span(0, len(self.text)), edits).encode(self.codec)

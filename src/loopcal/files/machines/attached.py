@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
-from loopcal.errors import InputError
+from loopcal.errors import placed
 from loopcal.files.toml.place import Place, Scope
 from loopcal.files.toml.tables import ByType, Make, built, table
 from loopcal.mechanisms.effects.effect import Effect, with_effects
 from loopcal.mechanisms.machine import Instrument, Machine
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.stationed import standing
+from loopcal.mechanisms.station import standing
 
 
 def _effects() -> Mapping[str, Make]:
@@ -36,10 +36,8 @@ def affected(mechanism: Mechanism, entries: Sequence[Any], scope: Scope, place: 
     for i, entry in enumerate(entries):
         entry_place = place.at(i)
         effects.append(_built(entry, scope, entry_place))
-        try:
+        with placed(entry_place, unless_stated=True):
             made = with_effects(mechanism, effects)
-        except InputError as error:
-            raise error if error.place else error.at(str(entry_place)) from None
     return made
 
 

@@ -12,10 +12,10 @@ from loopcal.files.machines.attached import Instruments
 from loopcal.files.machines.machine_type import ChainTable, MachineType, looked_at
 from loopcal.files.machines.mechanism_writer import SOURCE
 from loopcal.files.machines.urdf import read_urdf
-from loopcal.files.paths import expanded
+from loopcal.files.outputs import expanded
 from loopcal.files.toml.place import Place, Scope
 from loopcal.keys import Key
-from loopcal.mechanisms.axes import Triple
+from loopcal.mechanisms.chain import Triple
 from loopcal.mechanisms.exponentials import NAME, ScrewJoint, exponentials
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import LinkJoint, joint_chain

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, placed
 from loopcal.files.machines.attached import affected, needed
 from loopcal.files.machines.machine_type import MechanismTable
 from loopcal.files.machines.parameter_entries import by_dimension, changed, declared_parameters
@@ -98,7 +98,7 @@ def _function(
     declared = declared_parameters(model.parameters, parameters_place)
     elsewhere = {n: e for n, e in parameters.items() if n not in declared}
     declared |= declared_parameters(elsewhere, Place(place.file, ("parameters",)))
-    try:
+    with placed(place):
         made = Mechanism.from_function(
             function,
             model.quantities,
@@ -108,8 +108,6 @@ def _function(
             loops=model.loops,
             name=model.name,
         )
-    except InputError as error:
-        raise error.at(str(place)) from None
     return made.with_parameters(changed(made.parameters, model.parameters, parameters_place, units))
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from loopcal.errors import InputError
 from loopcal.files.machines.mechanism_file import mechanism_from_data
-from loopcal.files.machines.mechanism_writer import mechanism_to_toml
+from loopcal.files.machines.mechanism_writer import mechanism_table
+from loopcal.files.machines.registry import machine_type
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_joints
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import Station
 
@@ -31,14 +30,13 @@ def with_points(
     station: of an instrument, whose frame the coordinates are in; None:
     the first frame of the chain. Raises InputError for a machine that no file describes.
     """
-    data = tomllib.loads(mechanism_to_toml(mechanism))
+    data = mechanism_table(mechanism)
     if data["type"] == "function":
         raise InputError(
             f"{mechanism.name!r} is written as a function, so points of its body are unknown",
             code="unsupported",
             remedy="describe the arm in a mechanism file, as type = 'serial' or 'urdf'",
         )
-    data.pop("schema")
     if "instrument" not in data:
         data = _listed(data, mechanism)
     for name, point in points.items():
@@ -69,10 +67,9 @@ def _listed(data: Mapping[str, Any], mechanism: Mechanism) -> dict[str, Any]:
     """The same arm with its one instrument listed, which its type has by itself."""
     (family,) = mechanism.families
     kept = {k: v for k, v in data.items() if k not in _OF_POINT}
-    if data["type"] == "motoman-ma1400":
-        joints = motoman_joints()
-        kept["joint"] = [{"name": j.name, "form": j.form, "direction": j.direction} for j in joints]
-        kept["joint"][0]["before"] = data.get("before", {})
+    if joints := machine_type(data["type"]).listed():
+        joints[0]["before"] = data.get("before", {})
+        kept["joint"] = joints
     seen = {
         "type": "point",
         "readings": list(family.readings),

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from loopcal.errors import InputError
+from loopcal.errors import placed
 from loopcal.files.machines.attached import Effects, instruments
 from loopcal.files.machines.parameter_entries import PARAMETERS, StatedParameter, Units
 from loopcal.files.toml.place import Place, Scope
-from loopcal.files.toml.tables import table
 from loopcal.keys import Key, Made
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import structured
+
+if TYPE_CHECKING:
+    from loopcal.mechanisms.serial import Joint
 
 
 @dataclass(frozen=True)
@@ -84,17 +86,19 @@ class MachineType:
 
     make: has the name of the type and its keys; common: the keys that it shares with others;
     build(stated, entry, scope, place): without effects and parameters, stated being what is made of
-    the common keys.
+    the common keys; joints: those of an arm with dimensions and a point of its own, as a table of
+    the type "serial" lists them for any instrument.
     """
 
     make: Callable[..., Any]
     common: Callable[..., Any]
     build: Build
+    joints: Callable[[], Sequence[Joint]] | None = None
 
-    @property
-    def table(self) -> type[Any]:
-        """The model of the table."""
-        return table(self.make, "Machine", self.common)
+    def listed(self) -> list[dict[str, Any]]:
+        """The joints of a table of the type "serial", with what differs from a plain joint."""
+        joints = self.joints() if self.joints else ()
+        return [{"name": j.name, "form": j.form, "direction": j.direction} for j in joints]
 
 
 def looked_at(
@@ -110,7 +114,5 @@ def looked_at(
     """
     at = place.at("instrument")
     looking = [point()] if entries is None else instruments(entries, machine, scope, at)
-    try:
+    with placed(at):
         return assemble(machine, looking, nominal)
-    except InputError as error:
-        raise error.at(str(at)) from None

@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, placed, unknown_name
 from loopcal.files.machines.parameter_entries import StatedParameter, by_dimension, changed
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.result.pair import refuse_stale
@@ -84,7 +84,6 @@ def mechanism_from_data(
 
     Raises InputError as `read_mechanism` does.
     """
-    from loopcal.files.machines.attached import affected
     from loopcal.files.machines.machine_type import ArmTable, ChainTable, MachineTable
     from loopcal.files.machines.registry import kinds, machine_type, table_of
     from loopcal.files.toml.model import validated
@@ -95,11 +94,11 @@ def mechanism_from_data(
     try:
         model = table_of(kind)
     except KeyError:
-        raise InputError(
+        raise unknown_name(
             f"there is no type {kind!r}" if named else "the mechanism's type is missing",
-            code="unknown-name",
-            place=str(place.at("type") if named else place),
-            remedy=nearest(kind, kinds()),
+            kind,
+            kinds(),
+            str(place.at("type") if named else place),
         ) from None
     entry = validated(model, dict(data), place)
     if kind == "function":
@@ -123,19 +122,21 @@ def mechanism_from_data(
         # These parameters do not exist before `_seen_from`, so what is stated of them waits.
         station_names = Station(table.station).parameters
         of_station = {n: entries.pop(n) for n in station_names if n in entries}
-    try:
+    with placed(place, unless_stated=True):
         made = row.build(table, entry, scope, place)
-    except InputError as error:
-        raise error if error.place else error.at(str(place)) from None
     if placement is not None:
         made = replace(made, placement=placement)
-    made = affected(made, table.effect, scope, place.at("effect"))
+    if table.effect:
+        from loopcal.files.machines.attached import affected
+
+        made = affected(made, table.effect, scope, place.at("effect"))
 
     def stated(parameters: Parameters) -> Parameters:
         return changed(parameters, entries, place.at("parameters"), units)
 
     if isinstance(table, ArmTable) and table.gravity is not None:
-        made = _pulled(made, table.gravity, place)
+        with placed(place.at("gravity")):
+            made = made.with_gravity(table.gravity)
     if isinstance(table, ChainTable):
         made = replace(made, remarks=table.remarks)
         if table.fix_redundant:
@@ -151,7 +152,7 @@ def mechanism_from_data(
 
 
 def _seen_from(mechanism: Mechanism, station: str, place: Place) -> Mechanism:
-    from loopcal.mechanisms.stationed import stationed
+    from loopcal.mechanisms.station import stationed
 
     placed = {f.placement.name for f in mechanism.families if isinstance(f.placement, Station)}
     if station in placed and isinstance(mechanism.placement, ChainPlacement):
@@ -166,13 +167,6 @@ def _seen_from(mechanism: Mechanism, station: str, place: Place) -> Mechanism:
             remedy="name the station of its instrument",
         )
     return made
-
-
-def _pulled(mechanism: Mechanism, gravity: Sequence[float], place: Place) -> Mechanism:
-    try:
-        return mechanism.with_gravity(gravity)
-    except InputError as error:
-        raise error.at(str(place.at("gravity"))) from None
 
 
 def _structured(
@@ -195,10 +189,8 @@ def _structured(
         key: e for key, e in entries.items() if any(fnmatchcase(n, key) for n in plain.names)
     }
     before = mechanism.with_parameters(changed(plain, plain_entries, parameters_place, units))
-    try:
+    with placed(place.at("structure")):
         made = structured(before, **structure)
-    except InputError as error:
-        raise error.at(str(place.at("structure"))) from None
     sure = {key: False for key, e in entries.items() if e.sd is not None or e.fixed}
     parameters = changed(made.parameters, entries, parameters_place, units)
     terms = stated_terms(made.terms, parameters, sure)

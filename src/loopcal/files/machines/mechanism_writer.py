@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from loopcal.files.outputs import relative
 from loopcal.files.toml.reader import SCHEMA
-from loopcal.files.toml.writer import inline, line, one_line, tables
+from loopcal.files.toml.writer import document
 from loopcal.keys import plain
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
@@ -27,35 +27,48 @@ def mechanism_to_toml(mechanism: Mechanism, folder: str | Path | None = None) ->
     Loops written as a Python function are declared without their code (type "function"): whoever
     reads the file names the function again.
     """
-    described = mechanism.description or {"type": "function"}
-    if folder is not None and SOURCE in described:
-        described = {**described, SOURCE: _seen_from(folder, described[SOURCE])}
+    table = mechanism_table(mechanism)
+    if folder is not None and SOURCE in table:
+        table[SOURCE] = relative(table[SOURCE], folder)
     head = [
-        f"# {one_line(mechanism.name)}: a mechanism file of loopcal, made by it.",
-        "# Lengths are in m, angles in rad, sds in the unit of their value.",
-        *_REMARKS.get(described["type"], ()),
+        f"{mechanism.name}: a mechanism file of loopcal, made by it.",
+        "Lengths are in m, angles in rad, sds in the unit of their value.",
+        *([_FUNCTION] if table["type"] == "function" else []),
         "",
-        line("schema", SCHEMA),
-        line("type", described["type"]),
-        line("name", mechanism.name),
     ]
-    parts = [
-        *head,
-        *([line("instrument", [])] if described.get("instrument") == [] else []),
-        *_structure(mechanism, described),
-        *tables("instrument", described.get("instrument", [])),
-        *tables("effect", described.get("effect", [])),
-        *_model_error(described),
-        "",
-        "# value: nominal; sd: how well it is known beforehand, absent where not at all;",
-        "# fixed = true: not estimated.",
-        "[parameters]",
-        *(
-            line(p.name, _parameter(p, described.get("held", ())) | _sd(mechanism, p))
-            for p in mechanism.parameters
-        ),
-    ]
-    return "\n".join(parts) + "\n"
+    return document({"schema": SCHEMA, **table}, head, {"parameters": _PARAMETERS})
+
+
+def mechanism_table(mechanism: Mechanism) -> dict[str, Any]:
+    """The table that describes a mechanism, as `mechanism_from_data` takes it."""
+    described = dict(mechanism.description or {"type": "function"})
+    if described["type"] == "function":
+        described |= _declared(mechanism)
+    held, described["joint"] = described.pop("held", ()), described.pop("joints", ())
+    # A machine without instruments calibrates itself: its list is empty, not absent.
+    none: dict[str, Any] = {"instrument": []} if described.get("instrument") == [] else {}
+    table = {
+        "type": described["type"],
+        "name": mechanism.name,
+        **{key: value for key, value in described.items() if key not in _BELOW},
+        "remarks": mechanism.remarks,
+        **{key: described.get(key, ()) for key in _BELOW},
+        "parameters": {
+            p.name: _parameter(p, held) | _sd(mechanism, p) for p in mechanism.parameters
+        },
+    }
+    stated = {key: plain(value) for key, value in table.items() if value not in ((), [], {})}
+    return {"type": stated.pop("type"), "name": stated.pop("name"), **none, **stated}
+
+
+def _declared(mechanism: Mechanism) -> dict[str, Any]:
+    """What a file says of loops written in Python."""
+    return {
+        "quantities": mechanism.quantities,
+        "known": mechanism.pose_constants,
+        "outputs": mechanism.outputs,
+        "loops": mechanism.tape.loops,
+    }
 
 
 def source_file(mechanism: Mechanism) -> Path | None:
@@ -64,49 +77,13 @@ def source_file(mechanism: Mechanism) -> Path | None:
     return path if path.is_file() else None
 
 
-def _seen_from(folder: str | Path, path: str) -> str:
-    try:
-        return Path(os.path.relpath(path, folder)).as_posix()
-    except ValueError:  # on another drive
-        return path
-
-
-_REMARKS = {
-    "function": ("# The loops are a Python function: name it with --mechanism FILE.py:FUNCTION.",)
-}
-
-
-_APART = ("type", "joints", "instrument", "effect", "structure", "held")
-"""What of a description is written at a place of its own."""
-
-
-def _structure(mechanism: Mechanism, described: Mapping[str, Any]) -> list[str]:
-    """What stands above the tables, and the joints."""
-    stated = {key: value for key, value in described.items() if key not in _APART}
-    if described["type"] == "function":
-        stated = {
-            "quantities": mechanism.quantities,
-            "known": mechanism.pose_constants,
-            "outputs": mechanism.outputs,
-            "loops": mechanism.tape.loops,
-        }
-    return [
-        *(line(key, value) for key, value in stated.items() if value not in ((), [], {})),
-        *_remarks(mechanism),
-        *tables("joint", [plain(joint) for joint in described.get("joints", [])]),
-    ]
-
-
-def _remarks(mechanism: Mechanism) -> list[str]:
-    if not mechanism.remarks:
-        return []
-    return ["remarks = [", *(f"    {inline(words)}," for words in mechanism.remarks), "]"]
-
-
-def _model_error(described: Mapping[str, Any]) -> list[str]:
-    if "structure" not in described:
-        return []
-    return ["", "[structure]", *(line(k, v) for k, v in described["structure"].items())]
+_BELOW = ("joint", "instrument", "effect", "structure")
+"""What stands below the plain values, in this order."""
+_FUNCTION = "The loops are a Python function: name it with --mechanism FILE.py:FUNCTION."
+_PARAMETERS = (
+    "value: nominal; sd: how well it is known beforehand, absent where not at all;",
+    "fixed = true: not estimated.",
+)
 
 
 def _parameter(parameter: Parameter, held: Sequence[str]) -> dict[str, Any]:

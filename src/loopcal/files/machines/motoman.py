@@ -8,7 +8,7 @@ from loopcal.files.machines.machine_type import ArmTable, MachineType
 from loopcal.files.toml.place import Place, Scope
 from loopcal.files.toml.tables import built
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
+from loopcal.mechanisms.planar import motoman_joints, motoman_ma1400
 
 
 def motoman(_: ArmTable, entry: Any, scope: Scope, place: Place) -> Mechanism:
@@ -17,4 +17,4 @@ def motoman(_: ArmTable, entry: Any, scope: Scope, place: Place) -> Mechanism:
     return made
 
 
-TYPES = {"motoman-ma1400": MachineType(motoman_ma1400, ArmTable, motoman)}
+TYPES = {"motoman-ma1400": MachineType(motoman_ma1400, ArmTable, motoman, motoman_joints)}

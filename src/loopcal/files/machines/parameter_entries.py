@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, placed
 from loopcal.files.toml.place import Place
 from loopcal.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
@@ -92,7 +92,9 @@ def changed(
     changes: dict[str, dict[str, Any]] = {name: {} for name in parameters.names}
     for key, entry in entries.items():
         entry_place = place.at(key)
-        for name in _matching(parameters, key, entry_place):
+        with placed(entry_place):
+            names = parameters.matching(key)
+        for name in names:
             si, at = parameters[name].unit, entry_place.at("unit")
             if entry.value is not None:
                 changes[name]["nominal"] = in_si(entry.value, entry.unit, si, at, units)
@@ -110,13 +112,6 @@ def changed(
                     remedy="give a positive sd, or leave fixed = false out",
                 )
     return Parameters(tuple(replace(p, **changes[p.name]) for p in parameters))
-
-
-def _matching(parameters: Parameters, key: str, place: Place) -> tuple[str, ...]:
-    try:
-        return parameters.matching(key)
-    except InputError as error:
-        raise error.at(str(place)) from None
 
 
 def declared_parameters(
@@ -178,16 +173,12 @@ def with_priors(mechanism: Mechanism, priors: Mapping[str, StatedPrior], place: 
     """
     parameters = changed(mechanism.parameters, prior_sds(priors), place)
     for key, prior in priors.items():
-        try:
+        with placed(place.at(key)):
             if prior.estimate is not None:
                 check_estimate(key, prior.estimate, prior.sd)
-        except InputError as error:
-            raise error.at(str(place.at(key))) from None
     learnt = {key: prior.estimate is not None for key, prior in priors.items()}
-    try:
+    with placed(place):
         terms = stated_terms(mechanism.terms, parameters, learnt)
-    except InputError as error:
-        raise error.at(str(place)) from None
     return replace(mechanism, parameters=parameters, terms=terms)
 
 

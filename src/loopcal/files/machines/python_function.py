@@ -10,7 +10,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any
 
-from loopcal.errors import InputError, LoopcalError, nearest
+from loopcal.errors import InputError, LoopcalError, unknown_name
 from loopcal.files.tables.raw import existing_file
 from loopcal.mechanisms.mechanism import Mechanism
 
@@ -37,11 +37,11 @@ def load_function(named: str) -> Loops | Mechanism:
     namespace = _run(path)
     if name not in namespace:
         callables = [str(key) for key, value in namespace.items() if callable(value)]
-        raise InputError(
+        raise unknown_name(
             f"the file defines no {name!r}",
-            code="unknown-name",
-            place=str(path),
-            remedy=nearest(name, [key for key in callables if key[:1] != "_"]),
+            name,
+            [key for key in callables if key[:1] != "_"],
+            str(path),
         )
     definition = namespace[name]
     if callable(definition):

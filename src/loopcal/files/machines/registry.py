@@ -32,13 +32,19 @@ def machine_type(kind: str) -> MachineType:
     return row
 
 
+def drawn() -> tuple[str, ...]:
+    """The types of arms whose dimensions are part of the type."""
+    return tuple(kind for kind in _HOME if machine_type(kind).joints)
+
+
 def table_of(kind: str) -> type[Any]:
     """The model of a type's table; a function is built elsewhere, for no file holds it.
 
     Raises KeyError for what is no type.
     """
     if kind != "function":
-        return machine_type(kind).table
+        row = machine_type(kind)
+        return table(row.make, "Machine", row.common)
     from loopcal.files.machines.declared_function import Function
 
     return table(Function, "Machine")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, placed
 from loopcal.files.machines.attached import Instruments
 from loopcal.files.machines.machine_type import ChainTable, MachineType, looked_at
 from loopcal.files.toml.place import Place, Scope
@@ -131,10 +131,8 @@ def serial(stated: Serial, _: Any, scope: Scope, place: Place) -> Mechanism:
         names = {name: name.removeprefix("base_") for name in base_names()}
         nominal |= {name: values[key] for name, key in names.items() if key in values}
         base = True
-    try:
+    with placed(place):
         return serial_arm(joints, nominal, base=base, point=point, name=stated.name)
-    except InputError as error:
-        raise error.at(str(place)) from None
 
 
 def _stated(value: NominalJoint | ToolPoint) -> dict[str, float]:

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, listed, nearest
+from loopcal.errors import InputError, listed, nearest, unknown_name
 from loopcal.files.machines.safe_xml import at, children, local, read_xml
 from loopcal.files.toml.reader import shown
-from loopcal.mechanisms.axes import fixed_frame
-from loopcal.mechanisms.chain import product, refuse_long_chain
+from loopcal.mechanisms.chain import fixed_frame, product, refuse_long_chain
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.origins import KINDS, LinkJoint, Mimic, joint_chain
 
@@ -198,12 +197,7 @@ class _Robot:
         """The joints from a link to another one below it."""
         for link in (base, tip):
             if link not in self.links:
-                raise InputError(
-                    f"the robot has no link {link!r}",
-                    code="unknown-name",
-                    place=self.file,
-                    remedy=nearest(link, self.links),
-                )
+                raise unknown_name(f"the robot has no link {link!r}", link, self.links, self.file)
         elements: list[Any] = []
         passed, link = {tip: None}, tip
         while link != base:

@@ -8,7 +8,6 @@ not used, and the turns of axes 1, 4 and 6: 0 for -180 to 180 degrees.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,25 +15,20 @@ from numpy.typing import NDArray
 from loopcal.files.programs.copying import NOT_ALONE, NOT_NEXT, literal
 from loopcal.files.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.files.programs.joint_axes import JointAxes
+from loopcal.files.programs.listing import Listing
 from loopcal.files.programs.program import (
     NUMBER,
-    Lines,
     Move,
-    Noted,
     Number,
     Place,
     Program,
     ProgramTarget,
     Rows,
     Span,
-    handled,
     line_end,
-    once,
-    refuse_redundant,
     replaced,
     whole,
 )
-from loopcal.files.programs.turned import Turned
 
 Array = NDArray[np.float64]
 _POSITION = re.compile(r"^[ \t]*P\[\s*(\d+)\s*(?::[^\]\r\n]*)?\]\s*\{([^{}]*)\}", re.MULTILINE)
@@ -53,49 +47,33 @@ _HARMLESS = re.compile(
     r"[ \t]*;[ \t]*[\r\n]++(?:[ \t]*+\d*:[ \t]*+(?:(?:!|//|WAIT\b|[DR]O\[)[^;\r\n]*+)?"
     r";?[ \t]*+[\r\n]++)*+"
 )
-# Turns in the order z, y, x of `Turned`.
+# Turns in the order z, y, x of `Listing`.
 _POSE = ("X", "Y", "Z", "R", "P", "W")
-_DECIMALS = 3
 # [deg] At the edge of a turn the last digit of a joint must not decide.
 _EDGE = 1e-6
 
 
 def read_fanuc(text: str, name: str, axes: JointAxes) -> Program:
     """The positions of a listing. Raises InputError for an arm of more than six joints."""
-    refuse_redundant(axes, name)
-    lines, turned = Lines(text), Turned(axes, _POSE, "J", _DECIMALS)
-    targets: list[ProgramTarget] = []
-    noted: list[Noted] = []
+    listing = Listing(text, name, axes, 3, joint="J", pose=_POSE)
     numbered: dict[str, int] = {}
     frames: set[str] = set()
     complete = {m.start(): m for m in _POSITION.finditer(text)}
     circular = {p for m in _CIRCLE.finditer(text) for p in re.findall(r"P\[\s*(\d+)", m[1])}
     for begun in _BEGUN.finditer(text):
-        position, line = complete.get(begun.start()), lines.of(begun.start())
-        target = None if position is None else _target(position, line, turned)
-        if target is None or begun[1] in circular:
+        position = complete.get(begun.start())
+        target = None if position is None else _target(position, listing)
+        if position is None or target is None or begun[1] in circular:
             circle = begun[1] in circular
             words = "a point of a circle" if circle else "no whole position of group 1"
-            noted.append(Noted(line, f"P[{begun[1]}]: {words}"))
+            listing.note(begun.start(), f"P[{begun[1]}]: {words}")
             continue
-        assert position is not None
         if target.cartesian:
             frames |= {f for f in _FRAME.findall(_group(position[2])) if f != "0"}
-        numbered[begun[1]] = len(targets)
-        targets.append(target)
-    moves = _moves(text, lines, numbered, noted, targets)
-    return Program(
-        "Fanuc LS",
-        name,
-        text,
-        tuple(targets),
-        once(noted),
-        turned.write,
-        _fits,
-        moves=moves,
-        insert=_inserted,
-        frame=f"the user frame {min(frames)}" if frames else None,
-    )
+        numbered[begun[1]] = listing.add(target)
+    _moves(listing, numbered)
+    frame = f"the user frame {min(frames)}" if frames else None
+    return listing.program("Fanuc LS", once=True, fits=_fits, insert=_inserted, frame=frame)
 
 
 def _group(body: str) -> str:
@@ -104,7 +82,7 @@ def _group(body: str) -> str:
     return body[: other.start()] if other else body
 
 
-def _target(position: re.Match[str], line: int, turned: Turned) -> ProgramTarget | None:
+def _target(position: re.Match[str], listing: Listing) -> ProgramTarget | None:
     body, start = _group(position[2]), position.start(2)
     fields: dict[str, Number] = {}
     for m in _FIELD.finditer(body):
@@ -114,7 +92,8 @@ def _target(position: re.Match[str], line: int, turned: Turned) -> ProgramTarget
     config = _CONFIG.search(body)
     turns = () if config is None else (Number(*config.span(i), config[i]) for i in (1, 2, 3))
     states = {f"turn {k}": whole(turn) for k, turn in zip("146", turns, strict=False)}
-    return turned.target(f"P[{position[1]}]", line, fields, states, Span(*position.span()))
+    literal = Span(*position.span())
+    return listing.keyed(f"P[{position[1]}]", literal.start, fields, states, literal)
 
 
 def _fits(target: ProgramTarget, joints: Array) -> NDArray[np.bool_]:
@@ -128,40 +107,31 @@ def _fits(target: ProgramTarget, joints: Array) -> NDArray[np.bool_]:
     return fits
 
 
-def _moves(
-    text: str,
-    lines: Lines,
-    numbered: dict[str, int],
-    noted: list[Noted],
-    targets: Sequence[ProgramTarget],
-) -> tuple[Move | None, ...]:
-    moves: list[Move | None] = []
+def _moves(listing: Listing, numbered: dict[str, int]) -> None:
+    """Read the moves; numbered: targets by the number of their position."""
+    text = listing.text
     last: Span | None = None
     # Numbers of lines and positions are those of one program; two in a file would be mixed up.
     one = len(re.findall(r"^/(?:MN|POS)\b", text, re.MULTILINE)) == 2
     for match in _MOVE.finditer(text):
-        line = lines.of(match.start(1))
         plain = re.match(r"P\[\s*(\d+)\s*(?::[^\]\r\n]*)?\]", match[2])
         shifted = _SHIFTED.search(match[2], plain.end() if plain else 0)
         span = Span(*match.span())
         before, last = last, span
         if match[1] not in "JL" or shifted or plain is None or plain[1] not in numbered:
-            moves.append(None)
             why = "an offset" if shifted else "a circle, or no position of this file"
-            elsewhere = [targets[numbered[plain[1]]]] if plain and plain[1] in numbered else []
-            words = f"{match[1]} {match[2][:30].strip()}: {handled(why, elsewhere)}"
-            noted.append(Noted(line, words))
+            called = [numbered[plain[1]]] if plain and plain[1] in numbered else []
+            listing.leave(match.start(1), f"{match[1]} {match[2][:30].strip()}", why, called)
             continue
-        at = match.start(2)
-        called, target = Span(at, at + plain.end()), numbered[plain[1]]
+        at, line = match.start(2), listing.lines.of(match.start(1))
+        named_at, target = Span(at, at + plain.end()), numbered[plain[1]]
         between = None if before is None else text[before.end : span.start]
         alone = _ENDED.match(text, span.end)
         fixed = NOT_ALONE if not alone else "" if one else "the file holds several programs"
         if not fixed and (between is None or not _HARMLESS.fullmatch(between)):
             fixed = NOT_NEXT
         all_of_it = Span(span.start, alone.end()) if alone else span
-        moves.append(Move(target, line, match[1] == "L", all_of_it, called, fixed))
-    return tuple(moves)
+        listing.moves.append(Move(target, line, match[1] == "L", all_of_it, named_at, fixed))
 
 
 def _inserted(program: Program, ahead: Rows) -> list[Place]:

@@ -9,7 +9,6 @@ Source: KUKA System Software, Operating and Programming Instructions for System 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,23 +16,17 @@ from numpy.typing import NDArray
 from loopcal.files.programs.copying import movable
 from loopcal.files.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.files.programs.joint_axes import JointAxes
+from loopcal.files.programs.listing import Listing
 from loopcal.files.programs.program import (
     NUMBER,
-    Lines,
     Move,
-    Noted,
     Number,
     Program,
     ProgramTarget,
     Span,
-    blanked,
-    handled,
-    once,
-    refuse_redundant,
     whole,
     within,
 )
-from loopcal.files.programs.turned import Turned
 
 Array = NDArray[np.float64]
 _ASIDE = re.compile(r'"[^"\r\n]*"|;[^\r\n]*')
@@ -55,27 +48,23 @@ _HARMLESS = re.compile(
     r"[^\r\n]*+)?[\r\n]++)*+[ \t]*+",
     re.IGNORECASE,
 )
-# Turns in the order z, y, x of `Turned`.
+# Turns in the order z, y, x of `Listing`.
 _POSE = ("X", "Y", "Z", "A", "B", "C")
-_DECIMALS = 6
 _EDGE = 1e-6
 
 
 def read_krl(text: str, name: str, axes: JointAxes) -> Program:
     """The targets of a .src or .dat file. Raises InputError for an arm of more than six joints."""
-    refuse_redundant(axes, name)
-    lines, code = Lines(text), blanked(text, _ASIDE)
-    turned = Turned(axes, _POSE, "A", _DECIMALS)
+    listing = Listing(text, name, axes, 6, aside=_ASIDE, joint="A", pose=_POSE)
+    code = listing.code
     circles = [m[2] for m in _MOVE.finditer(code) if "CIRC" in m[1].upper()]
     circular = {word.upper() for part in circles for word in re.findall(r"\w+", part)}
-    targets: list[ProgramTarget] = []
     at: dict[int, int] = {}
     named: dict[str, int] = {}
-    noted: list[Noted] = []
     untargeted, typed = ([m.start() for m in w.finditer(code)] for w in (_NO_TARGET, _TYPED))
     for braces in _BRACES.finditer(code):
         at_brace = braces.start()
-        line, start = lines.of(at_brace), lines.begin(at_brace)
+        line, start = listing.lines.of(at_brace), listing.lines.begin(at_brace)
         before = code[max(start, at_brace - _NAMED) : at_brace]
         parts = _parts(braces)
         assigned = _ASSIGNED.search(before)
@@ -89,39 +78,31 @@ def read_krl(text: str, name: str, axes: JointAxes) -> Program:
             or label.startswith("$")
         ):
             words = "a system variable" if label.startswith("$") else "relative, or of a circle"
-            noted.append(Noted(line, f"{label}: {words}"))
+            listing.note(at_brace, f"{label}: {words}")
             continue
         bits = {key: parts.get(key) for key in "ST"}
         states = {k: whole(n) for k, n in bits.items() if n is not None and n.text.isdigit()}
-        target = turned.target(label, line, parts, states, Span(*braces.span()))
+        target = listing.keyed(label, at_brace, parts, states, Span(*braces.span()))
         if target is None:
-            noted.append(Noted(line, f"{label}: not all axes or coordinates are numbers"))
-            continue
-        at[braces.start()] = named[label.upper()] = len(targets)
-        targets.append(target)
-    noted += [
-        Noted(lines.of(m.start(1)), f"{m[1]}: changed while the program runs")
-        for m in _CHANGED.finditer(code)
-    ]
+            listing.note(at_brace, f"{label}: not all axes or coordinates are numbers")
+        else:
+            at[at_brace] = named[label.upper()] = listing.add(target)
+    for m in _CHANGED.finditer(code):
+        listing.note(m.start(1), f"{m[1]}: changed while the program runs")
     for row in re.finditer(r"[^\r\n]+", code):
         stated, equals, value = row[0].partition("=")
         declared = _DECLARED.search(stated) if equals and "{" not in stated else None
         if declared and not _BRACES.search(value):
             at_name = row.start() + declared.start()
-            noted.append(Noted(lines.of(at_name), f"{declared[1]}: no whole literal"))
-    moves = _moves(code, lines, at, named, noted, targets)
+            listing.note(at_name, f"{declared[1]}: no whole literal")
+    _moves(listing, at, named)
     frame = _FRAME.search(code)
-    return Program(
+    return listing.program(
         "KRL",
-        name,
-        text,
-        tuple(targets),
-        once(noted),
-        turned.write,
-        _fits,
-        _chosen,
-        moves,
-        f"the base {frame[1] or frame[2]!r}" if frame else None,
+        once=True,
+        fits=_fits,
+        chosen=_chosen,
+        frame=f"the base {frame[1] or frame[2]!r}" if frame else None,
     )
 
 
@@ -177,32 +158,25 @@ def _chosen(target: ProgramTarget, several: list[Array]) -> list[Array]:
     return [ordered[state >> 1 & 1]]
 
 
-def _moves(
-    code: str,
-    lines: Lines,
-    at: dict[int, int],
-    named: dict[str, int],
-    noted: list[Noted],
-    targets: Sequence[ProgramTarget],
-) -> tuple[Move | None, ...]:
-    moves: list[Move | None] = []
-    starts = sorted(at)
+def _moves(listing: Listing, at: dict[int, int], named: dict[str, int]) -> None:
+    """Read the moves; at, named: targets by the place of their literal and by name."""
+    code, starts = listing.code, sorted(at)
     last: Span | None = None
     for match in _MOVE.finditer(code):
-        kind, line = match[1].upper().removeprefix("S"), lines.of(match.start(1))
+        begin, kind = match.start(1), match[1].upper().removeprefix("S")
         inside = within(starts, match.start(), match.end())
         word = re.match(r"\s*(\w+)\s*(?::|$|\s|,)", match[2])
         by_name = [named[word[1].upper()]] if word and word[1].upper() in named else []
         shifted = re.match(r"\s*(?:\w+|\{[^{}]*\})\s*:", match[2]) is not None
-        span = Span(match.start(1), match.end())
+        span = Span(begin, match.end())
         before, last = last, span
         if kind not in ("PTP", "LIN", "PL") or shifted or not (inside or by_name):
-            moves.append(None)
-            if match[2].strip():  # a word alone belongs to the pendant's form of a move
+            if match[2].strip():
                 why = "shifted by a frame" if shifted else "no target of this file, or a circle"
-                elsewhere = [targets[i] for i in (*(at[k] for k in inside), *by_name)]
-                words = f"{match[1]}{match[2][:30].rstrip()}: {handled(why, elsewhere)}"
-                noted.append(Noted(line, words))
+                words = f"{match[1]}{match[2][:30].rstrip()}"
+                listing.leave(begin, words, why, (*(at[k] for k in inside), *by_name))
+            else:  # a word alone belongs to the pendant's form of a move
+                listing.moves.append(None)
             continue
         if inside:
             called = Span(inside[0], code.index("}", inside[0]) + 1)
@@ -211,8 +185,8 @@ def _moves(
             called = Span(match.start(2) + word.start(1), match.start(2) + word.end(1))
         target = at[inside[0]] if inside else by_name[0]
         lines_of, fixed = movable(code, before, span, _HARMLESS)
-        moves.append(Move(target, line, kind == "LIN", lines_of, called, fixed))
-    return tuple(moves)
+        line = listing.lines.of(begin)
+        listing.moves.append(Move(target, line, kind == "LIN", lines_of, called, fixed))
 
 
 def _driving(stops: Stops) -> list[str]:

@@ -99,18 +99,6 @@ class Noted:
     words: str
 
 
-def handled(why: str, targets: Sequence[ProgramTarget]) -> str:
-    """Why an instruction stays as it is, and where targets that it names are corrected."""
-    lines = ", ".join(str(target.line) for target in targets[:3])
-    return f"{why}; the target that it names is handled in line {lines}" if targets else why
-
-
-def once(noted: Sequence[Noted]) -> tuple[Noted, ...]:
-    """In the order of the lines; of formats with one instruction per line, the first of each."""
-    first = {note.line: note for note in reversed(noted)}
-    return tuple(first[line] for line in sorted(first))
-
-
 @dataclass(frozen=True)
 class Move:
     """A move in the order of the program: to which target (its index), and how.
@@ -170,7 +158,8 @@ class Program:
 def replaced(text: str, part: Span, places: Sequence[Place]) -> str:
     """A part of the text with other texts at some places in it."""
     parts, at = [], part.start
-    for (start, stop), new in sorted(places):
+    # Stable: what is inserted at one place keeps its order.
+    for (start, stop), new in sorted(places, key=lambda place: place.span):
         parts += [text[at:start], new]
         at = stop
     return "".join([*parts, text[at : part.end]])
@@ -200,11 +189,6 @@ def text_of(data: bytes, name: str) -> str:
             remedy="save it as ASCII, Latin-1 or UTF-8",
         )
     return data.decode("latin-1")
-
-
-def blanked(text: str, pattern: re.Pattern[str]) -> str:
-    """The text with what matches (comments, strings) as blanks, every place kept."""
-    return pattern.sub(lambda match: re.sub(r"[^\r\n]", " ", match[0]), text)
 
 
 def refuse_redundant(axes: JointAxes, name: str) -> None:

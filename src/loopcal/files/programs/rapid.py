@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import re
 from bisect import bisect_left
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,22 +19,16 @@ from loopcal.errors import InputError
 from loopcal.files.programs.copying import NOT_ALONE, movable
 from loopcal.files.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.files.programs.joint_axes import JointAxes
+from loopcal.files.programs.listing import Listing, texts
 from loopcal.files.programs.poses_text import pose_of_quaternion, quaternion_of_pose
 from loopcal.files.programs.program import (
     NUMBER,
-    Lines,
     Move,
-    Noted,
-    Number,
     Program,
     ProgramTarget,
     Span,
-    blanked,
-    handled,
     numbers_of,
-    refuse_redundant,
     within,
-    written,
 )
 
 Array = NDArray[np.float64]
@@ -83,15 +76,13 @@ _REACH = 10_000
 
 def read_rapid(text: str, name: str, axes: JointAxes) -> Program:
     """The targets of a RAPID module. Raises InputError for an arm of more than six joints."""
-    refuse_redundant(axes, name)
-    lines, code = Lines(text), blanked(text, _ASIDE)
+    listing = Listing(text, name, axes, _DECIMALS, aside=_ASIDE)
+    lines, code = listing.lines, listing.code
     literals = [*_JOINTS.finditer(code), *_POSE.finditer(code)]
     literals.sort(key=lambda m: m.start())
-    targets: list[ProgramTarget] = []
     at: dict[int, int] = {}  # start of a literal -> index of its target
     named: dict[str, list[int]] = {}
     circular = {n for m in re.finditer(r"\bMoveC\b([^;]*)", code, re.I) for n in _words(m[1])}
-    noted: list[Noted] = []
     declarations = list(_DECLARED.finditer(code))
     begun = [m.start() for m in declarations]
     circles = [m.start() for m in _CIRCLE.finditer(code)]
@@ -103,16 +94,12 @@ def read_rapid(text: str, name: str, axes: JointAxes) -> Program:
         label = declarations[declared][2] if within(begun, statement, literal.start()) else ""
         if within(circles, before, literal.start()) or label.lower() in circular:
             continue
-        line = lines.of(literal.start())
-        target = _target(literal, label or f"line {line}", line, axes, name)
-        at[literal.start()] = len(targets)
-        named.setdefault(label.lower(), []).append(len(targets))
-        targets.append(target)
+        target = _target(literal, label or f"line {lines.of(literal.start())}", listing)
+        at[literal.start()] = listing.add(target)
+        named.setdefault(label.lower(), []).append(at[literal.start()])
     starts = sorted(at)
-    noted += [
-        Noted(lines.of(m.start()), f"{m[1]}: a variable without a literal")
-        for m in _VARIABLE.finditer(code)
-    ]
+    for m in _VARIABLE.finditer(code):
+        listing.note(m.start(), f"{m[1]}: a variable without a literal")
     end = 0
     for one in declarations:
         if end < one.end():  # else no semicolon stands between the last declaration and this one
@@ -121,28 +108,23 @@ def read_rapid(text: str, name: str, axes: JointAxes) -> Program:
         if not within(starts, one.end(), end):
             circle = one[2].lower() in circular
             words = "a point of a circle" if circle else "no literal of six joints or of a pose"
-            noted.append(Noted(lines.of(one.start()), f"{one[2]}: {words}"))
-    moves, inside = _moves(code, lines, at, named, noted, targets)
+            listing.note(one.start(), f"{one[2]}: {words}")
+    inside = _moves(listing, at, named)
     # In reverse: of equal keys a dict keeps the last value, here the first change of a statement.
     changed = {
         code.rfind(";", 0, m.end()): m
         for m in reversed([*_CHANGED.finditer(code)])
         if not within(inside, code.rfind(";", 0, m.end()) + 1, m.end() + 1)
     }
-    noted += [
-        Noted(lines.of(m.end() - 1), f"{m[0].strip()[:40]}: an offset or a changed target")
-        for m in changed.values()
-    ]
+    for m in changed.values():
+        listing.note(m.end() - 1, f"{m[0].strip()[:40]}: an offset or a changed target")
     frames = [f for f in _FRAME.findall(code) if f.lower() != "wobj0"]
-    return Program(
+    return listing.program(
         "RAPID",
-        name,
-        text,
-        tuple(targets),
-        tuple(sorted(noted, key=lambda n: n.line)),
-        lambda target, joints, pose: _write(target, joints, pose, axes),
-        _fits,
-        moves=moves,
+        write=lambda target, joints, pose: (
+            _write_pose(target, pose) if target.cartesian else listing.write(target, joints, pose)
+        ),
+        fits=_fits,
         frame=f"the work object {frames[0]!r}" if frames else None,
     )
 
@@ -151,54 +133,39 @@ def _words(text: str) -> list[str]:
     return [w.lower() for w in re.findall(r"[A-Za-z]\w*", text)]
 
 
-def _target(
-    literal: re.Match[str], label: str, line: int, axes: JointAxes, name: str
-) -> ProgramTarget:
-    n = len(axes.joints)
+def _target(literal: re.Match[str], label: str, listing: Listing) -> ProgramTarget:
+    line, whole = listing.lines.of(literal.start()), Span(*literal.span())
     first = numbers_of(literal[1], literal.start(1))
     if len(literal.groups()) == 2:
-        numbers = first[:n]
-        q = np.array([number.value for number in numbers]) * axes.scale
-        step = _steps(numbers) * axes.scale
-        whole = Span(*literal.span())
-        return ProgramTarget(label, line, False, numbers, q, None, step, literal=whole)
+        return listing.joints(label, literal.start(), first[: len(listing.scale)], whole)
+    place = f"{listing.name}, line {line}"
     numbers = (*first, *numbers_of(literal[2], literal.start(2)))
-    values = [number.value for number in numbers]
     config = [float(v) for v in literal[3].split(",")]
     if not all(map(math.isfinite, config)):
         raise InputError(
             f"the configuration of {label} has a number that is too large",
             code="invalid-number",
-            place=f"{name}, line {line}",
+            place=place,
             remedy="correct the number",
         )
-    # A change dq of a unit quaternion turns by 2 |dq|.
-    step = _steps(numbers)
     return ProgramTarget(
         label,
         line,
         True,
         numbers,
         None,
-        pose_of_quaternion(values, f"{name}, line {line}"),
-        np.array([*(1e-3 * step[:3]), *[2.0 * 10.0**-_FINE] * 3]),
+        pose_of_quaternion([number.value for number in numbers], place),
+        # A change dq of a unit quaternion turns by 2 |dq|.
+        np.array([*(1e-3 * listing.steps(first)), *[2.0 * 10.0**-_FINE] * 3]),
         dict(zip(("cf1", "cf4", "cf6", "cfx"), map(int, config), strict=True)),
-        Span(*literal.span()),
+        whole,
     )
 
 
-def _steps(numbers: Sequence[Number]) -> Array:
-    return np.array([10.0 ** -max(number.decimals, _DECIMALS) for number in numbers])
-
-
-def _write(target: ProgramTarget, joints: Array, pose: Array, axes: JointAxes) -> list[str]:
+def _write_pose(target: ProgramTarget, pose: Array) -> list[str]:
     old = target.numbers
-    if not target.cartesian:
-        values = (joints / axes.scale).tolist()
-        return [written(v, max(n.decimals, _DECIMALS)) for v, n in zip(values, old, strict=True)]
     values = quaternion_of_pose(pose, [n.value for n in old])
-    least = [_DECIMALS] * 3 + [_FINE] * 4
-    return [written(v, max(n.decimals, k)) for v, n, k in zip(values, old, least, strict=True)]
+    return [*texts(values[:3], old[:3], _DECIMALS), *texts(values[3:], old[3:], _FINE)]
 
 
 def _fits(target: ProgramTarget, joints: Array) -> NDArray[np.bool_]:
@@ -227,18 +194,10 @@ def _compact_if(code: str) -> bool:
     return waiting
 
 
-def _moves(
-    code: str,
-    lines: Lines,
-    at: dict[int, int],
-    named: dict[str, list[int]],
-    noted: list[Noted],
-    targets: Sequence[ProgramTarget],
-) -> tuple[tuple[Move | None, ...], list[int]]:
-    """The moves in their order, and where each begins; those that are not understood are noted."""
-    moves: list[Move | None] = []
+def _moves(listing: Listing, at: dict[int, int], named: dict[str, list[int]]) -> list[int]:
+    """Read the moves; where each begins. at, named: targets by place of their literal, by name."""
+    code, starts = listing.code, sorted(at)
     begins: list[int] = []
-    starts = sorted(at)
     last: Span | None = None
     for statement in _STATEMENT.finditer(code):
         move = _MOVE.search(statement[0])
@@ -246,7 +205,7 @@ def _moves(
             continue
         begin = statement.start() + move.start()
         begins.append(begin)
-        line, span = lines.of(begin), Span(begin, statement.end())
+        span = Span(begin, statement.end())
         conditional = _compact_if(statement[0][: move.start()])
         # Behind a conditional move it is not certain where the robot is (docs/decisions/0081).
         before, last = last, None if conditional else span
@@ -255,7 +214,6 @@ def _moves(
         indices = [at[inside[0]]] if inside else _targets_of_name(word, named)
         kind = _UNDERSTOOD.fullmatch(move[1])
         if kind is None or len(indices) != 1:
-            moves.append(None)
             text = statement[0][move.end() :]
             why = "its target is no literal"
             if re.search(r"\b(Offs|RelTool)\s*\(", text, re.I):
@@ -263,11 +221,10 @@ def _moves(
             elif kind is None:
                 circle = move[1].lower().startswith("movec")
                 why = "a circle" if circle else "an instruction that is not understood"
-            called = [targets[i] for w in _words(text) for i in named.get(w, [])]
-            noted.append(Noted(line, f"{move[1]}: {handled(why, called)}"))
+            listing.leave(begin, move[1], why, [i for w in _words(text) for i in named.get(w, [])])
             continue
         target = indices[0]
-        called_at = Span(*word.span(1)) if word and not inside else targets[target].literal
+        called_at = Span(*word.span(1)) if word and not inside else listing.targets[target].literal
         if word and word[2]:
             called_at = Span(word.start(1), code.index("}", word.end(2)) + 1)
         whole, fixed = movable(code, before, span, _HARMLESS)
@@ -275,8 +232,9 @@ def _moves(
             fixed = _MORE
         if conditional or not statement[0].endswith(";"):
             fixed = NOT_ALONE
-        moves.append(Move(target, line, kind[1].lower() == "l", whole, called_at, fixed))
-    return tuple(moves), begins
+        line, straight = listing.lines.of(begin), kind[1].lower() == "l"
+        listing.moves.append(Move(target, line, straight, whole, called_at, fixed))
+    return begins
 
 
 def _target_named(code: str, begin: int, end: int) -> re.Match[str] | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from loopcal.errors import InputError
 from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.program import LARGEST, Program, text_of
+from loopcal.files.programs.program import LARGEST, Program, refuse_redundant, text_of
 from loopcal.files.programs.registry import BY_ENDING
 from loopcal.files.tables.raw import bytes_of
 
@@ -23,8 +23,10 @@ def read_program(path: str | Path, axes: JointAxes) -> Program:
             place=str(path),
             remedy=f"give a file that ends in {', '.join(BY_ENDING)}",
         )
-    data = bytes_of(path, LARGEST)
-    program = dialect.read(text_of(data, path.name), path.name, axes)
+    text = text_of(bytes_of(path, LARGEST), path.name)
+    if dialect.drive is not None:  # a table alone has as many joints as the arm
+        refuse_redundant(axes, path.name)
+    program = dialect.read(text, path.name, axes)
     for target in program.targets:
         if not all(math.isfinite(number.value) for number in target.numbers):
             raise InputError(

@@ -8,7 +8,7 @@ straight lines to a target ("linear").
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ from loopcal.files.programs.poses_text import (
 from loopcal.files.programs.program import Move, Number, Program, ProgramTarget, Span, written
 from loopcal.files.tables.cells import number
 from loopcal.files.tables.dialect import WHITESPACE, Dialect, Row, recognise
+from loopcal.files.tables.reader import Layout
 from loopcal.units import unit
 
 Array = NDArray[np.float64]
@@ -61,7 +62,7 @@ def read_table(text: str, name: str, axes: JointAxes) -> Program:
             "the table is empty", code="no-data", place=name, remedy="give one row per target"
         )
     delimiter = next((mark for mark in "\t;," if mark in rows[0].line), None)
-    dialect = recognise(rows[:100], name, delimiter=delimiter)
+    dialect = recognise(rows[:100], name, Layout(delimiter=delimiter))
     if rows[-1].number <= dialect.header_row:
         raise InputError(
             "there is a header, but no target",
@@ -95,16 +96,10 @@ def read_table(text: str, name: str, axes: JointAxes) -> Program:
 
 def _rows(text: str) -> list[tuple[int, int, str]]:
     """Number, start and line of each; LF, CRLF or CR end a line."""
-    out, start = [], 0
     # The mark of UTF-8 as Latin-1 shows it: bytes are characters in a program.
     bom = 3 if text.startswith("\xef\xbb\xbf") else 0
-    for n, line in enumerate(re.split(r"(\r\n|\n|\r)", text)[::2], 1):
-        skip = bom if n == 1 else 0
-        out.append((n, start + skip, line[skip:]))
-        start += len(line)
-        ended = re.match(r"\r\n|\n|\r", text[start : start + 2])
-        start += ended.end() if ended else 0
-    return out
+    lines = re.compile(r"([^\r\n]*)(?:\r\n|\n|\r|\Z)").finditer(text, bom)
+    return [(n, line.start(), line[1]) for n, line in enumerate(lines, 1)]
 
 
 def _heading(name: str) -> tuple[str, str | None]:
@@ -191,11 +186,12 @@ class _Reading:
     def target(self, row: Row, start: int) -> tuple[ProgramTarget, bool]:
         """The target of a row, and whether the move to it is straight."""
         cells = list(_spans(row.line, self.dialect.delimiter))
+        place = f"{self.name}, line {row.number}"
         if len(cells) < self.dialect.width:
             raise InputError(
                 f"this row has {len(cells)} cells, where {self.dialect.width} are expected",
                 code="invalid-syntax",
-                place=f"{self.name}, line {row.number}",
+                place=place,
                 remedy="complete the row",
             )
 
@@ -210,7 +206,7 @@ class _Reading:
                 raise InputError(
                     f"{text!r} is not a number",
                     code="invalid-number",
-                    place=f"{self.name}, line {row.number}",
+                    place=place,
                     remedy="give a number, or delete the row",
                 )
             return Number(start + begin, start + end, text)
@@ -218,7 +214,7 @@ class _Reading:
         joint_cells = [self.joints[j] for j in self.axes.joints if j in self.joints]
         seeds = [at(cell) for cell in joint_cells]
         q = np.array([n.value * c.factor for n, c in zip(seeds, joint_cells, strict=True)])
-        self._plausible(seeds, joint_cells, f"{self.name}, line {row.number}")
+        self._plausible(seeds, joint_cells, place)
         places = [at(cell) for cell in self.places]
         straight = False
         if self.move is not None:
@@ -227,7 +223,7 @@ class _Reading:
                 raise InputError(
                     f"the move {word!r} is unknown",
                     code="unknown-name",
-                    place=f"{self.name}, line {row.number}",
+                    place=place,
                     remedy="give 'linear' or 'joint'",
                 )
             straight = _MOVES[word]
@@ -242,7 +238,7 @@ class _Reading:
             bool(places),
             tuple(numbers),
             q if len(joint_cells) == len(self.axes.joints) else None,
-            self._pose(places, f"{self.name}, line {row.number}") if places else None,
+            self._pose(places, place) if places else None,
             self._steps(numbers, used),
             literal=Span(start, start + len(row.line)),
             label=label,
@@ -324,9 +320,6 @@ def _spans(line: str, delimiter: str) -> Iterator[tuple[int, int]]:
         while start < end and line[end - 1] in ' \t"':
             end -= 1
         yield start, end
-
-
-Read = Callable[[str, str, JointAxes], Program]
 
 
 DIALECT = ProgramDialect(

@@ -9,26 +9,20 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopcal.files.programs.copying import NOT_ALONE, movable
 from loopcal.files.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.files.programs.joint_axes import JointAxes
+from loopcal.files.programs.listing import Listing
 from loopcal.files.programs.program import (
     NUMBER,
-    Lines,
     Move,
-    Noted,
     Program,
     ProgramTarget,
     Span,
-    blanked,
     numbers_of,
-    refuse_redundant,
-    written,
 )
 
-Array = NDArray[np.float64]
 _ASIDE = re.compile(r'"[^"\r\n]*"|#[^\r\n]*')
 _NUMBER = NUMBER.pattern
 _JOINTS = rf"\[\s*({_NUMBER}(?:\s*,\s*{_NUMBER})*)\s*\]"
@@ -45,13 +39,12 @@ _HARMLESS = re.compile(
 )
 _REST = re.compile(r"[^\r\n]*+")
 _UNDERSTOOD = ("movej", "movel", "movep")
-_DECIMALS = 9
 
 
 def read_urscript(text: str, name: str, axes: JointAxes) -> Program:
     """The joint targets of a script. Raises InputError for an arm of more than six joints."""
-    refuse_redundant(axes, name)
-    lines, code = Lines(text), blanked(text, _ASIDE)
+    listing = Listing(text, name, axes, 9, aside=_ASIDE, scale=np.ones(len(axes.joints)))
+    code = listing.code
     calls = list(_MOVE.finditer(code))
     called = {m[3] for m in calls if m[3] and m[1] in _UNDERSTOOD}
     circular = {
@@ -63,21 +56,17 @@ def read_urscript(text: str, name: str, axes: JointAxes) -> Program:
     assigned: dict[str, list[re.Match[str]]] = {}
     for m in _ASSIGNED.finditer(code):
         assigned.setdefault(m[1], []).append(m)
-    targets: list[ProgramTarget] = []
-    noted: list[Noted] = []
     named: dict[str, int] = {}
     for variable in sorted(called - circular):
         several = assigned.get(variable, [])
         # Of a name that is assigned twice it is not certain which value a move takes.
-        target = _target(several[0], 2, variable, lines, axes) if len(several) == 1 else None
+        target = _target(several[0], variable, listing) if len(several) == 1 else None
         if target is not None:
-            named[variable] = len(targets)
-            targets.append(target)
-    moves: list[Move | None] = []
+            named[variable] = listing.add(target)
     last: Span | None = None
     for m, behind in zip(calls, (*calls[1:], None), strict=False):
-        line, kind, variable = lines.of(m.start()), m[1], m[3]
-        inline = _target(m, 2, f"line {line}", lines, axes) if kind in _UNDERSTOOD else None
+        line, kind, variable = listing.lines.of(m.start()), m[1], m[3]
+        inline = _target(m, f"line {line}", listing) if kind in _UNDERSTOOD else None
         stop = len(code) if behind is None else behind.start()
         end = _REST.match(code, m.end(), stop)  # a second move on the line begins another
         statement = Span(m.start(), m.end() if end is None else end.end())
@@ -87,51 +76,30 @@ def read_urscript(text: str, name: str, axes: JointAxes) -> Program:
         if code.count("(", *statement) != code.count(")", *statement):
             fixed = NOT_ALONE
         if inline is not None:
-            moves.append(Move(len(targets), line, kind != "movej", whole, inline.literal, fixed))
-            targets.append(inline)
+            index, at = listing.add(inline), inline.literal
         elif kind in _UNDERSTOOD and variable in named:
-            at = Span(*m.span(3))
-            moves.append(Move(named[variable], line, kind != "movej", whole, at, fixed))
+            index, at = named[variable], Span(*m.span(3))
         else:
-            moves.append(None)
             why = "its target is no list of the arm's joints, assigned once"
             if kind not in _UNDERSTOOD:
                 why = "a circle, or joints that are followed"
-            noted.append(Noted(line, f"{kind}({variable or ''}: {why}"))
-    return Program(
-        "URScript",
-        name,
-        text,
-        tuple(targets),
-        tuple(noted),
-        lambda target, joints, pose: _write(target, joints),
-        moves=tuple(moves),
-    )
+            listing.leave(m.start(), f"{kind}({variable or ''}", why)
+            continue
+        listing.moves.append(Move(index, line, kind != "movej", whole, at, fixed))
+    return listing.program("URScript")
 
 
-def _target(
-    match: re.Match[str], group: int, name: str, lines: Lines, axes: JointAxes
-) -> ProgramTarget | None:
+def _target(match: re.Match[str], label: str, listing: Listing) -> ProgramTarget | None:
     """The target of a list of joints; None where there is none, or not of every joint."""
-    if match[group] is None:
+    if match[2] is None:
         return None
-    numbers = numbers_of(match[group], match.start(group))
-    if len(numbers) != len(axes.joints):
+    numbers = numbers_of(match[2], match.start(2))
+    if len(numbers) != len(listing.scale):
         return None
-    q = np.array([number.value for number in numbers])
-    step = np.array([10.0 ** -max(number.decimals, _DECIMALS) for number in numbers])
     # with its brackets
-    start = match.string.rindex("[", 0, match.start(group))
-    literal = Span(start, match.string.index("]", match.end(group)) + 1)
-    line = lines.of(match.start(group))
-    return ProgramTarget(name, line, False, numbers, q, None, step, literal=literal)
-
-
-def _write(target: ProgramTarget, joints: Array) -> list[str]:
-    return [
-        written(v, max(n.decimals, _DECIMALS))
-        for v, n in zip(joints.tolist(), target.numbers, strict=True)
-    ]
+    start = match.string.rindex("[", 0, match.start(2))
+    literal = Span(start, match.string.index("]", match.end(2)) + 1)
+    return listing.joints(label, match.start(2), numbers, literal)
 
 
 def _driving(stops: Stops) -> list[str]:

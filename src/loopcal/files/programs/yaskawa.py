@@ -8,23 +8,16 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
-from numpy.typing import NDArray
-
 from loopcal.files.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.files.programs.joint_axes import JointAxes
+from loopcal.files.programs.listing import Listing
 from loopcal.files.programs.program import (
-    Lines,
     Move,
-    Noted,
     Program,
     ProgramTarget,
-    handled,
     numbers_of,
-    refuse_redundant,
 )
 
-Array = NDArray[np.float64]
 _LINE = re.compile(r"[^\r\n]+")
 _POSITION = re.compile(r"[ \t]*((?:B|E)?[CP]\d+)[ \t]*=([^\r\n]*)")
 _MOVE = re.compile(r"[ \t]*(\+?[ES]?I?MOV[JLCS]?|REFP)\b([^\r\n]*)")
@@ -34,17 +27,12 @@ _FIXED = "a job numbers its positions; insert them on the pendant, and correct a
 
 def read_yaskawa(text: str, name: str, axes: JointAxes) -> Program:
     """The positions of a job. Raises InputError without the pulses of every joint."""
-    refuse_redundant(axes, name)
-    scale = axes.scale / axes.pulses_each(name)
-    lines = Lines(text)
-    targets: list[ProgramTarget] = []
-    noted: list[Noted] = []
+    listing = Listing(text, name, axes, 0, scale=axes.scale / axes.pulses_each(name))
     named: dict[str, int] = {}
-    moves: list[Move | None] = []
     pulse = False
     circular = set(re.findall(r"MOVC\s+(C\d+)", text))
     for row in _LINE.finditer(text):
-        line = lines.of(row.start())
+        at = row.start()
         if row[0].startswith("///"):
             if re.match(r"///(PULSE|RECTAN|POSTYPE)\b", row[0]):
                 pulse = row[0].startswith("///PULSE") or "POSTYPE PULSE" in row[0]
@@ -53,42 +41,31 @@ def read_yaskawa(text: str, name: str, axes: JointAxes) -> Program:
         if position is not None:
             target = None
             if pulse and re.fullmatch(r"C\d+", position[1]) and position[1] not in circular:
-                target = _target(position, row.start(), line, scale)
+                target = _target(position, at, listing)
             if target is None:
-                noted.append(Noted(line, f"{position[1]}: no whole pulses of the robot's axes"))
-                continue
-            named[position[1]] = len(targets)
-            targets.append(target)
+                listing.note(at, f"{position[1]}: no whole pulses of the robot's axes")
+            else:
+                named[position[1]] = listing.add(target)
             continue
         move = _MOVE.match(row[0])
         if move is not None:
             word = re.match(r"\s+(C\d+)\b", move[2])
             if word and word[1] in named and move[1] in ("MOVJ", "MOVL", "SMOVL", "MOVS"):
-                moves.append(Move(named[word[1]], line, move[1].endswith("MOVL"), fixed=_FIXED))
+                line, straight = listing.lines.of(at), move[1].endswith("MOVL")
+                listing.moves.append(Move(named[word[1]], line, straight, fixed=_FIXED))
                 continue
-            moves.append(None)
-            called = [targets[named[c]] for c in re.findall(r"\bC\d+", move[2]) if c in named]
-            why = handled("a circle, shift or variable", called)
-            noted.append(Noted(line, f"{row[0].strip()[:40]}: {why}"))
-    return Program(
-        "Yaskawa JBI",
-        name,
-        text,
-        tuple(targets),
-        tuple(noted),
-        lambda target, joints, pose: [str(round(v)) for v in (joints / scale).tolist()],
-        moves=tuple(moves),
-    )
+            called = [named[c] for c in re.findall(r"\bC\d+", move[2]) if c in named]
+            listing.leave(at, row[0].strip()[:40], "a circle, shift or variable", called)
+    return listing.program("Yaskawa JBI")
 
 
-def _target(position: re.Match[str], start: int, line: int, scale: Array) -> ProgramTarget | None:
+def _target(position: re.Match[str], start: int, listing: Listing) -> ProgramTarget | None:
     """The target of a line; None where it has not the whole numbers of an arm."""
-    pieces = position[2].split(",")
-    if len(pieces) < len(scale) or not all(re.fullmatch(r"\s*[+-]?\d+\s*", p) for p in pieces):
+    pieces, count = position[2].split(","), len(listing.scale)
+    if len(pieces) < count or not all(re.fullmatch(r"\s*[+-]?\d+\s*", p) for p in pieces):
         return None
-    numbers = numbers_of(position[2], start + position.start(2))[: len(scale)]
-    q = np.array([number.value for number in numbers]) * scale
-    return ProgramTarget(position[1], line, False, numbers, q, None, np.abs(scale))
+    numbers = numbers_of(position[2], start + position.start(2))[:count]
+    return listing.joints(position[1], start, numbers)
 
 
 def _driving(stops: Stops) -> list[str]:

@@ -12,7 +12,7 @@ from loopcal.files.machines.parameter_entries import Units, by_dimension, in_si
 from loopcal.files.project.names import QUANTITY
 from loopcal.files.project.noise_table import Noises
 from loopcal.files.tables.columns import Column
-from loopcal.files.tables.registry import OPTIONS
+from loopcal.files.tables.reader import Layout
 from loopcal.files.toml.place import Place
 from loopcal.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
@@ -34,7 +34,7 @@ class DataColumn(Column):
 
 
 @dataclass(frozen=True)
-class FileTable:
+class _NamedColumns:
     """A file of readings, and the quantity of each column."""
 
     file: Annotated[
@@ -65,23 +65,16 @@ class FileTable:
             example={"theta_1": {"column": "S", "unit": "deg"}, "x": "x_tracker"},
         ),
     ] = field(default_factory=dict)
-    sheet: Annotated[str | int | None, Key("XLSX: name or number from 1.")] = None
-    variable: Annotated[str | None, Key("MATLAB: name of the variable.")] = None
-    topic: Annotated[str | None, Key("ROS bag: the only measuring topic.")] = None
-    header: Annotated[bool | None, Key("Text: whether the first row holds names.")] = None
-    delimiter: Annotated[str | None, Key("Text: between the cells.", example=";")] = None
-    decimal: Annotated[str | None, Key("Text: decimal mark.", choices=(".", ","))] = None
-    encoding: Annotated[str | None, Key("Text: its encoding.", example="utf-8")] = None
 
-    @property
-    def layout(self) -> dict[str, Any]:
-        """How the file is written, for `read_dataset`."""
-        return {key: getattr(self, key) for key in sorted(OPTIONS)}
+
+@dataclass(frozen=True)
+class FileTable(Layout, _NamedColumns):
+    """A file of readings, the quantity of each column, and how it is written."""
 
     @property
     def options(self) -> dict[str, Any]:
         """What `read_dataset` takes beside the columns."""
-        return {"pose": self.pose, **self.layout}
+        return {"pose": self.pose, **self.keywords}
 
     def column(self, quantity: str, si: str) -> DataColumn:
         """The column of this name, in the unit of the file."""

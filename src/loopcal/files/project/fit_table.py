@@ -9,7 +9,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.fit import MODEL_ERRORS, STARTS, Fit
 from loopcal.estimation.methods.registry import DEFAULT, METHODS
 from loopcal.estimation.solve.loss import LOSSES
-from loopcal.estimation.solve.status import MOST_ITERATIONS
+from loopcal.estimation.solve.solution import MOST_ITERATIONS
 from loopcal.files.project.names import PARAMETER
 from loopcal.keys import Key
 from loopcal.lazy import cached_property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, unknown_name
 from loopcal.files.toml.place import Names, Scope
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import distance_unit
@@ -38,11 +38,7 @@ def followers(mechanism: Mechanism) -> set[str]:
 def _quantities(units: Mapping[str, str]) -> Names:
     def names(name: str) -> Mapping[str, str]:
         if name not in units:
-            raise InputError(
-                f"the mechanism has no quantity {name!r}",
-                code="unknown-name",
-                remedy=nearest(name, units),
-            )
+            raise unknown_name(f"the mechanism has no quantity {name!r}", name, units)
         return {name: units[name]}
 
     return names

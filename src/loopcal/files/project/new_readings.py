@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from loopcal.errors import InputError
 from loopcal.files.project.data_table import DataColumn, DataTable, data_files, named_columns
 from loopcal.files.project.noise_table import noises
 from loopcal.files.tables.columns import Column
-from loopcal.files.tables.readers import column_labels, read_dataset
+from loopcal.files.tables.readers import column_labels, read_dataset, read_once
 from loopcal.files.toml.place import Place
 from loopcal.measurements.checks import refuse_implausible
 from loopcal.measurements.dataset import Dataset
@@ -31,14 +29,8 @@ def read_new_readings(
     their columns. Raises InputError as `read_dataset` does.
     """
     spec = _spec(inputs, mechanism)
-    how = spec.layout
-    # Standard input can be read once only, and its columns are looked at first.
-    content = sys.stdin.buffer.read() if str(path) == "-" else None
-
-    def source() -> str | Path | BinaryIO:
-        return path if content is None else BytesIO(content)
-
-    labels = column_labels(source(), **how)
+    source = read_once(path, **spec.keywords)
+    labels = column_labels(source)
     stated = {q for part in spec.parts for q in part.columns}
     parts = [named_columns(p, labels, mechanism, stated) for p in spec.parts]
     needless = set() if whole else {*mechanism.outputs, *mechanism.predicting().unused}
@@ -51,7 +43,7 @@ def read_new_readings(
         and not (quantity in mechanism.latest and _absent(column.column, labels))
     }
     pose_column = spec.pose if spec.pose in labels or isinstance(spec.pose, int) else None
-    dataset = read_dataset(source(), columns, pose=pose_column, **how)
+    dataset = read_dataset(source, columns, pose=pose_column, **spec.keywords)
     units = {**mechanism.quantities, **mechanism.pose_constants}
     for quantity in [q for q, column in columns.items() if column.unit is None]:
         try:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, placed
 from loopcal.files.machines.parameter_entries import in_si
 from loopcal.files.toml.place import Place
 from loopcal.keys import Key, Made
@@ -124,11 +125,9 @@ def tracker_of(
             place=str(place.at("station")),
             remedy="give the tracker's place in the frame of its readings",
         )
-    try:
+    with placed(tracker_place):
         assert entry.tracker is not None
         return Tracker.of(**entry.tracker, station=station, rounded_to=step, native=native)
-    except InputError as error:
-        raise error.at(str(tracker_place)) from None
 
 
 def sd_of(entry: StatedNoise, si: str, place: Place) -> float:
@@ -140,10 +139,8 @@ def sd_of(entry: StatedNoise, si: str, place: Place) -> float:
     stated = 0.0 if entry.sd is None else in_si(entry.sd, entry.unit, si, at, difference=True)
     if entry.encoder is None and entry.rounded_to is None:
         return stated
-    try:
+    with placed(place.at("rounded_to"), unless_stated=True):
         rounding = rounding_sd(in_si(entry.rounded_to or 0.0, entry.unit, si, at, difference=True))
-    except InputError as error:
-        raise error if error.place else error.at(str(place.at("rounded_to"))) from None
     encoder = 0.0 if entry.encoder is None else _encoder(entry.encoder, si, place.at("encoder"))
     return DatasheetSd(math.hypot(stated, encoder, rounding))
 
@@ -157,12 +154,10 @@ def _encoder(figures: Mapping[str, Any], si: str, place: Place) -> float:
             place=str(place),
             remedy="give the step of its readings: rounded_to = 1, unit = ...",
         )
-    try:
+    with placed(place, unless_stated=True):
         if "accuracy" in figures:
             in_si(1.0, accuracy_unit(figures["accuracy"]), si, place.at("accuracy"))
         return encoder_sd(**figures)
-    except InputError as error:
-        raise error if error.place else error.at(str(place)) from None
 
 
 @dataclass(frozen=True)
@@ -255,7 +250,9 @@ def noises(entries: Mapping[str, StatedNoise], mechanism: Mechanism, place: Plac
             names: tuple[str, ...] = (MODEL,)
             units = {**units, MODEL: unit(entry.unit).si if entry.unit else "m"}
         else:
-            names = _quantities(key, mechanism.quantity_group, entry_place)
+            with placed(entry_place):
+                listed = [mechanism.quantity_group(part.strip()) for part in key.split(",")]
+            names = tuple(dict.fromkeys(chain.from_iterable(listed)))
         if entry.estimate is not None:
             learnt.append((key if "," not in key else names, entry.estimate))
         kind = _kind(entry, entry_place)
@@ -293,16 +290,6 @@ def _kind(entry: StatedNoise, place: Place) -> str:
     return (kinds + wide)[0]
 
 
-def _quantities(
-    key: str, expand: Callable[[str], tuple[str, ...]], place: Place
-) -> tuple[str, ...]:
-    try:
-        names = [name for part in key.split(",") for name in expand(part.strip())]
-    except InputError as error:
-        raise error.at(str(place)) from None
-    return tuple(dict.fromkeys(names))
-
-
 def _covariance(
     entry: StatedNoise, names: tuple[str, ...], units: Mapping[str, str], place: Place
 ) -> Any:
@@ -338,9 +325,7 @@ def _covariance(
             remedy=f"give {size} rows of {size} numbers",
         )
     matrix = np.array(entry.covariance) * factor
-    try:
+    with placed(place.at("covariance")):
         # Made to be checked here, where the key of a faulty matrix is known.
         Noise({names: matrix})
-    except InputError as error:
-        raise error.at(str(place.at("covariance"))) from None
     return matrix

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
-from loopcal.files.paths import expanded
+from loopcal.errors import InputError, placed
+from loopcal.files.outputs import expanded
 from loopcal.files.project.data_table import (
     DataTable,
     FileTable,
@@ -22,7 +22,7 @@ from loopcal.files.project.data_table import (
 from loopcal.files.project.noise_table import CovarianceColumns
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.columns import Column
-from loopcal.files.tables.readers import column_labels, read_dataset, read_poses
+from loopcal.files.tables.readers import column_labels, read_dataset, read_once, read_poses
 from loopcal.files.toml.place import Place
 from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import Dataset
@@ -132,14 +132,15 @@ def _read(
 
 def _refuse_unnamed(project: Project, spec: FileTable, path: Path, place: Place) -> None:
     """InputError for a quantity without a column of the same name or a stated one."""
-    labels = column_labels(path, **spec.layout)
+    labels = column_labels(path, **spec.keywords)
     read = {*project.inputs["data"].get("columns", ()), *labels}
     refuse_unread(read, project.mechanism, project.noise, place.at("columns"), labels)
 
 
 def _part(project: Project, spec: FileTable, path: Path, aside: Mapping[str, Column]) -> Dataset:
     """One of several files."""
-    labels = column_labels(path, **spec.layout)
+    source = read_once(path, **spec.keywords)
+    labels = column_labels(source)
     assert project.data is not None
     stated = {q for part in project.data.parts for q in part.columns}
     spec = named_columns(spec, labels, project.mechanism, stated)
@@ -162,8 +163,8 @@ def _part(project: Project, spec: FileTable, path: Path, aside: Mapping[str, Col
             remedy="name its columns: columns = { x = ... }",
         )
     if not columns:  # ids alone: the poses in which an instrument without readings was used
-        return read_poses(path, pose, **spec.layout)
-    return believed(spec, read_dataset(path, columns, pose=pose, **spec.layout))
+        return read_poses(source, pose, **spec.keywords)
+    return believed(spec, read_dataset(source, columns, pose=pose, **spec.keywords))
 
 
 def believed(spec: FileTable, read: Dataset) -> Dataset:
@@ -203,8 +204,6 @@ def _covariance(block: CovarianceColumns, values: Array, dataset: Dataset) -> Ar
             place=dataset.place(first),
             remedy="fill the columns, or exclude these poses (data.exclude)",
         )
-    try:
+    with placed(block.place):
         Noise({block.quantities: matrices})
-    except InputError as error:
-        raise error.at(block.place) from None
     return matrices

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from loopcal.document.plain import finite_only
 from loopcal.errors import InputError
 from loopcal.files.machines.mechanism_file import (
     ParameterChange,
@@ -16,15 +16,15 @@ from loopcal.files.machines.mechanism_file import (
 )
 from loopcal.files.machines.parameter_entries import changed, prior_sds, with_priors
 from loopcal.files.machines.python_function import Loops
-from loopcal.files.paths import expanded
+from loopcal.files.outputs import expanded
 from loopcal.files.project.data_table import DataTable, data_files
 from loopcal.files.project.fit_table import FitTable
 from loopcal.files.project.noise_table import Noises, noises
-from loopcal.files.project.verdict_table import VerdictTable
+from loopcal.files.project.plan_table import PlanTable, VerdictTable
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
 from loopcal.measurements.plan_settings import PlanSettings
-from loopcal.mechanisms.effects.model import Model
+from loopcal.mechanisms.effects.effect import Model
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameters
 
@@ -40,7 +40,8 @@ class Project:
     path: of the file, None for standard input; folder: to which its paths are relative;
     mechanism: with the nominal values, priors and fixed parameters of the project; data and
     simulation: None where the project has no such table; inputs: the file as read, as plain
-    data (inf as a text, for JSON knows no such number); compare: models by name.
+    data (inf as a text, for JSON knows no such number); compare: models by name; planned: the table
+    [plan].
     """
 
     title: str
@@ -51,7 +52,7 @@ class Project:
     noise: Noises
     fit: FitTable
     verdict: VerdictTable
-    plan: PlanSettings
+    planned: PlanTable
     simulation: SimulationSettings | None
     inputs: Mapping[str, Any]
     compare: Mapping[str, Model]
@@ -60,6 +61,11 @@ class Project:
     def name(self) -> str:
         """How messages call the project."""
         return shown(self.path or "-")
+
+    @property
+    def plan(self) -> PlanSettings:
+        """Where poses may be planned; the end point counts in the region of the verdict."""
+        return self.planned.settings(self.mechanism, self.verdict.region)
 
 
 def read_project(
@@ -111,9 +117,9 @@ def read_project(
         noise=noise,
         fit=tables.made("fit", scope),
         verdict=verdict,
-        plan=tables.made("plan", scope).settings(machine, verdict.region),
+        planned=tables.made("plan", scope),
         simulation=simulation,
-        inputs=plain(data),
+        inputs=finite_only(data),
         compare={} if compared is None else compared.models(machine, place.at("compare")),
     )
 
@@ -172,12 +178,3 @@ def stated_mechanism(
     return mechanism_from_data(
         stated, mechanism_place, function=definition, parameters=parameters, change=change
     )
-
-
-def plain(value: Any) -> Any:
-    """TOML data as JSON can hold it: infinite numbers become the texts "inf" and "-inf"."""
-    if isinstance(value, dict):
-        return {key: plain(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [plain(inner) for inner in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

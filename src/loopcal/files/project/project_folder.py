@@ -19,8 +19,7 @@ from typing import Any, BinaryIO
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
-from loopcal.files.paths import leads_into
-from loopcal.files.programs.registry import BY_ENDING as PROGRAMS
+from loopcal.files.outputs import leads_into
 from loopcal.files.result.deployed import FOLDER as NOTES
 from loopcal.files.result.deployed import corrected_of, made_of
 from loopcal.files.tables.raw import sha256_of
@@ -31,9 +30,9 @@ PROJECT = "project.toml"
 RESULT = "result.json"
 PLAN_DOCUMENT = "plan.json"
 RECORD = "record.html"
-TAKEN = {*READERS, *PROGRAMS, *(".urdf", ".xml", ".toml", ".conf", ".yaml", ".yml")}
-"""Endings of the files that are taken in: readings, programs, robots, projects and what an export
-patches. Nothing else is of use, and Python beside them could be run by other programs."""
+TAKEN = {*READERS, *(".urdf", ".xml", ".toml", ".conf", ".yaml", ".yml")}
+"""Endings of the files that are taken in: readings, robots, projects and what an export patches.
+Nothing else is of use, and Python beside them could be run by other programs."""
 _APPENDING = threading.Lock()
 
 
@@ -78,9 +77,10 @@ class Listed:
 
 @dataclass(frozen=True)
 class ProjectFolder:
-    """The folder; nothing outside it is touched."""
+    """The folder; nothing outside it is touched. also: further endings of files taken in."""
 
     path: Path
+    also: frozenset[str] = frozenset()
 
     @property
     def project(self) -> Path:
@@ -222,12 +222,13 @@ class ProjectFolder:
                 code="invalid-value",
                 remedy="rename the file",
             )
-        if Path(last).suffix.lower() not in TAKEN:
+        taken = TAKEN | self.also
+        if Path(last).suffix.lower() not in taken:
             raise InputError(
                 f"the ending {Path(last).suffix!r} is that of no file that loopcal reads",
                 code="wrong-file-type",
                 place=last,
-                remedy=f"give a file that ends in {', '.join(sorted(TAKEN))}",
+                remedy=f"give a file that ends in {', '.join(sorted(taken))}",
             )
         path = self.inside(last)
         if path.exists() and path.read_bytes() != content:
@@ -327,3 +328,75 @@ def existing_folder(path: str | Path) -> Path:
             "there is no such folder", code="missing-file", place=str(path), remedy="make it first"
         )
     return folder
+
+
+# One server at a time on a folder: a lock that ends with the process that holds it.
+
+NAME = ".loopcal-app.lock"
+_PLACE = 1 << 30
+"""The byte that is locked on Windows, behind what others may read."""
+
+
+class FolderLock:
+    """Held from its making until `release`, or until the process ends in whatever way.
+
+    Raises InputError where another process holds it, with the address it wrote, and where the
+    folder cannot be written. On a file system without locks it excludes nobody.
+    """
+
+    def __init__(self, folder: Path, address: str) -> None:
+        path = folder / NAME
+        if not leads_into(path, folder):
+            raise InputError(
+                "leads out of the folder",
+                code="unwritable-file",
+                place=str(path),
+                remedy="remove this link",
+            )
+        try:
+            # Not truncated: a file that another app has locked states its address.
+            self._file: BinaryIO = path.open("r+b" if path.exists() else "w+b")
+        except OSError as error:
+            raise InputError(
+                f"cannot be written: {error.strerror or error}",
+                code="unwritable-file",
+                place=str(folder),
+                remedy="choose a folder with write permission",
+            ) from None
+        if not _taken(self._file):
+            held = self._file.read(200).decode("utf-8", "replace").strip()
+            self._file.close()
+            raise InputError(
+                f"another app serves this folder already, at {held}",
+                code="unwritable-file",
+                place=str(folder),
+                remedy="open that address, or end that app first",
+            )
+        self._file.truncate(0)
+        self._file.write(address.encode())
+        self._file.flush()
+
+    def release(self) -> None:
+        """Let others have the folder."""
+        self._file.close()
+
+
+def _taken(file: BinaryIO) -> bool:
+    """Whether the lock is ours now; also where the file system has none."""
+    try:
+        if os.name == "nt":
+            import msvcrt
+
+            file.seek(_PLACE)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+            file.seek(0)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        file.seek(0)
+        return False
+    except OSError:
+        file.seek(0)
+    return True

@@ -9,20 +9,19 @@ from typing import Annotated, Any
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, placed
 from loopcal.files.machines.attached import Effects, Instruments
 from loopcal.files.machines.parameter_entries import PARAMETERS, PRIOR, StatedParameter, StatedPrior
 from loopcal.files.machines.registry import kinds, table_of
 from loopcal.files.project.data_table import DataTable
 from loopcal.files.project.fit_table import FitTable
 from loopcal.files.project.noise_table import NOISE, StatedNoise
-from loopcal.files.project.plan_table import PlanTable
+from loopcal.files.project.plan_table import PlanTable, VerdictTable
 from loopcal.files.project.simulation_table import SimulationTable
-from loopcal.files.project.verdict_table import VerdictTable
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.tables import ByType, table
 from loopcal.keys import Key
-from loopcal.mechanisms.effects.model import Model, with_only
+from loopcal.mechanisms.effects.effect import Model, with_only
 from loopcal.mechanisms.mechanism import Mechanism
 
 
@@ -91,10 +90,8 @@ class CompareTable:
                     remedy="give each a unique name",
                 )
             by_name[stated.name] = stated
-            try:
+            with placed(at):
                 with_only(mechanism, by_name[stated.name])
-            except InputError as error:
-                raise error.at(str(at)) from None
         return by_name
 
 

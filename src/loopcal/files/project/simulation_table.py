@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.files.project.names import DEVIATING, PARAMETER, RANGED, followers
 from loopcal.files.project.noise_table import NOISE, Noises, StatedNoise, noises
-from loopcal.files.project.verdict_table import SPAN
+from loopcal.files.project.plan_table import SPAN
 from loopcal.files.toml.place import Place
 from loopcal.keys import CONTEXT, Key, Made
 from loopcal.mechanisms.mechanism import Mechanism

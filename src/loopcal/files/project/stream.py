@@ -7,8 +7,7 @@ sent there is paths and row numbers, with a mark by which each file is known aga
 from __future__ import annotations
 
 import math
-import platform
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.files.paths import expanded
+from loopcal.files.outputs import expanded
 from loopcal.files.project.project_data import (
     LoadedData,
     believed,
@@ -30,7 +29,7 @@ from loopcal.files.tables.parquet import (
     READER,
     ParquetFile,
     begins_of,
-    mark_of,
+    frame_of,
     parquet_files,
     prove,
     sha256_of_all,
@@ -38,7 +37,7 @@ from loopcal.files.tables.parquet import (
 from loopcal.files.tables.raw import sha256_of
 from loopcal.files.tables.readers import dataset_of
 from loopcal.files.tables.registry import reader_of
-from loopcal.files.tables.table import ROW, Table, find_column
+from loopcal.files.tables.table import ROW, Table, positions_of
 from loopcal.files.toml.place import Place
 from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning, check_dataset
@@ -48,7 +47,7 @@ from loopcal.measurements.source import Source
 from loopcal.mechanisms.outputs import measured_points
 
 if TYPE_CHECKING:
-    from loopcal.estimation.stream.chunks import Chunk
+    from loopcal.estimation.stream.merit import Chunk
 
 LARGE = 2_000_000
 """Rows from which on a file is read in chunks unless the project says otherwise."""
@@ -142,7 +141,7 @@ class ParquetStream:
         Raises InputError where its file is not there, or not the one of the beginning.
         """
         loaded = self._loaded(self._parts[number])
-        from loopcal.estimation.stream.chunks import Chunk
+        from loopcal.estimation.stream.merit import Chunk
 
         return Chunk(loaded.dataset, loaded.noise)
 
@@ -238,7 +237,8 @@ def project_stream(project: Project) -> ParquetStream | None:
         )
     columns = specified({**spec.columns, **columns_aside(project)}, {})
     asked = wanted(columns, spec.pose)
-    prove(files, _named(files[0], asked))
+    names = files[0].names
+    prove(files, [names[i] for i in positions_of(asked, names, files[0].path.name)])
     return ParquetStream(project, files, path.name)
 
 
@@ -283,42 +283,9 @@ def _ids(part: _Part, table: Table | None, pose: str | int | None) -> Sequence[s
 
 def _rows(part: _Part, columns: dict[str, Column], pose: str | int | None) -> Table:
     """The rows of a part as a table, only the columns asked for."""
-    import polars as pl
-
     file = part.file
-    asked = wanted(columns, pose)
-    names = _named(file, asked)
-    try:
-        # Compared before reading: rows of a file that was replaced would mix two data sets.
-        same = mark_of(file.path) == file.mark
-        frame = (
-            pl.scan_parquet(file.path, glob=False)
-            .select(names if same else [])
-            .slice(part.offset, part.rows)
-            .collect()
-        )
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise _elsewhere(file, f"cannot be read ({reason})") from None
-    if not same:
-        raise _elsewhere(file, "changed during the calibration")
+    positions = positions_of(wanted(columns, pose), file.names, file.path.name)
+    frame = frame_of(file, [file.names[i] for i in positions], part.offset, part.rows)
     rows: NDArray[np.int64] = part.offset + 1 + np.arange(part.rows, dtype=np.int64)
-    cells = {file.names.index(name): frame[name] for name in names}
+    cells = dict(zip(positions, frame.get_columns(), strict=True))
     return Table(file.path.name, None, "", file.names, cells, rows, before=part.begin)
-
-
-def _named(file: ParquetFile, asked: Iterable[str | int]) -> list[str]:
-    """Names of the columns asked for; InputError for one that is not there."""
-    width, place = len(file.names), file.path.name
-    positions = {find_column(column, file.names, width, place) for column in asked}
-    return [file.names[i] for i in sorted(positions)]
-
-
-def _elsewhere(file: ParquetFile, what: str) -> InputError:
-    return InputError(
-        f"this file {what} on host {platform.node()!r}",
-        code="unreadable-file",
-        place=str(file.path),
-        remedy="do not change readings during a run; on a cluster, every host needs the file at "
-        "this path",
-    )

@@ -8,12 +8,12 @@ from dataclasses import replace
 from typing import Any
 
 from loopcal.errors import InputError
-from loopcal.files.paths import expanded
+from loopcal.files.outputs import expanded
 from loopcal.files.project.fit_table import Validation
 from loopcal.files.project.project_data import LoadedData, load_dataset
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.columns import Column
-from loopcal.files.tables.readers import column_labels, read_dataset
+from loopcal.files.tables.readers import column_labels, read_dataset, read_once
 from loopcal.files.toml.place import Place
 
 
@@ -63,8 +63,9 @@ def _groups(project: Project, column: str | int, poses: Sequence[str]) -> tuple[
         return tuple(read_dataset(path, asked, **spec.options)["group"].tolist())
     for part in spec.parts:
         path = expanded(part.file, project.folder, place.at("file"))
-        if isinstance(column, int) or column in column_labels(path, **part.layout):
-            read = read_dataset(path, asked, pose=part.pose, **part.layout)
+        source = read_once(path, **part.keywords)
+        if isinstance(column, int) or column in column_labels(source):
+            read = read_dataset(source, asked, pose=part.pose, **part.keywords)
             groups = dict(zip(read.poses, read["group"].tolist(), strict=True))
             return tuple(groups.get(pose, math.nan) for pose in poses)
     raise InputError(

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.headers import Heading, heading
-from loopcal.files.recognition.vocabulary import meanings
+from loopcal.files.recognition.headers import Heading, heading, meanings, words
 from loopcal.files.tables.cells import is_missing
 from loopcal.files.tables.readers import read_table
 from loopcal.units import unit
@@ -26,7 +25,6 @@ _CELL = re.compile(
 )
 _MODIFIED = meanings("dh_modified")
 _KINDS = {"": "revolute", **meanings("joint_kinds")}
-_FIXED_NAMES = ("tool", "tcp", "flange", "reflector", "target", "base", "world", "turntable", "ee")
 # Two decades: m and mm, which differ by three, can never both be plausible.
 SMALLEST, LARGEST = 0.1, 10.0
 """Sums of all lengths of a machine that are plausible [m]."""
@@ -177,7 +175,7 @@ def _cell(text: str, decimal: str, place: str) -> _Cell:
 
 def _kind(text: str, name: str, place: str) -> str:
     word = text.strip().lower()
-    if not word and name.strip().lower() in _FIXED_NAMES:
+    if not word and name.strip().lower() in words("links", "fixed"):
         return "fixed"
     if word not in _KINDS:
         raise InputError(

@@ -13,15 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, short
-from loopcal.files.recognition.headers import Heading, heading, stem
-from loopcal.files.recognition.titles import below_titles, readings_of
-from loopcal.files.recognition.vocabulary import words
+from loopcal.files.recognition.headers import (
+    Heading,
+    below_titles,
+    heading,
+    readings_of,
+    stem,
+    words,
+)
 from loopcal.files.tables.registry import reader_of
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.poses import pose_id
+from loopcal.measurements.resolution import written_step
 from loopcal.measurements.tables import as_numbers, column, column_names
-from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import significant
 
 Array = NDArray[np.float64]
 _IDS = frozenset(words("columns", "pose"))
@@ -79,20 +85,8 @@ class Field:
 
         It is 0 also for a column that stands still, whose one value may be round by chance.
         """
-        if not self.span:
-            return 0.0
-        finite_values = self.values[np.isfinite(self.values)]
-        largest = np.abs(finite_values).max(initial=0.0)
-        for digits in range(-3, 10):
-            scaled = finite_values * 10.0**digits
-            # Decimals are off by the rounding of doubles; 1e3 keeps a bound for small numbers.
-            close = 1e-9 * max(largest * 10.0**digits, 1e3)
-            if (
-                np.abs(scaled).max(initial=0.0) >= 1.0
-                and (abs(scaled - scaled.round()) < close).all()
-            ):
-                return 10.0**-digits
-        return 0.0
+        step = written_step(self.values[np.isfinite(self.values)])
+        return step or 0.0 if self.span else 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,14 +3,57 @@
 from __future__ import annotations
 
 import re
+import tomllib
 import unicodedata
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any
 
-from loopcal.files.recognition.vocabulary import meanings
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.files.tables.cells import is_number
+from loopcal.files.tables.readers import read_table
+from loopcal.files.tables.registry import TEXT, reader_of
+from loopcal.files.tables.table import Table
+
+# The words of headers, from vocabulary.toml: what they mean, in several languages.
+
+
+@cache
+def _tables() -> dict[str, dict[str, Any]]:
+    return tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
+
+
+def words(table: str, meaning: str) -> tuple[str, ...]:
+    """The words of one meaning, in their order.
+
+    >>> words("columns", "azimuth")[:2]
+    ('azimuth', 'az')
+    """
+    stated: str = _tables()[table][meaning]
+    return tuple(stated.split())
+
+
+def meanings(table: str) -> dict[str, str]:
+    """Word -> what it means, of all words of a table.
+
+    >>> meanings("units")["µm"]
+    'um'
+    """
+    return {word: meaning for meaning in _tables()[table] for word in words(table, meaning)}
+
+
+def arms() -> tuple[tuple[str, ...], ...]:
+    """The joints of known arms, as their makers name them."""
+    return tuple(tuple(arm.split()) for arm in _tables()["columns"]["arms"])
+
 
 _SPOKEN = meanings("units")
-_OPEN = ("grad", "grads", "grade", "grades")
-"""Degrees in one language, gon in another: the readings say which."""
 _OPENING, _CLOSING = re.compile(r"[\[({]"), re.compile(r"[\])}]")
 # NFKD takes accents away, but turns no letter of another alphabet into a word.
 _LETTERS = {"θ": "theta", "ϑ": "theta", "φ": "phi", "α": "alpha", "β": "beta", "Δ": "delta"}
@@ -39,15 +82,15 @@ def heading(text: str) -> Heading:
     for name_part, stated in (_in_brackets(name), _after_slash(name)):
         if (spoken := _unit(stated)) is not None:
             return Heading(text, stem(name_part), spoken)
-        if stated.strip().casefold() in _OPEN:
+        if stated.strip().casefold() in words("open", "angle"):
             return Heading(text, stem(name_part))
-    words = stem(name).split("_")
-    if len(words) > 1 and words[-1] in _SPOKEN and words[-1] not in ("s", "ms"):
-        unit = _unit(words[-1])
-        words = words[:-1]
-        if len(words) > 1 and words[-1] == "in":
-            words = words[:-1]
-    return Heading(text, "_".join(words), unit)
+    parts = stem(name).split("_")
+    if len(parts) > 1 and parts[-1] in _SPOKEN and parts[-1] not in ("s", "ms"):
+        unit = _unit(parts[-1])
+        parts = parts[:-1]
+        if len(parts) > 1 and parts[-1] == "in":
+            parts = parts[:-1]
+    return Heading(text, "_".join(parts), unit)
 
 
 def _in_brackets(name: str) -> tuple[str, str]:
@@ -79,3 +122,78 @@ def _unit(text: str) -> str | None:
     if word in ("in", '"', "″"):
         return "in"
     return _SPOKEN.get(word)
+
+
+# What stands in a table around its readings: titles above the header, summaries below the rows.
+
+_MOST, _FEWEST = 15, 4
+"""Rows of titles at most, and columns of numbers that a table of readings has at least."""
+_MOST_BYTES = 20_000_000
+"""Of a text that is searched for titles: it is read once for each row that may be one."""
+_SUMMARY = tuple(f"{word}_" for word in words("rows", "summary"))
+
+
+def below_titles(path: Path, part: str | int | None) -> tuple[Table, str]:
+    """The table of a file, and what to say of rows above its header.
+
+    Raises the reader's InputError where the rows below hold no header either.
+    """
+    try:
+        table = read_table(path, **({} if part is None else {reader_of(path).part: part}))
+    except InputError:
+        text_table = _text_below(path) if reader_of(path) is TEXT else None
+        if text_table is None:
+            raise
+        return text_table
+    return _cells_below(table)
+
+
+def _text_below(path: Path) -> tuple[Table, str] | None:
+    """The table that begins in one of the first lines; None where there is none."""
+    if not path.is_file() or path.stat().st_size > _MOST_BYTES:
+        return None
+    lines = path.read_bytes().split(b"\n")
+    for count in range(1, min(_MOST, len(lines) - 2)):
+        try:
+            table = read_table(BytesIO(b"\n".join(lines[count:])))
+        except InputError:
+            continue
+        named = [i for i in table.numeric() if i < len(table.names) and table.names[i]]
+        if len(named) >= _FEWEST:
+            return replace(table, file=path.name, rows=table.rows + count), _remark(
+                path.name, count
+            )
+    return None
+
+
+def _cells_below(table: Table) -> tuple[Table, str]:
+    """The table, or what stands below the first row that names all columns of numbers."""
+    if any(not isinstance(cells, list) for cells in table.columns.values()):
+        return table, ""
+    width = max(table.columns, default=-1) + 1
+    names = [*table.names, *[""] * (width - len(table.names))]
+    rows = list(zip(*(table.columns[i] for i in range(width)), strict=True))
+    if not table.names or sum(map(bool, names)) >= max(_FEWEST, width - 1):
+        return table, ""
+    for count, row in enumerate(rows[:_MOST]):
+        cells = ["" if cell is None else str(cell).strip() for cell in row]
+        if sum(map(bool, cells)) >= max(_FEWEST, width - 1) and not any(map(is_number, row)):
+            below = {i: list(cells[count + 1 :]) for i, cells in table.columns.items()}
+            table_below = replace(
+                table, names=tuple(cells), columns=below, rows=table.rows[count + 1 :]
+            )
+            return table_below, _remark(table.name, count + 1)
+    return table, ""
+
+
+def _remark(name: str, count: int) -> str:
+    rows = "The first row" if count == 1 else f"The first {count} rows"
+    return f"{rows} of {name} {'is a title' if count == 1 else 'are titles'}, not the header."
+
+
+def readings_of(columns: Sequence[Sequence[str]], count: int) -> NDArray[np.intp]:
+    """Positions of the rows that are no summary; columns: of text and ids, each (count,)."""
+    last = count
+    while last and any(f"{stem(cells[last - 1])}_".startswith(_SUMMARY) for cells in columns):
+        last -= 1
+    return np.arange(last)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.files.recognition.fields import STATIONS, TIMES, Field, moving, unnamed
-from loopcal.files.recognition.headers import stem
-from loopcal.files.recognition.vocabulary import arms, words
+from loopcal.files.recognition.headers import arms, stem, words
 
 _JOINT_WORDS = frozenset(words("columns", "joint"))
 _ARMS = arms()

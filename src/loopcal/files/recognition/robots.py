@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import atan2, cos, degrees, hypot, pi, radians, sin
+from math import degrees, pi, radians
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.files.machines.urdf import Branch, branches
 from loopcal.files.recognition.dh_table import Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
+from loopcal.files.recognition.headers import words
 from loopcal.files.recognition.layouts import named_joints, usual_joints
-from loopcal.mechanisms.motoman import NOMINAL, motoman_joints
+from loopcal.mechanisms.chain import Step, product
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.rest import roll_pitch_yaw
+from loopcal.mechanisms.serial import tool_names
 
-Array = NDArray[np.float64]
-_LEVEL = 1e-9
-"""Below this the turn about y is a right angle, and those about z and x are one."""
-_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link", "ee", "hand", "link_ee", "end_effector")
-_MOTOMAN, _POINT = "motoman-ma1400", ("x6B", "y6B", "z6B")
+_SIX = ("tx", "ty", "tz", "rz", "ry", "rx")
+"""Motions that make any frame, in this order."""
 _PARALLEL = 1e-3
 """Axes that meet at a smaller angle [rad] are parallel for Denavit and Hartenberg."""
 
@@ -90,7 +88,7 @@ def _best_tip(fitting: Iterable[Branch]) -> Branch:
     Which of them matters little: where the target sits on it is estimated.
     """
     links = sorted(fitting, key=lambda b: b.beyond)
-    for word in _TIPS:
+    for word in words("links", "tip"):
         for link in links:
             if link.tip == word or link.tip.endswith(f"_{word}"):
                 return link
@@ -155,38 +153,13 @@ def _append(where: dict[str, float], motions: Mapping[str, float]) -> None:
     """Let fixed motions [m, rad] follow others [mm, deg]; of one kind twice they become a frame."""
     written = {k: _written(k, v) for k, v in motions.items() if v}
     if set(where) & set(written):
-        whole = _fixed(where) @ _fixed(written)
+        steps = [Step(k, constant=_si(k, v)) for k, v in (*where.items(), *written.items())]
+        T = product(steps, {}, {})
+        roll, pitch, yaw = roll_pitch_yaw(T[:3, :3])
+        six = (*T[:3, 3].tolist(), yaw, pitch, roll)
         where.clear()
-        written = {k: _written(k, v) for k, v in _six(whole).items()}
+        written = {k: _written(k, v) for k, v in zip(_SIX, six, strict=True)}
     where |= {k: v for k, v in written.items() if v}
-
-
-def _fixed(motions: Mapping[str, float]) -> Array:
-    """(4, 4) of fixed motions [mm, deg], one after the other; lengths in m."""
-    T = np.eye(4)
-    for motion, value in motions.items():
-        axis, step = "xyz".index(motion[1]), np.eye(4)
-        if motion[0] == "t":
-            step[axis, 3] = 1e-3 * value
-        else:
-            i, j = (axis + 1) % 3, (axis + 2) % 3
-            angle = radians(value)
-            step[[i, j], [i, j]] = cos(angle)
-            step[j, i], step[i, j] = sin(angle), -sin(angle)
-        T = T @ step
-    return T
-
-
-def _six(T: Array) -> dict[str, float]:
-    """The motions tx, ty, tz, rz, ry, rx [m, rad] that make a frame, in this order."""
-    R, level = T[:3, :3], hypot(T[0, 0], T[1, 0])
-    # With ry at a right angle only rz and rx together count: rx is set to 0.
-    turns = {
-        "rz": atan2(R[1, 0], R[0, 0]) if level > _LEVEL else atan2(-R[0, 1], R[1, 1]),
-        "ry": atan2(-R[2, 0], level),
-        "rx": atan2(R[2, 1], R[2, 2]) if level > _LEVEL else 0.0,
-    }
-    return {**{f"t{a}": float(v) for a, v in zip("xyz", T[:3, 3], strict=True)}, **turns}
 
 
 def _joint(name: str, row: Row, *, last: bool, ahead: Mapping[str, float]) -> dict[str, Any]:
@@ -222,12 +195,18 @@ def _written(motion: str, value: float) -> float:
     return round(1e3 * value if motion[0] == "t" else degrees(value), 9)
 
 
+def _si(motion: str, value: float) -> float:
+    """A length in m, an angle in radians."""
+    return 1e-3 * value if motion[0] == "t" else radians(value)
+
+
 def typed_robot(kind: str) -> Robot:
     """A machine whose type has nominal values of its own.
 
     Raises InputError for a type that has none, or is no chain of joints.
     """
     from loopcal.files.machines.mechanism_file import mechanism_from_data
+    from loopcal.files.machines.registry import machine_type
 
     try:
         mechanism = mechanism_from_data({"type": kind}, "--machine")
@@ -246,13 +225,18 @@ def typed_robot(kind: str) -> Robot:
             remedy=f"begin with loopcal new NAME --mechanism {kind}, and name your columns in it",
         )
     driven = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
-    apart = _motoman_apart() if kind == _MOTOMAN else None
-    return Robot({"type": kind}, len(driven), driven, point=_POINT if apart else (), apart=apart)
+    row = machine_type(kind)
+    if row.joints is None:
+        return Robot({"type": kind}, len(driven), driven)
+    point = tool_names(row.joints())
+    apart = _apart(mechanism, row.listed(), point)
+    return Robot({"type": kind}, len(driven), driven, point=point, apart=apart)
 
 
-def _motoman_apart() -> Robot:
-    """The joints of the arm as a machine of the type "serial", which any instrument may see."""
-    joints = [{"name": j.name, "form": j.form, "direction": j.direction} for j in motoman_joints()]
-    table = {"type": "serial", "name": "Motoman MA1400", "fix_redundant": True, "joint": joints}
-    lengths = {name: value for name, value in NOMINAL.items() if name not in _POINT}
-    return Robot(table, len(joints), tuple(j.name for j in motoman_joints()), lengths=lengths)
+def _apart(
+    mechanism: Mechanism, joints: Sequence[Mapping[str, Any]], point: Sequence[str]
+) -> Robot:
+    """The joints of an arm as a machine of the type "serial", which any instrument may see."""
+    table = {"type": "serial", "name": mechanism.name, "fix_redundant": True, "joint": joints}
+    lengths = {p.name: p.nominal for p in mechanism.parameters if p.nominal and p.name not in point}
+    return Robot(table, len(joints), tuple(j["name"] for j in joints), lengths=lengths)

@@ -17,7 +17,7 @@ from typing import Any
 
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
-from loopcal.files.paths import expanded, relative
+from loopcal.files.outputs import expanded, relative
 from loopcal.files.tables.raw import bytes_of, sha256_of
 from loopcal.files.toml.place import Place
 

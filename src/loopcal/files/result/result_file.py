@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.document.plain import plain
 from loopcal.document.result_document import SCHEMA, ResultDocument, WrittenResult
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, listed, nearest
 from loopcal.estimation.result import Result
 from loopcal.files.atomic import Data, write_all
 from loopcal.files.json_reader import read_json
 from loopcal.files.json_writer import sums
+from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
+from loopcal.files.machines.python_function import Loops
 from loopcal.files.result.pair import MACHINE, RESIDUALS, RESULT, refuse_stale
 from loopcal.files.result.pose_table import residuals_csv
 from loopcal.files.toml.place import Place
+from loopcal.mechanisms.mechanism import Mechanism
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter, ValidationError
+
 
 _ROLES = {"gain": "scale"}
 """Roles by the words of earlier files, where these differ."""
@@ -56,13 +59,13 @@ def write_result(
     folder: str | Path,
     *,
     report: Callable[[ResultDocument], str] | None = None,
-    entry: tuple[str | Path, Mapping[str, Any]] | None = None,
+    write: Callable[..., object] = write_all,
 ) -> WrittenResult:
     """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
 
     report: makes report.html of the document; without it an existing one is deleted, because it
-    describes another result. entry: folder of a history, and what is added to it, all or none with
-    the rest. The folder is made if need be. Raises InputError, naming the file, the
+    describes another result. write: does it, as `write_all` does, which may keep more with the
+    rest. The folder is made if need be. Raises InputError, naming the file, the
     reason and a remedy, where they cannot be written.
     """
     folder = Path(folder)
@@ -78,13 +81,7 @@ def write_result(
         for name, data in {**pair, **pages, RESULT: result_json(document)}.items()
     }
     remove = [] if pages else [folder / "report.html"]
-    if entry is None:
-        write_all(files, remove=remove)
-    else:
-        into, content = entry
-        from loopcal.files.history.folder import append_entries
-
-        append_entries(into, [("calibration", content)], lambda _: files, remove=remove)
+    write(files, remove=remove)
     return WrittenResult(folder, (*NAMES, *pages), document)
 
 
@@ -102,7 +99,6 @@ def read_result(path: str | Path) -> ResultDocument:
         document = _adapter().validate_json(json.dumps(content).encode())
     except ValidationError as error:
         raise _first_complaint(error, content, Place(str(path))) from None
-    from loopcal.files.result.matrices import refuse_other_shapes
 
     refuse_other_shapes(document, Place(str(path)), _REMEDY)
     refuse_stale(Path(path).with_name(MACHINE), document.files)
@@ -167,20 +163,85 @@ def result_schema() -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
-def finite_only(value: Any) -> Any:
-    """Plain data without what JSON cannot say: infinity and NaN become text as TOML spells them."""
-    if isinstance(value, Mapping):
-        return {str(key): finite_only(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite_only(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    return value
-
-
 @cache
 def _adapter() -> TypeAdapter[ResultDocument]:
     """Built on first use: a calibration writes the document and does not need it."""
     from pydantic import TypeAdapter
 
     return TypeAdapter(ResultDocument)
+
+
+# The calibrated mechanism beside the result.json that it was found with.
+
+
+def read_result_mechanism(
+    path: Path, document: ResultDocument, function: Loops | Mechanism | None = None
+) -> Mechanism:
+    """The mechanism beside a result.json with this document.
+
+    function: the loops of a mechanism that is written in Python. Raises InputError where
+    mechanism.toml is absent, cannot be read, or has other parameters than result.json.
+    """
+    mechanism = read_mechanism(path.with_name("mechanism.toml"), function=function)
+    names, stated = mechanism.parameters.names, {p.name for p in document.parameters}
+    alone = [n for n in names if n not in stated]
+    alone += [n for n in document.covariance.names if n not in names]
+    if alone:
+        raise InputError(
+            f"result.json and mechanism.toml differ in the parameters {listed(alone)}",
+            code="unknown-name",
+            place=str(path.parent),
+            remedy="keep the files of one calibration together, or calibrate again",
+        )
+    return mechanism
+
+
+# The matrices of a result.json have the rows and columns that their names say.
+
+
+@dataclass(frozen=True)
+class _Matrix:
+    """Where a matrix stands, its rows, and the lengths that each of them may have."""
+
+    path: tuple[str | int, ...]
+    rows: Sequence[Sequence[Any]]
+    lengths: Sequence[tuple[int, ...]]
+
+    @property
+    def fits(self) -> bool:
+        """Whether it has so many rows of these lengths."""
+        return len(self.rows) == len(self.lengths) and all(
+            len(row) in lengths for row, lengths in zip(self.rows, self.lengths, strict=True)
+        )
+
+
+def refuse_other_shapes(document: ResultDocument, place: Place, remedy: str) -> None:
+    """Raise InputError for the first matrix whose rows do not fit its names."""
+    for matrix in _matrices(document):
+        if not matrix.fits:
+            raise InputError(
+                f"a matrix of {len(matrix.rows)} rows does not fit its names",
+                code="wrong-shape",
+                place=str(place.at(*matrix.path)),
+                remedy=remedy,
+            )
+
+
+def _matrices(document: ResultDocument) -> Iterator[_Matrix]:
+    covariance, ahead = document.covariance, document.prediction
+    n = len(covariance.names)
+    lower = [(i + 1, n) for i in range(n)]  # earlier versions wrote whole rows
+    yield _Matrix(("covariance", "matrix"), covariance.matrix, [(n,)] * n)
+    for name, rows in (("plain", covariance.plain), ("scatter", covariance.scatter)):
+        if rows is not None:
+            yield _Matrix(("covariance", name), rows, lower)
+    for i, rows in enumerate(covariance.slopes):
+        yield _Matrix(("covariance", "slopes", i), rows, lower)
+    if ahead is not None:
+        if ahead.covariance is not None:
+            yield _Matrix(("prediction", "covariance"), ahead.covariance, [(n,)] * n)
+        steps = ahead.undetermined
+        yield _Matrix(("prediction", "undetermined"), steps, [(n,)] * len(steps))
+    for i, entry in enumerate(document.noise_covariances):
+        m = len(entry.quantities)
+        yield _Matrix(("noise_covariances", i, "matrix"), entry.matrix, [(m,)] * m)

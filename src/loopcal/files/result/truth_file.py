@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, placed, unknown_name
 from loopcal.files.json_reader import read_json
 from loopcal.files.json_writer import marked_json
 from loopcal.mechanisms.mechanism import Mechanism
@@ -62,11 +62,11 @@ def read_truth(path: str | Path, mechanism: Mechanism) -> Mapping[str, float]:
     truth = {}
     for name, entry in stated.items():
         if name not in mechanism.parameters.names:
-            raise InputError(
+            raise unknown_name(
                 f"the mechanism {mechanism.name!r} has no parameter {name!r}",
-                code="unknown-name",
-                place=f"{path}: parameters",
-                remedy=nearest(name, mechanism.parameters.names),
+                name,
+                mechanism.parameters.names,
+                f"{path}: parameters",
             )
         place = f"{path}: parameters.{name}"
         truth[name] = _value(entry, mechanism.parameters[name].unit, place)
@@ -83,10 +83,8 @@ def _value(entry: Any, expected: str, place: str) -> float:
             remedy='give {"value": number, "unit": "..."}',
         )
     unit = entry.get("unit", expected) if isinstance(entry, dict) else expected
-    try:
+    with placed(place):
         fits = convertible(str(unit), expected)
-    except InputError as error:
-        raise error.at(place) from None
     if not fits:
         raise InputError(
             f"the true value is in {unit}, the parameter in {expected}",

@@ -4,28 +4,41 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from loopcal.errors import InputError, nearest
+from loopcal.document.plain import finite_only
+from loopcal.errors import InputError, placed, unknown_name
 from loopcal.estimation.calibrate import refuse_noise
 from loopcal.estimation.fit import Fit
-from loopcal.files.machines.parameter_entries import by_dimension, changed, in_si, with_priors
+from loopcal.files.machines.parameter_entries import (
+    PARAMETERS,
+    PRIOR,
+    StatedParameter,
+    StatedPrior,
+    Units,
+    by_dimension,
+    changed,
+    in_si,
+    with_priors,
+)
 from loopcal.files.machines.python_function import Loops
-from loopcal.files.project.noise_table import Noises, StatedNoise, noises
-from loopcal.files.project.project_file import plain, stated_mechanism
-from loopcal.files.project.simulation_table import SimulationSettings
+from loopcal.files.project.fit_table import Method, Settings, Start
+from loopcal.files.project.noise_table import NOISE, Noises, StatedNoise, noises
+from loopcal.files.project.project_file import stated_mechanism
+from loopcal.files.project.project_schema import MechanismEntry
+from loopcal.files.project.simulation_table import SharedSimulation, SimulationSettings
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
 from loopcal.files.versions import version
+from loopcal.keys import Key
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameters
 
 if TYPE_CHECKING:
-    from loopcal.files.study.study_tables import MethodTable, Published
     from loopcal.files.toml.tables import Tables
 
 
@@ -101,7 +114,6 @@ def read_study(
 
     Raises InputError, naming file and key, for all that cannot be read or does not fit.
     """
-    from loopcal.files.study.study_tables import ScenarioTable, StudyTables
     from loopcal.files.toml.tables import read_tables
 
     place = Place(shown(path))
@@ -142,7 +154,7 @@ def _fingerprint(data: Mapping[str, Any], scenarios: Sequence[Scenario]) -> str:
     # Another version may fit the same draws otherwise.
     parts = [
         version(),
-        json.dumps(plain(content), sort_keys=True),
+        json.dumps(finite_only(content), sort_keys=True),
         str(machine.tape),
         *map(str, machine.parameters),
     ]
@@ -243,10 +255,8 @@ def _method(entry: MethodTable, mechanism: Mechanism, assumed: Noises, place: Pl
         )
     method_noise = _noise(entry.noise, mechanism, place.at("noise"), learnt=True)
     noise = assumed.followed_by(method_noise).noise()
-    try:
+    with placed(place):
         refuse_noise(fit, noise)
-    except InputError as error:
-        raise error.at(str(place)) from None
     return StudyMethod(
         entry.title,
         with_priors(mechanism, entry.prior, place.at("prior")),
@@ -271,22 +281,94 @@ def _published(
     for method, errors in entry.errors.items():
         method_place = place.at("errors", method)
         if method not in names:
-            raise InputError(
-                f"there is no method {method!r} in this study",
-                code="unknown-name",
-                place=str(method_place),
-                remedy=nearest(method, names),
+            raise unknown_name(
+                f"there is no method {method!r} in this study", method, names, str(method_place)
             )
         for name in errors:
             if name not in free:
-                raise InputError(
+                raise unknown_name(
                     f"{name!r} is not an estimated parameter",
-                    code="unknown-name",
-                    place=str(method_place.at(name)),
-                    remedy=nearest(name, free),
+                    name,
+                    free,
+                    str(method_place.at(name)),
                 )
         errors_by_method[method] = {
             name: in_si(value, None, mechanism.parameters[name].unit, method_place.at(name), units)
             for name, value in errors.items()
         }
     return errors_by_method
+
+
+# What a study file may say: scenarios, methods, and what they share.
+
+
+@dataclass(frozen=True)
+class Published:
+    """One draw that somebody printed: the errors of each method, true minus estimate."""
+
+    errors: Annotated[
+        Mapping[str, Mapping[str, float]],
+        Key(
+            "Method = the error of each parameter, true minus estimate.",
+            example={"implicit-loop": {"l2": -14.3, "l3": 20.7}},
+        ),
+    ]
+    units: Annotated[Units, Key("Of the errors; without them m and rad.")] = field(
+        default_factory=Units
+    )
+
+
+@dataclass(frozen=True)
+class ScenarioTable:
+    """One experiment, repeated draw by draw."""
+
+    name: Annotated[str, Key("Name of the scenario.", least=1)]
+    simulation: Annotated[
+        SharedSimulation, Key("What this scenario adds to what all share, or replaces.")
+    ] = field(default_factory=SharedSimulation)
+    noise: Annotated[
+        Mapping[str, StatedNoise],
+        replace(
+            NOISE,
+            says="What the estimator assumes, and true unless simulation.noise states another.",
+        ),
+    ] = field(default_factory=dict)
+    prior: Annotated[Mapping[str, StatedPrior], PRIOR] = field(default_factory=dict)
+    published: Annotated[Published | None, Key("Errors of one draw in print.")] = None
+
+
+@dataclass(frozen=True)
+class MethodTable(Settings):
+    """One way to calibrate the readings of a draw."""
+
+    method: Method = field(kw_only=True)
+    start: Start = "nominal"
+    name: Annotated[str | None, Key("Without one, that of the method.", least=1)] = None
+    noise: Annotated[
+        Mapping[str, StatedNoise], replace(NOISE, says="What this method assumes instead.")
+    ] = field(default_factory=dict)
+    prior: Annotated[Mapping[str, StatedPrior], PRIOR] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """Its name, else that of its method."""
+        return self.name or self.method
+
+
+@dataclass(frozen=True)
+class StudyTables:
+    """A Monte Carlo study: scenarios, methods, and how many draws of each."""
+
+    schema_: Annotated[int, Key("Version of this format.", choices=(1,))]
+    scenarios: Annotated[tuple[ScenarioTable, ...], Key("The scenarios.", least=1, most=1000)]
+    methods: Annotated[tuple[MethodTable, ...], Key("The methods, each for every draw.", least=1)]
+    title: Annotated[str | None, Key("Title of the study.")] = None
+    draws: Annotated[int, Key("Draws per scenario.", low=1)] = 1000
+    seed: Annotated[int, Key("Seed of all draws.", low=0)] = 0
+    mechanism: Annotated[MechanismEntry | None, Key("The machine, in place or in a file.")] = None
+    parameters: Annotated[Mapping[str, StatedParameter], PARAMETERS] = field(default_factory=dict)
+    noise: Annotated[Mapping[str, StatedNoise], NOISE] = field(default_factory=dict)
+    prior: Annotated[Mapping[str, StatedPrior], PRIOR] = field(default_factory=dict)
+    simulation: Annotated[SharedSimulation, Key("What all scenarios share.")] = field(
+        default_factory=SharedSimulation
+    )

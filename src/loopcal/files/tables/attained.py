@@ -8,21 +8,20 @@ are pose, cycle, direction, block, time, payload and speed.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, listed, nearest
-from loopcal.files.recognition.headers import Heading, heading
-from loopcal.files.recognition.vocabulary import meanings, words
-from loopcal.files.tables.readers import read_table
+from loopcal.errors import InputError, listed, nearest, unknown_name
+from loopcal.files.recognition.headers import heading, meanings, words
+from loopcal.files.tables.readers import NAMELESS, read_table
 from loopcal.files.tables.table import Table
 from loopcal.measurements.attained import AttainedPoses
-from loopcal.measurements.source import row_name
 from loopcal.units import to_si, unit
 
 Array = NDArray[np.float64]
@@ -40,7 +39,7 @@ _AXES = frozenset(_POSITION).union(*_FORMS)
 _COMMANDED = frozenset(words("performance", "commanded"))
 _MEASURED = frozenset(words("performance", "measured"))
 _LABELS = meanings("performance_labels")
-_IDS = frozenset(("id", "no", "nr", "number", "name", "index"))
+_COUNTED = words("performance", "counted")
 _CONDITIONS = ("payload", "speed")
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0}
 TOGETHER = 1e-6
@@ -70,25 +69,16 @@ class _Stated:
     @classmethod
     def of(cls, units: str | None, angles: str | None, ask: Ask | None) -> _Stated:
         if angles is not None and angles not in ANGLES:
+            raise unknown_name(f"the convention of angles {angles!r} is not known", angles, ANGLES)
+        named = [] if units is None else [unit(name) for name in units.split(",")]
+        by_dimension = {one.dimension: one.name for one in named}
+        if len(by_dimension) < len(named) or not by_dimension.keys() <= _OFFERED.keys():
             raise InputError(
-                f"the convention of angles {angles!r} is not known",
-                code="unknown-name",
-                remedy=nearest(angles, ANGLES),
+                f"units {units!r} are not one length, one angle or both",
+                code="wrong-unit",
+                remedy='give the units of positions and angles, say "mm,deg"',
             )
-        dimension_units: dict[str, str] = {}
-        for name in () if units is None else units.split(","):
-            stated_unit = unit(name)
-            if (
-                stated_unit.dimension not in ("length", "angle")
-                or stated_unit.dimension in dimension_units
-            ):
-                raise InputError(
-                    f"units {units!r} are not one length, one angle or both",
-                    code="wrong-unit",
-                    remedy='give the units of positions and angles, say "mm,deg"',
-                )
-            dimension_units[stated_unit.dimension] = stated_unit.name
-        return cls(dimension_units, angles, ask)
+        return cls(by_dimension, angles, ask)
 
 
 @dataclass(eq=False)
@@ -96,11 +86,11 @@ class _Columns:
     """A table with the position of each recognised column: ("cmd" or "", axis), or a label."""
 
     table: Table
+    stated: _Stated
     at: dict[tuple[str, str], int] = field(default_factory=dict)
-    headings: dict[int, Heading] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, path: str | Path) -> _Columns:
+    def of(cls, path: str | Path, stated: _Stated) -> _Columns:
         table = read_table(path)
         if not table.names:
             raise InputError(
@@ -117,14 +107,10 @@ class _Columns:
                 place=table.name,
                 remedy="give a row per measurement",
             )
-        made = cls(table)
+        made = cls(table, stated)
         for position, name in enumerate(table.names):
-            header = heading(name)
-            made.headings[position] = header
-            role = _role(header.stem)
-            if role is None:
-                continue
-            if role in made.at:
+            role = _role(heading(name).stem)
+            if role is not None and made.at.setdefault(role, position) != position:
                 other = table.label(made.at[role])
                 raise InputError(
                     f"the columns {other!r} and {table.label(position)!r} mean the same",
@@ -132,68 +118,70 @@ class _Columns:
                     place=table.name,
                     remedy="rename or remove one of them",
                 )
-            made.at[role] = position
         return made
 
     def __len__(self) -> int:
         return len(self.table.rows)
 
-    def place(self, row: int, position: int | None = None) -> str:
-        """File, row and column for a message."""
-        where = f"{self.table.name}, {row_name(int(self.table.rows[row]), self.table.begins)}"
-        return where if position is None else f"{where}, column {self.table.label(position)!r}"
-
-    def has(self, kind: str, names: Sequence[str]) -> bool:
-        return all((kind, name) in self.at for name in names)
-
     def has_position(self, kind: str, planar: bool) -> bool:
-        return self.has(kind, _POSITION[:2] if planar else _POSITION)
+        return all((kind, name) in self.at for name in (_POSITION[:2] if planar else _POSITION))
 
-    def position(self, kind: str, planar: bool, stated: _Stated) -> Array:
-        """(N, 3) [m]; z is 0 in a plane."""
-        if not planar:
-            return self.numbers(kind, _POSITION, "length", stated)
-        return np.pad(self.numbers(kind, _POSITION[:2], "length", stated), ((0, 0), (0, 1)))
+    def poses(self, kind: str, what: str, planar: bool) -> tuple[Array, Array | None]:
+        """Positions (N, 3) [m], z 0 in a plane, and rotation matrices (N, 3, 3), None without.
 
-    def numbers(self, kind: str, names: Sequence[str], si: str, stated: _Stated) -> Array:
-        """Columns (N, k) in SI; si: "length", "angle" or "number"."""
-        columns = []
-        for name in names:
-            position = self.at[(kind, name)]
-            values = self.table.numbers(position, np.arange(len(self)))
-            columns.append(
-                values if si == "number" else to_si(values, self._unit(position, stated))
-            )
-            if si != "number" and unit(self._unit(position, stated)).dimension != si:
-                raise InputError(
-                    f"the unit is {self._unit(position, stated)!r}, which is no {si}",
-                    code="wrong-unit",
-                    place=f"{self.table.name}, column {self.table.label(position)!r}",
-                    remedy=f"state a unit of {si}",
-                )
+        Raises InputError without columns of positions.
+        """
+        if not self.has_position(kind, planar):
+            raise self.no_position(f"_{kind}" if kind else "", what)
+        position = self._numbers(kind, _POSITION[:2] if planar else _POSITION, "length")
+        spatial = np.pad(position, ((0, 0), (0, 3 - position.shape[1])))
+        return spatial, self._orientation(kind)
+
+    def no_position(self, ending: str, what: str) -> InputError:
+        """The error for missing columns of positions; ending: of their names."""
+        return InputError(
+            f"the columns of the {what} position are missing",
+            code="missing-column",
+            place=self.table.name,
+            remedy=f"name them x{ending} [mm], y{ending} [mm], z{ending} [mm]"
+            + (", or give a table of commanded poses (--commanded)" if ending else "")
+            + f"; the columns are {listed(self.table.names, 40)}",
+        )
+
+    def _numbers(self, kind: str, names: Sequence[str], dimension: str) -> Array:
+        """Columns (N, k) in SI, those of no dimension as they are."""
+        positions = [self.at[(kind, name)] for name in names]
+        columns = [self.table.numbers(position, np.arange(len(self))) for position in positions]
+        if dimension:
+            units = [self._unit(position, dimension) for position in positions]
+            columns = [to_si(column, one) for column, one in zip(columns, units, strict=True)]
         return np.array(columns).T
 
-    def _unit(self, position: int, stated: _Stated) -> str:
-        stated_unit = self.headings[position].unit
-        if stated_unit is not None:
-            return stated_unit
-        axis = _role(self.headings[position].stem)
-        dimension = "length" if axis is not None and axis[1] in _POSITION else "angle"
-        if dimension not in stated.units and stated.ask is not None:
-            offered = _OFFERED[dimension]
-            label = self.table.label(position)
-            chosen = stated.ask(f"Which unit has {label!r} of {self.table.name}?", offered)
+    def _unit(self, position: int, dimension: str) -> str:
+        label, units, ask = self.table.label(position), self.stated.units, self.stated.ask
+        place = f"{self.table.name}, column {label!r}"
+        stated_unit = heading(self.table.names[position]).unit
+        if stated_unit is None and dimension not in units and ask is not None:
             # The answer holds for all columns of this dimension.
-            stated.units[dimension] = offered[chosen]
-        if dimension in stated.units:
-            return stated.units[dimension]
-        raise InputError(
-            "the header states no unit",
-            code="unknown-unit",
-            place=f"{self.table.name}, column {self.table.label(position)!r}",
-            remedy=f'write it into the header, say "{self.table.label(position)} '
-            f'[{"mm" if dimension == "length" else "deg"}]", or state --units mm,deg',
-        )
+            number = ask(f"Which unit has {label!r} of {self.table.name}?", _OFFERED[dimension])
+            units[dimension] = _OFFERED[dimension][number]
+        chosen = stated_unit or units.get(dimension)
+        if chosen is None:
+            raise InputError(
+                "the header states no unit",
+                code="unknown-unit",
+                place=place,
+                remedy=f'write it into the header, say "{label} [{_OFFERED[dimension][0]}]", or '
+                "state --units mm,deg",
+            )
+        if unit(chosen).dimension != dimension:
+            raise InputError(
+                f"the unit is {chosen!r}, which is no {dimension}",
+                code="wrong-unit",
+                place=place,
+                remedy=f"state a unit of {dimension}",
+            )
+        return chosen
 
     def ids(self, label: str) -> tuple[str, ...] | None:
         """A column of labels; InputError for an empty cell."""
@@ -201,45 +189,49 @@ class _Columns:
         if position is None:
             return None
         labels = self.table.ids(position)
-        empty = [i for i, text in enumerate(labels) if text in ("", "None", "nan")]
+        empty = [i for i, text in enumerate(labels) if text in NAMELESS]
         if empty:
             raise InputError(
                 f"the cell of {label} is empty",
                 code="missing-reading",
-                place=self.place(empty[0], position),
+                place=self.table.place(empty[0], position),
                 remedy="fill it in, or remove the row",
             )
         return labels
 
-    def orientation(self, kind: str, stated: _Stated) -> Array | None:
+    def _orientation(self, kind: str) -> Array | None:
         """Rotation matrices (N, 3, 3), NaN where an angle is missing; None without columns."""
         for names, means in _FORMS.items():
-            present = [name for name in names if (kind, name) in self.at]
-            if not present:
+            missing = [name for name in names if (kind, name) not in self.at]
+            if len(missing) == len(names):
                 continue
-            if len(present) < len(names):
-                missing = [name for name in names if name not in present]
+            if missing:
+                present = [name for name in names if name not in missing]
                 raise InputError(
                     f"an orientation has {listed(present)}, but not {listed(missing)}",
                     code="missing-column",
                     place=self.table.name,
                     remedy="give all its columns, or none",
                 )
-            if not means and stated.angles is None and stated.ask is not None:
-                question = f"What do {', '.join(names)} of {self.table.name} mean?"
-                stated.angles = ANGLES[stated.ask(question, _MEANINGS)]
-            form = means or stated.angles
-            if form is None:
-                raise InputError(
-                    f"the columns {', '.join(names)} can mean different orientations",
-                    code="conflicting-keys",
-                    place=self.table.name,
-                    remedy="state --angles rpy (turns about fixed x, y, z), zyx (A about z, B "
-                    "about y, C about x, as KUKA writes) or rotvec (rotation vector)",
-                )
-            values = self.numbers(kind, names, "number" if len(names) == 4 else "angle", stated)
-            return rotations(values, form)
+            form = means or self._convention(names)
+            return rotations(self._numbers(kind, names, "" if len(names) == 4 else "angle"), form)
         return None
+
+    def _convention(self, names: Sequence[str]) -> str:
+        """What three angles mean that people write in several ways."""
+        stated = self.stated
+        if stated.angles is None and stated.ask is not None:
+            question = f"What do {', '.join(names)} of {self.table.name} mean?"
+            stated.angles = ANGLES[stated.ask(question, _MEANINGS)]
+        if stated.angles is None:
+            raise InputError(
+                f"the columns {', '.join(names)} can mean different orientations",
+                code="conflicting-keys",
+                place=self.table.name,
+                remedy="state --angles rpy (turns about fixed x, y, z), zyx (A about z, B "
+                "about y, C about x, as KUKA writes) or rotvec (rotation vector)",
+            )
+        return stated.angles
 
 
 def _role(stem: str) -> tuple[str, str] | None:
@@ -252,7 +244,7 @@ def _role(stem: str) -> tuple[str, str] | None:
     label = _LABELS.get(words[0])
     if label is None or any(word in _AXES for word in words[1:]):
         return None
-    plain = len(words) == 1 or words[1] in _IDS
+    plain = len(words) == 1 or words[1] in _COUNTED
     return ("", label) if plain or label in (*_CONDITIONS, "time", "direction") else None
 
 
@@ -298,99 +290,77 @@ def read_attained(
     Raises InputError with file, row and column.
     """
     stated = _Stated.of(units, angles, ask)
-    read = _Columns.of(path)
+    read = _Columns.of(path, stated)
     planar = not any((kind, "z") in read.at for kind in ("", "cmd"))
-    if not read.has_position("", planar):
-        raise _no_columns(read, "measured", "")
-    measured = read.position("", planar, stated)
-    turns = read.orientation("", stated)
+    measured, turns = read.poses("", "measured", planar)
     pose = read.ids("pose")
     if commanded is None:
-        if not read.has_position("cmd", planar):
-            raise _no_columns(read, "commanded", "_cmd")
-        asked = read.position("cmd", planar, stated)
-        asked_turns = read.orientation("cmd", stated)
+        asked, asked_turns = read.poses("cmd", "commanded", planar)
     else:
-        asked, asked_turns = _from_table(read, pose, _Columns.of(commanded), stated, planar)
+        asked, asked_turns = _from_table(read, pose, _Columns.of(commanded, stated), planar)
     _refuse_unknown(read, asked)
     if pose is None:
         pose = _poses_by_place(asked)
     _refuse_two_places(read, pose, asked)
     both = [measured] if turns is None else [measured, turns.reshape(len(turns), 9)]
-    keep = np.asarray(np.isfinite(np.hstack(both)).all(axis=1))
-    notes = _left_out(read, keep)
-    if not keep.any():
+    rows = np.flatnonzero(np.isfinite(np.hstack(both)).all(axis=1))
+    if not rows.size:
         raise InputError(
             "no row has a measured pose",
             code="no-data",
             place=read.table.name,
             remedy="fill in the measured columns",
         )
-    if turns is None or asked_turns is None:
-        if (turns is None) != (asked_turns is None):
-            oriented = "commanded" if turns is None else "measured"
-            notes.append(f"Only the {oriented} poses have an orientation; it is not used.")
+    notes = _left_out(read, rows)
+    if (turns is None) != (asked_turns is None):
+        oriented = "commanded" if turns is None else "measured"
+        notes.append(f"Only the {oriented} poses have an orientation; it is not used.")
         turns = asked_turns = None
-    made = _assembled(read, pose, notes, keep, (asked, measured, asked_turns, turns))
-    if not planar:
-        return made
-    words = "The table has no z: all figures are those of the plane of x and y."
-    return replace(made, planar=True, notes=(words, *made.notes))
-
-
-def _assembled(
-    read: _Columns,
-    pose: tuple[str, ...],
-    notes: list[str],
-    keep: NDArray[np.bool_],
-    arrays: tuple[Array, Array, Array | None, Array | None],
-) -> AttainedPoses:
-    rows = np.flatnonzero(keep)
-
-    def kept(labels: tuple[str, ...] | None) -> tuple[str, ...] | None:
-        return None if labels is None else tuple(labels[i] for i in rows)
-
-    conditions = {
-        read.table.label(read.at[("", name)]): kept(read.ids(name)) or ()
-        for name in _CONDITIONS
-        if ("", name) in read.at
-    }
-    direction, block, cycle = (read.ids(name) for name in ("direction", "block", "cycle"))
-    apart = (direction, block, *map(read.ids, _CONDITIONS))
-    groups = [*zip(pose, *(labels for labels in apart if labels is not None), strict=True)]
+    if planar:
+        notes.insert(0, "The table has no z: all figures are those of the plane of x and y.")
+    labels = {name: read.ids(name) for name in ("direction", "block", *_CONDITIONS)}
+    apart = [label for label in labels.values() if label is not None]
+    groups = [*zip(pose, *apart, strict=True)]
+    cycle = read.ids("cycle")
     if cycle is None:
         notes.append("The table has no cycle column: the rows of a pose count as its cycles.")
-        seen: dict[tuple[str, ...], int] = {}
-        counted = []
-        for group in groups:
-            seen[group] = seen.get(group, 0) + 1
-            counted.append(str(seen[group]))
-        cycle = tuple(counted)
+        cycle = tuple(map(str, _counted(groups)))
     _refuse_repeated(read, groups, cycle)
-    asked, measured, asked_turns, turns = arrays
     time = _times(read)
+
+    def kept(of_rows: Sequence[str]) -> tuple[str, ...]:
+        return tuple(of_rows[i] for i in rows.tolist())
+
+    by_name = {name: kept(label) for name, label in labels.items() if label is not None}
     return AttainedPoses(
         read.table.name,
-        tuple(pose[i] for i in rows),
-        tuple(cycle[i] for i in rows),
+        kept(pose),
+        kept(cycle),
         asked[rows],
         measured[rows],
         None if asked_turns is None else asked_turns[rows],
         None if turns is None else turns[rows],
-        kept(direction),
-        kept(block),
+        by_name.get("direction"),
+        by_name.get("block"),
         None if time is None else time[rows],
-        conditions,
+        {read.table.label(read.at["", n]): by_name[n] for n in _CONDITIONS if n in by_name},
         tuple(notes),
+        planar,
     )
 
 
+def _counted(groups: Sequence[tuple[str, ...]]) -> list[int]:
+    """How often each group has come, this time included."""
+    seen: Counter[tuple[str, ...]] = Counter()
+    numbers = []
+    for group in groups:
+        seen[group] += 1
+        numbers.append(seen[group])
+    return numbers
+
+
 def _from_table(
-    read: _Columns,
-    pose: tuple[str, ...] | None,
-    table: _Columns,
-    stated: _Stated,
-    planar: bool,
+    read: _Columns, pose: tuple[str, ...] | None, table: _Columns, planar: bool
 ) -> tuple[Array, Array | None]:
     """Commanded positions and orientations of each row, from a table of poses."""
     names = table.ids("pose")
@@ -402,14 +372,15 @@ def _from_table(
             remedy="name the pose in both tables",
         )
     kind = "cmd" if table.has_position("cmd", planar) else ""
-    if not table.has_position(kind, planar) or (planar and (kind, "z") in table.at):
-        raise _no_columns(table, "commanded", "")
+    if planar and (kind, "z") in table.at:
+        raise table.no_position("", "commanded")
+    positions, turns = table.poses(kind, "commanded", planar)
     if len(set(names)) < len(names):
         twice = next(i for i, name in enumerate(names) if name in names[:i])
         raise InputError(
             f"the pose {names[twice]!r} is there twice",
             code="duplicate-name",
-            place=table.place(twice),
+            place=table.table.place(twice),
             remedy="give each commanded pose once",
         )
     at = {name: i for i, name in enumerate(names)}
@@ -418,12 +389,10 @@ def _from_table(
             raise InputError(
                 f"the pose {name!r} is not among the commanded ones",
                 code="mismatched-poses",
-                place=read.place(row),
+                place=read.table.place(row),
                 remedy=nearest(name, at),
             )
     index = [at[name] for name in pose]
-    turns = table.orientation(kind, stated)
-    positions = table.position(kind, planar, stated)
     return positions[index], None if turns is None else turns[index]
 
 
@@ -442,13 +411,13 @@ def _times(read: _Columns) -> Array | None:
                 raise InputError(
                     f"{cell!r} is not a time",
                     code="invalid-value",
-                    place=read.place(row, position),
+                    place=read.table.place(row, position),
                     remedy="write 2026-03-01T08:30:00, or numbers under time [s], [min] or [h]",
                 ) from None
             # without a zone, so that no change of clocks in the night stretches an hour
             seconds.append((at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp())
         return np.array(seconds) - min(seconds)
-    header = read.headings[position]
+    header = heading(read.table.names[position])
     word = header.unit or header.stem.rpartition("_")[2]
     if word not in _SECONDS:
         raise InputError(
@@ -463,7 +432,7 @@ def _times(read: _Columns) -> Array | None:
         raise InputError(
             "the time is missing",
             code="missing-reading",
-            place=read.place(int(unknown[0]), position),
+            place=read.table.place(int(unknown[0]), position),
             remedy="fill it in, or remove the row",
         )
     return np.asarray(values, dtype=np.float64)
@@ -478,24 +447,13 @@ def _poses_by_place(asked: Array) -> tuple[str, ...]:
     )
 
 
-def _no_columns(read: _Columns, what: str, ending: str) -> InputError:
-    return InputError(
-        f"the columns of the {what} position are missing",
-        code="missing-column",
-        place=read.table.name,
-        remedy=f"name them x{ending} [mm], y{ending} [mm], z{ending} [mm]"
-        + (", or give a table of commanded poses (--commanded)" if ending else "")
-        + f"; the columns are {listed(read.table.names, 40)}",
-    )
-
-
 def _refuse_unknown(read: _Columns, asked: Array) -> None:
     unknown = np.flatnonzero(~np.isfinite(asked).all(axis=1))
     if unknown.size:
         raise InputError(
             "the commanded position is missing",
             code="missing-reading",
-            place=read.place(int(unknown[0])),
+            place=read.table.place(int(unknown[0])),
             remedy="fill it in, or remove the row",
         )
 
@@ -509,7 +467,7 @@ def _refuse_two_places(read: _Columns, pose: tuple[str, ...], asked: Array) -> N
                 f"the pose {name!r} has another commanded position than in row "
                 f"{int(read.table.rows[at])}",
                 code="mismatched-poses",
-                place=read.place(row),
+                place=read.table.place(row),
                 remedy="name the poses apart, or correct the commanded position",
             )
 
@@ -525,14 +483,14 @@ def _refuse_repeated(
                 f"cycle {number!r} of the pose {group[0]!r} is there already, in row "
                 f"{int(read.table.rows[other])}",
                 code="duplicate-name",
-                place=read.place(row),
+                place=read.table.place(row),
                 remedy="number the cycles, or add a column that separates them (direction, block, "
                 "payload, speed)",
             )
 
 
-def _left_out(read: _Columns, keep: NDArray[np.bool_]) -> list[str]:
-    gone = np.flatnonzero(~keep)
+def _left_out(read: _Columns, kept: NDArray[np.intp]) -> list[str]:
+    gone = np.setdiff1d(np.arange(len(read)), kept)
     if not gone.size:
         return []
     rows = ", ".join(str(int(read.table.rows[i])) for i in gone[:5])

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, listed, nearest
+from loopcal.errors import InputError, listed, unknown_name
 from loopcal.files.tables.isolated import files_of
 from loopcal.files.tables.parquet import sha256_of_all
 from loopcal.files.tables.raw import sha256_of
-from loopcal.files.tables.reader import Reader
-from loopcal.files.tables.table import Table, find_column
+from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
+from loopcal.files.tables.table import Table, positions_of
 
 Array = NDArray[np.float64]
 STILL = 0.4
@@ -81,18 +81,18 @@ class _Series:
 
 def read_bag(
     path: str | Path,
+    layout: Layout = RECOGNISED,
     *,
     wanted: Collection[str | int] | None = None,
-    topic: str | None = None,
 ) -> Table:
     """Joints by their names, then x, y, z [m] and qw ... qz of each measuring topic.
 
-    topic: the only measuring topic to be read. Where there are several, its name precedes its
+    The layout may state the only topic to be read. Where there are several, the name precedes the
     columns. A stand in which a topic is silent has NaN there. Raises InputError for a bag that
     cannot be read, without joint states, without a stand, and with stamps that do not rise.
     """
     path = Path(path)
-    joints, measured = _series(path, topic)
+    joints, measured = _series(path, layout.topic)
     for name, series in (*joints.items(), *measured.items()):
         steps = np.diff(series.stamps)
         if not any(series.stamps) or (steps < 0).any():
@@ -119,8 +119,7 @@ def read_bag(
         medians = _medians(series, begin, stands + np.array([_MARGIN, -_MARGIN]))
         columns |= {f"{head}{axis}": medians[:, i] for i, axis in enumerate(_AXES[: series.width])}
     names = tuple(columns)
-    asked = range(1, len(names) + 1) if wanted is None else wanted
-    positions = sorted({find_column(column, names, len(names), path.name) for column in asked})
+    positions = positions_of(wanted, names, path.name)
     return Table(
         path.name,
         None,
@@ -139,11 +138,8 @@ def _series(path: Path, topic: str | None) -> tuple[dict[str, _Series], dict[str
         topics = {c.topic: c.msgtype for c in bag.connections}
         measuring = [name for name, kind in topics.items() if kind in _MEASURED]
         if topic is not None and topic not in measuring:
-            raise InputError(
-                f"no topic {topic!r} measures a point or a pose",
-                code="unknown-name",
-                place=path.name,
-                remedy=nearest(topic, measuring),
+            raise unknown_name(
+                f"no topic {topic!r} measures a point or a pose", topic, measuring, path.name
             )
         read = [
             c

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Any
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, placed, unknown_name
 from loopcal.files.tables.table import ROW, Table
 from loopcal.keys import Key
 from loopcal.units import convertible, unit
@@ -126,11 +126,8 @@ def _column(quantity: str, stated: ColumnLike) -> Column:
         keys = [field.name for field in fields(Column)]
         for key in stated:
             if key not in keys:
-                raise InputError(
-                    f"unknown key {key!r}",
-                    code="unknown-name",
-                    place=f"column of {quantity!r}",
-                    remedy=nearest(str(key), keys),
+                raise unknown_name(
+                    f"unknown key {key!r}", str(key), keys, f"column of {quantity!r}"
                 )
         if "column" not in stated:
             raise InputError(
@@ -162,14 +159,12 @@ def _checked(quantity: str, column: Column, other_unit: str | None) -> Column:
             remedy="state one of them",
         )
     readings_unit = column.unit or other_unit
-    try:
+    with placed(place):
         sd_unit = column.sd_unit or readings_unit
         fits = not (readings_unit and sd_unit) or convertible(readings_unit, sd_unit)
         for name in (readings_unit, sd_unit):
             if name:
                 unit(name)
-    except InputError as error:
-        raise error.at(place) from None
     if not fits:
         raise InputError(
             f"the sd is in {sd_unit}, the readings in {readings_unit}",

@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,13 @@ from loopcal.files.tables.dialect import (
     Dialect,
     Row,
     cut,
+    only_header,
     quote_error,
     recognise,
     spoken,
 )
 from loopcal.files.tables.raw import Text, empty, read_text
-from loopcal.files.tables.reader import Reader
+from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
 from loopcal.files.tables.table import Table
 
 _COMMENTS = 15
@@ -40,14 +41,7 @@ _LINES = re.compile(rb"[ \t,;\n]*+(?:(?:%|#(?!n/a))[^\n]*|([^ \t,;\n][^\n]*)|\Z)
 """Lines up to the next that holds cells: blank ones, delimiters alone, at most one comment."""
 
 
-def read_delimited(
-    text: Text,
-    *,
-    delimiter: str | None = None,
-    decimal: str | None = None,
-    header: bool | None = None,
-    large: int = LARGE,
-) -> Table:
+def read_delimited(text: Text, layout: Layout = RECOGNISED, *, large: int = LARGE) -> Table:
     """The table in a text; whatever is not stated is recognised.
 
     `large` is the size [bytes] from which on the fast way is tried. Raises InputError, with the
@@ -56,27 +50,16 @@ def read_delimited(
     sample = [*islice(_rows(text.data), SAMPLE_ROWS)]
     if not sample:
         raise empty(text.name)
-    dialect = recognise(
-        sample,
-        text.name,
-        delimiter=delimiter,
-        decimal=decimal,
-        header=header,
-        above=_above(text.data, sample[0].number),
-    )
+    dialect = recognise(sample, text.name, layout, _above(text.data, sample[0].number))
     table = _fast(text, dialect) if len(text.data) >= large else None
     return table or _careful(text, dialect)
 
 
 def read_text_file(
-    source: str | Path | BinaryIO,
-    *,
-    wanted: object = None,
-    encoding: str | None = None,
-    **options: Any,
+    source: str | Path | BinaryIO, layout: Layout = RECOGNISED, *, wanted: object = None
 ) -> Table:
-    """The table in a text file; options: as of `read_delimited`."""
-    return read_delimited(read_text(source, encoding), **options)
+    """The table in a text file, with all its columns."""
+    return read_delimited(read_text(source, layout.encoding), layout)
 
 
 READER = Reader(
@@ -130,12 +113,7 @@ def _careful(text: Text, dialect: Dialect) -> Table:
         cells.append(line)
         numbers.append(row.number)
     if not cells:
-        raise InputError(
-            "there is a header, but no row of data",
-            code="no-data",
-            place=f"{text.name}, row {dialect.header_row}",
-            remedy="give one row per pose; if the row is data, state header = false",
-        )
+        raise only_header(f"{text.name}, row {dialect.header_row}")
     columns = {i: list(column) for i, column in enumerate(zip(*cells, strict=True))}
     return _table(text, dialect, columns, np.array(numbers, dtype=np.int64))
 

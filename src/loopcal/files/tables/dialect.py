@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from loopcal.errors import InputError
 from loopcal.files.tables.cells import is_missing, is_number
+from loopcal.files.tables.reader import Layout
 
 WHITESPACE = " "
 _DELIMITERS = ("\t", ";", ",", WHITESPACE)  # in this order where two would do
@@ -85,24 +86,16 @@ def cut(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in line.split(delimiter)]
 
 
-def recognise(
-    rows: list[Row],
-    name: str,
-    *,
-    delimiter: str | None = None,
-    decimal: str | None = None,
-    header: bool | None = None,
-    above: Sequence[Row] = (),
-) -> Dialect:
+def recognise(rows: list[Row], name: str, layout: Layout, above: Sequence[Row] = ()) -> Dialect:
     """The dialect of a text from its first rows (those that hold data), as far as not stated.
 
     above: the comments above them, the nearest first, without their marks.
     Raises InputError when what is stated cannot be so, or when a first row of both text and
     numbers leaves open whether it is a header.
     """
-    stated = _SPOKEN.get(delimiter, delimiter) if delimiter else None
-    _check_stated(stated, decimal, name)
-    marks = decimal or ".,"
+    stated = _SPOKEN.get(layout.delimiter or "", layout.delimiter) or None
+    _check_stated(stated, layout.decimal, name)
+    marks, header = layout.decimal or ".,", layout.header
 
     def best_of(delimiters: Sequence[str]) -> _Trial:
         return max((_try(rows, d, m) for d in delimiters for m in marks), key=lambda t: t.score)
@@ -112,14 +105,14 @@ def recognise(
         _check_fits(best, best_of(_DELIMITERS), rows, name)
     cells = [_cells(row, best.delimiter, name) for row in rows]
     first = rows[0]
-    open_ = header is None
     if header is None:
         header = is_header(cells, best.decimal, f"{name}, row {first.number}")
     names = tuple(_without_empty_end(cells[0])) if header else ()
     if header:
         _check_header(names, [_without_empty_end(row) for row in cells[1:]], first, name)
     width = len(names) or _width(cells)
-    commented = _commented(above, best, width) if open_ and not header else None
+    open_ = layout.header is None and not header
+    commented = _commented(above, best, width) if open_ else None
     if commented is not None:
         number, names = commented
         return Dialect(best.delimiter, best.decimal, names, number, width)
@@ -231,6 +224,16 @@ def is_header(cells: Sequence[Sequence[object]], decimal: str, place: str) -> bo
         code="invalid-syntax",
         place=f"{place}, column {text[0] + 1}",
         remedy="state header = true or header = false, or correct the cell",
+    )
+
+
+def only_header(place: str) -> InputError:
+    """The error for a table of which only the header is there."""
+    return InputError(
+        "there is a header, but no row of data",
+        code="no-data",
+        place=place,
+        remedy="give one row per pose; if the row is data, state header = false",
     )
 
 

@@ -13,14 +13,14 @@ import numpy as np
 from loopcal.errors import InputError
 from loopcal.files.guarded import Stopped, guarded
 from loopcal.files.tables.raw import existing_file
-from loopcal.files.tables.reader import Reader
+from loopcal.files.tables.reader import Layout, Reader
 from loopcal.files.tables.table import Table
 
 
 def read_isolated(
-    reader: Reader, path: str | Path, *, wanted: Collection[str | int] | None, **options: Any
+    reader: Reader, path: str | Path, layout: Layout, *, wanted: Collection[str | int] | None
 ) -> Table:
-    """The table of a file by its reader with these options, at least the columns wanted.
+    """The table of a file by its reader, at least the columns wanted.
 
     Raises InputError as the reader does, and for a file that the reader cannot cope with.
     """
@@ -29,7 +29,8 @@ def read_isolated(
         "reader": f"{reader.read.__module__}:{reader.read.__qualname__}",
         # Absolute: the child stays in the folder where it was started.
         "path": str(path.absolute()),
-        "options": {**options, "wanted": None if wanted is None else [*wanted]},
+        "layout": layout.keywords,
+        "wanted": None if wanted is None else [*wanted],
     }
     return unpacked(from_child(f"{__name__}:packed_table", arguments, path, reader.kind))
 
@@ -52,10 +53,13 @@ def files_of(path: Path) -> list[Path]:
     return sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
 
 
-def packed_table(reader: str, path: str, options: dict[str, Any]) -> bytes:
+def packed_table(
+    reader: str, path: str, layout: dict[str, Any], wanted: list[str | int] | None
+) -> bytes:
     """The table that a reader makes of a file, as bytes for `unpacked`; runs in the child."""
     module, name = reader.split(":")
-    return packed(getattr(import_module(module), name)(path, **options))
+    read = getattr(import_module(module), name)
+    return packed(read(path, Layout(**layout), wanted=wanted))
 
 
 def packed(table: Table) -> bytes:

@@ -12,19 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.files.tables.cells import Cells
 from loopcal.files.tables.raw import existing_file, sha256_of
-from loopcal.files.tables.reader import Reader
-from loopcal.files.tables.table import Table, find_column
+from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
+from loopcal.files.tables.table import Table, positions_of
 from loopcal.files.tables.unfolded import refuse_large_matlab
 from loopcal.measurements.source import file_name
 
 
 def read_matlab(
     path: str | Path,
+    layout: Layout = RECOGNISED,
     *,
-    variable: str | None = None,
     wanted: Collection[str | int] | None = None,
 ) -> Table:
     """The variable stated; else the only one there is; else all vectors, by their names.
@@ -33,14 +33,9 @@ def read_matlab(
     InputError for format 7.3, a broken file, a variable that is not there or is no table.
     """
     path = existing_file(path)
-    variables = _load(path)
+    variables, variable = _load(path), layout.variable
     if variable is not None and variable not in variables:
-        raise InputError(
-            f"there is no variable {variable!r}",
-            code="unknown-name",
-            place=path.name,
-            remedy=nearest(variable, variables),
-        )
+        raise unknown_name(f"there is no variable {variable!r}", variable, variables, path.name)
     chosen = variable or (next(iter(variables)) if len(variables) == 1 else None)
     if chosen is None:
         columns = {n: v for n, v in variables.items() if _is_vector(v)}
@@ -126,8 +121,7 @@ def _from_vectors(
     columns: dict[str, Any], path: Path, part: str | None, wanted: Collection[str | int] | None
 ) -> Table:
     names, name = tuple(columns), file_name(path.name, part)
-    asked = range(1, len(names) + 1) if wanted is None else wanted
-    positions = sorted({find_column(column, names, len(names), name) for column in asked})
+    positions = positions_of(wanted, names, name)
     vectors = {i: columns[names[i]].ravel() for i in positions}
     lengths = {names[i]: len(vector) for i, vector in vectors.items()}
     if len(set(lengths.values())) != 1:

@@ -7,6 +7,7 @@ column asked for, to the last row. What it gets through, this process can read, 
 from __future__ import annotations
 
 import json
+import platform
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -21,8 +22,8 @@ from loopcal.errors import InputError
 from loopcal.files.tables.cells import ids
 from loopcal.files.tables.isolated import from_child
 from loopcal.files.tables.raw import empty, existing_file, sha256_of, unreadable
-from loopcal.files.tables.reader import Reader
-from loopcal.files.tables.table import ROW, Table, find_column
+from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
+from loopcal.files.tables.table import ROW, Table, find_column, positions_of
 
 if TYPE_CHECKING:
     import polars as pl
@@ -81,6 +82,7 @@ def parquet_files(path: str | Path) -> tuple[ParquetFile, ...]:
 
 def read_parquet(
     path: str | Path,
+    layout: Layout = RECOGNISED,
     *,
     wanted: Collection[str | int] | None = None,
     every: int = 1,
@@ -99,8 +101,7 @@ def read_parquet(
     total = sum(file.rows for file in files)
     if not total:
         raise empty(path.name)
-    asked = range(1, len(names) + 1) if wanted is None else wanted
-    positions = sorted({find_column(c, names, len(names), path.name) for c in asked})
+    positions = positions_of(wanted, names, path.name)
     column = None if pose in (None, ROW) else names[find_column(pose, names, len(names), path.name)]
     prove(files, {names[i] for i in positions} | ({column} if also and column else set()))
     frames: list[pl.DataFrame] = []
@@ -108,7 +109,7 @@ def read_parquet(
     for file in files:
         size = file.rows if every == 1 else BLOCK
         for offset in range(0, file.rows, size or 1):
-            frame = _read(file, [names[i] for i in positions], offset, size)
+            frame = frame_of(file, [names[i] for i in positions], offset, size)
             rows = begins[file.path.name] + offset + np.arange(len(frame), dtype=np.int64)
             keep = rows % every == 0
             if also:
@@ -212,20 +213,30 @@ def _unfolded(column: pl.Series) -> int:
     return int(column.estimated_size())
 
 
-def _read(file: ParquetFile, names: Sequence[str], offset: int, rows: int) -> pl.DataFrame:
+def frame_of(file: ParquetFile, names: Sequence[str], offset: int, rows: int) -> pl.DataFrame:
+    """Some rows and columns of a file.
+
+    Raises InputError where it cannot be read any more, or is not the one it was.
+    """
     import polars as pl
 
     try:
+        # Compared before reading: rows of a file that was replaced would mix two data sets.
+        same = mark_of(file.path) == file.mark
         # glob=False: brackets in the name of a file are no pattern.
-        frame = pl.scan_parquet(file.path, glob=False).select(names).slice(offset, rows)
-        return frame.collect()
+        frame = pl.scan_parquet(file.path, glob=False).select(names if same else [])
+        if same:
+            return frame.slice(offset, rows).collect()
+        what = "changed while it was read"
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        raise InputError(
-            f"this Parquet file changed while it was read ({str(error).splitlines()[0]})",
-            code="unreadable-file",
-            place=file.path.name,
-            remedy="wait until it is written, then run the command again",
-        ) from None
+        what = f"cannot be read ({getattr(error, 'strerror', None) or str(error).splitlines()[0]})"
+    raise InputError(
+        f"this file {what} on host {platform.node()!r}",
+        code="unreadable-file",
+        place=str(file.path),
+        remedy="do not change readings during a run; on a cluster, every host needs the file at "
+        "this path",
+    )
 
 
 def _together(frames: Sequence[pl.DataFrame], place: str) -> pl.DataFrame:

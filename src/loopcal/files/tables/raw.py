@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from loopcal.errors import InputError, nearest
-from loopcal.files.outputs import note_input
-from loopcal.files.paths import refuse_outside
+from loopcal.files.outputs import note_input, refuse_outside
 from loopcal.measurements.source import file_name
 
 BLOCK = 1 << 20

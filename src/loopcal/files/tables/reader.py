@@ -4,21 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import Annotated, Any
 
 from loopcal.files.tables.table import Table
+from loopcal.keys import Key
 
 
-class Layout(TypedDict, total=False):
-    """How a file is written, as keyword arguments; what is not stated is recognised."""
+@dataclass(frozen=True)
+class Layout:
+    """How a file is written: keys of [data], and keywords of `read_dataset`.
 
-    sheet: str | int | None
-    header: bool | None
-    delimiter: str | None
-    decimal: str | None
-    encoding: str | None
-    variable: str | None
-    topic: str | None
+    What is not stated is recognised.
+    """
+
+    sheet: Annotated[str | int | None, Key("XLSX: name or number from 1.")] = None
+    variable: Annotated[str | None, Key("MATLAB: name of the variable.")] = None
+    topic: Annotated[str | None, Key("ROS bag: the only measuring topic.")] = None
+    header: Annotated[bool | None, Key("Text: whether the first row holds names.")] = None
+    delimiter: Annotated[str | None, Key("Text: between the cells.", example=";")] = None
+    decimal: Annotated[str | None, Key("Text: decimal mark.", choices=(".", ","))] = None
+    encoding: Annotated[str | None, Key("Text: its encoding.", example="utf-8")] = None
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """What is stated, as keywords of `read_dataset`."""
+        options = {key: getattr(self, key) for key in Layout.__dataclass_fields__}
+        return {key: value for key, value in options.items() if value is not None}
+
+
+RECOGNISED = Layout()
+"""Nothing is stated."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +41,8 @@ class Reader:
     """A kind of file that holds a table.
 
     kind: as messages call it; words: what is read of it, its row in docs/reference/project-file.md;
-    endings: of names of its files; read(path, *, wanted, **options): the table, with at least the
-    columns wanted (all of them for None); options: those of `Layout` that it takes; part: the
+    endings: of names of its files; read(path, layout, wanted=...): the table, with at least the
+    columns wanted (all of them for None); options: the keys of `Layout` that it takes; part: the
     option that names one of several tables; guarded: whether it runs in the guarded child, as
     others' code must; in_folder: pattern of the files that make a folder one of this kind;
     relatives: endings of files that look alike and are not read.

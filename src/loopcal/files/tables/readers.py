@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO, Unpack
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,26 +22,27 @@ from loopcal.files.tables.columns import (
 )
 from loopcal.files.tables.isolated import read_isolated
 from loopcal.files.tables.reader import Layout
-from loopcal.files.tables.registry import OPTIONS, reader_of, refuse_other_options
+from loopcal.files.tables.registry import reader_of, refuse_other_options
 from loopcal.files.tables.table import ROW, Table
 from loopcal.measurements.dataset import Array, Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
-from loopcal.measurements.source import Source, row_name
+from loopcal.measurements.source import Source
 from loopcal.units import difference_to_si, to_si, unit
 
-_NAMELESS = frozenset(("", "None", "nan"))
+File = str | Path | BinaryIO
+NAMELESS = frozenset(("", "None", "nan"))
 """Ids made of cells without anything in them."""
 
 
 def read_dataset(
-    path: str | Path | BinaryIO,
+    path: File | Table,
     columns: Mapping[str, ColumnLike] | None = None,
     *,
     pose: str | int | None = None,
     exclude: Iterable[object] = (),
     every: int = 1,
     units: Mapping[str, str] | None = None,
-    **layout: Unpack[Layout],
+    **layout: Any,
 ) -> Dataset:
     """Readings from text, XLSX, Parquet, MATLAB or a ROS bag (by the ending of the name).
 
@@ -53,7 +54,8 @@ def read_dataset(
     where `columns` states none; without a unit values are taken as SI. `pose` is the column of
     ids, else poses are counted "1" to "N". Thinning comes first and counts rows of the file: the
     1st, (every + 1)th, ... is kept; then the ids to `exclude` go. What is left out is not looked
-    at otherwise. "-" is standard input, and an open binary stream is read as text.
+    at otherwise. "-" is standard input, and an open binary stream is read as text; a `Table` was
+    read before, by `read_once`.
 
     How a text is written is recognised: `header` or none, `delimiter`, `decimal` mark,
     `encoding`; each may be stated. `sheet` (name, or number from 1) is for XLSX, `variable` for
@@ -62,13 +64,14 @@ def read_dataset(
 
     Raises InputError, naming file, row and column, for all that cannot be read as stated.
     """
+    written = Layout(**layout)
     asked = None if columns is None else specified(columns, units or {})
     step, gone = checked_every(every), asked_ids(exclude)
     if asked is None:
-        table = _table(path, layout, None)
+        table = _table(path, written, None)
         asked = all_numeric(table, pose, units or {})
     else:
-        table = _table(path, layout, wanted(asked, pose), every=step, pose=pose, also=gone)
+        table = _table(path, written, wanted(asked, pose), every=step, pose=pose, also=gone)
     refuse_doubles(table, asked)
 
     number = table.counted - 1
@@ -87,7 +90,7 @@ def read_dataset(
             "file": table.file or "-",
             "columns": {q: column.entry() for q, column in asked.items()},
             **({} if pose is None else {"pose": pose}),
-            **{key: value for key, value in layout.items() if value is not None},
+            **written.keywords,
         },
     )
     return dataset_of(table, asked, np.flatnonzero(used), ids, source)
@@ -138,22 +141,22 @@ def dataset_of(
 
 def _refuse_nameless(table: Table, keep: NDArray[np.int64], ids: Sequence[str]) -> None:
     """Raise InputError where a pose to keep has no id; ids of all rows."""
-    if _NAMELESS.isdisjoint(ids):
+    if NAMELESS.isdisjoint(ids):
         return
-    nameless = [i for i in keep.tolist() if ids[i] in _NAMELESS]
+    nameless = [i for i in keep.tolist() if ids[i] in NAMELESS]
     if nameless:
         raise InputError(
             "this pose has no id"
             + (f", and {len(nameless) - 1} others have none either" if len(nameless) > 1 else ""),
             code="mismatched-poses",
-            place=f"{table.name}, {row_name(int(table.rows[nameless[0]]), table.begins)}",
+            place=table.place(nameless[0]),
             remedy="fill in the ids, or remove pose = ... to number the poses",
         )
 
 
-def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
+def read_poses(path: File | Table, pose: str | int, **layout: Any) -> Dataset:
     """The ids of the poses of a file, without readings; read as `read_dataset` reads it."""
-    table = _table(path, {key: value for key, value in how.items() if key in OPTIONS}, None)
+    table = _table(path, Layout(**layout), None)
     ids = table.ids(table.position(pose))
     _refuse_nameless(table, np.arange(len(ids)), ids)
     source = Source(
@@ -162,33 +165,35 @@ def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
     return Dataset({}, {}, tuple(ids), source=source)
 
 
-def read_table(path: str | Path | BinaryIO, part: str | int | None = None) -> Table:
-    """All columns of a file as they stand, read as `read_dataset` reads it; part: one of several
-    tables in it, such as the sheet of a workbook (name, or number from 1)."""
-    return _table(path, {} if part is None else {reader_of(path).part or "sheet": part}, None)
+def read_table(path: File, **layout: Any) -> Table:
+    """All columns of a file as they stand, read as `read_dataset` reads it."""
+    return _table(path, Layout(**layout), None)
 
 
-def column_labels(
-    path: str | Path | BinaryIO,
-    **layout: Unpack[Layout],
-) -> tuple[str, ...]:
+def read_once(path: File, **layout: Any) -> File | Table:
+    """The whole table of a file whose columns are looked at before some of them are read.
+
+    Parquet is read column by column: it stays a path.
+    """
+    return path if reader_of(path) is parquet.READER else read_table(path, **layout)
+
+
+def column_labels(path: File | Table, **layout: Any) -> tuple[str, ...]:
     """Names of the columns of a file, read as `read_dataset` reads it; none without a header."""
-    if reader_of(path) is parquet.READER:
+    if not isinstance(path, Table) and reader_of(path) is parquet.READER:
         return parquet.parquet_files(str(path))[0].names
-    return _table(path, layout, None).names
+    return _table(path, Layout(**layout), None).names
 
 
 def _table(
-    path: str | Path | BinaryIO,
-    layout: Mapping[str, Any],
-    asked: frozenset[str | int] | None,
-    **rows: Any,
+    path: File | Table, layout: Layout, asked: frozenset[str | int] | None, **rows: Any
 ) -> Table:
     """The columns asked for; rows: which of them to read from Parquet, others are read whole."""
+    if isinstance(path, Table):
+        return path
     reader = reader_of(path)
-    stated = {option: value for option, value in layout.items() if value is not None}
-    refuse_other_options(reader, path, stated)
+    refuse_other_options(reader, path, layout)
     if reader.guarded:
         assert isinstance(path, str | Path)
-        return read_isolated(reader, path, wanted=asked, **stated)
-    return reader.read(path, wanted=asked, **stated, **(rows if reader is parquet.READER else {}))
+        return read_isolated(reader, path, layout, wanted=asked)
+    return reader.read(path, layout, wanted=asked, **(rows if reader is parquet.READER else {}))

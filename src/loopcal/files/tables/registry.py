@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from loopcal.errors import InputError
 from loopcal.files.tables import bag, delimited, matlab, parquet, spreadsheet
-from loopcal.files.tables.reader import Reader
+from loopcal.files.tables.reader import Layout, Reader
 
 TEXT = delimited.READER
 READERS = (TEXT, spreadsheet.READER, parquet.READER, matlab.READER, bag.READER)
 BY_ENDING = {ending: reader for reader in READERS for ending in reader.endings}
-OPTIONS = frozenset(option for reader in READERS for option in reader.options)
 
 
 def reader_of(path: Any) -> Reader:
@@ -39,13 +37,9 @@ def reader_of(path: Any) -> Reader:
     return BY_ENDING.get(ending, TEXT)
 
 
-def refuse_other_options(
-    reader: Reader, path: str | Path | BinaryIO, stated: Iterable[str]
-) -> None:
-    """Raise InputError for options of other kinds of files, TypeError for those of none."""
-    for option in stated:
-        if option not in OPTIONS:
-            raise TypeError(f"{option!r} is no option of a reader; there are {sorted(OPTIONS)}")
+def refuse_other_options(reader: Reader, path: str | Path | BinaryIO, layout: Layout) -> None:
+    """Raise InputError for options of other kinds of files."""
+    for option in layout.keywords:
         if option not in reader.options:
             raise InputError(
                 f"{option} does not apply to {reader.kind} files",

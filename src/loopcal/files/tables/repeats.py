@@ -71,7 +71,7 @@ def read_repeats(
         q: replace(c, sd_column=None, sd_unit=None, coverage=None)
         for q, c in project.data.columns.items()
     }
-    how = {"pose": project.data.pose, **project.data.layout}
+    how = {"pose": project.data.pose, **project.data.keywords}
     if pose is not None:
         how["pose"] = pose
     return tuple(read_dataset(file, readings_columns, **how) for file in files)

@@ -6,23 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from loopcal.errors import InputError, listed, nearest
+from loopcal.errors import InputError, listed, unknown_name
 from loopcal.files.tables.cells import is_missing
-from loopcal.files.tables.dialect import is_header
+from loopcal.files.tables.dialect import is_header, only_header
 from loopcal.files.tables.raw import empty, existing_file, sha256_of
-from loopcal.files.tables.reader import Reader
+from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
 from loopcal.files.tables.table import Table
 from loopcal.files.tables.unfolded import refuse_large_workbook
 from loopcal.measurements.source import file_name
 
 
 def read_spreadsheet(
-    path: str | Path,
-    *,
-    wanted: object = None,
-    sheet: str | int | None = None,
-    header: bool | None = None,
-    decimal: str | None = None,
+    path: str | Path, layout: Layout = RECOGNISED, *, wanted: object = None
 ) -> Table:
     """The cells of a sheet, by its name or its number from 1; the first sheet if not stated.
 
@@ -36,7 +31,7 @@ def read_spreadsheet(
     refuse_large_workbook(path)
     try:
         workbook = python_calamine.CalamineWorkbook.from_path(path)
-        title = _title(workbook.sheet_names, sheet, path.name)
+        title = _title(workbook.sheet_names, layout.sheet, path.name)
         # Empty rows stay, so that messages count rows as the workbook does.
         sheet_rows = workbook.get_sheet_by_name(title).to_python(skip_empty_area=False)
     except python_calamine.CalamineError as error:
@@ -51,17 +46,12 @@ def read_spreadsheet(
     rows = [(i, row) for i, row in enumerate(sheet_rows, 1) if not all(map(is_missing, row))]
     if not rows:
         raise empty(name)
-    mark = decimal or "."
+    mark, header = layout.decimal or ".", layout.header
     first = rows[0][1]
     if header is None:
         header = is_header([row for _, row in rows[:2]], mark, f"{name}, row {rows[0][0]}")
     if header and len(rows) == 1:
-        raise InputError(
-            "there is a header, but no row of data",
-            code="no-data",
-            place=f"{name}, row {rows[0][0]}",
-            remedy="give one row per pose; if the row is data, state header = false",
-        )
+        raise only_header(f"{name}, row {rows[0][0]}")
     body = rows[1:] if header else rows
     return Table(
         path.name,
@@ -77,12 +67,7 @@ def read_spreadsheet(
 def _title(titles: list[str], sheet: str | int | None, name: str) -> str:
     if isinstance(sheet, str):
         if sheet not in titles:
-            raise InputError(
-                f"there is no sheet {sheet!r}",
-                code="unknown-name",
-                place=name,
-                remedy=nearest(sheet, titles),
-            )
+            raise unknown_name(f"there is no sheet {sheet!r}", sheet, titles, name)
         return sheet
     number = 1 if sheet is None else sheet
     if not 1 <= number <= len(titles):

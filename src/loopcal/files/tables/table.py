@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ast import literal_eval
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -92,6 +92,11 @@ class Table:
             return "row number"
         return short(self.names[position] if self.names else "") or str(position + 1)
 
+    def place(self, index: int, position: int | None = None) -> str:
+        """File, row and column of a cell for a message, by its place among the rows of data."""
+        words = f"{self.name}, {row_name(int(self.rows[index]), self.begins)}"
+        return words if position is None else f"{words}, column {self.label(position)!r}"
+
     def numbers(self, position: int, keep: NDArray[np.int64]) -> NDArray[np.float64]:
         """One column at the rows to keep; InputError for a cell that is not a number."""
         if position < 0:
@@ -109,11 +114,10 @@ class Table:
                 return cell_rules.numbers(joined, keep, self.decimal)
         except NotANumber as wrong:
             text = str(wrong.cell)
-            row = row_name(int(self.rows[wrong.index]), self.begins)
             raise InputError(
                 f"{short(text)!r} is not a number",
                 code="invalid-number",
-                place=f"{self.name}, {row}, column {self.label(position)!r}",
+                place=self.place(wrong.index, position),
                 remedy=_remedy(text, self.decimal),
             ) from None
 
@@ -133,8 +137,7 @@ class Table:
                 f"{short(pose_ids[index])!r} has {len(pose_ids[index])} characters; the limit of "
                 f"ids and words is {LONGEST}",
                 code="too-large",
-                place=f"{self.name}, {row_name(int(self.rows[index]), self.begins)}, "
-                f"column {self.label(position)!r}",
+                place=self.place(index, position),
                 remedy="shorten it, or name the column of the ids",
             )
         return pose_ids
@@ -142,6 +145,14 @@ class Table:
     def numeric(self) -> list[int]:
         """Positions of the columns whose cells are numbers for the most part."""
         return [i for i, c in self.columns.items() if cell_rules.mostly_numbers(c, self.decimal)]
+
+
+def positions_of(
+    wanted: Collection[str | int] | None, names: Sequence[str], place: str
+) -> list[int]:
+    """Positions from 0 of the columns wanted, all of them for None, rising; see `find_column`."""
+    asked = range(1, len(names) + 1) if wanted is None else wanted
+    return sorted({find_column(column, names, len(names), place) for column in asked})
 
 
 def find_column(column: str | int, names: Sequence[str], width: int, place: str) -> int:

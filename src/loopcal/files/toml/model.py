@@ -72,16 +72,6 @@ def _sd(value: Any) -> Any:
     return value
 
 
-@dataclass(frozen=True)
-class OneOf:
-    """Annotates a string that must be one of these names."""
-
-    names: tuple[str | int, ...]
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        return core_schema.literal_schema([*self.names])
-
-
 UnitName = Annotated[
     str, AfterValidator(_canonical_unit), Field(examples=["m", "mm", "rad", "deg"])
 ]

@@ -26,13 +26,12 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, placed
 from loopcal.files.machines.parameter_entries import in_si
 from loopcal.files.toml.model import (
     Finite,
     Model,
     NameOrNumber,
-    OneOf,
     OrPlain,
     Sd,
     UnitName,
@@ -104,10 +103,8 @@ def built(make: Make, entry: Any, scope: Scope, place: Place, **more: Any) -> An
 
     Raises InputError at the entry where it does not fit.
     """
-    try:
+    with placed(place, unless_stated=True):
         return make(**stated_arguments(make, entry, scope, place), **more)
-    except InputError as error:
-        raise error if error.place else error.at(str(place)) from None
 
 
 def _field(argument: Argument) -> Any:
@@ -130,7 +127,7 @@ def form(kind: Any, key: Key) -> Any:
     if kind is float:
         return Annotated[Value, alone_as("value")] if key.unit and not key.beside else _number(key)
     if kind in (str, int) and key.choices:
-        return Annotated[str, OneOf(key.choices)] if kind is str else Literal[key.choices]
+        return Literal[key.choices]
     if kind is int:
         return Annotated[int, Field(ge=key.low, le=key.high)]
     if kind is str and key.least:
@@ -217,10 +214,8 @@ class _Reading:
         return value
 
     def named(self, name: str, place: Place) -> Mapping[str, str]:
-        try:
+        with placed(place):
             return self.scope.names[self.key.names](name)
-        except InputError as error:
-            raise error.at(str(place)) from None
 
 
 def _value(kind: Any, read: _Reading, stated: Any, off: bool = False) -> Any:

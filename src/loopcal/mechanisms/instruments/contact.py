@@ -13,8 +13,7 @@ from typing import Annotated, Any
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import dot, norm
 from loopcal.keys import Key
-from loopcal.mechanisms.direction import Direction
-from loopcal.mechanisms.frame import Frame, Values
+from loopcal.mechanisms.frame import Direction, Frame, Values
 from loopcal.mechanisms.instruments.length import apart
 from loopcal.mechanisms.instruments.point import AXES
 from loopcal.mechanisms.machine import Instrument, recorded

@@ -11,8 +11,7 @@ from loopcal.errors import InputError
 from loopcal.expressions.vectors import dot, vector
 from loopcal.keys import Key
 from loopcal.mechanisms.chain import Step
-from loopcal.mechanisms.direction import Direction
-from loopcal.mechanisms.frame import BodyFrame, ChainFrame, Frame, Values
+from loopcal.mechanisms.frame import BodyFrame, ChainFrame, Direction, Frame, Values
 from loopcal.mechanisms.instruments.spherical import turn_between
 from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.station import Name, Station, placed_by

@@ -10,7 +10,6 @@ import numpy as np
 
 from loopcal.expressions.vectors import norm, rotate, vector
 from loopcal.mechanisms.frame import BodyFrame, Values, Vector
-from loopcal.mechanisms.gauge import Gauge
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
     Name,
@@ -23,6 +22,7 @@ from loopcal.mechanisms.parallel.parts import (
     ring,
     starts,
 )
+from loopcal.mechanisms.parameters import Gauge
 
 LEGS = (1, 2, 3)
 SLIDES = {f"slide_{i}": "m" for i in LEGS}

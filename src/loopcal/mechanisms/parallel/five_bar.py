@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from loopcal.expressions.vectors import vector
 from loopcal.keys import Key
 from loopcal.mechanisms.frame import Frame, Values
-from loopcal.mechanisms.gauge import Gauge
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
     Name,
@@ -24,6 +23,7 @@ from loopcal.mechanisms.parallel.parts import (
     plane_frame,
     starts,
 )
+from loopcal.mechanisms.parameters import Gauge
 
 PASSIVE = ("phi_1", "phi_2")
 Passive = Annotated[

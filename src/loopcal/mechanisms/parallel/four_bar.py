@@ -10,7 +10,6 @@ import numpy as np
 from loopcal.expressions.vectors import norm
 from loopcal.keys import Key
 from loopcal.mechanisms.frame import Frame, Values, Vector
-from loopcal.mechanisms.gauge import Gauge
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
     Name,
@@ -25,6 +24,7 @@ from loopcal.mechanisms.parallel.parts import (
     read,
     starts,
 )
+from loopcal.mechanisms.parameters import Gauge
 
 PASSIVE = ("theta_2", "phi_1")
 Passive = Annotated[

@@ -10,7 +10,6 @@ import numpy as np
 from loopcal.expressions.vectors import norm, rot_x, rot_y, rot_z, rotate, vector
 from loopcal.keys import Key
 from loopcal.mechanisms.frame import BodyFrame, Values, Vector
-from loopcal.mechanisms.gauge import Gauge
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
     Name,
@@ -24,6 +23,7 @@ from loopcal.mechanisms.parallel.parts import (
     ring,
     starts,
 )
+from loopcal.mechanisms.parameters import Gauge
 
 LEGS = (1, 2, 3, 4, 5, 6)
 PASSIVE = tuple(f"{angle}_{i}" for i in LEGS for angle in ("alpha", "beta"))

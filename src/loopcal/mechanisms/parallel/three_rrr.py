@@ -10,7 +10,6 @@ import numpy as np
 from loopcal.expressions.vectors import vector
 from loopcal.keys import Key
 from loopcal.mechanisms.frame import BodyFrame, Values
-from loopcal.mechanisms.gauge import Gauge
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
     Name,
@@ -27,6 +26,7 @@ from loopcal.mechanisms.parallel.parts import (
     ring,
     starts,
 )
+from loopcal.mechanisms.parameters import Gauge
 
 LEGS = (1, 2, 3)
 PASSIVE = ("phi_1", "phi_2", "phi_3")

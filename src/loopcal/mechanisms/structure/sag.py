@@ -26,8 +26,8 @@ from loopcal.expressions.engine import engine_for
 from loopcal.expressions.trace import trace
 from loopcal.expressions.vectors import cross, dot, norm, rotate, vector
 from loopcal.mechanisms.chain import Step
-from loopcal.mechanisms.direction import Direction
-from loopcal.mechanisms.frame import Values, Vector
+from loopcal.mechanisms.frame import Direction, Values, Vector
+from loopcal.mechanisms.structure.smooth import Smooth
 
 Array = NDArray[np.float64]
 BASE = "base"
@@ -238,3 +238,18 @@ class Sag:
 def _alike(one: Array, other: Array, size: float) -> bool:
     apart = min(np.linalg.norm(one - other), np.linalg.norm(one + other))
     return bool(apart <= _ALIKE * size)
+
+
+# What the structured model error of a mechanism consists of.
+
+
+@dataclass(frozen=True)
+class Structure:
+    """sag: the arm that gives way, by these columns, None where it does not; smooth: what its
+    discrepancy is made of; joints: those with harmonics.
+    """
+
+    sag: Sag | None = None
+    columns: tuple[Column, ...] = ()
+    smooth: Smooth | None = None
+    joints: tuple[str, ...] = ()

@@ -27,7 +27,7 @@ from loopcal.mechanisms.frame import Values
 
 # 12 and 30 waves hold 45 and 62 % of the kernel's variance. On the MA1400 60 or 100 waves cost
 # two to five times as much and predict regions not used worse; the rest of the waves is an error
-# of the predictions (`estimation/noise/further_waves.py`).
+# of the predictions (`estimation/noise/kenward_roger.py`).
 FEATURES, FEW = 30, 12
 """Number of vectors k of a smooth function, and the number for fewer than `MANY_POSES` poses."""
 MANY_POSES, POSES_EACH = 300, 5

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Annotated, Any, TypeVar
 
 from loopcal.errors import InputError
-from loopcal.expressions.substitution import substituted
+from loopcal.expressions.rewriting import substituted
 from loopcal.keys import Key, described
 from loopcal.mechanisms.effects.effect import Effect, with_effects
 from loopcal.mechanisms.effects.harmonics import Harmonics
@@ -22,8 +22,7 @@ from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
 from loopcal.mechanisms.serial import places_itself
-from loopcal.mechanisms.structure.parts import Structure
-from loopcal.mechanisms.structure.sag import Column, Sag
+from loopcal.mechanisms.structure.sag import Column, Sag, Structure
 from loopcal.mechanisms.structure.smooth import FEATURES, Smooth
 from loopcal.mechanisms.terms import Term
 

@@ -19,13 +19,11 @@ from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.atomic import write_files
 from loopcal.files.machines.mechanism_file import mechanism_from_data
-from loopcal.files.outputs import refuse_foreign
-from loopcal.files.paths import relative
+from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.fields import Source, sources_of
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import layouts
-from loopcal.files.recognition.project_text import project_text
 from loopcal.files.recognition.robots import Robot, dh_robot, typed_robot, urdf_robot
 from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset
@@ -34,8 +32,8 @@ from loopcal.measurements.datasheet import rounding_sd
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, output_groups
+from loopcal.presentation.shown import columns as in_columns
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
-from loopcal.presentation.text_table import columns as in_columns
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.check import FEW, check
 from loopcal.statistics.region import ranges_of, sds_in
@@ -207,8 +205,8 @@ def initial_project(
         statement = statement.remarked("mechanism", weak)
     tables = {READINGS: _table(fields, statement)} if statement.converted else {}
     remarks = tuple(source.remark for source in sources if source.remark)
-    remarks += tuple(row for rows in statement.parts.remarks.values() for row in rows) + odd
-    text = project_text(statement.parts)
+    remarks += tuple(row for rows in statement.remarks.values() for row in rows) + odd
+    text = statement.text
     done = InitialProject(
         project.mechanism, dataset, project.noise.noise(), text, tables, statement.fits, remarks
     )
@@ -255,7 +253,7 @@ def _table(fields: Fields, statement: Statement) -> bytes:
 
 def _read(statement: Statement, folder: Path) -> Project:
     """The project as `calibrate` will read it."""
-    return read_project(folder / PROJECT, text=project_text(statement.parts))
+    return read_project(folder / PROJECT, text=statement.text)
 
 
 def _dataset(fields: Fields, statement: Statement) -> Dataset:

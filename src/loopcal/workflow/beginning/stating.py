@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import NEAR, TURNED, Bodies, Mounted, see_points
-from loopcal.files.paths import relative
+from loopcal.files.outputs import relative
 from loopcal.files.recognition.fields import Field, column_key, names_of
 from loopcal.files.recognition.joins import Fields
-from loopcal.files.recognition.project_text import ProjectParts
 from loopcal.files.recognition.robots import Robot
 from loopcal.files.tables.registry import reader_of
+from loopcal.files.toml.reader import SCHEMA
+from loopcal.files.toml.writer import document
 from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
 from loopcal.mechanisms.structure.structured import MOUNTED
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import significant, with_unit
 from loopcal.units import from_si, unit
 from loopcal.workflow.beginning.meanings import Meaning, polar
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
@@ -33,6 +33,7 @@ ENCODER = 50e-6
 """Guess of an encoder's sd at the joint [rad], that of 17 bits (2 pi / 2^17 = 48 urad)."""
 SLIDE, WIRE, CAMERA, TURN = 10e-6, 0.2e-3, 1e-3, 2e-3
 """Guesses of sds: a linear scale, a draw-wire encoder, a camera's position [m], its turns [rad]."""
+_HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
 _TRACKER = "leica-at500"
 _POINTS = ("point", "spherical")
 _SAME = 5e-3
@@ -58,20 +59,26 @@ class Reading:
 class Statement:
     """A project ready to be written.
 
-    readings: quantity -> its column or values; converted: whether all go into a file of their own;
-    fits: what the nominal machine misses, by instrument.
+    tables: of the project file; remarks: name of a table -> comments above it; readings:
+    quantity -> its column or values; converted: whether all go into a file of their own; fits:
+    what the nominal machine misses, by instrument.
     """
 
-    parts: ProjectParts
+    tables: Mapping[str, Any]
+    remarks: Mapping[str, Sequence[str]]
     readings: Mapping[str, Reading]
     converted: bool
     fits: Mapping[str, Mounted]
 
     def remarked(self, section: str, *words: str) -> Statement:
         """With further comments on one of its sections."""
-        remarks = dict(self.parts.remarks)
-        remarks[section] = (*remarks.get(section, ()), *words)
-        return replace(self, parts=replace(self.parts, remarks=remarks))
+        further = {section: (*self.remarks.get(section, ()), *words)}
+        return replace(self, remarks={**self.remarks, **further})
+
+    @property
+    def text(self) -> str:
+        """Of the project file."""
+        return document(self.tables, (_HEAD,), self.remarks)
 
 
 def stated(
@@ -119,7 +126,7 @@ def stated(
     data = _data(fields, readings, converted, folder)
     remarks = {
         "mechanism": robot.remarks,
-        "parameters": (
+        "mechanism.parameters": (
             f"{', '.join(parameters)}: a guess, found by placing the nominal machine on the "
             f"readings; what is mounted is known to {with_unit(NEAR, 'm')} only (sd). Where a "
             f"drawing states it, write its values, with sd = {1e3 * MOUNTED['m']:g}.",
@@ -132,8 +139,14 @@ def stated(
     }
     first = next((s.path.stem for s in fields.sources if s.path), "readings")
     title = f"{Path(str(table.get('file', table['type']))).stem}, {first}"
-    parts = ProjectParts(title, table, parameters, data, noise, remarks)
-    return Statement(parts, readings, converted, fits)
+    tables = {
+        "schema": SCHEMA,
+        "title": title,
+        "mechanism": {**table, "parameters": parameters},
+        "data": {**data[0], **({"join": data[1:]} if data[1:] else {})},
+        "noise": noise,
+    }
+    return Statement(tables, remarks, readings, converted, fits)
 
 
 @dataclass(frozen=True, eq=False)

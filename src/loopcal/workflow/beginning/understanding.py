@@ -12,7 +12,7 @@ from loopcal.estimation.mounted import origin_rms
 from loopcal.files.recognition.fields import names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import Layout
-from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import significant
 from loopcal.workflow.beginning.objections import NOTHING, Case, contradiction, objection, shifted
 from loopcal.workflow.beginning.searching import (
     CLEARLY,

@@ -1,0 +1,118 @@
+"""Poses of another day, read from a machine that is held as it was calibrated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.noise.learning import with_model
+from loopcal.estimation.problem.constants import with_latest
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import MODEL, Noise
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.innovation import Linearised, components_of
+from loopcal.statistics.replacing import Replaced, freed, replaced
+
+
+@dataclass(frozen=True, eq=False)
+class Day:
+    """The poses of another day, at a machine that is held but for what may stand elsewhere.
+
+    problem: at the calibrated parameters, all of which count as estimated; freed: names of what
+    is found anew.
+    """
+
+    calibrated: Calibrated
+    problem: Problem
+    freed: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        calibrated: Calibrated,
+        data: Dataset,
+        noise: Noise | None,
+        remounted: bool | Sequence[str] = False,
+    ) -> Day:
+        """From the readings of that day; noise: theirs, else that of the calibration.
+
+        remounted: as in `freed`. Raises InputError where readings or sds are missing, and for
+        a name that is not there.
+        """
+        names = freed(calibrated.mechanism, remounted)
+        return cls(calibrated, day_problem(calibrated, data, noise), names)
+
+    @property
+    def variance(self) -> float | None:
+        """Of every loop equation, where the readings are taken as exact."""
+        return None if self.calibrated.residual is None else self.calibrated.residual.value
+
+    def placed(self, changes: Mapping[str, float] = {}) -> Replaced:
+        """With what stands elsewhere placed anew, after changes [SI] of parameters and of the zeros
+        of readings, by name."""
+        problem, mechanism = self.problem, self.problem.mechanism
+        names, order = mechanism.parameters.names, mechanism.tape.quantities
+        start, readings = problem.start.copy(), problem.readings.copy()
+        for name, change in changes.items():
+            if name in order:
+                readings[order.index(name)] += change
+            else:
+                start[names.index(name)] += change
+        changed = _with_values(replace(problem, readings=readings), start)
+        components = components_of(self.calibrated, order)
+        return replaced(changed, self.freed, variance=self.variance, components=components)
+
+    def linearised(self, changes: Mapping[str, float] = {}) -> Linearised:
+        """The equations of the held machine where it is placed anew after these changes."""
+        return Linearised.of(self.placed(changes), self.calibrated)
+
+    def as_drawn(self) -> Day:
+        """The same poses at the machine as drawn."""
+        return replace(self, problem=_with_values(self.problem, self.calibrated.nominal))
+
+
+def _with_values(problem: Problem, values: NDArray[np.float64]) -> Problem:
+    names = problem.mechanism.parameters.names
+    mechanism = problem.mechanism.with_nominal(dict(zip(names, values.tolist(), strict=True)))
+    return replace(problem, start=values, mechanism=mechanism)
+
+
+def day_problem(calibrated: Calibrated, data: Dataset, noise: Noise | None) -> Problem:
+    """The poses of another day at the calibrated parameters, all of which count as estimated.
+
+    noise: of these readings, else that of the calibration.
+    """
+    mechanism = calibrated.mechanism
+    data = with_latest(mechanism, data if noise else as_learnt(calibrated, data))
+    weighed = None if calibrated.residual is not None else (noise or noise_of(calibrated))
+    if weighed is not None:
+        mechanism, data = with_model(mechanism, data, weighed)
+    # Nothing is estimated by it: with informative priors any number of poses will do.
+    free = mechanism.parameters.with_prior({"*": 1.0}).with_fixed(["*"], fixed=False)
+    return build_problem(mechanism.with_parameters(free), data, weighed)
+
+
+def as_learnt(calibrated: Calibrated, data: Dataset) -> Dataset:
+    """The readings without sds of their own where the calibration has learnt better ones."""
+    learnt = {
+        q for entry in calibrated.noise if entry.source == "estimated" for q in entry.quantities
+    }
+    return replace(data, sds={q: sd for q, sd in data.sds.items() if q not in learnt})
+
+
+def noise_of(calibrated: Calibrated) -> Noise:
+    """The sds that a calibration used, for other readings; what had none was not measured."""
+    entries: dict[str | tuple[str, ...], Any] = {}
+    for entry in calibrated.noise:
+        if entry.role == "disturbance":
+            entries[MODEL] = entry.sd
+            continue
+        entries |= dict.fromkeys(entry.quantities, entry.sd)
+    disturbances = calibrated.mechanism.disturbances
+    unmeasured = [q for q in calibrated.mechanism.quantities if q not in (*entries, *disturbances)]
+    return Noise(entries | dict.fromkeys(unmeasured, np.inf))

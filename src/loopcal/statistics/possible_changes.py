@@ -1,0 +1,130 @@
+"""What may change on a machine: a row for each cause that is tried.
+
+A row names the parameters, or the zeros of readings, that change together. `ALONG_A_RUN` are the
+causes of a change between two poses of one run, `BETWEEN_DAYS` those of one since a calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+from loopcal.estimation.problem.problem import Problem
+from loopcal.mechanisms.parameters import GEOMETRY
+from loopcal.mechanisms.placement import ChainPlacement
+from loopcal.mechanisms.station import BASE, Station
+from loopcal.mechanisms.structure.structured import driven_joints
+
+
+@dataclass(frozen=True)
+class Possible:
+    """A change of parameters, or of zeros of readings, by name; steps, ramps: whether it may happen
+    at once, and all along a run."""
+
+    kind: str
+    names: tuple[str, ...]
+    steps: bool = True
+    ramps: bool = True
+
+
+Cause = Callable[[Problem], Iterable[Possible]]
+"""The changes of one kind that a machine can have."""
+
+
+def possible(problem: Problem, causes: Iterable[Cause]) -> list[Possible]:
+    """All changes by these causes."""
+    return list(dict.fromkeys(one for cause in causes for one in cause(problem)))
+
+
+def unit_of(problem: Problem, name: str) -> str:
+    """SI unit of a reading, or of a parameter, those of `held_station` too."""
+    mechanism = problem.mechanism
+    if name in mechanism.quantities:
+        return mechanism.quantities[name]
+    declared = mechanism.parameters if name in mechanism.parameters.names else _BASE.declared
+    return declared[name].unit
+
+
+_BASE = Station(BASE)
+
+
+def held_station(problem: Problem) -> tuple[str, ...]:
+    """The parameters of the station that an arm of transitions has or would get; none where these
+    are estimated.
+
+    The transitions alone would move the geometry without what is stated in their frames (see
+    `mechanisms.stationed`).
+    """
+    chain = isinstance(problem.mechanism.placement, ChainPlacement)
+    return _BASE.parameters if chain and not {*_BASE.parameters} & {*problem.names} else ()
+
+
+def _targets(problem: Problem) -> Iterator[Possible]:
+    """Each thing on the body; by instrument where the body gives way already."""
+    mechanism = problem.mechanism
+    groups = () if mechanism.body is None else mechanism.body.mounted
+    if mechanism.body is None:
+        mounted = mechanism.parameters.of_role("mounting")
+        seen = [tuple(n for n in f.mounted if n in mounted) for f in mechanism.families]
+        groups = (*seen, tuple(n for n in mounted if not any(n in names for names in seen)))
+    for names in groups:
+        if estimated := tuple(n for n in names if n in problem.names):
+            yield Possible("target", estimated)
+
+
+def _stations(problem: Problem) -> Iterator[Possible]:
+    if held := held_station(problem):
+        yield Possible("station", held)
+        return
+    mechanism = problem.mechanism
+    for place in (mechanism.placement, *(f.placement for f in mechanism.families)):
+        parameters = () if place is None else place.parameters
+        if estimated := tuple(n for n in parameters if n in problem.names):
+            yield Possible("station", estimated)
+
+
+def _joints(problem: Problem) -> Iterator[Possible]:
+    """The zero of each quantity that is read, but for what instruments read."""
+    mechanism = problem.mechanism
+    aside = {q for f in mechanism.families for q in f.readings} | {*mechanism.outputs}
+    aside |= {*mechanism.disturbances, *mechanism.turns}
+    unread = problem.uncertainty.sd.max(axis=1) == float("inf")
+    for q, missing in zip(mechanism.tape.quantities, unread.tolist(), strict=True):
+        if q not in aside and not missing:
+            yield Possible("joint", (q,), ramps=False)
+
+
+def _readings(problem: Problem) -> Iterator[Possible]:
+    """The zeros of all that an instrument reads in one unit at once, and of each along the run."""
+    mechanism = problem.mechanism
+    aside = {*mechanism.disturbances, *mechanism.turns}
+    read = [f.readings for f in mechanism.families if f.form != "closure"] or [mechanism.outputs]
+    by_instrument = [[q for q in group if q not in aside] for group in read]
+    for group in by_instrument:
+        units = [mechanism.quantities[q] for q in group]
+        for unit in dict.fromkeys(units):
+            alike = tuple(q for q, other in zip(group, units, strict=True) if other == unit)
+            yield Possible("reading", alike, ramps=False)
+    for q in (q for group in by_instrument for q in group):
+        yield Possible("reading", (q,), steps=False)
+
+
+def _zeros(problem: Problem) -> Iterator[Possible]:
+    for q in driven_joints(problem.mechanism):
+        yield Possible("zero", (q,))
+
+
+def _mountings(problem: Problem) -> Iterator[Possible]:
+    for name in problem.mechanism.parameters.of_role("mounting"):
+        yield Possible("mounting", (name,))
+
+
+def _dimensions(problem: Problem) -> Iterator[Possible]:
+    for p in problem.mechanism.parameters:
+        if p.role in GEOMETRY:
+            yield Possible(p.dimension or p.role, (p.name,))
+
+
+ALONG_A_RUN: tuple[Cause, ...] = (_targets, _stations, _joints, _readings)
+BETWEEN_DAYS: tuple[Cause, ...] = (_zeros, _mountings, _dimensions)
+"""Of changes that do the same the first speaks: zeros of joints, then mountings."""

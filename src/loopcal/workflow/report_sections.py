@@ -1,0 +1,25 @@
+"""What a report says beyond the calibration: what was made of it, and what other days showed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from loopcal.estimation.result import UPDATED
+from loopcal.files.result.deployed import OTHER_DAYS
+from loopcal.report.section import Section
+from loopcal.report.source import Source
+
+
+def sections(source: Source) -> Iterator[Section]:
+    """In the order of the report. Most results have none, and then nothing is loaded for them."""
+    kinds = {note.kind for note in source.deployed}
+    every = []
+    if kinds.difference(OTHER_DAYS):
+        from loopcal.report.deployed import deployed
+
+        every.append(deployed(source))
+    if kinds.intersection(OTHER_DAYS) or source.document.method_label == UPDATED:
+        from loopcal.report.other_days import other_days
+
+        every.append(other_days(source))
+    yield from (section for section in every if section is not None)
