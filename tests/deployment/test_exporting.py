@@ -59,7 +59,7 @@ def sagging() -> lc.Result:
 
 
 def of(result: lc.Result):
-    return exported(result.document, result.calibrated, result.dataset, predictor(result))
+    return exported(result.unjudged, result.calibrated, result.dataset, predictor(result))
 
 
 def test_zeros_alone_are_worth_everything_where_only_zeros_are_wrong(rigid):

@@ -260,16 +260,17 @@ class _Run:
     def _calibrated(self, loaded: LoadedData) -> FitResult:
         """By a stated method or by the one that poses not used choose, validated where asked."""
         from loopcal.statistics.case import Case
-        from loopcal.statistics.choice import choose
-        from loopcal.statistics.folds import Scheme
-        from loopcal.statistics.validation import validated
 
         case = Case(self.project.mechanism, loaded.dataset, loaded.noise, self.fit)
         progress, scheme = self.listeners.progress, None
         if self.validation is not None:
+            from loopcal.statistics.folds import Scheme
+
             poses = loaded.dataset.poses
             scheme = Scheme(**validation_arguments(self.project, self.validation, poses))
         if self.fit.method.choice:
+            from loopcal.statistics.choice import choose
+
             result = choose(case, scheme, **self._shared("fits"), iterated=progress).result
         else:
             result = case.calibrated(progress=progress)
@@ -279,6 +280,8 @@ class _Run:
             return result
         if not result.status.converged:
             return result.noted(f"Not validated: {_UNCONVERGED}.")
+        from loopcal.statistics.validation import validated
+
         try:
             validation = validated(case, result, scheme, **self._shared("folds"))
         except NoTrustworthyResult as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from loopcal.companions import called
 from loopcal.document.plain import finite_only
@@ -18,13 +18,15 @@ from loopcal.files.versions import versions as installed_versions
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.report.source import Source, source_of
 from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.predictor import Predictor, predictor, without_outputs
 from loopcal.statistics.verdict import judged
 from loopcal.workflow.keeping import Keeper
 from loopcal.workflow.views import Views
+
+if TYPE_CHECKING:
+    from loopcal.report.source import Source
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -79,6 +81,8 @@ class Result(estimation.Result, Views):
     @property
     def source(self) -> Source:
         """What the report shows: the document, and what became of every reading."""
+        from loopcal.report.source import source_of
+
         return source_of(self, self.document, "result")
 
     def save(

@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.aliases import aliased
-from loopcal.document.parameter_table import ParameterTable
 from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError
-from loopcal.figures.figure import Figure
-from loopcal.report.drawn import figures
-from loopcal.report.source import Source
-from loopcal.statistics.prediction import Prediction, predict
-from loopcal.workflow.readings import Units, later_readings
 
 if TYPE_CHECKING:
+    from loopcal.document.parameter_table import ParameterTable
+    from loopcal.figures.figure import Figure
+    from loopcal.report.source import Source
+    from loopcal.statistics.prediction import Prediction
     from loopcal.statistics.predictor import Predictor
+    from loopcal.workflow.readings import Units
 
 
 class Views:
@@ -65,11 +63,15 @@ class Views:
     @property
     def params(self) -> ParameterTable:
         """Every parameter by name [SI]: value, sd, nominal; as a DataFrame by `to_pandas()`."""
+        from loopcal.document.parameter_table import ParameterTable
+
         return ParameterTable(self.unjudged.parameters)
 
     @property
     def plot(self) -> Plots:
         """The report's figures, as plotly figures: `result.plot.residuals()`."""
+        from loopcal.report.drawn import figures
+
         return Plots(figures(self.source))
 
     @property
@@ -87,6 +89,9 @@ class Views:
 
     def predict(self, data: Any, *, units: Units = None, **options: Any) -> Prediction:
         """`loopcal.predict` of this result: outputs for readings, with their covariance."""
+        from loopcal.statistics.prediction import predict
+        from loopcal.workflow.readings import later_readings
+
         return predict(self.predictor, later_readings(self, data, units, whole=False), **options)
 
     def to_dict(self) -> dict[str, Any]:
@@ -104,6 +109,8 @@ class Views:
         def __getattr__(self, name: str) -> Any:
             if hasattr(type(self), name):  # a property that failed: say what failed in it
                 return object.__getattribute__(self, name)
+            from loopcal.document.aliases import aliased
+
             return aliased(self, name)
 
 
