@@ -59,7 +59,10 @@ VALUES = (
     Value("words, pages", "builtins:str"),
 )
 STEPS = (
-    Step("A reader finds the columns.", ("loopcal.files.tables.readers:_table",)),
+    Step(
+        "A reader finds the columns.",
+        ("loopcal.files.tables.readers:_table", "loopcal.files.tables.raw:read_text"),
+    ),
     Step("Columns get names, units and ids.", ("loopcal.files.tables.readers:dataset_of",)),
     Step(
         "{steps}.",
@@ -74,7 +77,7 @@ STEPS = (
     Step(
         "Least corrections close all loops.",
         (
-            "loopcal.estimation.calibrate:_fitted",
+            "loopcal.estimation.calibrate:_result",
             "loopcal.estimation.solve.solver:solve",
             "loopcal.estimation.noise.estimation:estimate_noise",
         ),
@@ -96,14 +99,14 @@ STEPS = (
     ),
 )
 COMPANIONS = {
-    "Which poses to measure": ("planning",),
-    "Many simulated draws": ("studies",),
-    "The life of a machine": ("life",),
-    "Formats of controllers": ("files/exports",),
-    "Corrected robot programs": ("deployment", "files/programs"),
-    "Pose performance, ISO 9283": ("pose_performance",),
-    "A record to sign": ("report/record_*",),
-    "The app runs command lines": ("app",),
+    "Which poses to measure": ("companions/planning",),
+    "Many simulated draws": ("companions/studies",),
+    "The life of a machine": ("companions/life",),
+    "Formats of controllers": ("companions/robot/exports",),
+    "Corrected robot programs": ("companions/robot",),
+    "Pose performance, ISO 9283": ("companions/performance",),
+    "A record to sign": ("companions/record",),
+    "The app runs command lines": ("companions/app",),
 }
 """What stands beside the core: it takes the core's values, and the core never imports it."""
 BELOW = ("expressions", "mechanisms", "measurements", "simulation", "execution", "presentation")

@@ -23,7 +23,7 @@ POSIX_NAMES = {
 # (`process_cores`).
 GUARDED = {
     ("files/tables/raw.py", "O_NONBLOCK"),
-    *(("execution/forked.py", name) for name in ("fork", "SIGKILL", "pthread_sigmask")),
+    *(("execution/forked.py", name) for name in ("fork", "SIGKILL", "pthread_sigmask", "waitid")),
 }
 
 
