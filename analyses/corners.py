@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 import loopcal as lc
 from analyses.written import write_block
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.statistics.case import Case, nominal_case
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.validation import validated
@@ -57,7 +57,7 @@ def by_distance(data: lc.Dataset, centre: int) -> NDArray[np.intp]:
     return np.argsort(off, kind="stable")
 
 
-def rms_elsewhere(case: Case, whole: Result, rest: lc.Dataset) -> tuple[float, float]:
+def rms_elsewhere(case: Case, whole: FitResult, rest: lc.Dataset) -> tuple[float, float]:
     """Root mean square distance [m] at other poses, and the share in the stated regions."""
     found = validated(case, whole, Scheme(other=rest))
     assert found.accuracy is not None

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import loopcal as lc
 from analyses.corners import PAGE, by_distance, measured
 from analyses.written import write_block
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.structure.smooth import vectors_for
 from loopcal.statistics.case import Case, nominal_case
 
@@ -34,7 +34,7 @@ INKS = ("#9e9e9e", "#d55e00", "#e69f00", "#56b4e9", "#0072b2")
 SVG = Path(__file__).parents[1] / "docs" / "explanation" / "transfer.svg"
 
 
-def fitted(level: str, case: Case) -> Result:
+def fitted(level: str, case: Case) -> FitResult:
     """The calibration of one level."""
     if level == "nominal":
         return nominal_case(case).calibrated()

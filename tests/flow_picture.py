@@ -51,7 +51,7 @@ VALUES = (
     Value("table", "loopcal.files.tables.table:Table"),
     Value("data set", "loopcal.measurements.dataset:Dataset"),
     Value("problem", "loopcal.estimation.problem.problem:Problem"),
-    Value("fit", "loopcal.estimation.result:Result"),
+    Value("fit", "loopcal.estimation.result:FitResult"),
     Value("facts", "loopcal.document.verdict:Fact"),
     Value("findings", "loopcal.document.verdict:Finding"),
     Value("verdict", "loopcal.document.verdict:Verdict"),

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.files.project.project_data import load_dataset
 from loopcal.files.project.project_file import read_project
 from tests.command_line import run_here
@@ -22,14 +22,14 @@ SIMULATED = ("planar", "six_axis")
 
 
 @cache
-def calibrated(path: Path, method: str) -> Result:
+def calibrated(path: Path, method: str) -> FitResult:
     project = read_project(path)
     loaded = load_dataset(project)
     assert loaded.warnings == ()
     return calibrate(project.mechanism, loaded.dataset, noise=loaded.noise, method=method)
 
 
-def errors(name: str, result: Result) -> dict[str, float]:
+def errors(name: str, result: FitResult) -> dict[str, float]:
     """True minus estimate [SI] of every estimated parameter."""
     truth = json.loads((EXAMPLES / name / "poses.truth.json").read_text("utf-8"))["parameters"]
     return {p: truth[p]["value"] - result.value[p] for p in result.estimated}
@@ -57,7 +57,7 @@ def test_it_comes_much_nearer_to_the_truth_than_least_squares(name, unit):
     assert size["implicit-loop"] < 0.4 * size["least-squares"]
 
 
-def its_unit(result: Result, parameter: str) -> str:
+def its_unit(result: FitResult, parameter: str) -> str:
     return result.mechanism.parameters[parameter].unit
 
 

@@ -15,7 +15,7 @@ from loopcal.estimation.dependence.seen import Seen
 from loopcal.estimation.dependence.serial import Drift, Whole, _criterion, learnt_drift
 from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.prediction import predict_outputs
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def forgetting(rho: float, poses: int, rng: np.random.Generator) -> Array:
 
 def calibrated(
     joints: dict[str, Array], errors: Array, rng: np.random.Generator, **noise: Any
-) -> Result:
+) -> FitResult:
     read = {q: v + rng.normal(0.0, SDS[q], len(v)) for q, v in joints.items()}
     measured = points(joints, TRUTH) + errors
     data = lc.Dataset.from_arrays(read | dict(zip(("xP", "yP"), measured, strict=True)))
@@ -107,7 +107,7 @@ def test_under_a_drift_the_regions_of_predicted_points_hold(rho: float) -> None:
     assert np.mean(plain) <= (0.10 if rho > 0.9 else 0.40)
 
 
-def _held(result: Result, joints: dict[str, Array], covariance: Array) -> float:
+def _held(result: FitResult, joints: dict[str, Array], covariance: Array) -> float:
     """Share of points whose joint 95 % region holds the truth."""
     mechanism, none = result.mechanism, np.zeros((0, 10))
     x = np.array([joints.get(q, np.zeros(10)) for q in mechanism.quantities])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.measurements.noise import Noise
 from tests.reference.machines import MACHINES
 from tests.reference.simulated import Simulated, arm_at, ma1400, planar_arm
@@ -14,7 +14,7 @@ from tests.reference.simulated import Simulated, arm_at, ma1400, planar_arm
 ARMS = {"planar": planar_arm(), "MA1400": ma1400()}
 
 
-def worst_error(simulated: Simulated, result: Result) -> float:
+def worst_error(simulated: Simulated, result: FitResult) -> float:
     return max(abs(result.value[name] - true) for name, true in simulated.values.items())
 
 

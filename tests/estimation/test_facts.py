@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -31,33 +31,33 @@ CASES = cases()
 DRAWS = 300
 
 
-def fit(case: Case, data: Dataset, **changes: Any) -> Result:
+def fit(case: Case, data: Dataset, **changes: Any) -> FitResult:
     arguments = {"noise": case.noise, "start": "nominal", **changes}
     result = calibrate(arguments.pop("machine", case.truth), data, **arguments)
     assert result.status.converged
     return result
 
 
-def values(result: Result) -> Array:
+def values(result: FitResult) -> Array:
     return np.array([result.value[name] for name in result.estimated])
 
 
-def sds(result: Result) -> Array:
+def sds(result: FitResult) -> Array:
     return np.sqrt(np.diag(result.covariance))
 
 
-def apart(first: Result, second: Result) -> float:
+def apart(first: FitResult, second: FitResult) -> float:
     """Largest distance of two results in sds."""
     return float(np.max(abs(values(first) - values(second)) / sds(first)))
 
 
-def chi_squared(result: Result) -> float:
+def chi_squared(result: FitResult) -> float:
     assert result.chi_squared is not None
     return result.chi_squared.value
 
 
 @cache
-def many_fits(name: str) -> list[Result]:
+def many_fits(name: str) -> list[FitResult]:
     """Fits of many draws of one case, made once for all laws about them."""
     case = CASES[name]
     return [fit(case, case.draw(seed)) for seed in range(DRAWS)]

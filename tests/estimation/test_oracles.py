@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -37,11 +37,11 @@ def nominal_of(machine: Mechanism) -> Array:
     return np.array([p.nominal for p in machine.parameters])
 
 
-def values_of(result: Result) -> Array:
+def values_of(result: FitResult) -> Array:
     return np.array(list(result.value.values()))
 
 
-def sds_of_result(result: Result) -> Array:
+def sds_of_result(result: FitResult) -> Array:
     return np.array([math.nan if sd is None else sd for sd in result.sd.values()])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.files.tables.readers import read_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -60,7 +60,7 @@ def left_arm() -> Mechanism:
     return serial_arm(joints, {**NOMINAL, **LEFT}, name="MA1400, left arm")
 
 
-def rms_in_mm(result: Result) -> float:
+def rms_in_mm(result: FitResult) -> float:
     assert result.accuracy_after is not None
     return 1e3 * result.accuracy_after.rms
 

@@ -11,7 +11,7 @@ from loopcal.document.tables import parameter_table
 from loopcal.estimation.accuracy import Accuracy
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit_document import fit_document
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.prior import Prior
 from loopcal.presentation.shown import columns
@@ -32,7 +32,7 @@ phi30      -1.2149  -0.0117  0.0098  deg"""
 
 
 @pytest.fixture(scope="module")
-def result() -> Result:
+def result() -> FitResult:
     simulated = planar_arm(40)
     data = simulated.read(SDS, seed=1)
     return calibrate(
@@ -40,11 +40,11 @@ def result() -> Result:
     )
 
 
-def test_every_parameter_has_value_change_and_sd_rounded_by_the_sd(result: Result) -> None:
+def test_every_parameter_has_value_change_and_sd_rounded_by_the_sd(result: FitResult) -> None:
     assert "\n".join(parameter_table(fit_document(result).parameters)) == PARAMETERS
 
 
-def test_the_whole_says_method_state_fit_accuracy_and_parameters(result: Result) -> None:
+def test_the_whole_says_method_state_fit_accuracy_and_parameters(result: FitResult) -> None:
     text = str(fit_document(result))
     lines = text.splitlines()
     assert lines[0] == "planar two-link arm: implicit loop (all sensors uncertain)"
@@ -63,11 +63,11 @@ def test_the_whole_says_method_state_fit_accuracy_and_parameters(result: Result)
     assert "WARNING" not in text
 
 
-def test_it_stays_within_a_terminal(result: Result) -> None:
+def test_it_stays_within_a_terminal(result: FitResult) -> None:
     assert max(len(line) for line in str(fit_document(result)).splitlines()) <= 100
 
 
-def test_known_errors_stand_beside_the_sds(result: Result) -> None:
+def test_known_errors_stand_beside_the_sds(result: FitResult) -> None:
     errors = dict.fromkeys(result.value, 0.0) | {"xA": 1.23e-4, "phi20": -1e-4}
     known = calibration_document(fit_document(result), Parts(errors=errors))
     table = parameter_table(known.parameters)
@@ -151,18 +151,18 @@ def test_columns_line_up() -> None:
     assert columns(rows) == ["name    value  unit", "a        1.25  mm", "longer    -30  deg"]
 
 
-def test_a_notebook_shows_a_table_and_a_terminal_one_line(result: Result) -> None:
+def test_a_notebook_shows_a_table_and_a_terminal_one_line(result: FitResult) -> None:
     assert lc.Result.of(result)._repr_html_().startswith("<div><p><b>planar two-link arm</b>")
     assert repr(result) == "<Result: implicit-loop, converged, 5 parameters>"
 
 
-def test_the_calibrated_machine_is_the_next_nominal(result: Result) -> None:
+def test_the_calibrated_machine_is_the_next_nominal(result: FitResult) -> None:
     again = result.calibrated
     assert {p.name: p.nominal for p in again.parameters} == dict(result.value)
     assert again.tape is result.mechanism.tape
 
 
-def test_a_result_cannot_be_changed(result: Result) -> None:
+def test_a_result_cannot_be_changed(result: FitResult) -> None:
     with pytest.raises(TypeError):
         result.value["l3"] = 1.0  # type: ignore[index]
     with pytest.raises(ValueError, match="read-only"):

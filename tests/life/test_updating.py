@@ -18,7 +18,7 @@ from analyses.what_changed import NOISE, joints, measured
 from analyses.what_changed import arm as arm_as_drawn
 from loopcal.companions.life.updating import update
 from loopcal.document.triangle import symmetric
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.statistics.calibrated import Calibrated
 from tests.command_line import run_here as run
 from tests.reference.simulated import planar_arm
@@ -29,11 +29,11 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "motoman"
 FIRST, SECOND = np.arange(50), np.arange(50, 100)
 
 
-def values(result: Result) -> np.ndarray:
+def values(result: FitResult) -> np.ndarray:
     return np.array([result.value[name] for name in result.estimated])
 
 
-def sds(result: Result) -> np.ndarray:
+def sds(result: FitResult) -> np.ndarray:
     return np.array([result.sd[name] for name in result.estimated], dtype=float)
 
 

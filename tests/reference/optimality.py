@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from tests.reference.plain_tape import complex_step, loop_values
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Optimality:
 
 
 def optimality(
-    result: Result, covariances: Array, prior: dict[str, float] | None = None
+    result: FitResult, covariances: Array, prior: dict[str, float] | None = None
 ) -> Optimality:
     """covariances: (N, k, k) of the readings, all finite; prior: sds by name."""
     machine = result.mechanism
@@ -63,7 +63,7 @@ def optimality(
     return Optimality(float(abs(f).max()), deviation, max(decrement, 0.0) ** 0.5, merit)
 
 
-def diagonal(result: Result, sds: dict[str, Any]) -> Array:
+def diagonal(result: FitResult, sds: dict[str, Any]) -> Array:
     """Covariances (N, k, k) from sds by quantity."""
     names = result.mechanism.tape.quantities
     poses = len(result.dataset)

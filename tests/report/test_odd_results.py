@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.report.page import report_html
 from loopcal.report.source import read_source
 from loopcal.workflow.result import write_result
@@ -28,7 +28,7 @@ DATA = MADE.dataset
 NOISE = lc.Noise({"*": 1e-3})
 
 
-def without_outputs() -> Result:
+def without_outputs() -> FitResult:
     mechanism = lc.Mechanism.from_function(
         lambda x, p: (x.a * p.gain + p.zero - x.b,),
         quantities={"a": "m", "b": "m"},
@@ -39,7 +39,7 @@ def without_outputs() -> Result:
     return lc.calibrate(mechanism, data, noise=NOISE, method="implicit-loop")
 
 
-def with_gaps() -> Result:
+def with_gaps() -> FitResult:
     holes = DATA["xP"].copy()
     holes[3] = np.nan
     data = lc.Dataset.from_arrays(

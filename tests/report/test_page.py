@@ -215,7 +215,7 @@ def test_parameters_are_grouped_by_joint_and_say_what_they_mean(six_axis: Path) 
 def test_no_number_is_a_negative_zero(planar: Path, six_axis: Path) -> None:
     for folder in (planar, six_axis):
         page = (folder / "report.html").read_text("utf-8")
-        text = page_text(page.replace(str(folder), ""))  # a folder may be called pytest-0
+        text = page_text(re.sub(r"pytest-\d+", "", page))  # commands name the result's folder
         assert not re.search(r"-0(?:\.0+)?(?![\d.])", text)
 
 

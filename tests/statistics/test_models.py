@@ -11,7 +11,7 @@ import pytest
 
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.effects.effect import Model, with_effects, with_only
@@ -133,7 +133,7 @@ def test_models_are_compared_on_the_poses_that_all_of_them_predict(
     gone = {data.poses[i] for i in parts[0]}
     whole = compare_models(arm(), data, MODELS, noise=NOISE, folds=5, method="implicit-loop")
 
-    def failing(mechanism: Mechanism, given: Dataset, **how: Any) -> Result:
+    def failing(mechanism: Mechanism, given: Dataset, **how: Any) -> FitResult:
         larger = len(mechanism.parameters.free) > len(with_only(arm(), Model()).parameters.free)
         if larger and not gone & set(given.poses):
             raise InputError("these poses do not close")
@@ -162,7 +162,7 @@ def test_models_are_compared_on_the_poses_that_all_of_them_predict(
 def test_a_model_that_cannot_be_fitted_is_listed_and_the_others_are_compared(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def failing(mechanism: Mechanism, given: Dataset, **how: Any) -> Result:
+    def failing(mechanism: Mechanism, given: Dataset, **how: Any) -> FitResult:
         if len(mechanism.parameters.free) > len(with_only(arm(), Model()).parameters.free):
             raise InputError("too few poses for this model")
         return calibrate(mechanism, given, **how)

@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 import loopcal as lc
 from loopcal.errors import Code, InputError
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.statistics import case
 from loopcal.statistics.folds import blocks, folds, grouped, held_out, repeated
 from loopcal.statistics.validate import compare_methods, validate
@@ -331,7 +331,7 @@ def test_a_fold_that_fails_is_reported_and_the_others_count(
     parts = folds(repeated(ARM.truth, DATA), 5, seed=0)
     gone = {DATA.poses[i] for i in parts[2]}
 
-    def failing(mechanism: lc.Mechanism, data: lc.Dataset, **how: Any) -> Result:
+    def failing(mechanism: lc.Mechanism, data: lc.Dataset, **how: Any) -> FitResult:
         if not gone & set(data.poses):
             raise InputError("these poses do not close")
         return calibrate(mechanism, data, **how)

@@ -15,7 +15,7 @@ from loopcal.errors import InputError, UsageError
 from loopcal.presentation.shown import with_unit
 
 if TYPE_CHECKING:
-    from loopcal.estimation.result import Result
+    from loopcal.estimation.result import FitResult
     from loopcal.execution.executor import Executor
 
 
@@ -93,7 +93,7 @@ class Progress(_Line):
         """Show how many of the folds, or of other pieces, are done, if it is time to."""
         self.show(lambda _: f"{self.fitted_words}{done} of {total} {what}")
 
-    def fitted(self, result: Result) -> None:
+    def fitted(self, result: FitResult) -> None:
         """Show the accuracy of the fit while it is judged; on a terminal at once."""
         accuracy = result.accuracy_after
         if accuracy is not None:

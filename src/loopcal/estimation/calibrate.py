@@ -14,7 +14,7 @@ from loopcal.estimation.faults.search import suspicious
 from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.methods.registry import PLAIN, names_where
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.robust import solve_robust
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
@@ -38,7 +38,7 @@ def calibrate(
     near: Mapping[str, Array] | None = None,
     trusted: bool = False,
     **options: Unpack[FitOptions],
-) -> Result:
+) -> FitResult:
     """Calibrate a mechanism by one stated method, by default the implicit loop.
 
     As `loopcal.statistics.calibrate.calibrate`, which also chooses the method. near: the fit begins
@@ -62,13 +62,13 @@ def calibrate(
         return _result(fitted(state, once))
 
 
-def _result(state: State) -> Result:
+def _result(state: State) -> FitResult:
     """What all poses in memory came to."""
     begun, learnt = state.problem, state.estimate
     assert state.end is not None
     # The result evaluates the nominal machine at the start of its problem.
     problem = replace(learnt.problem, start=begun.start) if learnt else begun
-    return Result(state.fit, state.data, problem, state.end, begun, learnt, faults=state.faults)
+    return FitResult(state.fit, state.data, problem, state.end, begun, learnt, faults=state.faults)
 
 
 def _without_copies(

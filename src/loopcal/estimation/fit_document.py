@@ -16,12 +16,12 @@ from loopcal.estimation.document_parts import (
 )
 from loopcal.estimation.noise.learning import joint_covariances
 from loopcal.estimation.redundancy import Redundancy, redundancy
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 
 
 @one_blas_thread()
-def fit_document(result: Result) -> ResultDocument:
+def fit_document(result: FitResult) -> ResultDocument:
     """The document of a fit: what was added beside it, and a verdict, are not in it."""
     status = result.status
     spread = result.learnt_covariance, result.spectrum.covariance()
@@ -68,7 +68,7 @@ def fit_document(result: Result) -> ResultDocument:
     )
 
 
-def _redundancy(result: Result) -> Redundancy | None:
+def _redundancy(result: FitResult) -> Redundancy | None:
     """What readings control of each other; None of a stream, a robust loss, exact readings."""
     if result.all_poses is not None or result.fit.robust_loss is not None:
         return None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import taken
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.reduction import Accumulator, spectrum
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import Sweeper
@@ -41,7 +41,7 @@ class Beginning:
     factor: float = 1.0
 
 
-def leaving_out(whole: Result, index: NDArray[np.intp]) -> Beginning | None:
+def leaving_out(whole: FitResult, index: NDArray[np.intp]) -> Beginning | None:
     """Where the fit of all other poses begins; None where these say nothing of a parameter.
 
     whole: the fit of all poses; index: positions of those left out.

@@ -17,7 +17,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import solve
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.measurements.dataset import Dataset
@@ -136,7 +136,7 @@ def _misfit(problem: Problem, data: Dataset) -> str:
     """How far the best fit is from the readings, in words."""
     fit = Fit(method=names_where("exact")[0])
     alike = problem.weighted(Weighting.ALIKE)
-    best = Result(fit, data, alike, solve(alike), alike)
+    best = FitResult(fit, data, alike, solve(alike), alike)
     apart = best.accuracy_after
     if apart is not None:
         size = with_unit(apart.rms, apart.unit)

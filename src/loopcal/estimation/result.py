@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class FitResult:
     """A fit. Values are SI; mappings go by name.
 
     fit: the settings; dataset: the readings; problem: with the sds used, solution: where the fit

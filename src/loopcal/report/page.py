@@ -18,7 +18,7 @@ from loopcal.document.tables import shown_parameters
 from loopcal.document.verdict import UNJUDGED
 from loopcal.errors import UsageError
 from loopcal.estimation.methods.registry import method_named
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.report import tables, top
 from loopcal.report.drawn import distances, figures
 from loopcal.report.section import Section
@@ -69,7 +69,7 @@ def report_html(sources: Sequence[Source], sections: SectionsOf = lambda _: ()) 
 
 
 def page_of(
-    result: Result, folder: str | Path, sections: SectionsOf
+    result: FitResult, folder: str | Path, sections: SectionsOf
 ) -> Callable[[ResultDocument], str]:
     """Makes the report of a result from its document, before both are written to a folder."""
     return lambda document: report_html([source_of(result, document, folder)], sections)

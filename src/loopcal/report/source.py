@@ -7,7 +7,7 @@ from datetime import date
 from pathlib import Path
 
 from loopcal.document.result_document import MechanismEntry, ResultDocument
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.files.machines.mechanism_file import read_arm
 from loopcal.files.result.deployed import Deployed, read_deployed
 from loopcal.files.result.pose_table import PoseTable, pose_table, read_pose_table
@@ -38,7 +38,7 @@ class Source:
         return self.document.title or self.name
 
 
-def source_of(result: Result, document: ResultDocument, folder: str | Path) -> Source:
+def source_of(result: FitResult, document: ResultDocument, folder: str | Path) -> Source:
     """Of a result and its document, about to be written to a folder."""
     return Source(Path(folder).name, document, pose_table(result), result.calibrated)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate as calibrate_by_method
 from loopcal.estimation.fit import Fit, FitOptions
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress
 from loopcal.execution.executor import Executor
 from loopcal.measurements.dataset import Dataset
@@ -29,7 +29,7 @@ def calibrate(
     scheme: Scheme | None = None,
     executor: Executor | None = None,
     **options: Unpack[FitOptions],
-) -> Result:
+) -> FitResult:
     """Calibrate a mechanism from readings.
 
     data: a Dataset, or a dict of (N,) arrays or any DataFrame of readings in SI units; noise: a

@@ -13,7 +13,7 @@ from loopcal.document.choice import TermEntry
 from loopcal.document.fit import ChiSquared, NoiseEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.triangle import symmetric
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.small_samples import LearntCovariance
@@ -63,7 +63,7 @@ class Calibrated:
     hidden: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, result: Result, name: str) -> Calibrated:
+    def of(cls, result: FitResult, name: str) -> Calibrated:
         """From a result."""
         system, parameters = result.spectrum, result.mechanism.parameters
         exact = result.fit.solver.exact
@@ -166,7 +166,7 @@ class Calibrated:
 
     @property
     def stationed(self) -> Calibrated:
-        """The same as a machine that can be placed anew (see `mechanisms.stationed`)."""
+        """The same as a machine that can be placed anew (see `mechanisms.station`)."""
         from loopcal.mechanisms.station import stationed
 
         made, size = stationed(self.mechanism), len(self.nominal)
@@ -203,7 +203,7 @@ class Calibrated:
         return replace(self, covariance=scaled)
 
 
-def _hidden(result: Result) -> dict[str, float]:
+def _hidden(result: FitResult) -> dict[str, float]:
     """The median of what the loops find of each quantity that no sensor reads in any pose."""
     problem, names = result.problem, result.problem.mechanism.tape.quantities
     return {

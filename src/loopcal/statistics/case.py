@@ -21,7 +21,7 @@ from loopcal.estimation.calibrate import calibrate, may_be_faulty
 from loopcal.estimation.fit import Fit, instrument_noise, modelled
 from loopcal.estimation.methods import implicit_loop
 from loopcal.estimation.problem.problem import Weighting
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress
 from loopcal.lazy import cached_property
 from loopcal.measurements.copies import copies
@@ -71,7 +71,7 @@ class Case:
         data, noise = self.data.without_outliers(outliers), taken(self.noise, kept)
         return replace(self, data=data, noise=noise)
 
-    def calibrated(self, index: Index | None = None, progress: Progress | None = None) -> Result:
+    def calibrated(self, index: Index | None = None, progress: Progress | None = None) -> FitResult:
         """The calibration of these poses, by default of all; what copies are, all rows say.
 
         progress: called at every iteration.

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from loopcal.document.change_points import Change, ChangePoint, Moved
 from loopcal.errors import InputError
 from loopcal.estimation.dependence.dependence import joint_rows
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.presentation.shown import wrapped
 from loopcal.statistics.estimated import log_tail
@@ -123,7 +123,7 @@ class _Step:
         return rows[:, None, None] * self.candidate.columns
 
 
-def find_shifts(result: Result, *, level: float = 0.01, most: int = 8) -> Shifts:
+def find_shifts(result: FitResult, *, level: float = 0.01, most: int = 8) -> Shifts:
     """The change points of a calibration: rows, what moved, size and significance.
 
     Candidates are each target on the body, each instrument's place, each joint's zero and each
@@ -156,7 +156,7 @@ def apart(point: ChangePoint, points: Sequence[ChangePoint]) -> bool:
 class _Search:
     """Forward selection of steps, each placed anew when another joins."""
 
-    def __init__(self, result: Result, level: float) -> None:
+    def __init__(self, result: FitResult, level: float) -> None:
         self.problem, self.level = result.problem, level
         self.system = ordered_system(result)
         changes = possible(self.problem, ALONG_A_RUN)

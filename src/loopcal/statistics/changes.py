@@ -19,7 +19,7 @@ from loopcal.document.change_points import ChangePoint, ChangePoints, when
 from loopcal.document.findings import Outlier
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.fit import Fit, modelled
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.mechanism import Mechanism
@@ -61,7 +61,7 @@ class Changes:
     outliers: Mapping[str, Outlier] = field(default_factory=dict)
     searched: Shifts | None = None
     toml: str = ""
-    whole: Result | None = None
+    whole: FitResult | None = None
     made: Mechanism | None = None
 
     @property
@@ -98,7 +98,7 @@ def unchanged(case: Case) -> Changes:
     return Changes(case, case, np.arange(len(case.data)))
 
 
-def changes(case: Case, way: Fit, whole: Result) -> Changes:
+def changes(case: Case, way: Fit, whole: FitResult) -> Changes:
     """What is certain to have happened during the run of a case.
 
     way: how a structured candidate is fitted; whole: that fit of all poses. Where

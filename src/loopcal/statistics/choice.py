@@ -32,7 +32,7 @@ from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.dependence.dependence import likenesses
 from loopcal.estimation.plausible import CODE as CONTRADICTED
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
@@ -78,7 +78,7 @@ class Judged:
     """
 
     entrant: Entrant
-    whole: Result | None
+    whole: FitResult | None
     made: tuple[Outcome, ...] = ()
     failed: str = ""
     error: LoopcalError | None = None
@@ -94,7 +94,7 @@ class Choice:
     """result: of the chosen candidate, with what was chosen, over what, by how much, and what
     happened during the run, as its parts; validation: of that candidate."""
 
-    result: Result
+    result: FitResult
     validation: Validation | None
 
 
@@ -129,7 +129,7 @@ def choose(
     case = replace(case, trusted=True)
     judged, run_changes, by = _searched(case, judged, [_begun(e, None) for e in waiting], iterated)
     near = next((one.whole for one in judged if one.whole and not one.failed), None)
-    whole_fits: dict[str, Result | None] = {}
+    whole_fits: dict[str, FitResult | None] = {}
     if run_changes.points:
         case, near, whole_fits = run_changes.case, run_changes.whole, {by: run_changes.whole}
         judged, waiting = [], list(entrants(case, run_changes.moved, run_changes.made))
@@ -165,7 +165,7 @@ def choose(
     return Choice(result, validation)
 
 
-def _chosen(case: Case, result: Result, chosen: Chosen) -> Result:
+def _chosen(case: Case, result: FitResult, chosen: Chosen) -> FitResult:
     """The result of a candidate, with what is told of its choice."""
     return result.with_parts(
         method=case.fit.method.name, chosen=chosen, noise_floor=noise_floor(result)
@@ -197,7 +197,7 @@ def _closest(judged: Sequence[Judged]) -> Judged | None:
     return min(able, key=misfit, default=None)
 
 
-def _begun(one: Entrant, whole: Result | None) -> Entrant:
+def _begun(one: Entrant, whole: FitResult | None) -> Entrant:
     """A further candidate, for which no fault of the file is sought.
 
     A plain one begins where another, whole, has converged, and needs no other starts.
@@ -260,7 +260,7 @@ def _of(scheme: Scheme | None, run_changes: Changes) -> Scheme | None:
 def _all_fitted(
     entrants: Sequence[Entrant],
     iterated: Iterated | None,
-    whole_fits: Mapping[str, Result | None],
+    whole_fits: Mapping[str, FitResult | None],
     plan: Callable[[], Plan | None],
 ) -> tuple[list[Judged], Plan | None]:
     """Candidates with their fits of all poses, and a plan, side by side.
@@ -277,7 +277,7 @@ def _all_fitted(
     return outcomes[:-1], outcomes[-1]
 
 
-def _fitted(one: Entrant, iterated: Iterated | None, whole: Result | None = None) -> Judged:
+def _fitted(one: Entrant, iterated: Iterated | None, whole: FitResult | None = None) -> Judged:
     """A candidate with its fit of all poses; whole: that fit, where it is at hand."""
     try:
         whole = one.case.calibrated(progress=iterated) if whole is None else whole
@@ -370,7 +370,7 @@ def _rms(one: Judged, made: Sequence[Outcome]) -> float:
     return math.sqrt(float(values.mean())) if values.size else math.inf
 
 
-def _risks(whole: Result, part: Predicted) -> Array:
+def _risks(whole: FitResult, part: Predicted) -> Array:
     """(n,) squared distances; without outputs minus twice the log densities."""
     distances = by_pose(deviations(whole.mechanism, part.measured, part.differences))
     if distances is not None:

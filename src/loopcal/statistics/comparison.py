@@ -43,7 +43,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.alignment import align
 from loopcal.estimation.problem.constants import with_latest
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
@@ -68,8 +68,8 @@ _CHOOSES = 0.25
 
 
 def compare(
-    a: Result | Calibrated,
-    b: Result | Calibrated,
+    a: FitResult | Calibrated,
+    b: FitResult | Calibrated,
     *,
     poses: Dataset | None = None,
     align: bool = True,
@@ -82,8 +82,8 @@ def compare(
 
     Raises InputError where the two are not the same machine, or no poses are known.
     """
-    a = Calibrated.of(a, "A") if isinstance(a, Result) else a
-    b = Calibrated.of(b, "B") if isinstance(b, Result) else b
+    a = Calibrated.of(a, "A") if isinstance(a, FitResult) else a
+    b = Calibrated.of(b, "B") if isinstance(b, FitResult) else b
     stood, (a, b) = (a, b), (_unstationed(a), _unstationed(b))
     _check_same(a.mechanism, b.mechanism)
     aligned = align and a.mechanism.placement is not None and len(a.mechanism.outputs) in (2, 3)

@@ -16,7 +16,7 @@ import numpy as np
 from loopcal.document.change_points import ChangePoint
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import NUMBER, with_shifts
@@ -57,7 +57,7 @@ class Ending:
         )
 
 
-def continued(case: Case, ending: Ending) -> Result:
+def continued(case: Case, ending: Ending) -> FitResult:
     """The calibration by its stated method, or by the candidate that "auto" took last, from where
     an earlier one ended.
 

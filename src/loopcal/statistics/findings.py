@@ -19,7 +19,7 @@ from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import accuracy
 from loopcal.estimation.prediction import output_differences
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import gathered
 from loopcal.execution.forked import process_cores
@@ -81,7 +81,7 @@ class Findings:
         return "\n".join(lines + [str(optimum) for optimum in self.optima])
 
 
-def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findings:
+def findings(result: FitResult, region: Mapping[str, Span] | None = None) -> Findings:
     """Everything that follows from the result's parameter system.
 
     region: quantity -> range [SI] in which the machine works, where not its joints' limits.
@@ -89,7 +89,7 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
     solution = result.solution
     with one_blas_thread():
         prediction = predictor(result)
-        searches: tuple[Callable[[Result], Any], ...] = (find_columns, find_poses, _shifts)
+        searches: tuple[Callable[[FitResult], Any], ...] = (find_columns, find_poses, _shifts)
         columns, outliers, shifts = gathered(process_cores(), _searched, result, searches)
         if columns:
             outliers, shifts = of_file(columns), NOT_SEARCHED
@@ -122,24 +122,24 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
         )
 
 
-def _searched(result: Result, search: Callable[[Result], Any]) -> Any:
+def _searched(result: FitResult, search: Callable[[FitResult], Any]) -> Any:
     return search(result)
 
 
-def _shifts(result: Result) -> Shifts:
+def _shifts(result: FitResult) -> Shifts:
     """What changed during the run, where no column is at fault."""
     able = result.status.converged and not result.faults
     return find_shifts(result) if able else NOT_SEARCHED
 
 
-def _unit_sd(result: Result) -> float | None:
+def _unit_sd(result: FitResult) -> float | None:
     """Sd of a whitened equation: 1 by the stated sds, else from the residuals."""
     freedom = result.solution.equations - data_spectrum(result.information).rank
     variance = result.fit.solver.unit_variance(result.information.chi_squared, freedom)
     return None if variance is None else math.sqrt(variance)
 
 
-def nominal_distances(result: Result) -> Distances | None:
+def nominal_distances(result: FitResult) -> Distances | None:
     """Accuracy of the nominal machine, placed and mounted, on the poses of a result."""
     if not result.mechanism.outputs:
         return None
@@ -152,7 +152,7 @@ def nominal_distances(result: Result) -> Distances | None:
     return None if nominal_accuracy is None else nominal_accuracy.distances
 
 
-def sized(result: Result, point: ChangePoint) -> ChangePoint:
+def sized(result: FitResult, point: ChangePoint) -> ChangePoint:
     """The change with `moves`, the rms distance over the poses by which the whole of it moves the
     outputs, computed or read; unknown without outputs, and of a stream.
 

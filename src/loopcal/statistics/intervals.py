@@ -28,7 +28,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import solve
@@ -81,7 +81,7 @@ def interval_entries(intervals: Mapping[str, Interval | None]) -> dict[str, Inte
     return {name: unbounded if i is None else i.entry for name, i in intervals.items()}
 
 
-def covariance_interval(result: Result, name: str, level: float = 0.95) -> Interval | None:
+def covariance_interval(result: FitResult, name: str, level: float = 0.95) -> Interval | None:
     """The interval value +- quantile * sd; None where fixed or not identifiable.
 
     quantile: of the normal distribution; of Student's t where sds were learnt, and for least
@@ -96,7 +96,7 @@ def covariance_interval(result: Result, name: str, level: float = 0.95) -> Inter
 
 
 def intervals(
-    result: Result,
+    result: FitResult,
     patterns: str | Iterable[str] = "*",
     *,
     level: float = 0.95,
@@ -132,7 +132,7 @@ def intervals(
     return MappingProxyType({**plain, **dict(zip(profiled, by_profile, strict=True))})
 
 
-def _check(result: Result) -> None:
+def _check(result: FitResult) -> None:
     if not result.fit.solver.likelihood:
         raise InputError(
             f"the method {result.method!r} has no likelihood to profile",
@@ -169,7 +169,7 @@ class _Optimum:
     limits: Array
 
     @classmethod
-    def of(cls, result: Result, level: float) -> _Optimum:
+    def of(cls, result: FitResult, level: float) -> _Optimum:
         whole, method = result.problem, result.fit.solver
         best = np.array([result.value[n] for n in whole.mechanism.parameters.names])
         least = _merit(result, whole, best)
@@ -276,7 +276,7 @@ def _held(problem: Problem, j: int) -> Problem:
     )
 
 
-def _merit(result: Result, problem: Problem, best: Array) -> float:
+def _merit(result: FitResult, problem: Problem, best: Array) -> float:
     """Chi-squared at the solution (the sum of squared loop values for an exact method)."""
     if not result.fit.solver.exact:
         assert result.chi_squared is not None

@@ -28,7 +28,7 @@ from loopcal.document.plain import finite
 from loopcal.document.tables import model_table, recommendation
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.execution.executor import Executor, Progress
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
@@ -92,7 +92,7 @@ class ModelComparison:
 
     models: tuple[ComparedModel, ...]
     recommended: str
-    result: Result
+    result: FitResult
 
     @property
     def entries(self) -> tuple[ModelEntry, ...]:
@@ -151,7 +151,7 @@ def compare_models(
     mechanism = asked.fit.with_prior(mechanism)
     by_one = asked.fit.changed(method=asked.fit.among(data, stated_noise)[0], prior=None)
     shared = Case(mechanism, data, stated_noise, by_one)
-    fits: dict[str, Result] = {}
+    fits: dict[str, FitResult] = {}
     errors: list[InputError] = []
     compared: list[ComparedModel] = []
     for name, model in models.items():
@@ -176,7 +176,7 @@ def compare_models(
     return replace(comparison, result=result)
 
 
-def _validated(one: ComparedModel, fit: Result, run: Callable[[], Validation]) -> ComparedModel:
+def _validated(one: ComparedModel, fit: FitResult, run: Callable[[], Validation]) -> ComparedModel:
     if not fit.status.converged:
         return replace(one, failed=f"the fit did not converge ({fit.status.reason})")
     try:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.accuracy import main_unit
 from loopcal.estimation.noise.learning import typical_sd
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.mechanisms.outputs import POLAR, Seen, cartesian, seen_outputs
 
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _STEP = 1e-20
 
 
-def noise_floor(result: Result) -> float | None:
+def noise_floor(result: FitResult) -> float | None:
     """Root mean square distance [unit of the accuracy] that the noise of the readings causes.
 
     None where no sds are known, or nothing is computed.
@@ -36,7 +36,7 @@ def noise_floor(result: Result) -> float | None:
     return _floor(result)
 
 
-def excess(result: Result) -> float | None:
+def excess(result: FitResult) -> float | None:
     """The errors at the outputs over those that the stated sds of all sensors cause, by the error
     beside the sensors that a fit learnt; None where it learnt none, or sds of sensors as well."""
     if result.fit.solver.exact or result.estimate is None:
@@ -52,7 +52,7 @@ def excess(result: Result) -> float | None:
     return math.sqrt(1.0 + sum(sd**2 for sd in model_sds) / floor**2) if floor else None
 
 
-def _floor(result: Result) -> float | None:
+def _floor(result: FitResult) -> float | None:
     mechanism, problem = result.calibrated, result.problem
     quantities = mechanism.tape.quantities
     unit = main_unit(result.deviations(result.differences_after))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.findings import OtherOptimum
 from loopcal.errors import InputError
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import solve
 from loopcal.presentation.shown import significant, with_unit
@@ -41,7 +41,7 @@ _MOST = 30
 _SAME = 1e-6
 
 
-def other_optima(result: Result) -> tuple[OtherOptimum, ...]:
+def other_optima(result: FitResult) -> tuple[OtherOptimum, ...]:
     """Optima of the implicit loop with two parameters exchanged that fit about as well.
 
     Sought where an angle is read with an sd of at least VAGUE, or not at all; elsewhere, and for
@@ -67,7 +67,7 @@ def other_optima(result: Result) -> tuple[OtherOptimum, ...]:
     return tuple(optima[chi] for chi in sorted(optima))
 
 
-def _vague(result: Result) -> bool:
+def _vague(result: FitResult) -> bool:
     quantities = result.mechanism.quantities
     home = {**result.mechanism.implied, **result.mechanism.home}
     angles = [name for name in quantities if quantities[name] == "rad" and name not in home]
@@ -75,7 +75,7 @@ def _vague(result: Result) -> bool:
     return any(bool((sd >= VAGUE).any()) for sd in sds)
 
 
-def _exchanged(result: Result) -> Iterator[Array]:
+def _exchanged(result: FitResult) -> Iterator[Array]:
     """Parameters with two of one unit and like size exchanged, those farthest apart first."""
     names = result.mechanism.parameters.names
     values = np.array([result.value[name] for name in names])
@@ -93,7 +93,7 @@ def _exchanged(result: Result) -> Iterator[Array]:
         yield start
 
 
-def _optimum(result: Result, parameters: Array, chi_squared: float) -> OtherOptimum:
+def _optimum(result: FitResult, parameters: Array, chi_squared: float) -> OtherOptimum:
     values = dict(zip(result.mechanism.parameters.names, parameters.tolist(), strict=True))
     moved = {
         name: values[name]

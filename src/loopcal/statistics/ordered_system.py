@@ -21,7 +21,7 @@ from loopcal.estimation.dependence.dependence import joint_rows, pose_order
 from loopcal.estimation.dependence.seen import instruments, units_of
 from loopcal.estimation.problem.pose_equations import rounding_left
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.structure.smooth import Smooth
 from loopcal.mechanisms.structure.structured import DISCREPANCY
@@ -375,7 +375,7 @@ class _Factor:
         return np.asarray(self.scale * np.linalg.solve(self.H, self.scale * g))
 
 
-def ordered_system(result: Result) -> OrderedSystem:
+def ordered_system(result: FitResult) -> OrderedSystem:
     """The system of a calibration in memory."""
     problem, solution = result.problem, result.solution
     equations, precision = result.pose_equations(), problem.precision

@@ -19,7 +19,7 @@ from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.faults.misfit import HALF, misfit
 from loopcal.estimation.problem.pose_equations import rounding_left
 from loopcal.estimation.problem.problem import Problem, taken
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.solution import Solution
 from loopcal.statistics.folds import blocks
@@ -44,7 +44,7 @@ _ROUNDS, _HOPELESS, _BENT, _REJECTED = 10, 100.0, 10.0, 1e-3
 class Search:
     """The search for the set of poses that do not fit."""
 
-    def __init__(self, result: Result, level: float, scale: str) -> None:
+    def __init__(self, result: FitResult, level: float, scale: str) -> None:
         self.result, self.problem = result, result.problem
         self.exact = result.fit.solver.exact
         self.level = level

@@ -24,7 +24,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.mechanisms.outputs import points
 from loopcal.presentation.shown import significant
@@ -96,7 +96,7 @@ class Outliers:
         return lines
 
 
-def find_outliers(result: Result, *, level: float = _LEVEL, scale: str = _SCALE) -> Outliers:
+def find_outliers(result: FitResult, *, level: float = _LEVEL, scale: str = _SCALE) -> Outliers:
     """The poses and readings that do not fit, with what probably happened to them.
 
     level: probability that anything is named where every reading is good; half of it is spent on
@@ -130,7 +130,7 @@ def of_file(columns: tuple[ColumnFault, ...], level: float = _LEVEL) -> Outliers
     return Outliers((), level, 0, 1.0, False, columns)
 
 
-def find_columns(result: Result) -> tuple[ColumnFault, ...]:
+def find_columns(result: FitResult) -> tuple[ColumnFault, ...]:
     """Columns that are wrong as a whole, sought where the fit may be a bad one."""
     if result.faults:
         return result.faults
@@ -139,7 +139,7 @@ def find_columns(result: Result) -> tuple[ColumnFault, ...]:
         return column_faults(result.problem) if hopeless else ()
 
 
-def find_poses(result: Result, level: float = _LEVEL, scale: str = _SCALE) -> Outliers:
+def find_poses(result: FitResult, level: float = _LEVEL, scale: str = _SCALE) -> Outliers:
     """As `find_outliers` where all columns are right."""
     with one_blas_thread():
         search = Search(result, level, scale)

@@ -53,7 +53,7 @@ def held_station(problem: Problem) -> tuple[str, ...]:
     are estimated.
 
     The transitions alone would move the geometry without what is stated in their frames (see
-    `mechanisms.stationed`).
+    `mechanisms.station`).
     """
     chain = isinstance(problem.mechanism.placement, ChainPlacement)
     return _BASE.parameters if chain and not {*_BASE.parameters} & {*problem.names} else ()

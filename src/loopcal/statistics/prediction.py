@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.constants import with_latest
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
@@ -207,7 +207,7 @@ def _spread(covariance: Array, group: OutputGroup) -> str:
 
 
 def predict(
-    calibration: Result | Predictor, data: Dataset | Any, *, noise: NoiseLike | None = None
+    calibration: FitResult | Predictor, data: Dataset | Any, *, noise: NoiseLike | None = None
 ) -> Prediction:
     """Where the calibrated machine is at these readings, with covariance and extrapolation alarm.
 

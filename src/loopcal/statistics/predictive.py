@@ -43,7 +43,7 @@ from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.products import rows_times
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.estimation.steps import begun_near
@@ -72,7 +72,7 @@ class Held:
 
 
 def held_problem(
-    fit: Result,
+    fit: FitResult,
     data: Dataset,
     noise: Noise | None,
     near: Mapping[str, Array] | None = None,
@@ -116,7 +116,7 @@ def unmeasured_corrections(problem: Problem, parameters: Array) -> Array:
     return corrections
 
 
-def _ratios(fit: Result, stated: Array) -> Array:
+def _ratios(fit: FitResult, stated: Array) -> Array:
     """By how much the fit found the variances to be larger than stated."""
     learnt = np.median(fit.problem.uncertainty.sd, axis=1)
     usable = np.isfinite(learnt) & np.isfinite(stated) & (stated > 0.0)
@@ -148,7 +148,7 @@ class Predictive:
 
 
 def predictive(
-    fit: Result, held: Held, drifting: Drifting | None = None, run: Run | None = None
+    fit: FitResult, held: Held, drifting: Drifting | None = None, run: Run | None = None
 ) -> Predictive | None:
     """What the fit stated of these poses; None where their misclosures have no density.
 
@@ -261,7 +261,7 @@ class SameRun:
 
     @classmethod
     def of(
-        cls, fit: Result, held: Problem, corrections: Array, drifting: Drifting, run: Run
+        cls, fit: FitResult, held: Problem, corrections: Array, drifting: Drifting, run: Run
     ) -> SameRun | None:
         """Of poses that a fit has not seen; None where they are too many."""
         problem, solution = fit.problem, fit.solution
@@ -310,7 +310,7 @@ def _kernel(lengths: Array, sizes: Array, rows: Positions, columns: Positions) -
     return kernel
 
 
-def _effects(fit: Result, held: Problem, corrections: Array, readings: tuple[str, ...]) -> Array:
+def _effects(fit: FitResult, held: Problem, corrections: Array, readings: tuple[str, ...]) -> Array:
     """(n, R, q) what an error of one sd of these readings does to the whitened equations."""
     rows = [held.mechanism.tape.quantities.index(name) for name in readings]
     equations = pose_equations(held, held.start, corrections)

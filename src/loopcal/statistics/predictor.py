@@ -18,7 +18,7 @@ from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.mechanisms.mechanism import Mechanism
@@ -162,7 +162,7 @@ def without_outputs(mechanism: Mechanism) -> InputError:
     )
 
 
-def predictor(result: Result) -> Predictor | None:
+def predictor(result: FitResult) -> Predictor | None:
     """What predictions need of a calibration; None for a mechanism without outputs."""
     if not result.mechanism.outputs:
         return None
@@ -184,7 +184,7 @@ def predictor(result: Result) -> Predictor | None:
     )
 
 
-def _at_poses(result: Result) -> Array | None:
+def _at_poses(result: FitResult) -> Array | None:
     """The covariance (n, n) for what the parameters do at the poses of the fit.
 
     What these share with their neighbours, and the fit took for parameters, is in their residuals

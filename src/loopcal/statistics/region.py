@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.findings import RegionEntry, RegionRange, RegionSd
 from loopcal.estimation.prediction import predict_outputs, solving
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.mechanism import Mechanism
@@ -42,7 +42,7 @@ Span = tuple[float, float]
 
 
 def region_of(
-    result: Result, calibrated: Predictor, stated: Mapping[str, Span] | None = None
+    result: FitResult, calibrated: Predictor, stated: Mapping[str, Span] | None = None
 ) -> RegionEntry | None:
     """The working region and the sds there; None where the machine cannot be moved in a box.
 
@@ -134,7 +134,7 @@ def sds_in(calibrated: Predictor, ranges: Sequence[RegionRange]) -> list[float]:
     return [float(np.sqrt(np.square(sd).mean())) if len(sd) >= _FEWEST else 0.0 for sd in sds]
 
 
-def _unexplained(result: Result, group: OutputGroup) -> float:
+def _unexplained(result: FitResult, group: OutputGroup) -> float:
     """Rms distance that the fit leaves in these outputs; 0 where nothing says it."""
     left = result.differences_after
     rows = np.array([left[q] for q in group.outputs if q in left]).reshape(-1, result.problem.count)

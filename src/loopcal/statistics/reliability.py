@@ -23,7 +23,7 @@ from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
 from loopcal.estimation.redundancy import UNCONTROLLED, redundancy
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.mechanisms.outputs import output_groups
@@ -94,7 +94,7 @@ def noncentrality(alpha: float = ALPHA, power: float = POWER) -> float:
 
 
 def reliability(
-    result: Result, *, alpha: float = ALPHA, power: float = POWER
+    result: FitResult, *, alpha: float = ALPHA, power: float = POWER
 ) -> ReadingReliability | None:
     """The reliability of every reading of a calibration.
 
@@ -146,7 +146,7 @@ class _Moved:
     unit: str | None
 
 
-def _moved(result: Result, equations: tuple[PoseEquations, ...], covariance: Array) -> _Moved:
+def _moved(result: FitResult, equations: tuple[PoseEquations, ...], covariance: Array) -> _Moved:
     problem = result.problem
     by_error = np.full(problem.readings.shape, np.nan)
     outputs = problem.mechanism.outputs
@@ -168,7 +168,7 @@ def _moved(result: Result, equations: tuple[PoseEquations, ...], covariance: Arr
     return _Moved(by_error, unit)
 
 
-def _squares(result: Result, problem: Problem, rows: list[int], count: int) -> Array | None:
+def _squares(result: FitResult, problem: Problem, rows: list[int], count: int) -> Array | None:
     """(n, n) mean over poses and points of the squared displacement per parameter step.
 
     rows: outputs of so many points."""

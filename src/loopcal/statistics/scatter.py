@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from loopcal.document.fit import CovarianceEntry
 from loopcal.document.triangle import lower, symmetric
 from loopcal.estimation.products import rows_times
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 
 Array = NDArray[np.float64]
 # A pose that alone determines a direction has redundancy 0 there, and its root no bound.
@@ -56,7 +56,7 @@ class Scatter:
         return Scatter(S @ self.matrix @ S.T, self.freedom)
 
 
-def scatter(result: Result) -> Scatter | None:
+def scatter(result: FitResult) -> Scatter | None:
     """Of a calibration; None of a stream, under a robust loss, without an optimum, and where learnt
     terms carry the error of the model."""
     if result.all_poses is not None or result.fit.robust_loss is not None:

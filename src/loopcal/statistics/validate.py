@@ -10,7 +10,7 @@ from typing import Any, Unpack
 from loopcal.document.tables import validation_table
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.execution.executor import Executor, Progress
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
@@ -26,7 +26,7 @@ def validate(
     *,
     noise: NoiseLike | None = None,
     fit: Fit | None = None,
-    full: Result | None = None,
+    full: FitResult | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
     **options: Unpack[ValidationOptions],

@@ -28,7 +28,7 @@ from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.leaving_out import leaving_out
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Weighting
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import process_cores
@@ -125,7 +125,7 @@ class ValidationOptions(FitOptions, SchemeOptions, total=False):
 
 def validated(
     case: Case,
-    whole: Result,
+    whole: FitResult,
     scheme: Scheme,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -184,7 +184,7 @@ def planned(case: Case, scheme: Scheme) -> Plan:
 
 
 def left_out(
-    fitted: Sequence[tuple[Case, Result]],
+    fitted: Sequence[tuple[Case, FitResult]],
     indices: Sequence[Index],
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -203,7 +203,7 @@ def left_out(
 
 
 def pooled(
-    whole: Result, made: Sequence[Outcome], plan: Plan, data: Dataset, *, stating: bool = True
+    whole: FitResult, made: Sequence[Outcome], plan: Plan, data: Dataset, *, stating: bool = True
 ) -> Validation:
     """The parts of a plan together; stating: with what the fits stated of them.
 
@@ -255,7 +255,7 @@ class Predicted:
     index: Index
     measured: Array
     differences: Array
-    fit: Result | None = None
+    fit: FitResult | None = None
     held: Held | None = None
     rest: Index | None = None
     regions: Predictive | None = None
@@ -287,7 +287,7 @@ Outcome = Predicted | Failed
 """What became of a part."""
 
 
-def unread(whole: Result) -> dict[str, Array]:
+def unread(whole: FitResult) -> dict[str, Array]:
     """Corrections (N,) of what no sensor reads, where a fit ended."""
     sds = dict(zip(whole.mechanism.tape.quantities, whole.problem.uncertainty.sd, strict=True))
     return {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}
@@ -303,11 +303,11 @@ class _Begun:
 
     case: Case
     near: Case
-    whole: Result | None = None
+    whole: FitResult | None = None
     anew: bool = False
 
     @classmethod
-    def at(cls, case: Case, whole: Result) -> _Begun:
+    def at(cls, case: Case, whole: FitResult) -> _Begun:
         """Parameters and learnt sds of the calibration of all poses."""
         noise, learnt = case.noise, whole.estimate
         if learnt is not None and learnt.settled:
@@ -336,7 +336,7 @@ class _Begun:
         fit = replace(near.fit, start=dict(begun.values))
         return replace(near, mechanism=begun.mechanism, noise=noise, fit=fit)
 
-    def calibrated(self, gone: Index) -> Result:
+    def calibrated(self, gone: Index) -> FitResult:
         """The calibration without these poses, begun near where it will end."""
         index = np.setdiff1d(np.arange(len(self.case.data)), gone)
         refit = self.without(gone).calibrated(index)
@@ -371,7 +371,7 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
             return Failed(index, error.message)
 
 
-def _all_stated(whole: Result, made: Sequence[Outcome]) -> list[Predictive | None]:
+def _all_stated(whole: FitResult, made: Sequence[Outcome]) -> list[Predictive | None]:
     """What was stated of each part."""
     return gathered(process_cores(), _stated, whole.drifting, made)
 
@@ -380,13 +380,13 @@ def _stated(drifting: Drifting | None, part: Outcome) -> Predictive | None:
     return part.stated(drifting) if isinstance(part, Predicted) else None
 
 
-def _predicted(fit: Result, held: Held, index: Index) -> Predicted:
+def _predicted(fit: FitResult, held: Held, index: Index) -> Predicted:
     rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.compared]
     differences = output_differences(held.problem, held.problem.start, held.corrections)
     return Predicted(index, held.problem.readings[rows], differences, fit, held)
 
 
-def _placed_anew(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> Predicted:
+def _placed_anew(fit: FitResult, data: Dataset, noise: Noise | None, index: Index) -> Predicted:
     """With every instrument placed by the readings of these poses; all else is held.
 
     Stated is the region of each pose, less what the placement takes up of it; not their
@@ -401,7 +401,7 @@ def _placed_anew(fit: Result, data: Dataset, noise: Noise | None, index: Index) 
 
 
 def _pooled(
-    whole: Result,
+    whole: FitResult,
     made: Sequence[Outcome],
     parts_left: Parts,
     data: Dataset,

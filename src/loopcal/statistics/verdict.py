@@ -29,7 +29,7 @@ from loopcal.document.choice import beats
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer, Fact, Figure, Finding, Verdict, fact
 from loopcal.estimation.fit_document import fit_document
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.case import NOMINAL
 from loopcal.statistics.findings import Findings, findings
@@ -72,7 +72,7 @@ def findings_of(
 
 
 def verdict(
-    result: Result,
+    result: FitResult,
     *,
     validation: Validation | None = None,
     tolerance: float | None = None,

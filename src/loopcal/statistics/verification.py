@@ -19,7 +19,7 @@ from loopcal.document.accuracy import Distances
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Apart, accuracy, by_pose, deviations, main_unit
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.measurements.dataset import Dataset
@@ -41,8 +41,8 @@ _WORST = 5
 
 
 def verify(
-    calibration: Result | Calibrated,
-    data: Dataset | Result | Any,
+    calibration: FitResult | Calibrated,
+    data: Dataset | FitResult | Any,
     *,
     noise: NoiseLike | None = None,
     remounted: bool | Sequence[str] = False,
@@ -58,9 +58,11 @@ def verify(
 
     Raises InputError where readings or sds are missing, and for a name that is not there.
     """
-    calibrated = Calibrated.of(calibration, "") if isinstance(calibration, Result) else calibration
+    calibrated = (
+        Calibrated.of(calibration, "") if isinstance(calibration, FitResult) else calibration
+    )
     calibrated = calibrated.stationed
-    data = data.dataset if isinstance(data, Result) else data
+    data = data.dataset if isinstance(data, FitResult) else data
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     check_tolerance(tolerance)
     with one_blas_thread():

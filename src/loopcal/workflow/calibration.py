@@ -14,7 +14,7 @@ from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.estimation.plausible import refuse_other_units
-from loopcal.estimation.result import Result as FitResult
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress
 from loopcal.execution.executor import Executor

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.plausible import refuse_other_units
-from loopcal.estimation.result import Result as FitResult
+from loopcal.estimation.result import FitResult
 from loopcal.files.project import project_data
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.errors import InputError
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_poses import poses_of_result
 from loopcal.files.tables.readers import column_labels, read_dataset, read_once
@@ -60,7 +60,7 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
 
     whole: with the outputs. A folder of a result stands for the readings it was calibrated with.
     """
-    if isinstance(data, Result | Dataset):
+    if isinstance(data, FitResult | Dataset):
         return data
     mechanism: Mechanism = result.mechanism
     folder = getattr(data, "path", None)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.errors import InputError
-from loopcal.estimation.result import Result as FitResult
+from loopcal.estimation.result import FitResult
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_data import load_dataset

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from loopcal.companions import called
 from loopcal.document.plain import finite_only
 from loopcal.document.result_document import ResultDocument, WrittenResult
-from loopcal.estimation import result as estimation
 from loopcal.estimation.fit_document import fit_document
+from loopcal.estimation.result import FitResult
 from loopcal.files.outputs import one_command
 from loopcal.files.result import result_file
 from loopcal.files.versions import versions as installed_versions
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Result(estimation.Result, Views):
+class Result(FitResult, Views):
     """The result of a calibration. Values are SI; mappings go by name.
 
     It holds the fit and what was stated, chosen and validated beside it (`parts`). Everything else
@@ -39,7 +39,7 @@ class Result(estimation.Result, Views):
     """
 
     @classmethod
-    def of(cls, fit: estimation.Result, **parts: Any) -> Result:
+    def of(cls, fit: FitResult, **parts: Any) -> Result:
         """Of a fit, with further parts beside it: fields of `Parts`."""
         if isinstance(fit, Result) and not parts:
             return fit
@@ -99,7 +99,7 @@ class Result(estimation.Result, Views):
 
 @one_command
 def write_result(
-    result: estimation.Result,
+    result: FitResult,
     folder: str | Path,
     *,
     title: str | None = None,
@@ -119,7 +119,7 @@ def write_result(
 
 
 def save_result(
-    result: estimation.Result,
+    result: FitResult,
     folder: str | Path,
     *,
     title: str | None = None,

@@ -9,7 +9,7 @@ from typing import Any
 
 from loopcal.errors import InputError, Unfinished
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress
 from loopcal.estimation.stream.calibrate import calibrate_stream, refuse_unstreamable
 from loopcal.estimation.stream.last_pass import Parts
@@ -29,7 +29,7 @@ DROPPED = (
 class StreamedRun:
     """A calibration from a stream whose files are not yet in place."""
 
-    result: Result
+    result: FitResult
     parts: ResidualParts
     progress: ProgressFile
 

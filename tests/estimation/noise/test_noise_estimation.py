@@ -24,7 +24,7 @@ from loopcal.estimation.noise.variance_components import (
     estimate_ratios,
 )
 from loopcal.estimation.problem.problem import Problem, build_problem
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import solve
 from loopcal.mechanisms.model_error import with_model_error
@@ -39,7 +39,7 @@ def planar_poses() -> dict[str, np.ndarray[Any, Any]]:
     return {"phi2": phi2.ravel(), "phi3": phi3.ravel()}
 
 
-def learnt(result: Result) -> dict[str, tuple[float, float | None]]:
+def learnt(result: FitResult) -> dict[str, tuple[float, float | None]]:
     return {entry.quantities[0]: (entry.sd, entry.sd_of_sd) for entry in result.noise}
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.expressions.vectors import vector
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -30,18 +30,18 @@ Array = NDArray[np.float64]
 SD = {"xP": 1e-3, "yP": 2e-3, "phi2": 1e-3, "phi3": 5e-4}
 
 
-def fit(machine: Mechanism, data: Dataset, noise: Any, **more: Any) -> Result:
+def fit(machine: Mechanism, data: Dataset, noise: Any, **more: Any) -> FitResult:
     result = calibrate(machine, data, noise=Noise(noise), **{"start": "nominal", **more})
     assert result.status.converged, result.status.message
     return result
 
 
-def chi_squared(result: Result) -> float:
+def chi_squared(result: FitResult) -> float:
     assert result.chi_squared is not None
     return result.chi_squared.value
 
 
-def alike(first: Result, second: Result, tolerance: float = 1e-9) -> None:
+def alike(first: FitResult, second: FitResult, tolerance: float = 1e-9) -> None:
     """Equal parameters (relative), sds and chi-squared."""
     for name in first.estimated:
         assert first.value[name] == pytest.approx(second.value[name], rel=tolerance, abs=tolerance)

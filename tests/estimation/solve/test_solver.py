@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from loopcal.errors import Code
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.problem.problem import Problem, build_problem
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import solve
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -31,14 +31,14 @@ EXPONENTS = st.floats(-6, -0.7)
 PHASES = (Phase.explicit, Phase.generate)  # fits are too slow to shrink a failure
 
 
-def chi_squared(result: Result) -> float:
+def chi_squared(result: FitResult) -> float:
     assert result.chi_squared is not None
     return result.chi_squared.value
 
 
 def check(
     simulated: Simulated, start: Mechanism, sds: dict[str, float], seed: int, **more: Any
-) -> Result:
+) -> FitResult:
     """Fit from a start, and hold the laws whatever comes out.
 
     Every tenth file is searched for faults too, which takes ten times as long as the fit.

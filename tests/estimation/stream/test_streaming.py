@@ -13,7 +13,7 @@ import pytest
 from loopcal import Dataset, Noise, calibrate, predict
 from loopcal.errors import Code
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.estimation.stream import calibrate as learning
 from loopcal.estimation.stream.calibrate import calibrate_stream
@@ -60,7 +60,7 @@ class Pieces:
         return Chunk(self.data.take(part), Noise(entries, estimate=self.noise.estimate))
 
 
-def whole_result(chunk: Result) -> Result:
+def whole_result(chunk: FitResult) -> FitResult:
     return chunk
 
 
@@ -72,7 +72,7 @@ def arm_and_data(poses: int = 900, seed: int = 3) -> tuple[Mechanism, Dataset]:
     return arm, simulate(arm, driven, noise=noise, seed=seed, truth=truth).dataset
 
 
-def alike(streamed: Result, whole: Result) -> None:
+def alike(streamed: FitResult, whole: FitResult) -> None:
     assert streamed.status.converged
     assert whole.status.converged
     for name in whole.estimated:
@@ -128,7 +128,7 @@ def test_an_angle_that_nobody_reads_is_found_in_every_chunk() -> None:
 def test_every_chunk_is_handed_out_with_its_corrections() -> None:
     arm, data = arm_and_data(500)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
-    seen: list[Result] = []
+    seen: list[FitResult] = []
     calibrate_stream(arm, Pieces(data, noise), parts=Parts(whole_result, seen.append))
     whole = calibrate(arm, data, noise=noise, method="implicit-loop")
     assert [pose for part in seen for pose in part.dataset.poses] == list(data.poses)
@@ -233,11 +233,11 @@ def test_a_parameter_whose_terms_cancel_has_no_effect_here_either(method: str) -
     assert found.value["k"] == pytest.approx(whole.value["k"], rel=1e-9)
 
 
-def theta_1(chunk: Result) -> list[float]:
+def theta_1(chunk: FitResult) -> list[float]:
     return [float(value) for value in chunk.corrections["theta_1"]]
 
 
-def told(result: Result) -> list[object]:
+def told(result: FitResult) -> list[object]:
     """All that must be the same to the last bit."""
     assert result.chi_squared is not None
     own = [dict(result.value), dict(result.sd), result.accuracy_before, result.accuracy_after]
@@ -282,7 +282,7 @@ def test_chunks_are_not_worked_on_far_ahead_of_what_is_written() -> None:
     begun, most = threading.Semaphore(0), []
     written: list[int] = []
 
-    def part_of(chunk: Result) -> int:
+    def part_of(chunk: FitResult) -> int:
         begun.release()
         return len(chunk.dataset)
 
@@ -446,7 +446,7 @@ def test_sds_learnt_from_some_poses_of_a_stream_weigh_all(monkeypatch: pytest.Mo
         assert streamed.value[name] == pytest.approx(whole.value[name], abs=near)
 
 
-def close(streamed: Result, whole: Result) -> None:
+def close(streamed: FitResult, whole: FitResult) -> None:
     """To what both leave of learnt sds: fits end at 1e-5 sds, logarithms of variances at 1e-3."""
     assert streamed.status.converged
     assert streamed.estimate is not None

@@ -22,7 +22,7 @@ from loopcal.document.verdict import Answer, Verdict, answered
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit_document import fit_document
-from loopcal.estimation.result import Result as FitResult
+from loopcal.estimation.result import FitResult
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.result.pose_table import residuals_csv
 from loopcal.files.result.result_file import (

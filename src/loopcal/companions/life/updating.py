@@ -45,7 +45,7 @@ from loopcal.estimation.noise.variance_components import Component, estimate_rat
 from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.unknowns import Unknowns
-from loopcal.estimation.result import UPDATED, Inherited, Result
+from loopcal.estimation.result import UPDATED, FitResult, Inherited
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import Evaluation
@@ -89,7 +89,7 @@ class Updated:
     """An update. check: whether the new readings are of the machine that was calibrated, after the
     stated drift."""
 
-    result: Result
+    result: FitResult
     check: Verification
 
     @property
@@ -100,14 +100,14 @@ class Updated:
 
 
 def update(
-    calibration: Result | Calibrated,
+    calibration: FitResult | Calibrated,
     data: Dataset | Any,
     *,
     noise: NoiseLike | None = None,
     moved: bool = True,
     remounted: bool | Sequence[str] = False,
     drift: Mapping[str, float] | None = None,
-) -> Result:
+) -> FitResult:
     """Calibrate with new readings and what a calibration already knows.
 
     data: readings [SI] as `calibrate` takes them; noise: their sds, else the calibration's; moved:
@@ -124,10 +124,12 @@ def update(
 
 
 def updated(
-    calibration: Result | Calibrated, data: Dataset | Any, since: Since, noise: NoiseLike | None
+    calibration: FitResult | Calibrated, data: Dataset | Any, since: Since, noise: NoiseLike | None
 ) -> Updated:
     """`update`, with the check of the machine."""
-    calibrated = Calibrated.of(calibration, "") if isinstance(calibration, Result) else calibration
+    calibrated = (
+        Calibrated.of(calibration, "") if isinstance(calibration, FitResult) else calibration
+    )
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     stated = Noise.of(noise)
     if calibrated.residual is not None and stated is None:
@@ -150,7 +152,7 @@ def updated(
             day = replace(day, freed=tuple(n for n in day.freed if n not in standing))
         placed = day.placed()
         earlier = Earlier.of(calibrated)
-    result: Result | None = None
+    result: FitResult | None = None
     for _ in range(_ROUNDS):
         before = result
         with one_blas_thread():
@@ -169,7 +171,9 @@ def updated(
     assert result is not None
     with one_blas_thread():
         terms = (
-            calibration.terms_with_parts() if isinstance(calibration, Result) else calibrated.terms
+            calibration.terms_with_parts()
+            if isinstance(calibration, FitResult)
+            else calibrated.terms
         )
         noted = () if held else calibrated.noise
         result = replace(result, inherited=Inherited(prior.widened(result), terms, noted))
@@ -185,8 +189,8 @@ def _fitted(
     prior: _Prior,
     data: Dataset,
     noise: Noise,
-    before: Result | None,
-) -> Result:
+    before: FitResult | None,
+) -> FitResult:
     """The fit of these readings with the prior, begun where the machine stands or where it ended
     before."""
     method = Method(
@@ -209,14 +213,14 @@ def _fitted(
     return calibrate(begun, data, noise=noise, fit=how, near=near, trusted=True)
 
 
-def _apart(a: Result, b: Result) -> float:
+def _apart(a: FitResult, b: FitResult) -> float:
     """The largest difference of two fits [sds]."""
     sd = np.sqrt(np.diag(a.spectrum.covariance()))
     away = np.abs(a.solution.parameters - b.solution.parameters)[a.problem.free]
     return float((away / np.where(sd > 0.0, sd, np.inf)).max(initial=0.0))
 
 
-def _unchanged(calibrated: Calibrated, result: Result, placed: Replaced) -> str | None:
+def _unchanged(calibrated: Calibrated, result: FitResult, placed: Replaced) -> str | None:
     """That the update says nothing new of the machine; None where it does."""
     names, before = calibrated.mechanism.parameters.names, np.diag(calibrated.covariance.matrix)
     kept = [
@@ -300,7 +304,7 @@ class _Prior:
         placed: Replaced,
         drifts: Array,
         earlier: Earlier,
-        before: Result | None,
+        before: FitResult | None,
     ) -> _Prior:
         """The covariance with the drift, where the machine stands now.
 
@@ -340,7 +344,7 @@ class _Prior:
         slopes = (coordinates.slopes @ self.follows)[np.ix_(free, free)]
         return Sloped(self.rows @ away[free], self.rows @ slopes)
 
-    def widened(self, result: Result) -> Array:
+    def widened(self, result: FitResult) -> Array:
         """(n, n) what the covariance of a fit gains: G wider G^T, G its change with the rows."""
         gain = result.spectrum.covariance() @ self.at(result.solution.parameters).slopes.T
         wider: Array = gain @ self.wider @ gain.T
@@ -396,7 +400,11 @@ class Sds:
 
 
 def learnt(
-    calibrated: Calibrated, earlier: Earlier, result: Result, anew: NDArray[np.bool_], drifts: Array
+    calibrated: Calibrated,
+    earlier: Earlier,
+    result: FitResult,
+    anew: NDArray[np.bool_],
+    drifts: Array,
 ) -> Sds | None:
     """The learnt sds of a calibration, learnt from its poses and those of an update.
 
@@ -446,7 +454,7 @@ def _begun(entry: NoiseEntry) -> float | None:
 def _model(
     components: Sequence[Component],
     reference: Calibrated,
-    result: Result,
+    result: FitResult,
     earlier: Earlier,
     anew: NDArray[np.bool_],
     drifts: Array,

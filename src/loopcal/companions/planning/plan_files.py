@@ -15,7 +15,7 @@ from loopcal.companions.planning.planned import Plan
 from loopcal.companions.planning.program import program_writer
 from loopcal.companions.planning.search import Progress
 from loopcal.errors import InputError
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.files.atomic import write_all
 from loopcal.files.json_writer import marked, marked_json
 from loopcal.files.outputs import expanded, refuse_foreign
@@ -193,7 +193,7 @@ def of_calibration(result: Any) -> PlanningBasis:
 
 def _calibrated(result: Any) -> Calibrated:
     result = result_of(result)
-    if isinstance(result, Result):
+    if isinstance(result, FitResult):
         return Calibrated.of(result, "the result")
     calibrated: Calibrated = result.calibrated
     return calibrated

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from loopcal.companions.studies.study_file import Scenario, StudyMethod
 from loopcal.errors import DomainError, InputError, NoTrustworthyResult
 from loopcal.estimation.prediction import predict_outputs, solving
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.measurements.dataset import Dataset
@@ -96,7 +96,7 @@ def _simulated(scenario: Scenario, seed: int, draw: int) -> Simulation:
     return simulate(scenario.mechanism, driven, noise=scenario.noise, seed=draw_seed, truth=truth)
 
 
-def first_draw(scenario: Scenario, seed: int) -> dict[str, Result]:
+def first_draw(scenario: Scenario, seed: int) -> dict[str, FitResult]:
     """Method -> result for the readings of draw 0: one case behind the distributions.
 
     A method that cannot evaluate this draw is left out.
@@ -136,7 +136,7 @@ def _row(
     return row
 
 
-def calibrated(method: StudyMethod, made: Simulation) -> Result:
+def calibrated(method: StudyMethod, made: Simulation) -> FitResult:
     """What `calibrate` makes of the readings of a draw by this method.
 
     Faults of columns are not sought: the simulation has made the columns. Where the noise alone
@@ -158,7 +158,7 @@ def _without_result(names: Sequence[str], reason: str, iterations: int) -> dict[
     return row | {"other_optimum": 0.0}
 
 
-def _is_elsewhere(method: StudyMethod, made: Simulation, result: Result) -> bool:
+def _is_elsewhere(method: StudyMethod, made: Simulation, result: FitResult) -> bool:
     """Whether a fit that starts at the truth ends at another optimum.
 
     Its steps are damped even where the method's own are not: a full first step may leave the truth
@@ -191,7 +191,7 @@ def _points(mechanism: Mechanism, made: Simulation) -> _Points:
     return _Points(x, x[rows], pose_constants.reshape(len(mechanism.tape.pose_constants), len(at)))
 
 
-def _end_point(mechanism: Mechanism, result: Result, at: _Points) -> Mapping[str, float]:
+def _end_point(mechanism: Mechanism, result: FitResult, at: _Points) -> Mapping[str, float]:
     """How far predicted outputs are off at true readings, and whether their intervals hold."""
     units = {mechanism.quantities[name] for name in mechanism.outputs}
     if len(units) != 1:

@@ -12,7 +12,7 @@ from loopcal.companions.studies.figures import ErrorBar, error_bars
 from loopcal.companions.studies.paired import Paired
 from loopcal.companions.studies.run import StudyDone
 from loopcal.companions.studies.tables import MethodTable, ScenarioTable, Spread
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.figures.accuracy import over_poses
 from loopcal.figures.figure import Figure
 from loopcal.figures.space import arrows
@@ -55,7 +55,7 @@ def study_html(done: StudyDone) -> str:
     )
 
 
-def _scenario(table: ScenarioTable, number: int, drawn: Mapping[str, Result]) -> dict[str, Any]:
+def _scenario(table: ScenarioTable, number: int, drawn: Mapping[str, FitResult]) -> dict[str, Any]:
     bars = (_bars(table.methods, unit) for unit in KINDS)
     parts = [*bars, *map(_method, table.methods), *map(_paired, table.paired)]
     title = f"{table.scenario} ({table.poses} poses)"
@@ -142,13 +142,13 @@ def _paired(pair: Paired) -> Table:
     return Table(caption, ("error", "closer in", "rms ratio"), tuple(rows))
 
 
-def _residuals(result: Result) -> Figure | None:
+def _residuals(result: FitResult) -> Figure | None:
     # corrected readings close the loops to rounding, which shows no accuracy
     after, poses = result.residuals_after if result.fit.solver.exact else {}, result.dataset.poses
     return over_poses(result.residuals_before, after, poses, "SI", "Values of the loop equations")
 
 
-def _arrows(result: Result) -> Figure | None:
+def _arrows(result: FitResult) -> Figure | None:
     outputs = result.mechanism.outputs
     accuracy = result.accuracy_after
     if accuracy is None or accuracy.unit != "m" or len(outputs) not in (2, 3):

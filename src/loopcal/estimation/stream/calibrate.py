@@ -29,7 +29,7 @@ from loopcal.estimation.fit import Fit, used_noise, weighed
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import without_state
@@ -57,7 +57,7 @@ def calibrate_stream(
     progress: Progress | None = None,
     reached: Callable[[Checkpoint[bool]], None] | None = None,
     parts: Parts[Any] | None = None,
-) -> Result:
+) -> FitResult:
     """Calibrate from more poses than memory holds; memory does not grow with their number.
 
     stream: its chunks bring data and noise; fit: the settings, of a streamable method; reached:
@@ -199,7 +199,7 @@ class Learnt:
     part: their calibration; every: one pose of so many took part; sizes: poses of each chunk.
     """
 
-    part: Result
+    part: FitResult
     every: int
     sizes: tuple[int, ...]
 
@@ -229,7 +229,7 @@ class Learnt:
         end = self.part.solution.with_state(True)
         return replace(end, sums=without_state(end.sums))
 
-    def annotated(self, result: Result) -> Result:
+    def annotated(self, result: FitResult) -> FitResult:
         """The result of all poses, with what was learnt and from how many."""
         part = self.part
         if self.every > 1:

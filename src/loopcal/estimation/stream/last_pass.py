@@ -16,7 +16,7 @@ from loopcal.estimation.all_poses import AllPoses
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.robust import RobustSums
 from loopcal.estimation.solve.solution import End
@@ -49,7 +49,7 @@ class Parts(Generic[Part]):
     the top of a module); done: called with it in this process, in the order of the chunks.
     """
 
-    made: Callable[[Result], Part]
+    made: Callable[[FitResult], Part]
     done: Callable[[Part], None]
 
 
@@ -65,7 +65,7 @@ class LastPass:
     solution: End[bool]
     sizes: tuple[int, ...]
 
-    def result(self, crew: Crew, parts: Parts[Any] | None) -> Result:
+    def result(self, crew: Crew, parts: Parts[Any] | None) -> FitResult:
         poses, made = sum(self.sizes), parts.made if parts else None
         stride, begins = max(1, poses // SHOWN), [0, *np.cumsum(self.sizes).tolist()]
         pieces = [
@@ -103,18 +103,20 @@ class LastPass:
         shown = replace(shown, all_poses=AllPoses(poses, before, after, discrepancy, robust))
         return shown.noted(f"{note}.", NOT_SOUGHT) if stride > 1 else shown.noted(NOT_SOUGHT)
 
-    def _shown(self, shown: _Shown) -> Result:
+    def _shown(self, shown: _Shown) -> FitResult:
         """The result with the arrays of some poses."""
         problem = self.task.problem(shown.chunk)
         return _closed(self.task, self.fit, self.solution, problem, shown.chunk.data)
 
 
-def _closed(task: Task, fit: Fit, solution: End[bool], problem: Problem, data: Dataset) -> Result:
+def _closed(
+    task: Task, fit: Fit, solution: End[bool], problem: Problem, data: Dataset
+) -> FitResult:
     """The arrays of some poses, at the parameters of all."""
     sweeper = task.sweeper(problem)
     begun = start_corrections(sweeper, solution.parameters)
     corrections = sweeper.close(solution.parameters, begun, NEGLIGIBLE, 1.0).corrections
-    return Result(fit, data, problem, solution.with_state(corrections), problem)
+    return FitResult(fit, data, problem, solution.with_state(corrections), problem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +147,7 @@ class _EndPiece:
     stride: int
     solution: End[bool]
     fit: Fit
-    part_of: Callable[[Result], Any] | None
+    part_of: Callable[[FitResult], Any] | None
 
     def done(self, task: Task) -> _Ended:
         chunk = task.stream.chunk(self.number)

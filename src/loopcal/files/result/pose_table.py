@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.result_document import MechanismEntry
 from loopcal.errors import InputError
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.files.atomic import write_files
 from loopcal.files.result.pair import refuse_stale
 from loopcal.files.tables.readers import read_dataset
@@ -75,7 +75,7 @@ def _headers(mechanism: MechanismEntry) -> Iterator[_Header]:
         yield _Header("pose_constants", name, f"{name} [{unit}]")
 
 
-def pose_table(result: Result) -> PoseTable:
+def pose_table(result: FitResult) -> PoseTable:
     """The poses that a result holds."""
     data, mechanism = result.dataset, result.mechanism
     nothing = np.full(len(data), np.nan)
@@ -100,7 +100,7 @@ def pose_table(result: Result) -> PoseTable:
     )
 
 
-def pose_columns(result: Result) -> dict[str, Column]:
+def pose_columns(result: FitResult) -> dict[str, Column]:
     """Header -> values of residuals.csv: one row per pose used, empty where there is no value."""
     table = pose_table(result)
     columns: dict[str, Column] = {"pose": table.poses}
@@ -109,7 +109,7 @@ def pose_columns(result: Result) -> dict[str, Column]:
     return columns
 
 
-def residuals_csv(result: Result) -> bytes:
+def residuals_csv(result: FitResult) -> bytes:
     """The bytes of residuals.csv."""
     return table_bytes(pose_columns(result))
 
@@ -135,7 +135,7 @@ NAME = "residuals"
 _PART = re.compile(r"part-\d{5,}\.parquet")
 
 
-def residual_part(chunk: Result) -> bytes:
+def residual_part(chunk: FitResult) -> bytes:
     """The part of one chunk, made where the chunk is worked on and written by `ResidualParts`."""
     return table_bytes(pose_columns(chunk), ".parquet")
 

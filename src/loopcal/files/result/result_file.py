@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from loopcal.document.plain import plain
 from loopcal.document.result_document import SCHEMA, ResultDocument, WrittenResult
 from loopcal.errors import InputError, listed, nearest
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import FitResult
 from loopcal.files.atomic import Data, write_all
 from loopcal.files.json_reader import read_json
 from loopcal.files.json_writer import sums
@@ -54,7 +54,7 @@ def _text(value: Any, margin: str = "\n") -> str:
 
 
 def write_result(
-    result: Result,
+    result: FitResult,
     document: ResultDocument,
     folder: str | Path,
     *,
