@@ -11,7 +11,7 @@ from typing import Any
 
 CALLED = {
     "HistoryKeeper": "life.history_files",
-    "cure_of": "planning.curing",
+    "cure_of": "planning.cure",
     "new_performance": "performance.run",
     "sections": "life.report_sections",
 }

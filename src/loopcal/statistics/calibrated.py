@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.choice import TermEntry
-from loopcal.document.fit import ChiSquared, NoiseEntry
+from loopcal.document.fit import ChiSquared, CovarianceEntry, NoiseEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.triangle import symmetric
 from loopcal.estimation.result import FitResult
@@ -18,7 +18,6 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.scatter import Scatter, scatter
-from loopcal.statistics.stored_covariance import stored_covariance
 
 Array = NDArray[np.float64]
 
@@ -244,3 +243,25 @@ def _rows(part: Array, free: NDArray[np.intp], size: int) -> Array:
     whole = np.zeros((size, part.shape[1]))
     whole[free] = part
     return whole
+
+
+# The covariance of a result's parameters, from what was written of it.
+
+
+def stored_covariance(
+    entry: CovarianceEntry, determined: Sequence[Sequence[float]] | None
+) -> LearntCovariance:
+    """The covariance over the determined directions, and how sure it is itself.
+
+    determined: the matrix over these directions where the entry's own has gaps.
+    """
+    n = len(entry.names)
+
+    def square(rows: Sequence[Sequence[float | None]]) -> NDArray[np.float64]:
+        # Null is what nothing limits: undetermined steps stand for it, and 0 here.
+        return np.asarray(np.nan_to_num(np.array(rows, dtype=float)).reshape(n, n))
+
+    matrix = square(entry.matrix if determined is None else determined)
+    plain = matrix if entry.plain is None else symmetric(entry.plain)
+    slopes = np.array([symmetric(s) for s in entry.slopes]).reshape(-1, n, n)
+    return LearntCovariance(matrix, plain, slopes)

@@ -26,7 +26,7 @@ from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import LearntCovariance
-from loopcal.statistics.stored_covariance import stored_covariance
+from loopcal.statistics.calibrated import stored_covariance
 
 Array = NDArray[np.float64]
 # The 95 % point over 2000 poses is sure to half a per cent of them: sqrt(0.95 x 0.05 / 2000).

@@ -8,6 +8,7 @@ check (`statistics.identifiability`).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +20,7 @@ from loopcal.companions.planning.information import information, rows_of
 from loopcal.companions.planning.plan import as_problem, measured_poses
 from loopcal.companions.planning.search import Search
 from loopcal.document.plain import finite
+from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.measurements.dataset import Dataset
@@ -29,6 +31,7 @@ from loopcal.presentation.shown import SHOWN, columns, significant
 from loopcal.statistics.check import FEW
 from loopcal.statistics.identifiability import SCHROER
 from loopcal.units import from_si
+from loopcal.workflow.checking import Checked
 
 Array = NDArray[np.float64]
 # Far fewer candidates than the 3000 of a plan: a cure is a hint beside a check.
@@ -130,3 +133,19 @@ def _condition(total: Array) -> float:
         return float(np.inf)
     values = np.linalg.eigvalsh(total / lengths / lengths[:, None])
     return float(np.sqrt(values[-1] / values[0])) if values[0] > 1e-13 * values[-1] else np.inf
+
+
+# The poses that would raise the verdict of a check.
+
+
+def cure_of(checked: Checked) -> Cure | None:
+    """The poses that would raise the verdict of a check.
+
+    None where it is good, and where nothing says where poses may be.
+    """
+    if checked.check.verdict == "good" or checked.noise is None:
+        return None
+    project = checked.project
+    with suppress(InputError):
+        return cure(project.mechanism, checked.data, checked.noise, project.plan)
+    return None

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.noise.estimation import scaled
-from loopcal.estimation.problem.enough import refuse_too_few
-from loopcal.estimation.problem.problem import Problem, Weighting, build_problem
+from loopcal.estimation.problem.problem import Problem, Weighting, build_problem, refuse_too_few
 from loopcal.estimation.problem.starting import refuse_unreachable, start_corrections
 from loopcal.estimation.solve.in_memory import cannot_close, outside_domain
 from loopcal.estimation.solve.loss import Loss
