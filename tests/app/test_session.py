@@ -10,7 +10,7 @@ import pytest
 
 from analyses.app_robustness import finished, killed, made
 from loopcal.cli.registry import with_loops
-from loopcal.companions.app.frame import stand
+from loopcal.companions.app.pages import stand
 from loopcal.companions.app.project_folder import Entry
 from loopcal.companions.app.session import Session
 from loopcal.companions.app.steps import State

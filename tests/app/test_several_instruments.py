@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from loopcal.companions.app.pictures import Errors, joints_of, machine_figure
-from loopcal.companions.app.views.validate import Probe
+from loopcal.companions.app.predicting import Probe
 from loopcal.files.project.project_file import read_project
 from loopcal.mechanisms.outputs import cartesian, levers, point_family
 from loopcal.report.drawn import distances

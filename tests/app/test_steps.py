@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.companions.app.frame import stand
+from loopcal.companions.app.pages import stand
 from loopcal.companions.app.project_folder import Entry
 from loopcal.companions.app.session import Session
 from loopcal.companions.app.steps import LIGHTS, State

@@ -18,6 +18,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import AXES, DIRECTIONS, NOMINAL, motoman_ma1400
 from loopcal.mechanisms.prior import Prior
 from loopcal.mechanisms.serial import Joint, serial_arm
+from loopcal.workflow.result import Result
 from tests.reference.optimality import diagonal, optimality
 
 LEFT = {"z1": 1.4159, "x6B": 0.05, "y6B": 0.0, "z6B": -0.45}
@@ -134,7 +135,7 @@ def test_the_right_arm_by_the_implicit_loop_says_that_the_sds_cannot_be_right(
     assert "Chi-squared per degree of freedom is 1081" in warning
     assert "these sds are too small" in warning
     assert "model error" in warning
-    assert warning in " ".join(str(result).split())  # lines are wrapped
+    assert warning in " ".join(str(Result.of(result)).split())  # lines are wrapped
     # a closed loop is no accuracy: told from the joints alone it is no better than before
     assert result.closure_after.max <= 1e-14
     assert rms_in_mm(result) > 2.36

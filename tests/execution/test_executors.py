@@ -29,7 +29,8 @@ from loopcal.execution.executor import (
 from loopcal.execution.forked import Forked
 from loopcal.execution.local import Processes, Threads
 from loopcal.expressions import choice
-from loopcal.files.project.new_project import TEMPLATES, write_new_project
+from loopcal.files.project.new_project import write_new_project
+from loopcal.files.project.templates import TEMPLATES
 from loopcal.workflow.calibration import Listeners, Request, run_calibration
 from tests.execution import pieces
 from tests.execution.pieces import Backwards

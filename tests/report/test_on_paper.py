@@ -22,7 +22,7 @@ from loopcal.companions.studies.run import run_study
 from loopcal.execution.executor import InProcess
 from loopcal.figures.space import FIELD, space_layout
 from loopcal.presentation.shown import Table
-from loopcal.report.templates import page
+from loopcal.report.section import Section, section_page
 from loopcal.report.verification_page import verification_html
 from loopcal.workflow.result import write_result
 from tests.browser import chromium, opened
@@ -162,14 +162,8 @@ def pages(six_axis: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
         )
     html = {
         "six": (six_axis / "report.html").read_text("utf-8"),
-        "tables": page(
-            "life.html",
-            title="x",
-            about={},
-            words=(),
-            lines=(),
-            drawn={"figures": {}},
-            tables=[table_of(columns) for columns in (2, 6, 10)],
+        "tables": section_page(
+            "life", Section("l", "x", (), [table_of(columns) for columns in (2, 6, 10)]), {}
         ),
         "verify": verification_html(lc.verify(results[0], days[1]), LONG, "result, day.csv"),
         "fleet": fleet_html(lc.fleet(results), "one, two, three"),

@@ -26,7 +26,7 @@ from loopcal.cli.registry import keeper
 from loopcal.companions import called
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError
 from loopcal.estimation.methods.registry import METHODS
-from loopcal.files.project.new_project import TEMPLATES
+from loopcal.files.project.templates import TEMPLATES
 
 
 @app.command()

@@ -13,10 +13,10 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, UsageError, nearest
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.files.machines.python_function import load_function
-from loopcal.files.project.new_project import TEMPLATES
 from loopcal.files.project.project_data import load_dataset
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.stream import project_stream
+from loopcal.files.project.templates import TEMPLATES
 from loopcal.files.result import result_file
 from loopcal.files.result.pose_table import PoseTable, pose_table
 from loopcal.statistics.case import Case

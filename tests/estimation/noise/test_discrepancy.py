@@ -7,6 +7,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.estimation.calibrate import calibrate
+from loopcal.workflow.result import Result
 from tests.refusals import refused
 
 NOISE = {"?P": 1e-4, "phi?": 1e-4}
@@ -47,7 +48,7 @@ def test_the_variance_factor_is_applied_on_request_and_once() -> None:
         assert scaled.sd[name] == pytest.approx((result.sd[name] or 0.0) * root)
     assert scaled.covariance == pytest.approx(result.covariance * root**2)
     assert scaled.with_variance_factor() is scaled
-    assert "multiplied by the root" in str(scaled)
+    assert "multiplied by the root" in str(Result.of(scaled))
     plain = calibrate(lc.planar_two_link(), readings(0.0), method="least-squares")
     with refused("unsupported", "'least-squares'"):
         plain.with_variance_factor()

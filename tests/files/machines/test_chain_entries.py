@@ -10,8 +10,8 @@ import pytest
 from loopcal.errors import InputError
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
-from loopcal.files.project.new_project import template_files
 from loopcal.files.project.project_file import read_project
+from loopcal.files.project.templates import template_files
 
 PROJECT = tomllib.loads(template_files("urdf", "NAME")["project.toml"])
 ROBOT = PROJECT["mechanism"]

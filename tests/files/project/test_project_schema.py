@@ -10,9 +10,9 @@ import jsonschema
 import pytest
 
 from loopcal.errors import InputError
-from loopcal.files.project.new_project import TEMPLATES, template_files
 from loopcal.files.project.project_file import read_project
 from loopcal.files.project.project_schema import project_schema
+from loopcal.files.project.templates import TEMPLATES, template_files
 
 ROOT = Path(__file__).resolve().parents[3]
 EXAMPLES = [

@@ -31,6 +31,9 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.lazy import cached_property
 
 Array = NDArray[np.float64]
+# The information takes them to the fourth power, and doubles end at 1e308.
+_LARGEST = 1e70
+"""Where columns are whitened to more than this V counts as singular."""
 # Chosen, not derived: squared 1e-14, some 50 roundings.
 KEPT = 1e-7
 """Directions of a triangle with a singular value this far below the largest do not count."""
@@ -287,6 +290,8 @@ def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Jo
         log_V += 2.0 * float(np.log(np.einsum("brr->br", L)).sum())
         # NumPy solves no stacks of triangles: an inverse and a product serve the whole block.
         whitened = np.linalg.inv(L) @ block.columns
+        if not np.abs(whitened).max(initial=0.0) < _LARGEST:
+            return None
         rows.append(np.ascontiguousarray(whitened[:, :, : n + 1]))
         W.append(whitened[:, :, n + 1 :])
     return Joined(ratios, rows, W, log_V, sums)

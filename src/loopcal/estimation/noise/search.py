@@ -129,7 +129,10 @@ def _least_above_zero(A: Array, b: Array) -> Array:
 
 def _lower(likelihood: Likelihood[Place], at: Place, step: Array, bounds: Bounds) -> Place | None:
     """After the longest of the halved steps that lowers the criterion; None if none does."""
-    length = min(1.0, bounds.longest / float(np.abs(step).max()))
+    largest = float(np.abs(step).max(initial=0.0))
+    if largest == 0.0:
+        return None
+    length = min(1.0, bounds.longest / largest)
     for _ in range(_HALVINGS):
         trial = likelihood(np.maximum(at.x + length * step, bounds.lowest), at.information)
         if trial is not None and trial.criterion < at.criterion:
