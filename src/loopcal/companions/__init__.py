@@ -1,4 +1,4 @@
-"""What stands beside the core, each in a folder of its own: it imports the core, never the reverse.
+"""What stands beside the core: each folder imports the core, and the core imports none of them.
 
 Where a command of the core goes on beside it, it calls a companion by its name, as it calls the
 commands that companions bring (`loopcal.cli.registry`).

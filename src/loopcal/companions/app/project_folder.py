@@ -341,7 +341,7 @@ class FolderLock:
     """Held from its making until `release`, or until the process ends in whatever way.
 
     Raises InputError where another process holds it, with the address it wrote, and where the
-    folder cannot be written. On a file system without locks it excludes nobody.
+    folder cannot be written. A file system without locks lets everybody in.
     """
 
     def __init__(self, folder: Path, address: str) -> None:

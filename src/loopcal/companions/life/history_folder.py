@@ -1,7 +1,7 @@
 """A machine's history: a folder to which entries are added, one file each, and never changed.
 
 An entry is a JSON document that needs no loopcal to read. It is named by its UTC time and its
-number, and holds the SHA-256 of its own content, written as JSON with sorted keys and no spaces.
+number, and holds the SHA-256 of its content, written as JSON with sorted keys and no spaces.
 It is linked to its own name, which fails where that name is taken: whatever interrupts this, an
 entry is there whole or not at all, and no other is touched.
 """

@@ -124,7 +124,7 @@ def _days(text: str, key: str) -> tuple[str, str]:
 
 
 def _indented(xml: str) -> str:
-    """The same with every element on a line of its own, and without characters that XML forbids."""
+    """The same with one element on a line, and without characters that XML forbids."""
     made, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = made.start, made.end
     parser.CharacterDataHandler = made.data

@@ -65,7 +65,7 @@ def correct(
 ) -> Correction:
     """Targets of a program, corrected so that the real machine reaches the poses it asks for.
 
-    The controller computes with a model f_c of its own, the machine is f, sag, gears and the
+    The controller computes with its model f_c, and the machine is f, sag, gears and the
     learnt discrepancy included. T = f_c(q) is wanted; the corrected joints q* solve f(q*) = T, and
     the corrected Cartesian target is f_c(q*). U95 is that of the reached pose: parameters, joints'
     readings, model error and the last digit of the file (see `Reached`). Nothing is written.

@@ -1,6 +1,6 @@
 """Corrected targets: the joints at which the real machine has the pose that was programmed.
 
-The controller computes with a model f_c of its own, the machine is f. Of a joint target q_0 the
+The controller computes with its model f_c, and the machine is f. Of a joint target q_0 the
 pose T = f_c(q_0) was meant; of a Cartesian target T is stated, and q_0 is what the controller makes
 of it. The corrected joints q solve f(q) = T; the corrected Cartesian target is f_c(q), which the
 controller maps back to q. Source: pose redefinition, as in doi 10.1177/16878132221090094.
