@@ -80,7 +80,7 @@ class Chosen:
 DECISIVE = 10.0
 """Gain in -2 log restricted likelihood from which a model without the term is wrong."""
 _CLEAR, _MOST = 3.0, 3
-"""Sds from which a part is told, and how many of a term."""
+"""Sds from which a part is named, and how many of a term."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ class Parts:
     method: as it was asked for, where the choice made another one of it; nominal, noise_floor: of
     the choice; change_points, discarded: what it modelled, and the outliers that it left out;
     intervals: profile intervals by parameter; tolerance [SI], region: what the verdict judges;
-    files: names of project and result, for command lines; None where nobody has named them.
+    files: names of project and result, for command lines; None where there are no names.
     """
 
     title: str | None = None

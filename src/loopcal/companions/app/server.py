@@ -118,8 +118,8 @@ def sent(session: Session, name: str) -> Response:
 
 
 def shown(session: Session, name: str) -> Response:
-    """A page that loopcal wrote. It runs its own programs, whose hashes it names itself, in an
-    origin of its own."""
+    """A page that loopcal wrote. It runs only programs whose hashes it names, in a
+    separate origin."""
     if name.rsplit("/", 1)[-1] not in PAGES:
         return PlainTextResponse("there is no such page\n", status_code=404)
     path = _path(session, name)

@@ -263,7 +263,7 @@ def divided(
     """A move between two targets, whose corrected joints are (2, n), wanted poses (2, 4, 4).
 
     bound: targets are inserted, at equal shares, until the error is below it [m]. Where 63 do not
-    suffice, no target is inserted.
+    suffice, the move stays as it is.
     """
     if move.error <= bound:
         return move

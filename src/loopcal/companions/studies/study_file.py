@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 class StudyMethod:
     """One way to calibrate a scenario's readings: the arguments of `calibrate`, by a name.
 
-    The mechanism has the priors; noise is what the method is told.
+    The mechanism has the priors; noise is stated to the method.
     """
 
     name: str

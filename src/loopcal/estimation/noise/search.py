@@ -33,7 +33,7 @@ _KEPT = 0.5
 matrix it came from does not serve any more."""
 # Above rounding, 1e-16, and far below any information that counts: chosen, not derived.
 _RIDGE = 1e-12
-"""Of a component's own information, so that what only shows in a sum has a step of its own."""
+"""Of a component's own information, so that what only shows in a sum takes a step too."""
 
 
 Likelihood = Callable[[Array, Array | None], Place | None]

@@ -1,6 +1,6 @@
 """What data need not say in every pose: readings that are implied, and constants of each pose.
 
-Joints that stand still: what reads the same in every pose has no errors of its own in each.
+Joints that stand still: what reads the same in every pose has one error, not one in each.
 
 Taken as uncertain, such a joint would seem to move by its corrections, which then tell parameters
 apart that no pose does; where nothing is known of these, the fit follows them without end.
