@@ -147,9 +147,9 @@ def _readings(problem: Problem) -> Iterator[Possible]:
         units = [mechanism.quantities[q] for q in group]
         for unit in dict.fromkeys(units):
             alike = tuple(q for q, other in zip(group, units, strict=True) if other == unit)
-            yield Possible("reading", alike, ramps=False)
-    for q in (q for group in by_instrument for q in group):
-        yield Possible("reading", (q,), steps=False)
+            yield Possible("reading", alike)
+            for q in alike if len(alike) > 1 else ():
+                yield Possible("reading", (q,), steps=False)
 
 
 def _zeros(problem: Problem) -> Iterator[Possible]:

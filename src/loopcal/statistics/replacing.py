@@ -172,6 +172,8 @@ class Replaced:
         )
 
     def _zero_columns(self, quantities: Sequence[int]) -> Array:
+        if not quantities:
+            return np.zeros((len(self.e), 0))
         sweeper = Sweeper(self.problem)
         by_block = []
         for (pattern, block), rows in zip(
