@@ -90,8 +90,7 @@ def _system(linear: Linearised, changed: Array) -> OrderedSystem:
     N, k = len(problem.poses), len(problem.readings)
     R = max(rows.e.shape[1] for rows in placement.rows)
     quantities = problem.mechanism.tape.quantities
-    read = np.isfinite(problem.uncertainty.sd).any(axis=1)
-    zeros = [i for i in range(k) if read[i]]
+    zeros = np.flatnonzero(np.isfinite(problem.uncertainty.sd).any(axis=1)).tolist()
     X_rows = np.zeros((len(linear.e), k))
     X_rows[:, zeros] = -scale * placement.columns([quantities[i] for i in zeros])
     Z_rows, D_rows = np.hstack([linear.F, changed, linear.A]), scale * placement.J[:, problem.free]
