@@ -47,12 +47,23 @@ def test_calibrations_scatter_as_the_plan_promises() -> None:
 
 def test_a_plan_has_as_many_poses_as_asked_a_fifth_to_validate() -> None:
     made = planned()
-    assert len(made.poses) == len(made.use) == 10
+    assert made.count == 10
+    assert len(made.poses) == len(made.use) == 12
     assert made.use.count("validate") == 2
-    assert len(set(made.poses.poses)) == 10
+    assert len(set(made.poses.poses)) == 12
     for q, (low, high) in ARM.items():
         assert (made.poses[q] >= low - 1e-4).all()
         assert (made.poses[q] <= high + 1e-4).all()
+
+
+def test_the_first_pose_is_measured_again_in_the_middle_and_at_the_end() -> None:
+    made = planned()
+    at = [i for i, use in enumerate(made.use) if use == "repeat"]
+    assert at == [5, 11]
+    assert [made.poses.poses[i] for i in at] == ["151", "152"]  # after the candidates
+    assert all((v[at] == v[0]).all() for v in made.poses.readings.values())
+    without = lc.PlanSettings(ARM, number=150, model_error="none", repeats=False)
+    assert "repeat" not in lc.plan(planar_two_link(), 10, noise=SD, settings=without).use
 
 
 def test_more_poses_promise_more() -> None:
@@ -68,7 +79,9 @@ def test_more_poses_promise_more() -> None:
 def test_promised_sds_are_those_that_check_expects() -> None:
     """At the very poses of the plan, without placements or model error in between."""
     made, machine = planned(), planar_two_link()
-    read = lc.simulate(machine, dict(made.poses.readings), noise={"*": 0.0}, seed=1)
+    once = [i for i, use in enumerate(made.use) if use != "repeat"]
+    poses = {q: v[once] for q, v in made.poses.readings.items()}
+    read = lc.simulate(machine, poses, noise={"*": 0.0}, seed=1)
     expected = lc.check(machine, read.dataset, noise=SD).expected_sd
     for name, sd in made.expected.parameters.items():
         assert sd == pytest.approx(expected[name], rel=1e-4)

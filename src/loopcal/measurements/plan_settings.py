@@ -72,7 +72,8 @@ class PlanSettings:
     reach: where the end point must be; keep_out: what neither end point, nor links of a serial arm,
     nor line of sight may touch; forbidden: readings near which no pose may be; number: of random
     candidates; model_error: "structured" counts what geometry does not explain among the
-    parameters, "none" does not; seed: of the random candidates.
+    parameters, "none" does not; seed: of the random candidates; repeats: whether the first pose is
+    measured again in the middle and at the end.
 
     Raises InputError for a number below 1 and an unknown model_error.
     """
@@ -86,6 +87,7 @@ class PlanSettings:
     number: int = 3000
     model_error: str = "structured"
     seed: int = 0
+    repeats: bool = True
 
     def __post_init__(self) -> None:
         if self.number < 1:

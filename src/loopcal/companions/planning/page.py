@@ -22,7 +22,7 @@ def plan_html(plan: Plan, title: str, mechanism: Mechanism, file: str) -> str:
     figures = (planned(plan.document()), _chosen(plan, mechanism), _parameters(plan))
     parts = (*figures, _poses(plan), _sds(plan))
     section = Section("plan", f"Plan: {title}", plan.summary(), parts)
-    return section_page("plan", section, {"file": file, "poses": len(plan.use)})
+    return section_page("plan", section, {"file": file, "poses": plan.count})
 
 
 def _parameters(plan: Plan) -> Figure | None:

@@ -11,7 +11,9 @@ so also for the best choice of n poses. The weights follow multiplicative steps 
 (Silvey, Titterington and Torsney 1978), capped at 1. a = 1/2 lowers f always, and grows as long as
 it does.
 
-An order of poses with short joint travel: nearest neighbour, then 2-opt.
+An order of poses with short joint travel: nearest neighbour, then 2-opt; out by every second
+pose of it, back by the others. The joints then do not tell the number of the pose, so that a linear
+drift of the instrument looks like no error of the machine.
 
 All joints move at once. So the way between two poses is as long as the longest of their moves, each
 in shares of its range.
@@ -47,6 +49,7 @@ from loopcal.companions.planning.information import (
 from loopcal.companions.planning.planned import (
     CALIBRATE,
     CRITERIA,
+    REPEAT,
     VALIDATE,
     Plan,
     expected_curve,
@@ -84,6 +87,9 @@ TESTS = 300
 # A choice at the nominal machine may suit no other, so draws from the prior are averaged in; 200
 # candidates show whether they matter.
 _DRAWS, _LOOKED_AT = 3, 200
+# Chosen, not derived: repeats are then a fifth of the poses at most.
+_RUN = 10
+"""Poses from which on the first is repeated in the middle and at the end."""
 _DEPENDS = 0.05
 """So much of a candidate's equations must change with a draw of the parameters to count."""
 
@@ -114,8 +120,8 @@ def plan(
     >>> arm = planar_two_link()
     >>> where = PlanSettings({"phi2": (-1.0, 1.0), "phi3": (0.3, 2.0)}, number=200)
     >>> made = plan(arm, 10, noise={"*": 1e-4}, settings=where)
-    >>> len(made.poses), made.use.count("validate"), made.efficiency > 0.8
-    (10, 2, True)
+    >>> made.count, made.use.count("validate"), made.use.count("repeat"), made.efficiency > 0.8
+    (10, 2, 2, True)
     """
     settings, sensor_noise = settings or PlanSettings(), Noise.of(noise)
     if sensor_noise is None:
@@ -139,7 +145,7 @@ def plan(
             raise too_few(len(pool.driven), pool.considered, pool.refused, poses)
         made = pooled(mechanism, pool, measured, sensor_noise, settings)
         best = choose(made.draws, poses, how, progress=progress)
-        return _planned(mechanism, pool, made, best, existing, how)
+        return _planned(mechanism, pool, made, best, existing, how, repeats=settings.repeats)
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,6 +309,8 @@ def _planned(
     best: Chosen,
     existing: Dataset | None,
     how: Criterion,
+    *,
+    repeats: bool,
 ) -> Plan:
     draw, names = made.draws[0], made.problem.names
     chosen = list(best.poses)
@@ -310,9 +318,16 @@ def _planned(
     curve = expected_curve(draw, names, chosen, how)
     marked = to_validate(made.draws, chosen, how)
     shares = in_shares(pool.driven)[:, chosen]
-    order = route(shares)
+    order = there_and_back(route(shares))
+    again = (len(order) // 2, len(order)) if repeats and len(order) >= _RUN else ()
+    use = [VALIDATE if chosen[i] in marked else CALIBRATE for i in order]
+    for at in reversed(again):
+        order.insert(at, order[0])
+        use.insert(at, REPEAT)
     way, before = travel(shares, order), travel(shares, list(range(len(chosen))))
-    taken = pool.take([chosen[i] for i in order])
+    ids = [int(name) for name in pool.driven.poses if name.isdecimal()]
+    highest = max(ids, default=len(pool.driven))
+    taken = _numbered(pool.take([chosen[i] for i in order]), highest)
     kept = [i for i in chosen if i not in marked]
     roles = mechanism.roles
     shown = [n for n in names if n in roles and roles[n] != "model error"]
@@ -321,7 +336,7 @@ def _planned(
     return Plan(
         taken.driven,
         taken.closed,
-        tuple(VALIDATE if chosen[i] in marked else CALIBRATE for i in order),
+        tuple(use),
         0 if existing is None else len(existing),
         len(pool.driven),
         pool.considered,
@@ -468,6 +483,20 @@ def route(joints: Array) -> list[int]:
         if not _uncrossed(order, away):
             break
     return order
+
+
+def there_and_back(order: list[int]) -> list[int]:
+    """Every second pose of a way, and back by the others."""
+    return order[::2] + order[1::2][::-1]
+
+
+def _numbered(taken: Candidates, highest: int) -> Candidates:
+    """With ids of their own for poses that are measured again: beyond the candidates' numbers."""
+    names = list(taken.driven.poses)
+    for number, at in enumerate(i for i, name in enumerate(names) if name in names[:i]):
+        names[at] = f"{highest + 1 + number}"
+    driven, closed = (replace(d, poses=tuple(names)) for d in (taken.driven, taken.closed))
+    return replace(taken, driven=driven, closed=closed)
 
 
 def travel(joints: Array, order: list[int]) -> float:

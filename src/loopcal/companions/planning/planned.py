@@ -30,7 +30,7 @@ CRITERIA = {
     "D": "determinant of the covariance of the parameters",
     "A": "mean relative variance of the parameters",
 }
-VALIDATE, CALIBRATE = "validate", "calibrate"
+VALIDATE, CALIBRATE, REPEAT = "validate", "calibrate", "repeat"
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,10 @@ class Plan:
     """Poses to measure, in the order of `poses`, which has short joint travel.
 
     poses: readings to set [SI] with their ids; closed: the same with everything that would be
-    read; use: "calibrate" or "validate" for each; existing: poses measured before; candidates:
-    how many were allowed, considered: of how many, refused: by which rule; efficiency: no choice of
-    as many of these candidates has less than this share of the criterion (D: per parameter);
+    read; use: "calibrate", "validate" or "repeat" for each; existing: poses measured before;
+    candidates: how many were allowed, considered: of how many, refused: by which rule; efficiency:
+    no choice of as many of these candidates has less than this share of the criterion (D: per
+    parameter);
     curve: by number of poses, the most telling first; fitted: what those marked "calibrate" alone
     promise; random: random choices beside it; travel: length of the way, shortened: over that in
     the order of choice; draws: of the parameters that the criterion is averaged over; unit: of the
@@ -93,6 +94,11 @@ class Plan:
     unit: str
     units: Mapping[str, str]
     remarks: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """How many poses were chosen; repeats are none of them."""
+        return len(self.use) - self.use.count(REPEAT)
 
     @property
     def expected(self) -> Expected:
@@ -132,11 +138,13 @@ class Plan:
 
     def summary(self) -> list[str]:
         """What was chosen, how good it is, and what it promises, one sentence a line."""
-        marked = self.use.count(VALIDATE)
+        marked, again = self.use.count(VALIDATE), self.use.count(REPEAT)
         lines = [
-            f"{len(self.use)} poses of {self.candidates} candidates, {marked} of them to validate"
+            f"{self.count} poses of {self.candidates} candidates, {marked} of them to validate"
             + (f", beside {self.existing} already measured" if self.existing else "")
         ]
+        if again:
+            lines.append(f"the first pose {again} times more, which shows a drift")
         lines += [f"{count} of {self.considered} excluded: {rule}" for rule, count in self._lost()]
         lines += [
             f"criterion {self.criterion} ({CRITERIA[self.criterion]}): at least "
@@ -161,7 +169,7 @@ class Plan:
             lines += [f"without the poses to validate: {without} rms"]
         if self.random is not None:
             sds_by_number = dict(zip(self.random.poses, self.random.end_point, strict=True))
-            same = sds_by_number.get(len(self.use))
+            same = sds_by_number.get(self.count)
             worth = self.random.equivalent
             prefix = "" if same is None else f"{with_unit(same, self.unit)} rms; "
             count = f"{worth}" if worth is not None else f"more than {self.random.poses[-1]}"

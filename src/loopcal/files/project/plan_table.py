@@ -156,6 +156,13 @@ class PlanTable:
             choices=MODEL_ERRORS,
         ),
     ] = "structured"
+    repeats: Annotated[
+        bool,
+        Key(
+            "Whether the first pose is measured again in the middle and at the end, which shows a "
+            "drift; of plans of 10 poses or more."
+        ),
+    ] = True
 
     def settings(
         self, mechanism: Mechanism, region: Mapping[str, tuple[float, float]]
@@ -172,4 +179,5 @@ class PlanTable:
             number=self.candidates,
             model_error=self.model_error,
             seed=self.seed,
+            repeats=self.repeats,
         )
