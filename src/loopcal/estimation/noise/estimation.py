@@ -62,8 +62,8 @@ gone on for half of all rounds; the first fit ends so many sds near the optimum,
 # Chosen, not derived: looser fits cost rounds, tighter ones steps.
 _SHARE = 0.1
 """A rough fit ends so many sds near its optimum for each unit by which the logarithms change."""
-# Chosen, not derived: swings that halve end within ten rounds.
-_SWINGS = 0.5
+# Chosen, not derived: swings that shrink faster end by themselves, within twenty rounds.
+_SWINGS = 0.8
 """Scales of terms that step back by more than this go by half as much from then on: each fit
 linearises the loops elsewhere, which may lead past the sds at which fit and sds agree."""
 # Chosen, not derived: new sds may mend one failure; every further one costs a fit.
