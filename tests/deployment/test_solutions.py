@@ -46,8 +46,8 @@ def apart(found: Array, others: Array) -> float:
 def test_a_pose_has_the_joints_that_many_starts_for_it_alone_give(
     name: str, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "_SEARCHED", 40)
-    poses = program(name, 60, kind)
+    monkeypatch.setattr(module, "_SEARCHED", 20)
+    poses = program(name, 30, kind)
     together, alone = solutions(arms(name), poses), module._searched(arms(name), poses)
     assert [len(joints) for joints in together] == [len(joints) for joints in alone]
     assert max(map(apart, together, alone)) < 1e-7

@@ -17,7 +17,7 @@ from analyses.gauntlet_kinds import KINDS
 from loopcal.chi_squared import tail
 from loopcal.document.change_points import Change, ChangePoint
 from loopcal.files.machines.mechanism_file import mechanism_from_data
-from loopcal.mechanisms.station import Station
+from loopcal.mechanisms.station import Station, pose_of
 from loopcal.statistics.estimated import log_tail
 from loopcal.statistics.findings import sized
 from loopcal.statistics.verdict import findings_of
@@ -324,7 +324,8 @@ def test_a_moved_station_of_an_arm_of_transitions_is_six_parameters_of_its_stati
     p = np.array([data[q] for q in "xyz"])
     p[:, 30:] = turn.as_matrix() @ p[:, 30:] + shift[:, None]
     wrong = data.with_readings(dict(zip("xyz", p, strict=True)))
-    (point,) = lc.find_shifts(fitted(wrong)).found
+    result = fitted(wrong)
+    (point,) = lc.find_shifts(result).found
     station = Station("base")
     assert (point.moved, point.names) == ("station", station.parameters)
     assert abs(point.number - 31) <= 1
@@ -339,3 +340,7 @@ def test_a_moved_station_of_an_arm_of_transitions_is_six_parameters_of_its_stati
     table = {"type": "motoman-ma1400", "effect": tomllib.loads(again.toml)["mechanism"]["effect"]}
     stated = mechanism_from_data(table, "mechanism.toml")
     assert all(stated.parameters[name].fixed for name in station.parameters)
+    T = pose_of([point.changes[name].size for name in station.parameters])
+    moved = np.linalg.norm(T[:3, :3] @ p + T[:3, 3:] - p, axis=0)
+    expected = np.sqrt(np.square(moved).mean() * (1.0 - 6.0 / point.gain))
+    assert sized(result, point).moves == pytest.approx(expected, rel=0.01)

@@ -88,7 +88,7 @@ def test_workers_and_interruptions_change_no_value(
 
 
 def test_a_killed_study_goes_on(path: Path, tmp_path: Path) -> None:
-    path.write_text(STUDY.replace("draws = 60", "draws = 150"), "utf-8")
+    path.write_text(STUDY.replace("draws = 60", "draws = 110"), "utf-8")
     out = tmp_path / "out"
     command = [sys.executable, "-m", "loopcal", "study", str(path), "--out", str(out)]
     with subprocess.Popen(

@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from loopcal.document.accuracy import Distances
 from loopcal.document.change_points import ChangePoint, ChangePoints
 from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
@@ -23,6 +25,7 @@ from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import gathered
 from loopcal.execution.forked import process_cores
+from loopcal.mechanisms.station import standing
 from loopcal.statistics.case import Case, nominal_case
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
 from loopcal.statistics.changes import shift_lines
@@ -161,9 +164,12 @@ def sized(result: FitResult, point: ChangePoint) -> ChangePoint:
     names = result.mechanism.compared
     if not names or result.all_poses is not None:
         return point
-    problem, at = result.problem, result.solution
-    values, readings = at.parameters.copy(), problem.readings.copy()
-    parameters, read = result.mechanism.parameters.names, result.mechanism.tape.quantities
+    # A station that the machine has not stands at 0, behind the other parameters.
+    mechanism = standing(result.mechanism, point.names)
+    problem, at = replace(result.problem, mechanism=mechanism), result.solution
+    parameters, read = mechanism.parameters.names, mechanism.tape.quantities
+    values = np.pad(at.parameters, (0, len(parameters) - len(at.parameters)))
+    readings = problem.readings.copy()
     for name, change in point.changes.items():
         if name in parameters:
             values[parameters.index(name)] += change.size

@@ -128,7 +128,7 @@ def test_an_encoder_a_hundred_times_worse_than_said_is_found_out(bad: str) -> No
     sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3} | {bad: 0.1}
     equal = lc.Noise({"?P": 1e-4, "phi?": 1e-3}, estimate={"phi?": "each"})
     known, guessed = [], []
-    for draw in range(12):
+    for draw in range(8):
         data = lc.simulate(arm, poses, noise=lc.Noise(sds), seed=draw).dataset
         known.append(list(calibrate(arm, data, noise=lc.Noise(sds)).value.values()))
         result = calibrate(arm, data, noise=equal)

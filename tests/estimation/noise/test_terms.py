@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,9 @@ from loopcal.estimation.noise.term_scales import (
     learn_scales,
     term_system,
 )
+from loopcal.estimation.noise.variances import Variances, by_common_factor, scales_of
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.solution import End
 from loopcal.mechanisms.terms import Term
 from tests.refusals import refused
 
@@ -170,6 +174,30 @@ def test_scales_are_recovered_and_intervals_hold() -> None:
     assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
     assert np.mean(points) == pytest.approx(0.95, abs=0.03)
     assert np.mean(bounded) >= 0.9
+
+
+@pytest.mark.parametrize("back", [1.0, 2.5])
+def test_scales_that_swing_about_their_end_settle_there(
+    back: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fits that lead as far past the end as the scales were before it, or farther."""
+    machine, drawn = waves(2e-3)
+    data = drawn(3)[0]
+    (calm,) = structured(machine, data).terms
+
+    def past(problem: Problem, end: End[Any], ratio: float | None) -> Variances:
+        stated = by_common_factor(problem, end, ratio)
+        assert stated.terms is not None
+        off = 2.0 * (np.log(scales_of(problem)) - math.log(calm.scale))
+        at = replace(stated.terms.at, x=stated.terms.at.x - back * np.append(0.0, off))
+        criterion = stated.criterion + float(off @ off)
+        return replace(stated, criterion=criterion, terms=replace(stated.terms, at=at))
+
+    monkeypatch.setattr("loopcal.estimation.noise.estimation.by_common_factor", past)
+    result = structured(machine, data)
+    assert result.status.converged
+    assert result.terms[0].scale == pytest.approx(calm.scale, rel=1e-3)
+    assert result.document.sds_settled
 
 
 def test_a_term_without_effect_costs_nothing() -> None:

@@ -62,6 +62,10 @@ gone on for half of all rounds; the first fit ends so many sds near the optimum,
 # Chosen, not derived: looser fits cost rounds, tighter ones steps.
 _SHARE = 0.1
 """A rough fit ends so many sds near its optimum for each unit by which the logarithms change."""
+# Chosen, not derived: swings that shrink faster end by themselves, within twenty rounds.
+_SWINGS = 0.8
+"""Scales of terms that step back by more than this go by half as much from then on: each fit
+linearises the loops elsewhere, which may lead past the sds at which fit and sds agree."""
 # Chosen, not derived: new sds may mend one failure; every further one costs a fit.
 _FAILURES = 1
 """So many fits in succession may end without converging."""
@@ -291,6 +295,7 @@ class _Search:
         start, before, vanish, iterations, failed = self.stated.start, math.inf, near, 0, 0
         scales, corrections = scales_of(self.stated), self.stated.first_corrections
         rough, last = ROUGH if len(scales) and not near else None, math.inf
+        share, stepped = 1.0, np.zeros(len(scales))
         for number in range(_MOST):
             present = scaled(begun_with(self.stated, scales), self.positions, ratios)
             begun = replace(present, start=start, first_corrections=corrections)
@@ -324,7 +329,10 @@ class _Search:
                     rough = None if ended else min(rough or ROUGH, _SHARE * change)
                 elif change > 0.5 * last:  # the end of the fit itself keeps them from settling
                     rough = _SHARE * min(rough or ROUGH, change)
-                scales, last = variances.terms.scales, change
+                step = np.log(variances.terms.scales / scales)
+                if step @ stepped < -_SWINGS * (stepped @ stepped):
+                    share *= 0.5
+                scales, last, stepped = scales * np.exp(share * step), change, step
         return _Round(present, solution, variances, False, iterations)
 
     def _variances(

@@ -35,6 +35,9 @@ Array = NDArray[np.float64]
 # derived.
 _FARTHEST = 2.0
 """No logarithm of a variance changes by more in one step."""
+# Chosen, not derived: logarithms are then off by 2e-5 sds; a further evaluation costs the most.
+_SETTLED = 5e-10
+"""A step is the last one if it promises the criterion less than this."""
 # Chosen, not derived: an sd of 30 in the logarithm of a variance says nothing on it.
 _FLAT = 1e-3
 """Curvature below which a direction counts as flat."""
@@ -255,7 +258,7 @@ def learn_scales(system: TermSystem, scales: Array, *, common: bool) -> TermVari
 def searched(system: TermSystem, x: Array, free: NDArray[np.bool_]) -> TermVariances:
     """The greatest likelihood over what is free, from x = (log phi, log sd^2 of each term) on."""
     bounds = Bounds(np.full(len(x), -np.inf), free, _FARTHEST)
-    end = search(partial(evaluate, system), evaluate(system, x), bounds)
+    end = search(partial(evaluate, system), evaluate(system, x), bounds, enough=_SETTLED)
     return TermVariances(system, end.at, free)
 
 

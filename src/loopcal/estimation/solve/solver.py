@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Generic
+from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,12 +154,12 @@ class _Solver(Generic[State]):
             # First, because all below judges the decrement, of which normal equations may lack
             # digits.
             if not (self.search.triangular or current.spectrum.well_conditioned):
-                self._note(triangular=True)
+                self.search.triangular = True
                 current = self._evaluate(current.parameters, current.evaluation.state)
                 continue
             # Open loops may have a merit below that of any closed ones (docs/decisions/0002).
             if current.merit < self.search.lowest.merit and current.closed is not None:
-                self._note(lowest=current.place)
+                self.search.lowest = current.place
             elif self._higher(current) and self._settled(current):
                 current = self._returned(current)
                 continue
@@ -174,11 +174,11 @@ class _Solver(Generic[State]):
             assert current.spectrum is not None
             if self.search.iterations >= max_iterations:
                 return self._give_up(current, "max_iterations")
-            self._note(current=current.place)
+            self.search.current = current.place
             if self.reached:
                 self.reached(replace(self.search, evaluations=self.evaluations))
             iterations = self.search.iterations + 1
-            self._note(iterations=iterations)
+            self.search.iterations = iterations
             if self.progress:
                 self.progress(iterations, current.merit, current.spectrum.decrement)
             trial = self._advance(current)
@@ -186,16 +186,13 @@ class _Solver(Generic[State]):
                 trial = self._returned(current)
             if trial is None:
                 return self._stalled(current)
-            self._note(before=current.spectrum.decrement)
+            self.search.before = current.spectrum.decrement
             current = trial
             if iterations % _PATIENCE == 0:
                 noted, merit = self.search.noted, self.search.lowest.merit
-                self._note(noted=merit)
+                self.search.noted = merit
                 if not merit < (1 - _PROGRESS) * noted:
                     return self._give_up(current, "stalled")
-
-    def _note(self, **changes: Any) -> None:
-        self.search = replace(self.search, **changes)
 
     @property
     def evaluations(self) -> int:
@@ -212,7 +209,8 @@ class _Solver(Generic[State]):
         place = self.search.lowest
         lowest = self._evaluate(place.parameters, place.state, _NEAR)
         point = lowest if lowest.merit < current.merit else current
-        self._note(course=self.search.course.returned(), before=np.inf, lowest=point.place)
+        self.search.course, self.search.before = self.search.course.returned(), np.inf
+        self.search.lowest = point.place
         return point
 
     @overflowing
@@ -244,9 +242,9 @@ class _Solver(Generic[State]):
         return other if other.spectrum is not None and other.merit < point.merit else None
 
     def _resumed(self, kept: Checkpoint[State]) -> Point[State]:
-        self.search, place = kept, kept.current
+        self.search, place = replace(kept), kept.current
         point = self._evaluate(place.parameters, place.state, place.closing)
-        self._note(evaluations=kept.evaluations - self.merit.evaluations)
+        self.search.evaluations -= self.merit.evaluations
         return point
 
     @overflowing
@@ -288,7 +286,7 @@ class _Solver(Generic[State]):
             if (descent := self._try(current, predicted)) is not None:
                 trial, move = descent
                 gain = (current.merit - trial.merit) / predicted if predicted > 0 else 1.0
-                self._note(course=self.search.course.accepted(system, move, gain))
+                self.search.course = self.search.course.accepted(system, move, gain)
                 return trial
             # The merit of open loops is an estimate: close them as well as the trial's.
             closing = _CLOSED if self._last(current, predicted) else _NEAR
@@ -298,7 +296,7 @@ class _Solver(Generic[State]):
                     current = closed
                     continue
                 current = replace(current, closed=closing)
-            self._note(course=self.search.course.rejected(system))
+            self.search.course = self.search.course.rejected(system)
         return None
 
     def _fast(self, current: Point[State]) -> Point[State] | None:
@@ -323,9 +321,9 @@ class _Solver(Generic[State]):
             if self._worth(current, trial, system.decrement):
                 # A gain below zero is rounding here, no reason to raise the damping.
                 gain = (current.merit - trial.merit) / system.decrement
-                self._note(course=self.search.course.accepted(system, step, max(gain, 0.0)))
+                self.search.course = self.search.course.accepted(system, step, max(gain, 0.0))
                 return trial
-        self._note(course=self.search.course.unaccelerated())
+        self.search.course = self.search.course.unaccelerated()
         return None
 
     def _try(self, current: Point[State], predicted: float) -> tuple[Point[State], Array] | None:
