@@ -118,7 +118,12 @@ class RecordTable:
     machine: Annotated[str | None, Key("Make and model of the machine.")] = None
     serial: Annotated[str | None, Key("Serial number of the machine.")] = None
     received: Annotated[str | None, Key("Day on which the machine was received.")] = None
-    date: Annotated[str | None, Key("Day of the measurement.")] = None
+    date: Annotated[
+        str | None,
+        Key(
+            "Day of the measurement, as 2026-11-02 or 2026-11-02 to 2026-11-04; a history takes it."
+        ),
+    ] = None
     issued: Annotated[str | None, Key("Day on which the record is issued.")] = None
     procedure: Annotated[str | None, Key("Procedure by which the machine was measured.")] = None
     temperature: Annotated[str | None, Key("Temperature during the measurement.")] = None
