@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from loopcal.companions.record.content import PEOPLE, RULE, SIGMAS_2, RecordContent, expanded
+from loopcal.companions.record.budget import SIGMAS_2
+from loopcal.companions.record.content import PEOPLE, RULE, RecordContent, expanded
 from loopcal.companions.record.record_file import OPEN, manifest, sealed
 from loopcal.errors import InputError
 from loopcal.files.versions import version
