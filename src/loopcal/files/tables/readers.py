@@ -20,7 +20,6 @@ from loopcal.files.tables.columns import (
     specified,
     wanted,
 )
-from loopcal.files.tables.day_columns import measured_days
 from loopcal.files.tables.isolated import read_isolated
 from loopcal.files.tables.reader import Layout
 from loopcal.files.tables.registry import reader_of, refuse_other_options
@@ -130,7 +129,7 @@ def dataset_of(
         {q: values(c, u, difference_to_si) / factor for q, (c, u, factor) in with_sd.items()},
         replace(
             source,
-            days=measured_days(table, keep),
+            days=table.days(keep),
             rows=table.rows[keep],
             begins=table.begins,
             columns={q: table.label(table.position(c.column)) for q, c in asked.items()},
