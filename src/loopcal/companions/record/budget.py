@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 SIGMAS_2 = 0.954499736103642
 """Probability of two sds: k = 2 where sds are known."""
 
+# If squares vary by as much as their mean, an rms of 2000 is sure to 1 / (2 sqrt(2000)) = 1.1 %.
+_MOST_POSES = 2000
+
 
 @dataclass(frozen=True)
 class Contribution:
@@ -104,6 +107,7 @@ def budgets(saved: SavedResult, lengths: LengthErrors) -> tuple[Budget, ...]:
             place=str(saved.path.parent),
             remedy="calibrate again",
         )
+    poses = poses.take(slice(None, None, -(-len(poses) // _MOST_POSES)))
     prediction = predict(predictor, poses)
     model = _by_model(predictor)
     by_model = None if model is None else predict(model, poses).from_readings
