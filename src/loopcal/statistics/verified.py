@@ -204,9 +204,10 @@ class Verification:
 
     @property
     def headline(self) -> str:
-        """The worst answer in words: what failed, then what is open, else the test."""
-        answers = [a for a in self.verdict.values() if a.asked]
-        return min(answers, key=lambda a: {False: 0, None: 1, True: 2}[a.passed]).words
+        """The worst answer in a sentence: what failed, then what is open, else the test."""
+        asked = {q: a for q, a in self.verdict.items() if a.asked}
+        worst = min(asked, key=lambda q: {False: 0, None: 1, True: 2}[asked[q].passed])
+        return next(one.words for one in self.findings if one.question == worst)
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
