@@ -65,8 +65,10 @@ def history(folder: Path) -> str:
             for name, (value, sd) in values.items()
         }
         rms = 6e-5 + 4e-6 * rng.standard_normal() + 0.4 * hit
-        content = {"words": "ok", "rms": rms, "unit": "m", "parameters": its}
-        append_entry(folder, "calibration", content, time=START + timedelta(days=91 * i))
+        day = START + timedelta(days=91 * i)
+        measured = {"first": f"{day:%Y-%m-%d}", "last": f"{day:%Y-%m-%d}"}
+        content = {"words": "ok", "rms": rms, "unit": "m", "parameters": its, "measured": measured}
+        append_entry(folder, "calibration", content, time=day)
     append_entry(folder, "event", {"words": "collision"}, time=START + timedelta(days=500))
     return history_html(lc.history(folder))
 

@@ -9,9 +9,11 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.companions.record.budget import Budget, LengthErrors, budgets
 from loopcal.companions.record.content import (
     FIELDS,
     OPTIONAL,
@@ -28,6 +30,7 @@ from loopcal.document.verdict import Answer
 from loopcal.files.project.project_schema import RecordTable
 from loopcal.files.result.result_file import read_result
 from loopcal.keys import arguments
+from loopcal.measurements.days import Days
 from loopcal.small_samples import t_quantile
 from tests.browser import chromium
 from tests.refusals import refused
@@ -202,3 +205,88 @@ def test_it_prints_on_paper_without_any_network(planar: Path, tmp_path: Path) ->
         assert page.evaluate("document.documentElement.scrollWidth") <= 672
         assert len(page.pdf(prefer_css_page_size=True)) > 10_000
     assert len(asked) == 1
+
+
+def test_dates_that_do_not_agree_are_cautions(planar: Path) -> None:
+    document = read_result(planar / "result.json")
+
+    def cautions(**stated: str) -> tuple[str, ...]:
+        return record_content(document, stated, ()).cautions
+
+    assert cautions(date="2026-11-02", instrument_calibrated="2026-03-01") == ()
+    (after,) = cautions(date="2026-11-02", traceability="certificate 4711 of 2026-12-01")
+    assert "2026-12-01, after the measurement of 2026-11-02" in after
+    due = {"date": "2026-11-02 to 2026-11-04", "instrument_due": "2026-11-03"}
+    (expired,) = cautions(**due)
+    assert "expired on 2026-11-03, before the measurement of 2026-11-02 to 2026-11-04" in expired
+    # of two days in a text it is not known which is that of the certificate
+    assert cautions(date="2026-11-02", traceability="2026-12-01, see 2026-12-02") == ()
+    (unknown,) = cautions(instrument_due="2026-11-03")
+    assert "not stated" in unknown
+    (written,) = cautions(date="2 Nov 2026")
+    assert "which is no day" in written
+    assert len(cautions(date="2026-11-02", issued="2026-11-01", received="2026-11-03")) == 2
+    read = replace(document, data=replace(document.data, measured=Days("2026-11-05", "2026-11-05")))
+    (other,) = record_content(read, {"date": "2026-11-02"}, ()).cautions
+    assert "dated 2026-11-05" in other
+    assert "Caution." in record_page(record_content(read, {"date": "2026-11-02"}, ()))
+
+
+def _budget(folder: Path, lengths: LengthErrors) -> Budget:
+    (made,) = budgets(lc.read_result(folder), lengths)
+    return made
+
+
+def test_the_budget_adds_up_to_what_predict_and_the_verdict_state(planar: Path) -> None:
+    saved = lc.read_result(planar)
+    assert saved.poses is not None
+    made = _budget(planar, LengthErrors(2e-6, 11.5e-6, 0.5))
+    predicted = lc.predict(saved.predictor, saved.poses)
+    stated = np.sqrt(np.einsum("noo->n", predicted.covariance).mean())
+    at_poses, region = made.places
+    inside = [one.sd for one in made.contributions if one.inside]
+    assert np.sqrt(sum((sd or 0.0) ** 2 for sd in inside)) == pytest.approx(stated, rel=1e-9)
+    assert at_poses.stated == pytest.approx(stated, rel=1e-9)
+    assert saved.document.prediction is not None
+    assert saved.document.prediction.region is not None
+    assert region.stated == saved.document.prediction.region.worst.sd
+    shares = [made.share(one) or 0.0 for one in made.contributions]
+    assert sum(shares) == pytest.approx(1.0, rel=1e-9)
+    points = np.array([predicted.outputs[q] for q in ("xP", "yP")])
+    spread = np.sqrt(points.var(axis=1).sum())
+    scale, thermal = (one.sd for one in made.contributions if not one.inside)
+    assert scale == pytest.approx(2e-6 * spread)
+    assert thermal == pytest.approx(11.5e-6 * 0.5 * spread)
+    assert pytest.approx(made.k * at_poses.combined) == at_poses.U
+
+
+def test_what_is_not_stated_counts_nothing_in_the_budget(planar: Path) -> None:
+    made = _budget(planar, LengthErrors(expansion=11.5e-6))
+    assert made.places[0].combined == made.places[0].stated
+    assert [one.sd for one in made.contributions if not one.inside] == [None, None]
+
+
+@pytest.mark.parametrize("scale", [1e-3, -1e-3])
+def test_an_instrument_of_a_wrong_scale_errs_as_the_budget_says(scale: float) -> None:
+    rng, arm = np.random.default_rng(1), lc.planar_two_link({"l2": 0.8, "l3": 0.6})
+    noise = lc.Noise({"xP": 1e-6, "yP": 1e-6, "phi2": 1e-7, "phi3": 1e-7})
+    angles = {q: rng.uniform(-2.0, 2.0, 40) for q in ("phi2", "phi3")}
+    data = lc.simulate(arm, angles, noise=noise, seed=1).dataset
+    place = np.array([data["xP"], data["yP"]])
+    middle = place.mean(axis=1, keepdims=True)
+    spread = np.sqrt(np.square(place - middle).sum(axis=0).mean())
+    wrong = dict(zip(("xP", "yP"), (1.0 + scale) * place, strict=True))
+    found = lc.calibrate(arm, data.with_readings(wrong), noise=noise, method="implicit-loop")
+    at = found.predict(data).outputs
+    off = np.array([at["xP"], at["yP"]]) - place
+    off -= off.mean(axis=1, keepdims=True)  # a shift, which the placement takes up
+    rms = np.sqrt(np.square(off).sum(axis=0).mean())
+    assert rms == pytest.approx(abs(scale) * spread, rel=0.01)
+
+
+def test_the_page_states_budget_and_what_is_held(folder: Path) -> None:
+    made = lc.record(folder)
+    text = text_of(made.path.read_text("utf-8"))
+    assert "Uncertainty budget of predicted positions" in text
+    assert "not stated: instrument_scale of [record]" in text
+    assert "is held" in text or "Held at their nominal values" in text

@@ -9,6 +9,7 @@ import typer
 from loopcal.cli.output import print_out
 from loopcal.errors import UsageError
 from loopcal.files.outputs import force_outputs
+from loopcal.measurements.days import Days
 
 app = typer.Typer(
     name="loopcal",
@@ -88,6 +89,15 @@ HistoryOption = Annotated[
         callback=_named,
     ),
 ]
+DateOption = Annotated[
+    str | None,
+    option(
+        "DATE",
+        "Day of the measurement, as 2026-03-01 [default: a column of dates in the readings, else "
+        "[record] date of the project].",
+        "--date",
+    ),
+]
 NoReportOption = Annotated[
     bool, flag("--no-report", "Skip report.html and delete an existing one.")
 ]
@@ -142,6 +152,28 @@ def numbers_of(text: str | None, option: str) -> list[float]:
             f"{option} is {text!r}, which is not a list of numbers with commas between them",
             remedy=f"give {option}=1,2.5,-3",
         ) from None
+
+
+def days_of(text: str | None) -> Days | None:
+    """The days of --date; None of None. Raises UsageError for a text that is no day."""
+    days = None if text is None else Days.of_text(text)
+    if text is not None and days is None:
+        raise UsageError(
+            f"--date is {text!r}, which is no day",
+            code="invalid-value",
+            remedy='write it as 2026-03-01, or as "2026-03-01 to 2026-03-02"',
+        )
+    return days
+
+
+def days_of_history(folder: str | None, text: str | None) -> Days | None:
+    """The days of --date beside --history. Raises UsageError where no history is named."""
+    if text is not None and folder is None:
+        raise UsageError(
+            "--date dates an entry of a history, and none is named",
+            remedy="add --history FOLDER, or leave --date out",
+        )
+    return days_of(text)
 
 
 def _version(asked: bool) -> None:

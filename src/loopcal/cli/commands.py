@@ -7,6 +7,7 @@ from typing import Annotated
 
 from loopcal.cli.application import (
     ClusterOption,
+    DateOption,
     ForceOption,
     FunctionOption,
     HistoryOption,
@@ -92,6 +93,7 @@ def calibrate(
     workers: WorkersOption = None,
     cluster: ClusterOption = None,
     machine_history: HistoryOption = None,
+    date: DateOption = None,
 ) -> None:
     """Fit; write result.json, residuals.csv, mechanism.toml and report.html; print a summary."""
     from loopcal.cli.progress import Progress, executor_of, try_cluster
@@ -110,7 +112,7 @@ def calibrate(
                 profile=profile or (),
                 compare=compare,
                 report=not no_report,
-                keeper=keeper(machine_history),
+                keeper=keeper(machine_history, date),
             ),
             out=out,
             function=mechanism,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, get_type_hints
 
 from typer.models import CommandInfo
 
-from loopcal.cli.application import FunctionOption, app
+from loopcal.cli.application import FunctionOption, app, days_of_history
 from loopcal.companions import called, load
 
 if TYPE_CHECKING:
@@ -31,9 +31,10 @@ COMMANDS = {
 """Command -> its module, of this folder or of a companion, in the order of the help."""
 
 
-def keeper(folder: str | None) -> Keeper | None:
-    """What keeps a result in the history of this folder."""
-    made: Keeper | None = None if folder is None else called("HistoryKeeper")(folder)
+def keeper(folder: str | None, date: str | None) -> Keeper | None:
+    """What keeps a result in the history of this folder, dated by --date."""
+    days = days_of_history(folder, date)
+    made: Keeper | None = None if folder is None else called("HistoryKeeper")(folder, days)
     return made
 
 

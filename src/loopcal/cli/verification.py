@@ -6,6 +6,7 @@ from typing import Annotated
 
 from loopcal.cli.application import (
     AnewOption,
+    DateOption,
     ForceOption,
     FunctionOption,
     HistoryOption,
@@ -37,6 +38,7 @@ def verify(
     ] = None,
     force: ForceOption = False,
     machine_history: HistoryOption = None,
+    date: DateOption = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
@@ -50,7 +52,7 @@ def verify(
         anew=anew or (),
         tolerance=None if tolerance is None else 1e-3 * tolerance,
         out=out,
-        keeper=keeper(machine_history),
+        keeper=keeper(machine_history, date),
         function=mechanism,
     )
     print_done(done, as_json)

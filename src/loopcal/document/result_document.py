@@ -39,6 +39,7 @@ from loopcal.document.tables import (
     term_table,
 )
 from loopcal.document.verdict import Finding, Verdict
+from loopcal.measurements.days import Days
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import unstated_mountings
 from loopcal.presentation.shown import percent, significant, with_unit, wrapped
@@ -98,6 +99,8 @@ class DataEntry:
     """Readings recorded in steps that are not small against their sds."""
     agreeing: tuple[str, ...] = ()
     """Ids of poses whose rows equal others, as rows of such coarse readings may by chance: used."""
+    measured: Days | None = None
+    """Days of the measurement, by a column of dates in the readings; null: there is none."""
 
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know of the rows."""
@@ -248,6 +251,12 @@ class ResultDocument:
     files: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of the files of this result beside it, by name; empty: written by an earlier
     version."""
+
+    @property
+    def measured(self) -> Days | None:
+        """Days of the measurement: by the readings, else [record] date; None where unknown."""
+        stated = (self.inputs.get("record") or {}).get("date")
+        return self.data.measured or (None if stated is None else Days.of_text(str(stated)))
 
     @property
     def sensors_exact(self) -> bool:

@@ -192,6 +192,7 @@ def data_entry(dataset: Dataset, used: int, quantities: Sequence[str]) -> DataEn
         source.copied,
         source.discarded,
         agreeing=source.agreeing,
+        measured=source.measured,
     )
 
 

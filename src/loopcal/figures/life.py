@@ -140,12 +140,14 @@ EVENT = 30
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """times: ISO; values, half: (n,) a value and half its 95 % interval, in one unit."""
+    """times: ISO; values, half: (n,) a value and half its 95 % interval, in one unit; steps: the
+    positions of the first values after a step."""
 
     name: str
     times: Sequence[str]
     values: Array
     half: Array
+    steps: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,7 @@ def courses(key: str, unit: str, lines: Sequence[Line], events: Sequence[Event])
             line.values - line.values[0],
             error_y=interval(line.half, 1.2),
             line={"color": colour[line.name]},
+            marker=_marked(len(line.times), line.steps),
         )
         for line in lines
     ]
@@ -176,13 +179,21 @@ def courses(key: str, unit: str, lines: Sequence[Line], events: Sequence[Event])
     return Figure(
         key,
         f"Parameters in {unit} over time",
-        "Bars are 95 % intervals. Dashed lines are events. Click a name to hide it.",
+        "Bars are 95 % intervals. Diamonds follow a step. Dashed lines are events. Click a name to "
+        "hide it.",
         f"Changes of {len(lines)} parameters over time with 95 % intervals.",
         tuple(data),
         layout(
             460, yaxis=axis(title, zeroline=True), xaxis=axis("", type="date"), **_events(events)
         ),
     )
+
+
+def _marked(number: int, positions: Sequence[int]) -> dict[str, Any]:
+    """Diamonds at these positions, circles elsewhere."""
+    marked = [i in positions for i in range(number)]
+    shapes = ["diamond" if one else "circle" for one in marked]
+    return {"symbol": shapes, "size": [12 if one else 7 for one in marked]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +210,13 @@ def accuracy_chart(
 ) -> Figure:
     """The accuracy with its weighted mean and the limits of that."""
     x = line.times
-    data = [trace("markers", "rms", x, line.values, marker={"color": BEFORE})]
+    beyond: list[int] = []
+    if weighted is not None:
+        outside = (weighted.smooth < weighted.low) | (weighted.smooth > weighted.high)
+        beyond = np.flatnonzero(outside).tolist()
+    look = {"color": [MARK if i in beyond else BEFORE for i in range(len(x))]}
+    look |= _marked(len(x), beyond)
+    data = [trace("markers", "rms", x, line.values, marker=look)]
     if weighted is not None:
         dashed = {"color": MARK, "dash": "dot"}
         data += [
@@ -211,7 +228,7 @@ def accuracy_chart(
         "accuracy",
         "Accuracy over time",
         "EWMA: exponentially weighted mean. Beyond a limit the accuracy has changed by more than "
-        "its own scatter explains.",
+        "its own scatter explains: a diamond.",
         f"Accuracy at {len(line.times)} entries.",
         tuple(data),
         layout(

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.measurements.days import Days
+
 
 @dataclass(frozen=True, eq=False)
 class Source:
@@ -34,6 +36,8 @@ class Source:
     """Whether no copies are to be sought: they are known, or poses were taken several times."""
     every: int = 1
     """Thinning: the 1st, (every + 1)th, ... row was kept."""
+    days: Days | None = None
+    """Of the measurement, by a column of dates."""
     rows: NDArray[np.int64] | None = None
     """(N,) row of each pose in the file, counted from 1 as an editor or a spreadsheet does."""
     begins: Mapping[str, int] = field(default_factory=dict)
@@ -56,6 +60,14 @@ class Source:
     def name(self) -> str | None:
         """How messages call the file; None where there is none."""
         return None if self.file is None else file_name(self.file, self.part)
+
+    @property
+    def measured(self) -> Days | None:
+        """The days of the measurement over all files that hold dates; None where none does."""
+        days = [part.days for part in (self, *self.joined) if part.days is not None]
+        if not days:
+            return None
+        return Days(min(one.first for one in days), max(one.last for one in days))
 
     def take(self, index: NDArray[np.int64]) -> Source:
         """The source of those poses alone."""

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from loopcal.document.result_document import ResultDocument
 from loopcal.files.atomic import Data
+from loopcal.measurements.days import Days
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.verified import Verification
 
@@ -29,9 +30,13 @@ class Keeper(Protocol):
         """Writes the files of a calibration and keeps it with them; path: of its result.json."""
 
     def of_verification(
-        self, verification: Verification, result: str | Path, readings: str | Path
+        self,
+        verification: Verification,
+        result: str | Path,
+        readings: str | Path,
+        measured: Days | None,
     ) -> Writer:
-        """Writes the files of a verification and keeps it with them."""
+        """Writes the files of a verification and keeps it with them; measured: by its readings."""
 
     def note(self, result: str | Path) -> None:
         """Tell a result what is kept of its machine."""

@@ -63,7 +63,7 @@ def run_verification(
         files[Path(out)] = verification_html(verification, read.mechanism.name, names)
     write: Writer = write_all
     if keeper is not None:
-        write = keeper.of_verification(verification, result, readings)
+        write = keeper.of_verification(verification, result, readings, data.source.measured)
     write(files)
     if keeper is not None:
         keeper.note(result)

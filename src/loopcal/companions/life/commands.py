@@ -6,6 +6,7 @@ from typing import Annotated
 
 from loopcal.cli.application import (
     AnewOption,
+    DateOption,
     ForceOption,
     FunctionOption,
     HistoryOption,
@@ -16,6 +17,8 @@ from loopcal.cli.application import (
     ResultArgument,
     app,
     argument,
+    days_of,
+    days_of_history,
     flag,
     option,
     out_option,
@@ -48,19 +51,22 @@ def update(
     anew: AnewOption = None,
     no_report: NoReportOption = False,
     machine_history: HistoryOption = None,
+    date: DateOption = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
     """Update a calibration with readings of another day, beginning from what it knows."""
+    from loopcal.companions.life.history_files import HistoryKeeper
     from loopcal.companions.life.update_files import Mounted, run_update
 
+    days = days_of_history(machine_history, date)
     done = run_update(
         result,
         file,
         out=out,
         mounting=Mounted(not same_place, remounted, anew or ()),
         drift=drift or (),
-        history=machine_history,
+        history=None if machine_history is None else HistoryKeeper(machine_history, days),
         report=not no_report,
         function=mechanism,
     )
@@ -83,6 +89,14 @@ def history(
         list[str] | None,
         option("TEXT", "Add this event; repeatable [default: none]."),
     ] = None,
+    date: Annotated[
+        str | None,
+        option(
+            "DATE",
+            "Day of what is added, as 2026-03-01 [default: of a calibration a column of dates in "
+            "its readings, else [record] date; of an event today].",
+        ),
+    ] = None,
     out: Annotated[
         str | None, out_option("FILE", "Write the page to this file [default: FOLDER.html].")
     ] = None,
@@ -92,7 +106,7 @@ def history(
     """Print and draw a machine's history, or add a calibration or an event to it."""
     from loopcal.companions.life.history_files import run_history
 
-    done = run_history(folder, add=add or (), events=event or (), out=out)
+    done = run_history(folder, add=add or (), events=event or (), stated=days_of(date), out=out)
     print_done(done.history, as_json, where=f"written to {done.page}")
 
 

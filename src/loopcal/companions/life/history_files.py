@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from loopcal.document.verdict import Finding
 from loopcal.errors import InputError
 from loopcal.files.atomic import Data
 from loopcal.files.result.deployed import HISTORY, note_deployed, result_path
+from loopcal.measurements.days import Days
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.keeping import Writer
@@ -33,9 +34,13 @@ class HistoryDone:
 
 @dataclass(frozen=True)
 class HistoryKeeper:
-    """Keeps calibrations and verifications as entries of the history in this folder."""
+    """Keeps calibrations and verifications as entries of the history in this folder.
+
+    stated: days of the measurement, in place of what readings and project say.
+    """
 
     folder: str | Path
+    stated: Days | None = None
 
     def refuse(self) -> None:
         """Raise InputError, before any work, where the path is no folder."""
@@ -43,13 +48,20 @@ class HistoryKeeper:
 
     def of_calibration(self, document: ResultDocument, mechanism: Mechanism, path: Path) -> Writer:
         """Writes the files of a calibration with its entry; path: of its result.json."""
-        return self._writer("calibration", calibration_entry(document, mechanism, path))
+        days = self.stated or document.measured
+        content = calibration_entry(document, mechanism, path)
+        return self._writer("calibration", {**content, **_measured(days)})
 
     def of_verification(
-        self, verification: Verification, result: str | Path, readings: str | Path
+        self,
+        verification: Verification,
+        result: str | Path,
+        readings: str | Path,
+        measured: Days | None,
     ) -> Writer:
         """Writes the files of a verification with its entry."""
-        return self._writer("verification", verification_entry(verification, result, readings))
+        content = verification_entry(verification, result, readings)
+        return self._writer("verification", {**content, **_measured(self.stated or measured)})
 
     def note(self, result: str | Path) -> None:
         """Keep the history beside a result in it too, for its report."""
@@ -74,9 +86,12 @@ def run_history(
     *,
     add: Sequence[str | Path] = (),
     events: Sequence[str] = (),
+    stated: Days | None = None,
     out: str | Path | None = None,
 ) -> HistoryDone:
     """Add results and events to a history, and write its page, by default FOLDER.html.
+
+    stated: the days of what is added, in place of what readings and project say.
 
     Raises InputError for what cannot be read or written; nothing was added then.
     """
@@ -85,8 +100,15 @@ def run_history(
     refuse_no_history(folder)
     page = Path(f"{str(folder).rstrip('/')}.html") if out is None else Path(out)
     read = [read_result(result) for result in add]
-    added = [("calibration", calibration_entry(r.document, r.mechanism, r.path)) for r in read]
-    added += [("event", _event(words)) for words in events]
+    added = [
+        (
+            "calibration",
+            calibration_entry(r.document, r.mechanism, r.path)
+            | _measured(stated or r.document.measured),
+        )
+        for r in read
+    ]
+    added += [("event", {**_event(words), **_measured(stated)}) for words in events]
     # The page is of the entries as they will be, and comes with them or not at all.
     entries = append_entries(folder, added, lambda every: {page: history_html(History(every))})
     machine_history = History(entries)
@@ -98,8 +120,8 @@ def run_history(
 def history(folder: str | Path) -> History:
     """The history of a machine from its folder; damaged entries are named and skipped.
 
-    Drift rates are learnt by restricted likelihood from five calibrations on (Patterson and
-    Thompson 1971). Raises InputError where there is no such folder.
+    Steps and drift are sought over the days of measurement (`loopcal.History`). Raises InputError
+    where there is no such folder.
     """
     return History(read_entries(folder))
 
@@ -132,6 +154,10 @@ def note_history(machine_history: History, result: str | Path) -> None:
     """Keep a history beside a result in it too, for its report."""
     name = machine_history.entries.folder.name
     note_deployed(result_path(result), HISTORY, name, machine_history.document())
+
+
+def _measured(days: Days | None) -> dict[str, Any]:
+    return {"measured": None if days is None else asdict(days)}
 
 
 def _event(words: str) -> dict[str, Any]:

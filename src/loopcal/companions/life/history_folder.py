@@ -21,6 +21,7 @@ from typing import Any
 from loopcal.errors import InputError, short
 from loopcal.files.atomic import Data, clear_up, write_all
 from loopcal.files.json_reader import json_bytes
+from loopcal.measurements.days import Days
 from loopcal.units import unit
 
 SCHEMA = 1
@@ -31,13 +32,27 @@ _NAME = re.compile(r"\d{8}T\d{6}Z-(\d{4,12})\.json")
 
 @dataclass(frozen=True)
 class Entry:
-    """kind: one of `KINDS`; time: UTC; sequence: its number from 1; content: by kind."""
+    """kind: one of `KINDS`; time: UTC, when it was added; sequence: its number from 1; content: by
+    kind."""
 
     file: str
     kind: str
     time: datetime
     sequence: int
     content: Mapping[str, Any]
+
+    @property
+    def dated(self) -> bool:
+        """Whether the day of its measurement is known; an event without one was today's."""
+        return self.kind == "event" or self.content.get("measured") is not None
+
+    @property
+    def day(self) -> datetime:
+        """When this was measured or happened; where that is unknown, when it was added."""
+        measured = self.content.get("measured")
+        if measured is None:
+            return self.time
+        return datetime.fromisoformat(measured["first"]).replace(tzinfo=UTC)
 
 
 @dataclass(frozen=True)
@@ -183,6 +198,10 @@ def _check_content(kind: str, content: Any) -> None:
     _text_of(content, "words")
     if content.get("rms") is not None:
         _number_with_unit(content, "rms")
+    if (measured := content.get("measured")) is not None:
+        days = f"{_text_of(measured, 'first')} to {_text_of(measured, 'last')}"
+        if Days.of_text(days) is None:
+            raise ValueError("its 'measured' is no day")
     if kind == "calibration":
         if not isinstance(content["parameters"], dict):
             raise ValueError("its parameters are no JSON object")

@@ -12,6 +12,7 @@ import numpy as np
 from loopcal.companions.life.fleet import Fleet
 from loopcal.companions.life.history import History
 from loopcal.companions.life.pages import (
+    change_table,
     fleet_figure,
     fleet_tables,
     fleet_words,
@@ -122,7 +123,8 @@ def _changes(file: str, what_changed: WhatChanged) -> Table:
 def _history(document: Mapping[str, Any]) -> Parts:
     history = History.from_document(document)
     table = replace(history_table(history), caption="History of the machine")
-    return [], [table, *history_figures(history)]
+    changed = change_table(history)
+    return [], [table, *([] if changed is None else [changed]), *history_figures(history)]
 
 
 def _fleet(document: Mapping[str, Any]) -> Parts:

@@ -8,7 +8,7 @@ from statistics import NormalDist
 import numpy as np
 
 from loopcal.companions.life.fleet import Fleet
-from loopcal.companions.life.history import History, Trend
+from loopcal.companions.life.history import CHANGE_HEAD, ENTRY_HEAD, History, Trend
 from loopcal.figures.figure import Figure
 from loopcal.figures.life import (
     Event,
@@ -18,7 +18,7 @@ from loopcal.figures.life import (
     courses,
     spread,
 )
-from loopcal.presentation.shown import Table, by_sd, chance, in_unit, size, unit_shown, with_unit
+from loopcal.presentation.shown import Table, by_sd, chance, in_unit, size, unit_shown
 from loopcal.report.section import Part, Section, section_page
 
 
@@ -89,41 +89,43 @@ def fleet_tables(fleet: Fleet) -> list[Table]:
 
 # Half of the 95 % interval of a normal distribution, in sds.
 _WIDE = 1.96
-_ORDER = ("accuracy", "lengths", "angles", "others")
-"""Keys of the figures."""
 
 
 def history_html(history: History) -> str:
     """One self-contained page; nothing in it is asked of any network."""
     entries, name = history.entries, history.entries.folder.name
-    outside = history.chart is not None and history.chart.outside
-    words = ["The accuracy is outside its limits (EWMA). Verify the machine."] if outside else []
+    words = history.words()
     words += [f"Skipped: {one.file}: {one.reason}" for one in entries.skipped]
-    figures = {one.key: one for one in history_figures(history)}
-    parts = [*map(figures.get, _ORDER), history_table(history)]
-    section = Section("h", f"History of {name}", words, parts)
+    section = Section("h", f"History of {name}", words, history_parts(history))
     return section_page("history", section, {"folder": name, "entries": len(entries.whole)})
 
 
+def history_parts(history: History) -> list[Figure | Table]:
+    """Figures, changes and entries."""
+    changed = change_table(history)
+    tables = [history_table(history)] if changed is None else [changed, history_table(history)]
+    return [*history_figures(history), *tables]
+
+
 def history_figures(history: History) -> list[Figure]:
-    """Parameters and accuracy over time, with the events."""
-    events = [Event(e.time.isoformat(), e.content["words"]) for e in history.of_kind("event")]
-    figures = []
-    for unit in dict.fromkeys(trend.unit for trend in history.trends):
-        several = [one for one in history.trends if one.unit == unit and len(one.times) > 1]
-        lines = [_line(trend) for trend in several]
-        key = {"m": "lengths", "rad": "angles"}.get(unit, "others")
-        figures.append(courses(key, unit_shown(unit), lines, events))
+    """Accuracy and parameters over time, a figure of each unit, with the events."""
+    events = [Event(e.day.isoformat(), e.content["words"]) for e in history.of_kind("event")]
+    figures: list[Figure | None] = []
     measured = history.measured
     if measured:
         unit = measured[0].content["unit"]
         values = np.array([in_unit(v, unit) for v in history.accuracy])
-        line = Line("rms", [e.time.isoformat() for e in measured], values, np.zeros(len(values)))
+        line = Line("rms", [e.day.isoformat() for e in measured], values, np.zeros(len(values)))
         chart, weighted = history.chart, None
         if chart is not None:
             parts = (chart.smooth, chart.low, chart.high)
             weighted = Weighted(*(np.array([in_unit(v, unit) for v in p]) for p in parts))
         figures.append(accuracy_chart(unit_shown(unit), line, weighted, events))
+    named = {"m": "lengths", "rad": "angles"}
+    for unit in dict.fromkeys(trend.unit for trend in history.trends):
+        several = [one for one in history.trends if one.unit == unit and len(one.times) > 1]
+        key = named.setdefault(unit, f"others_{len(named)}")
+        figures.append(courses(key, unit_shown(unit), [_line(one) for one in several], events))
     return [figure for figure in figures if figure is not None]
 
 
@@ -131,19 +133,17 @@ def _line(trend: Trend) -> Line:
     values, sds = (
         np.array([in_unit(v, trend.unit) for v in series]) for series in (trend.values, trend.sds)
     )
-    return Line(trend.name, trend.times, values, _WIDE * sds)
+    steps = [trend.numbers.index(one.at) for one in trend.changes if one.at is not None]
+    return Line(trend.name, trend.times, values, _WIDE * sds, tuple(steps))
+
+
+def change_table(history: History) -> Table | None:
+    """The changes of parameters; None where none is seen."""
+    rows = tuple(tuple(change.row(trend)) for trend, change in history.changed)
+    caption = "Changes of parameters, with 95 % intervals"
+    return Table(caption, CHANGE_HEAD, rows) if rows else None
 
 
 def history_table(history: History) -> Table:
-    """The entries in their order."""
-    rows = tuple(
-        (
-            str(e.sequence),
-            f"{e.time:%Y-%m-%d %H:%M}",
-            e.kind,
-            "" if e.content.get("rms") is None else with_unit(e.content["rms"], e.content["unit"]),
-            e.content["words"],
-        )
-        for e in history.entries.whole
-    )
-    return Table("Entries", ("number", "UTC", "entry", "rms", "result"), rows)
+    """The entries by the day of their measurement."""
+    return Table("Entries", ENTRY_HEAD, tuple(history.rows()))

@@ -58,21 +58,20 @@ def run_update(
     out: str | Path | None = None,
     mounting: Mounted = Mounted(),
     drift: Sequence[str] = (),
-    history: str | Path | None = None,
+    history: HistoryKeeper | None = None,
     report: bool = False,
     function: str | None = None,
 ) -> UpdateDone:
     """Update the result of a folder by readings in the columns of its project, and write it.
 
     out: the folder to write to, by default RESULT-updated; drift: "ROLE=VALUE UNIT" each, else the
-    rates of the history, where it knows them; history: folder to which the result is added; the
-    rest as in `update`.
+    rates of the history, where it knows them; history: to which the result is added; the rest as
+    in `update`.
     Raises InputError for what cannot be used.
     """
-    keeper = None if history is None else HistoryKeeper(history)
-    if keeper is not None:
-        keeper.refuse()
-    usual = {} if drift or history is None else _usual(history)
+    if history is not None:
+        history.refuse()
+    usual = {} if drift or history is None else _usual(history.folder)
     read = read_result(result, mechanism=function)
     folder = read.path.parent
     held = {p.name for p in read.mechanism.parameters if p.fixed}
@@ -88,7 +87,7 @@ def run_update(
     refuse_foreign(*(target / name for name in (*NAMES, "report.html")))
     anew = (*mounted(read.mechanism, mounting.remounted), *mounting.anew)
     freed(read.mechanism, anew)  # raises for a name that is not there
-    data, inputs = poses_of_result(readings, read.mechanism), read.inputs
+    data, inputs = poses_of_result(readings, read.mechanism), _undated(read.inputs)
     if data is None:
         inputs = _with_file(inputs, readings)
         data = read_new_readings(readings, read.inputs, read.mechanism, whole=True)
@@ -99,7 +98,7 @@ def run_update(
     title = read.document.title
     updated_result = Result.of(done.result)
     written = save_result(
-        updated_result, target, title=title, inputs=inputs, report=report, keeper=keeper
+        updated_result, target, title=title, inputs=inputs, report=report, keeper=history
     )
     verdict = written.document.verdict
     assert verdict is not None
@@ -133,6 +132,13 @@ def drifts(texts: Sequence[str]) -> dict[str, float]:
 def _usual(folder: str | Path) -> dict[str, float]:
     """What a history knows of the drift since its last calibration."""
     return read_history(folder).drift() if is_history(folder) else {}
+
+
+def _undated(inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The project's entries without the day of its measurement, which was another one."""
+    if "record" not in inputs:
+        return inputs
+    return {**inputs, "record": {k: v for k, v in inputs["record"].items() if k != "date"}}
 
 
 def _with_file(inputs: Mapping[str, Any], readings: str | Path) -> Mapping[str, Any]:

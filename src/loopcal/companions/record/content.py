@@ -10,19 +10,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 
+from loopcal.companions.record.budget import SIGMAS_2, Budget
+from loopcal.companions.record.dates import date_cautions
 from loopcal.companions.record.record_file import RecordFile
 from loopcal.document.accuracy import Distances
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import Stage, accuracy_stages, shown_parameters
 from loopcal.document.verdict import UNJUDGED, Verdict
+from loopcal.presentation.shown import significant
 from loopcal.small_samples import t_quantile
 from loopcal.statistics.verdict import Quantile
+from loopcal.units import from_si
 
 UNSTATED = "not stated"
-# erf(sqrt(2)) = 2 Phi(2) - 1.
-SIGMAS_2 = 0.954499736103642
-"""Probability of two sds: k = 2 where sds are known."""
 FIELDS: Mapping[str, Mapping[str, str]] = {
     "Laboratory and customer": {
         "laboratory": "Laboratory",
@@ -42,6 +43,8 @@ FIELDS: Mapping[str, Mapping[str, str]] = {
     "Method and conditions": {
         "procedure": "Procedure",
         "temperature": "Temperature",
+        "temperature_sd": "sd of the temperature",
+        "expansion": "Thermal expansion",
         "payload": "Payload",
         "warm_up": "Warm-up",
         "speed": "Speed",
@@ -51,11 +54,19 @@ FIELDS: Mapping[str, Mapping[str, str]] = {
         "instrument": "Make and model",
         "instrument_serial": "Serial number",
         "traceability": "Traceability",
+        "instrument_calibrated": "Calibrated",
+        "instrument_due": "Calibration due",
+        "instrument_scale": "sd of its scale",
     },
 }
 PEOPLE = {"operator": "Measured by", "authorised_by": "Authorised by"}
 OTHERS = ("number", "adjustment", "note")
-OPTIONAL = ("accreditation", "country", "performed_at", "number", "note")
+QUANTITIES = {"instrument_scale": "ppm", "temperature_sd": "K", "expansion": "ppm/K"}
+"""Keys of [record] that are numbers, and the units in which they are shown."""
+OPTIONAL = (
+    *("accreditation", "country", "performed_at", "number", "note"),
+    *("instrument_calibrated", "instrument_due", *QUANTITIES),
+)
 """Keys of which a page without them says nothing."""
 RULE = (
     "95 % of poses shall lie within the tolerance. The machine passes where the upper end of the "
@@ -88,11 +99,16 @@ class Expanded:
 
 @dataclass(frozen=True)
 class RecordContent:
-    """A result, the texts of [record] that are stated, and the files behind both."""
+    """A result, the texts of [record] that are stated, and the files behind both.
+
+    budgets: of predicted positions; no_budget: why there is none.
+    """
 
     document: ResultDocument
     texts: Mapping[str, str]
     files: Sequence[RecordFile]
+    budgets: Sequence[Budget] = ()
+    no_budget: str = ""
 
     @property
     def title(self) -> str:
@@ -112,6 +128,16 @@ class RecordContent:
         """Keys that the page prints as "not stated"."""
         keys = [key for fields in FIELDS.values() for key in fields]
         return tuple(k for k in (*keys, *PEOPLE, *OTHERS) if k not in {*self.texts, *OPTIONAL})
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """Dates that do not agree."""
+        return date_cautions(self.document, self.texts)
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """The parameters that the calibration held at their nominal values."""
+        return tuple(entry.name for entry in self.parameters if entry.fixed)
 
     @property
     def verdict(self) -> Verdict:
@@ -141,14 +167,27 @@ class RecordContent:
 
 
 def record_content(
-    document: ResultDocument, stated: Mapping[str, str], files: Sequence[RecordFile]
+    document: ResultDocument,
+    stated: Mapping[str, str | float | None],
+    files: Sequence[RecordFile],
+    budgets: Sequence[Budget] = (),
+    no_budget: str = "",
 ) -> RecordContent:
     """What the record of a result states.
 
-    stated: the texts of [record], of which blank ones count as missing; files: those behind it.
+    stated: of [record], where blank texts count as missing and numbers are SI; files: those behind
+    it; budgets, no_budget: as in `RecordContent`.
     """
-    texts = {key: text.strip() for key, text in stated.items() if text and text.strip()}
-    return RecordContent(document, texts, files)
+    texts = {key: _text(key, value) for key, value in stated.items() if value is not None}
+    texts = {key: text for key, text in texts.items() if text}
+    return RecordContent(document, texts, files, budgets, no_budget)
+
+
+def _text(key: str, value: str | float) -> str:
+    if isinstance(value, str):
+        return value.strip()
+    shown = QUANTITIES[key]
+    return f"{significant(float(from_si(value, shown)), 4)} {shown}"
 
 
 def expanded(entry: ParameterEntry) -> Expanded | None:

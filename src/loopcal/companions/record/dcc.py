@@ -16,14 +16,15 @@ import math
 import re
 from base64 import b64encode
 from dataclasses import dataclass
-from datetime import date
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from loopcal.companions.record.content import PEOPLE, RULE, SIGMAS_2, RecordContent, expanded
+from loopcal.companions.record.budget import SIGMAS_2
+from loopcal.companions.record.content import PEOPLE, RULE, RecordContent, expanded
 from loopcal.companions.record.record_file import OPEN, manifest, sealed
 from loopcal.errors import InputError
 from loopcal.files.versions import version
+from loopcal.measurements.days import Days
 from loopcal.report.templates import environment
 from loopcal.statistics.verdict import CONFIDENCE
 from loopcal.units import difference_to_si, to_si, unit
@@ -41,7 +42,6 @@ NEEDED = {
     "authorised_by": "B. Jones",
 }
 """Keys of [record] without which no certificate validates, with examples."""
-_DAYS = re.compile(r"(\d{4}-\d{2}-\d{2})(?:\s*(?:/|to|–|until)\s*(\d{4}-\d{2}-\d{2}))?")
 _COUNTRY = re.compile("[A-Z]{2}")
 # All but the characters that XML 1.0 allows (section 2.2, Char).
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -103,24 +103,18 @@ def _check(content: RecordContent) -> None:
         )
 
 
-def _days(text: str, key: str) -> tuple[str, str]:
-    """First and last day of "2026-11-02" or "2026-11-02 to 2026-11-04"."""
-    match = _DAYS.fullmatch(text)
-    try:
-        if match is None or (key != "date" and match[2] is not None):
-            raise ValueError
-        first, last = (date.fromisoformat(day) for day in (match[1], match[2] or match[1]))
-        if last < first:
-            raise ValueError
-    except ValueError:
+def _days(text: str, key: str) -> Days:
+    """The day, or for "date" the days, that a key of [record] states."""
+    days = Days.of_text(text)
+    if days is None or (key != "date" and days.first != days.last):
         span = ', or "2026-11-02 to 2026-11-04"' if key == "date" else ""
         raise InputError(
             f"{text!r} is no day that a digital calibration certificate can hold",
             code="invalid-value",
             place=f"[record].{key}",
             remedy=f'write it as "2026-11-02"{span}',
-        ) from None
-    return first.isoformat(), last.isoformat()
+        )
+    return days
 
 
 def _indented(xml: str) -> str:

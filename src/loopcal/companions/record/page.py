@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from loopcal.companions.record.budget import Budget
 from loopcal.companions.record.content import (
     FIELDS,
     OPTIONAL,
@@ -14,7 +15,7 @@ from loopcal.companions.record.content import (
 from loopcal.companions.record.record_file import OPEN, manifest, sealed
 from loopcal.document.fit import ParameterEntry
 from loopcal.files.versions import version
-from loopcal.presentation.shown import NONE, Table, by_sd, size, unit_shown
+from loopcal.presentation.shown import NONE, Table, by_sd, enumerated, percent, size, unit_shown
 from loopcal.report.templates import environment, part
 from loopcal.report.top import accuracy_bars, readings
 
@@ -45,6 +46,8 @@ def record_page(content: RecordContent) -> str:
             drawn=accuracy_bars(content.document),
             accuracy=_accuracy(content),
             parameters=_parameters(content),
+            budgets=[_budget(one) for one in content.budgets],
+            held=_held(content),
             manifest=manifest(content.files),
             seal=OPEN,
             version=version(),
@@ -72,6 +75,58 @@ def _accuracy(content: RecordContent) -> Table | None:
     head = ("", "poses", "mean", "rms", "95 % of poses", "its 95 % interval", "largest")
     caption = f"Distance between computed and measured position [{unit_shown(unit)}]"
     return Table(caption, head, tuple(rows))
+
+
+def _budget(budget: Budget) -> tuple[Table, Table]:
+    """What contributes at the measured poses, and U there and in the working region."""
+    unit, at = budget.unit, budget.places[0]
+    rows = [
+        (
+            one.name,
+            one.source,
+            NONE if one.sd is None else size(one.sd, unit, 3),
+            NONE if (share := budget.share(one)) is None else percent(share, 1),
+        )
+        for one in budget.contributions
+    ]
+    rows.append(
+        ("combined", "root of the sum of squares", size(at.combined, unit, 3), percent(1.0))
+    )
+    of = f", {budget.instrument}" if budget.instrument else ""
+    head = ("contribution", "source", f"sd [{unit_shown(unit)}]", "share")
+    places = tuple(
+        (
+            p.name,
+            p.source,
+            *(size(v, unit, 3) for v in (p.stated, p.combined, p.U)),
+            f"{budget.k:.2f}",
+        )
+        for p in budget.places
+    )
+    shown = unit_shown(unit)
+    where = (
+        "where",
+        "stated by",
+        f"sd stated [{shown}]",
+        f"combined [{shown}]",
+        f"U [{shown}]",
+        "k",
+    )
+    return (
+        Table(f"Uncertainty budget of predicted positions{of}: measured poses", head, tuple(rows)),
+        Table(f"Expanded uncertainty of predicted positions{of}", where, places),
+    )
+
+
+def _held(content: RecordContent) -> str:
+    """Which parameters are held, and what depends on that choice."""
+    if not content.held:
+        return "No parameter of the machine is held."
+    return (
+        f"Held at their nominal values: {enumerated(content.held)}. The values of the others, and "
+        "their U, depend on which are held. Where a held parameter is redundant, predicted "
+        "positions do not."
+    )
 
 
 def _parameters(content: RecordContent) -> Table:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from loopcal.companions.record.budget import Budget, LengthErrors, budgets
 from loopcal.companions.record.content import RecordContent, record_content
 from loopcal.companions.record.page import record_page
 from loopcal.companions.record.record_file import (
@@ -16,11 +17,12 @@ from loopcal.companions.record.record_file import (
     record_files,
 )
 from loopcal.companions.record.xml_schema import check_against, schema_version
+from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_all
-from loopcal.files.result.result_file import read_result
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml
+from loopcal.workflow.saved_result import SavedResult, read_result
 
 PAGE = "record.html"
 
@@ -31,7 +33,8 @@ class Record:
 
     path: of the page; number: unique; title: "Calibration record", or "Calibration certificate"
     where an accreditation is stated; files: those behind it; missing: keys of [record] that it
-    prints as "not stated"; dcc: path of the digital calibration certificate, None if not asked for.
+    prints as "not stated"; dcc: path of the digital calibration certificate, None if not asked for;
+    cautions: dates that do not agree.
     """
 
     path: Path
@@ -40,6 +43,7 @@ class Record:
     files: tuple[RecordFile, ...]
     missing: tuple[str, ...]
     dcc: Path | None = None
+    cautions: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -50,6 +54,7 @@ class Record:
             "files": [vars(file) for file in self.files],
             "missing": list(self.missing),
             "dcc": None if self.dcc is None else str(self.dcc),
+            "cautions": list(self.cautions),
         }
 
     def __str__(self) -> str:
@@ -61,6 +66,7 @@ class Record:
         lost = [file.name for file in self.files if file.path is None]
         if lost:
             lines.append(f"not found, only the SHA-256 is recorded: {', '.join(lost)}")
+        lines += [f"CAUTION  {words}" for words in self.cautions]
         return "\n".join(lines)
 
 
@@ -82,20 +88,35 @@ def record(
     """
     path = Path(result)
     path = path if path.name == "result.json" else path / "result.json"
-    document = read_result(path)
-    stated: Mapping[str, Any] = document.inputs.get("record") or {}
-    if project is not None:
-        stated = _stated(Path(project))
+    saved = read_result(path)
+    document = saved.document
+    stated = _stated_by(document) if project is None else _stated(Path(project))
     page = path.with_name(PAGE) if out is None else Path(out)
     files = record_files(path, document, page, None if project is None else Path(project))
-    texts = {key: str(value) for key, value in stated.items() if value is not None}
-    content = record_content(document, texts, files)
+    content = record_content(document, stated, files, *_budgets(saved, stated))
     html = record_page(content)
     # Ahead of all writing: what does not validate is not written (docs/decisions/0083).
     xml = _certificate(content, html, schema) if dcc else None
     at = None if xml is None else page.with_suffix(".xml")
     write_all({page: html} if at is None or xml is None else {page: html, at: xml})
-    return Record(page, content.number, content.title, files, content.missing, at)
+    about = content.missing, at, content.cautions
+    return Record(page, content.number, content.title, files, *about)
+
+
+def _budgets(saved: SavedResult, stated: Mapping[str, Any]) -> tuple[tuple[Budget, ...], str]:
+    """The budgets of a result; where there are none, why."""
+    lengths = LengthErrors(
+        **{one.name: stated.get(_KEYS[one.name]) for one in fields(LengthErrors)}
+    )
+    try:
+        made = budgets(saved, lengths)
+    except InputError as error:
+        return (), error.message
+    return made, "" if made else "the result predicts no positions"
+
+
+_KEYS = {"scale": "instrument_scale", "expansion": "expansion", "temperature_sd": "temperature_sd"}
+"""Error of a length -> its key of [record]."""
 
 
 def _certificate(content: RecordContent, html: str, schema: str | Path | None) -> str:
@@ -134,3 +155,13 @@ def _stated(project: Path) -> dict[str, Any]:
     data = read_toml(project)
     checked_schema(data, place)
     return asdict(read_tables(ProjectTables, data, place).made("record"))
+
+
+def _stated_by(document: ResultDocument) -> dict[str, Any]:
+    """[record] of the project as it was calibrated; a result of another program may hold others."""
+    from loopcal.files.project.project_schema import ProjectTables
+    from loopcal.files.toml.tables import read_tables
+
+    stated = document.inputs.get("record") or {}
+    place = Place("result.json").at("inputs")
+    return asdict(read_tables(ProjectTables, {"schema": 1, "record": stated}, place).made("record"))

@@ -118,7 +118,12 @@ class RecordTable:
     machine: Annotated[str | None, Key("Make and model of the machine.")] = None
     serial: Annotated[str | None, Key("Serial number of the machine.")] = None
     received: Annotated[str | None, Key("Day on which the machine was received.")] = None
-    date: Annotated[str | None, Key("Day of the measurement.")] = None
+    date: Annotated[
+        str | None,
+        Key(
+            "Day of the measurement, as 2026-11-02 or 2026-11-02 to 2026-11-04; a history takes it."
+        ),
+    ] = None
     issued: Annotated[str | None, Key("Day on which the record is issued.")] = None
     procedure: Annotated[str | None, Key("Procedure by which the machine was measured.")] = None
     temperature: Annotated[str | None, Key("Temperature during the measurement.")] = None
@@ -129,6 +134,43 @@ class RecordTable:
     instrument_serial: Annotated[str | None, Key("Serial number of the instrument.")] = None
     traceability: Annotated[
         str | None, Key("Calibration of the instrument: certificate, laboratory, date.")
+    ] = None
+    instrument_calibrated: Annotated[
+        str | None,
+        Key(
+            "Day of that certificate, as 2026-03-01; default: the only such day in traceability.",
+        ),
+    ] = None
+    instrument_due: Annotated[
+        str | None, Key("Last day on which that certificate counts, as 2027-03-01.")
+    ] = None
+    instrument_scale: Annotated[
+        float | None,
+        Key(
+            "sd of the scale of its lengths, by data sheet or certificate.",
+            unit="1",
+            positive=True,
+            example={"value": 2, "unit": "ppm"},
+        ),
+    ] = None
+    temperature_sd: Annotated[
+        float | None,
+        Key(
+            "sd of the temperature of the machine about the one stated.",
+            unit="K",
+            positive=True,
+            difference=True,
+            example={"value": 0.5, "unit": "K"},
+        ),
+    ] = None
+    expansion: Annotated[
+        float | None,
+        Key(
+            "Thermal expansion of the machine, relative to its length.",
+            unit="1/K",
+            positive=True,
+            example={"value": 11.5, "unit": "ppm/K"},
+        ),
     ] = None
     adjustment: Annotated[
         str | None, Key("What was adjusted after this calibration, and when.")

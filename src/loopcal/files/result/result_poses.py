@@ -9,6 +9,7 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.files.result.pair import refuse_stale
+from loopcal.files.result.result_file import read_result
 from loopcal.files.tables.columns import Column
 from loopcal.files.tables.readers import read_dataset
 from loopcal.measurements.dataset import Dataset
@@ -49,4 +50,5 @@ def poses_of_result(path: str | Path, mechanism: Mechanism) -> Dataset | None:
             place=str(folder),
             remedy="give the file of readings",
         )
-    return poses
+    measured = read_result(folder / "result.json").measured
+    return replace(poses, source=replace(poses.source, days=measured))

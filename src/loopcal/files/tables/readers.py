@@ -129,6 +129,7 @@ def dataset_of(
         {q: values(c, u, difference_to_si) / factor for q, (c, u, factor) in with_sd.items()},
         replace(
             source,
+            days=table.days(keep),
             rows=table.rows[keep],
             begins=table.begins,
             columns={q: table.label(table.position(c.column)) for q, c in asked.items()},

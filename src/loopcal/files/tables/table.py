@@ -13,6 +13,7 @@ from loopcal.errors import InputError, listed, nearest, short
 from loopcal.files.tables import cells as cell_rules
 from loopcal.files.tables import series
 from loopcal.files.tables.cells import Cells, NotANumber
+from loopcal.measurements.days import Days
 from loopcal.measurements.poses import cell_text
 from loopcal.measurements.source import file_name, row_name
 
@@ -145,6 +146,22 @@ class Table:
     def numeric(self) -> list[int]:
         """Positions of the columns whose cells are numbers for the most part."""
         return [i for i, c in self.columns.items() if cell_rules.mostly_numbers(c, self.decimal)]
+
+    def days(self, keep: NDArray[np.int64]) -> Days | None:
+        """When the rows to keep were measured, by a column of dates as ISO 8601 writes them.
+
+        None without one, and where two of them disagree. No header is needed.
+        """
+        numeric = set(self.numeric())
+        columns = [cells for position, cells in self.columns.items() if position not in numeric]
+        days = {_days_of(cells, keep) for cells in columns} - {None}
+        # Which of several columns is that of the measurement is not guessed.
+        return days.pop() if len(days) == 1 else None
+
+
+def _days_of(cells: Cells, keep: NDArray[np.int64]) -> Days | None:
+    stated = (cells[int(i)] for i in keep)
+    return Days.of_moments(str(cell) for cell in stated if not cell_rules.is_missing(cell))
 
 
 def positions_of(

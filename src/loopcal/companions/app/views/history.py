@@ -9,8 +9,9 @@ from loopcal.companions.app.controls import offer, page, text
 from loopcal.companions.app.view import View, figure, heading, table
 from loopcal.companions.life.history import History
 from loopcal.companions.life.history_folder import read_entries
-from loopcal.companions.life.pages import history_figures, history_table
+from loopcal.companions.life.pages import history_parts
 from loopcal.errors import LoopcalError
+from loopcal.presentation.shown import Table
 
 FOLDER = "machine.history"
 
@@ -64,16 +65,20 @@ def _machine(view: View) -> None:
     offer(view, words.ADD_THIS_EVENT, event, what=words.ADD_HISTORY)
     try:
         history = History(read_entries(view.session.folder.inside(FOLDER)))
-        trend_table = history_table(history)
-        drawn = history_figures(history)
+        parts = history_parts(history)
     except LoopcalError as error:
         message = words.NO_HISTORY if error.code == "missing-file" else str(error)
         ui.label(message)
         return
-    table(trend_table.head, trend_table.rows)
+    for sentence in history.words():
+        ui.label(sentence)
     page(f"{FOLDER}.html", words.OPEN_PAGE_HISTORY)
-    for one in drawn:
-        figure(one)
+    for one in parts:
+        if isinstance(one, Table):
+            heading(one.caption)
+            table(one.head, one.rows)
+        else:
+            figure(one)
 
 
 def _end(code: object) -> str:

@@ -1,0 +1,57 @@
+"""Days of a measurement, as files and people write them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import date
+
+_DAY = r"(\d{4}-\d{2}-\d{2})"
+_SPAN = re.compile(rf"\s*{_DAY}(?:\s*(?:/|to|–|until)\s*{_DAY})?\s*")
+_MOMENT = re.compile(rf"\s*{_DAY}(?:[T ]\s*\d{{1,2}}:\d{{2}}.*)?", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Days:
+    """The first and the last day, as ISO 8601 writes them."""
+
+    first: str
+    last: str
+
+    @classmethod
+    def of_text(cls, text: str) -> Days | None:
+        """Of "2026-11-02" or "2026-11-02 to 2026-11-04"; None for any other text.
+
+        >>> Days.of_text("2026-11-02 to 2026-11-04").last
+        '2026-11-04'
+        >>> Days.of_text("in November") is None
+        True
+        """
+        match = _SPAN.fullmatch(text)
+        if match is None:
+            return None
+        first, last = match[1], match[2] or match[1]
+        return cls(first, last) if _is_day(first) and _is_day(last) and first <= last else None
+
+    @classmethod
+    def of_moments(cls, texts: Iterable[str]) -> Days | None:
+        """Of dates or times such as "2026-11-02T08:30:00"; None where one of them is none."""
+        days = set()
+        for text in texts:
+            match = _MOMENT.fullmatch(text)
+            if match is None or not _is_day(match[1]):
+                return None
+            days.add(match[1])
+        return cls(min(days), max(days)) if days else None
+
+    def __str__(self) -> str:
+        return self.first if self.first == self.last else f"{self.first} to {self.last}"
+
+
+def _is_day(text: str) -> bool:
+    try:
+        date.fromisoformat(text)
+    except ValueError:
+        return False
+    return True
