@@ -23,6 +23,7 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -68,13 +69,15 @@ class Days:
         worn: Callable[..., truth.Arm] = bending if how == "auto" else lambda arm, rng: arm
         world = World(arm.split()[0], worn=worn)
 
-        def day(number: int, **changes: float) -> Trial:
+        def day(number: int, world: World) -> Trial:
             rngs = np.random.default_rng(seed), np.random.default_rng([*seed, number])
-            made = replace(world, **changes).made(*rngs)
+            made = world.made(*rngs)
             return replace(made, mechanism=_by_origins()) if arm == "ur urdf" else made
 
         # The joints of fresh poses are exact: their noise would hide what the calibrations do.
-        return cls(day(1, poses=POSES), day(2, poses=LATER), day(3, encoder=0.0).inside)
+        exact = replace(world, encoder=0.0)
+        measured = day(1, replace(world, poses=POSES)), day(2, replace(world, poses=LATER))
+        return cls(*measured, day(3, exact).inside)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -93,9 +96,14 @@ class Days:
         plain = lc.update(first, day)
         drifted = lc.update(first, day, drift={"zero": abs(zero)})
         every = self.recalibrated(first, drifted, joint, day)
-        none, *others = (self._error(one, joint, zero) for one in (first, plain, drifted, every))
         said = any(f"the zero of {joint} anew" in words for words in plain.warnings)
-        return Errors(none, *others, said)
+        return Errors(
+            self.error(first, joint, zero),
+            self.error(plain, joint, zero),
+            self.error(drifted, joint, zero),
+            self.error(every, joint, zero),
+            said,
+        )
 
     def recalibrated(
         self, first: lc.Result, near: lc.Result, joint: str, day: Readings
@@ -125,7 +133,8 @@ class Days:
             {**stated.entries, "model": max(model[0], 1e-6)}, estimate={"model": "group"}
         )
 
-    def _error(self, result: lc.Result, joint: str, zero: float) -> float:
+    def error(self, result: Any, joint: str, zero: float) -> float:
+        """Rms distance [m] of a result, in memory or saved, at the fresh poses."""
         fresh = self.fresh
         predicted = lc.predict(result, moved(fresh.readings, joint, zero))
         points = np.column_stack([predicted.outputs[q] for q in fresh.outputs])

@@ -47,6 +47,8 @@ ROUNDING = 1e-14
 # Chosen, not derived: what a calibrated machine differs from its drawing (5 mrad) leaves less.
 EXCHANGED = 0.01
 """Share of a change that steps of other parameters may leave and still follow it."""
+# Chosen, not derived: far above rounding, far below `ALIKE`, of columns of length 1.
+_NOTHING = 1e-9
 # Rows and columns are scaled in turn; a rough balance is enough, because rank does not change.
 _BALANCINGS = 4
 # At most so many names in a sentence, and the least share of a combination that is worth a name.
@@ -200,7 +202,7 @@ def exchanged(
     columns = np.concatenate(parts)
     J, C = columns[:, : len(among)], columns[:, len(among) :]
     lengths = _or_one(np.linalg.norm(J, axis=0))
-    steps = np.linalg.lstsq(J / lengths, C, rcond=ROUNDING**0.5)[0] / lengths[:, None]
+    steps = np.linalg.lstsq(J / lengths, C, rcond=_NOTHING)[0] / lengths[:, None]
     left = np.linalg.norm(C - J @ steps, axis=0)
     same = left <= EXCHANGED * np.linalg.norm(C, axis=0)
     every = zip([*others, *zeros], steps.T, same.tolist(), strict=True)

@@ -102,10 +102,10 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
     def followed(allowance: Allowance, within: Container[str] | None = None) -> Allowance:
         """With the changes that its check found; itself where they are none, or not all within."""
         check = allowance.check
-        found = () if check.changes is None else check.changes.found
-        sure = [change for change in found if change.p_value < _SURE]
+        named = () if check.changes is None else check.changes.found
+        sure = [change for change in named if change.p_value < _SURE]
         # One that the poses hardly show is followed where it is the zero of one joint alone.
-        changes = sure or [change for change in found if len(change.zeros) == 1]
+        changes = sure or [change for change in named if len(change.zeros) == 1]
         sds = drifting.followed(changes)
         if allowance.consistent or not sds or not all(within is None or n in within for n in sds):
             return allowance
@@ -162,8 +162,8 @@ class Drifting:
         mechanism, sds = self.calibrated.mechanism, dict[str, float]()
         for change in changes:
             for cause in causes_of(change):
-                alone = cause == change.name
-                size = abs(change.value) if alone else shift_sd(mechanism.quantities[cause])
+                other = change.kind != "zero" and cause in change.zeros
+                size = shift_sd(mechanism.quantities[cause]) if other else abs(change.value)
                 sds[self._zeros.get(cause, cause)] = _ALLOWED * size
         return sds if sds.keys() <= self._steps.keys() else {}
 
@@ -241,16 +241,18 @@ class Drifting:
 
 
 def causes_of(change: Change) -> tuple[str, ...]:
-    """What an update estimates of a change: the joints whose zero explains it, else what was named.
+    """What an update estimates of a change: joints whose zero explains it, else what was named.
 
     A joint's zero moves more easily than its other parameters change.
     """
-    return change.zeros or (change.name,)
+    if change.kind == "zero":
+        return (change.name,)
+    return change.zeros or tuple(change.parts) or (change.name,)
 
 
 def followed_words(change: Change) -> str:
     """That an update follows this change, in two sentences."""
-    joints = " and ".join(change.zeros)
+    joints = " and ".join(causes_of(change)) if change.zeros else ""
     what = f"the zero of {joints}" if joints else change.name
     other = f", or {what} moved" if joints and change.kind != "zero" else ""
     return f"Since the calibration, {change.words}{other}. The update estimates {what} anew."

@@ -102,10 +102,13 @@ def update(
     data: readings [SI] as `calibrate` takes them; noise: their sds, else the calibration's; moved:
     whether instruments stand elsewhere, so that nothing is known of their placement; remounted: as
     in `verify`; drift: sd [SI] by which parameters may have changed since, by role ("length",
-    "twist", "zero", "angle", "scale", "mounting", "effect") or by name; "length" and "angle" hold
-    all of the machine in that unit. The prior is the covariance of the
-    calibration (Kalman 1960), near the end of the update as its poses say (Bell 1994). A warning of
-    the result says where the readings are of another machine (`verify`).
+    "twist", "zero", "angle", "scale", "mounting", "effect"), joint (its zero) or parameter;
+    "length" and "angle" hold all of the machine in that unit. The prior is the covariance of the
+    calibration (Kalman 1960), near the end of the update as its poses say (Bell 1994).
+
+    It verifies first (`verify`). Changes that are named there, and explain the readings, are
+    estimated anew; warnings of the result name them, or say that the readings are of another
+    machine.
 
     Raises InputError for a calibration or readings without sds, and for a role that is not there.
     """
