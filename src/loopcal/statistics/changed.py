@@ -7,7 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from loopcal.presentation.shown import by_sd, chance, percent, significant, size, unit_shown, with_unit
+from loopcal.presentation.shown import (
+    by_sd,
+    chance,
+    percent,
+    significant,
+    size,
+    unit_shown,
+    with_unit,
+)
 from loopcal.statistics.innovation import Innovation
 
 # Record 0053.
@@ -22,8 +30,8 @@ _WORDS = {
     "length": "lengths",
     "mounting": "mountings",
     "scale": "scales",
-    "load": "load",
-    "expansion": "scale of the machine",
+    "load": "loads",
+    "expansion": "scales",
 }
 _CONDITIONS = ("load", "expansion")
 """Kinds of changes of what a machine is used under, not of itself."""
@@ -53,6 +61,13 @@ class Candidate:
     unit: str
     p_value: float | None = None
     smallest: float | None = None
+
+    @property
+    def seen(self) -> str:
+        """The smallest change that is seen."""
+        if self.kind == "expansion":
+            return f"{significant(1e6 * (self.smallest or 0.0), 2)} ppm"
+        return with_unit(self.smallest, self.unit, 2)
 
     @property
     def words(self) -> str:
@@ -220,11 +235,11 @@ class WhatChanged:
             near_least = [one for one in every if (one.smallest or 0.0) <= _HARDLY * least]
             hidden += [one.words for one in every if one not in near_least]
             near_least = sorted(near_least, key=lambda one: one.smallest or 0.0)
-            kind, unit = _WORDS.get(near_least[0].kind, near_least[0].kind), near_least[0].unit
+            kind = _WORDS.get(near_least[0].kind, near_least[0].kind)
             first, most = near_least[0], near_least[-1]
-            line = f"  {kind}: from {with_unit(first.smallest, unit, 2)} ({first.name})"
+            line = f"  {kind}: from {first.seen} ({first.name})"
             if most is not first:
-                line += f" to {with_unit(most.smallest, unit, 2)} ({most.name})"
+                line += f" to {most.seen} ({most.name})"
             lines.append(line)
         if hidden:
             lines.append(f"  not visible at these poses: {_some(hidden)}")

@@ -130,14 +130,14 @@ class Verification:
         return facts
 
     def _changed(self, changes: WhatChanged) -> Fact:
-        innovation = self.innovation
         place = Where(parameters=tuple(change.name for change in changes.found))
         words = "; ".join(change.words for change in changes.found) or self._statistic()
-        p_value = min(innovation.p_value or 0.0, *(c.p_value for c in changes.found), 1.0)
+        whole = 0.0 if self.innovation.p_value is None else self.innovation.p_value
+        p_value = min(whole, *(change.p_value for change in changes.found), 1.0)
         return fact(
             changes.code,
             place,
-            {"p_value": innovation.p_value if changes.code == "unchanged" else p_value},
+            {"p_value": whole if changes.code == "unchanged" else p_value},
             statistic=self._statistic(),
             changes=words,
             joints=", ".join(changes.joints),
@@ -157,7 +157,10 @@ class Verification:
         if mine is not None and expected is not None and expected.rms and self.rare < LEVEL:
             times = mine.rms / expected.rms
             if times > max(LARGER, spread):
-                sizes = {"rms": Figure(mine.rms, self.unit), "expected": Figure(expected.rms, self.unit)}
+                sizes = {
+                    "rms": Figure(mine.rms, self.unit),
+                    "expected": Figure(expected.rms, self.unit),
+                }
                 return fact("errors-larger", numbers={"times": times, **sizes})
         if spread > LARGER:
             return fact("misfit-larger", numbers={"times": spread})
@@ -201,9 +204,10 @@ class Verification:
 
     @property
     def headline(self) -> str:
-        """The worst answer in words: what failed, then what is open, else the test."""
-        answers = [a for a in self.verdict.values() if a.asked]
-        return min(answers, key=lambda a: {False: 0, None: 1, True: 2}[a.passed]).words
+        """The worst answer in a sentence: what failed, then what is open, else the test."""
+        asked = {q: a for q, a in self.verdict.items() if a.asked}
+        worst = min(asked, key=lambda q: {False: 0, None: 1, True: 2}[asked[q].passed])
+        return next(one.words for one in self.findings if one.question == worst)
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
