@@ -44,6 +44,11 @@ must be none is 5e-6 (right angles written as 1.5708). The smallest that is some
 mm apart). Without these parameters the two are 4e-12 and 6e-3."""
 ROUNDING = 1e-14
 """A column this short beside others in its unit, of a plain number beside any, has no effect."""
+# Chosen, not derived: what a calibrated machine differs from its drawing (5 mrad) leaves less.
+EXCHANGED = 0.01
+"""Share of a change that steps of other parameters may leave and still follow it."""
+# Chosen, not derived: far above rounding, far below `ALIKE`, of columns of length 1.
+_NOTHING = 1e-9
 # Rows and columns are scaled in turn; a rough balance is enough, because rank does not change.
 _BALANCINGS = 4
 # At most so many names in a sentence, and the least share of a combination that is worth a name.
@@ -173,10 +178,46 @@ def without_redundant(
     return replace(mechanism, parameters=parameters, remarks=remarks)
 
 
+def exchanged(
+    mechanism: Mechanism,
+    names: Sequence[str],
+    among: Sequence[str],
+    *,
+    readings: Mapping[str, Array] | None = None,
+    unmeasured: Sequence[str] = (),
+) -> Mapping[str, Array]:
+    """Steps (m,) [SI] of the parameters `among` that do what a unit change of each name does.
+
+    names: parameters, and quantities whose zero changes; readings, unmeasured: as in
+    `fix_redundant`. They are the least squares |J v - c| over the poses. A name is left out where
+    no step does the same.
+    """
+    joints = (mechanism.description or {}).get("joints", [])
+    looked_at = samples(
+        mechanism, ranges=stated_limits(joints), unsure=(), readings=readings or {}, seed=0
+    )
+    zeros = [name for name in names if name in mechanism.quantities]
+    others = [name for name in names if name not in zeros]
+    parts = [_columns(mechanism, s, [*among, *others], unmeasured, zeros) for s in looked_at]
+    columns = np.concatenate(parts)
+    J, C = columns[:, : len(among)], columns[:, len(among) :]
+    lengths = _or_one(np.linalg.norm(J, axis=0))
+    steps = np.linalg.lstsq(J / lengths, C, rcond=_NOTHING)[0] / lengths[:, None]
+    left = np.linalg.norm(C - J @ steps, axis=0)
+    same = left <= EXCHANGED * np.linalg.norm(C, axis=0)
+    every = zip([*others, *zeros], steps.T, same.tolist(), strict=True)
+    return {name: step for name, step, followed in every if followed}
+
+
 def _columns(
-    mechanism: Mechanism, sample: Sample, names: Sequence[str], unmeasured: Sequence[str]
+    mechanism: Mechanism,
+    sample: Sample,
+    names: Sequence[str],
+    unmeasured: Sequence[str],
+    zeros: Sequence[str] = (),
 ) -> Array:
-    """The loops' balanced derivatives by these parameters (loops * poses, n).
+    """The loops' balanced derivatives by these parameters, and by the zeros of these quantities
+    behind them (loops * poses, n).
 
     Unmeasured quantities are eliminated.
 
@@ -189,6 +230,7 @@ def _columns(
         values = engine.evaluate(sample.parameters, sample.readings, sample.pose_constants)
     J = values.by_parameter[:, sample.loops].transpose(2, 1, 0)
     X = values.by_quantity[:, sample.loops].transpose(2, 1, 0)
+    J = np.concatenate([J, X[:, :, [tape.quantities.index(q) for q in zeros]]], axis=2)
     defined = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(X).all(axis=(1, 2))
     J, X = _balanced(J[defined], X[defined])
     if unmeasured:
@@ -196,7 +238,7 @@ def _columns(
         # The unmeasured quantities take up whatever lies in the span of U: I - U U^+ projects it
         # out.
         J, _ = _balanced(J - U @ (np.linalg.pinv(U) @ J), X)
-    columns: Array = J.reshape(-1, len(names))
+    columns: Array = J.reshape(-1, len(names) + len(zeros))
     return columns
 
 

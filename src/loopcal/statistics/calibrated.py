@@ -174,9 +174,9 @@ class Calibrated:
         prior_sd = np.append(self.prior_sd, np.full(len(E) - size, math.inf))
         return replace(self.through(made, E), nominal=E @ self.nominal, prior_sd=prior_sd)
 
-    def drifted(self, sds: Array) -> Calibrated:
-        """After parameters may have changed by so much (n_all,) [SI]."""
-        Q = np.diag(np.square(sds))
+    def drifted(self, drift: Array) -> Calibrated:
+        """After independent changes of one sd along each column (n_all, k) [SI]."""
+        Q = drift @ drift.T
         covariance = self.covariance
         added = LearntCovariance(Q, Q, 0.0 * covariance.slopes)
         return replace(self, covariance=covariance.plus(added), gain=self.unwidened + Q)

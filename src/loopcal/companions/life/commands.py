@@ -39,8 +39,9 @@ def update(
         list[str] | None,
         option(
             "ROLE=SD",
-            "Allow this drift since: length=0.01mm, zero=20urad, mounting, scale, effect or "
-            "a parameter; repeatable [default: the rates of --history, else none].",
+            "Allow this drift since: length=0.01mm, zero=20urad, mounting, scale, effect, "
+            "a joint (its zero) or a parameter; repeatable [default: the rates of --history, "
+            "else none].",
         ),
     ] = None,
     same_place: Annotated[

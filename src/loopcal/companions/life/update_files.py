@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from loopcal.companions.life.drift import Since
 from loopcal.companions.life.history_files import HistoryKeeper
 from loopcal.companions.life.history_files import history as read_history
 from loopcal.companions.life.history_folder import is_history
-from loopcal.companions.life.updating import Since, updated
+from loopcal.companions.life.updating import updated
 from loopcal.document.result_document import WrittenResult
 from loopcal.errors import InputError, UsageError
 from loopcal.files.outputs import refuse_foreign

@@ -1,8 +1,9 @@
 """A calibration of another day that begins from what is known already.
 
 Yesterday's parameters p_0 with covariance C are the prior of today's fit, after a drift allowance
-Q = diag(q_i^2): with K the contrasts that neither a moved instrument nor an undetermined direction
-of yesterday touches, rows of unit variance under C + Q,
+Q of what may have changed (`loopcal.companions.life.drift`): with K the contrasts that neither a
+moved instrument nor an undetermined direction of yesterday touches, rows of unit variance under
+C + Q,
 
     minimise   Phi(p) + |K (p - p_0)|^2,
 
@@ -25,16 +26,17 @@ model of all poses, so that no day's estimate has to be summed up by a curvature
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.companions.life.drift import Since, allowed
 from loopcal.companions.life.earlier import Around, Earlier, Sloped
 from loopcal.document.fit import NoiseEntry
-from loopcal.errors import InputError, NoTrustworthyResult, nearest
+from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.method import Method
@@ -56,32 +58,19 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.estimation.steps import LEARNT
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
-from loopcal.mechanisms.parameters import ROLES
 from loopcal.small_samples import LearntCovariance, contrasts
 from loopcal.statistics.another_day import Day, as_learnt, day_problem, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.gauge import values_of
 from loopcal.statistics.replacing import Replaced, freed
-from loopcal.statistics.verification import verify
 from loopcal.statistics.verified import Verification
 
 Array = NDArray[np.float64]
-DRIFTING = tuple(role for role in ROLES if role not in ("placement", "model error"))
-"""Roles of parameters that may drift."""
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
 _NOTHING, _NEWS = "The update changed no parameter of the machine", 0.01
 _ROUNDS, _SETTLED = 12, 2e-2
 """Most fits of an update, each begun near the end of the last. They have settled where parameters
 change by less than this share of an sd, and learnt variances by less than this share."""
-
-
-@dataclass(frozen=True)
-class Since:
-    """What may have changed since a calibration, as `update` takes it."""
-
-    moved: bool = True
-    remounted: bool | Sequence[str] = False
-    drift: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +102,13 @@ def update(
     data: readings [SI] as `calibrate` takes them; noise: their sds, else the calibration's; moved:
     whether instruments stand elsewhere, so that nothing is known of their placement; remounted: as
     in `verify`; drift: sd [SI] by which parameters may have changed since, by role ("length",
-    "twist", "zero", "angle", "scale", "mounting", "effect") or by name; "length" and "angle" hold
-    all of the machine in that unit. The prior is the covariance of the
-    calibration (Kalman 1960), near the end of the update as its poses say (Bell 1994). A warning of
-    the result says where the readings are of another machine (`verify`).
+    "twist", "zero", "angle", "scale", "mounting", "effect"), joint (its zero) or parameter;
+    "length" and "angle" hold all of the machine in that unit. The prior is the covariance of the
+    calibration (Kalman 1960), near the end of the update as its poses say (Bell 1994).
+
+    It verifies first (`verify`). Changes that are named there, and explain the readings, are
+    estimated anew; warnings of the result name them, or say that the readings are of another
+    machine.
 
     Raises InputError for a calibration or readings without sds, and for a role that is not there.
     """
@@ -139,8 +131,8 @@ def updated(
             remedy="give noise, or update a calibration by another method",
         )
     calibrated = replace(calibrated.stationed if since.moved else calibrated, residual=None)
-    drifts = _drifts(calibrated, since.drift)
-    check = verify(calibrated.drifted(drifts), data, noise=stated, remounted=since.remounted)
+    allowance = allowed(calibrated, data, since, stated)
+    drift = allowance.drift
     held = stated is not None
     if stated is None:
         stated, data = noise_of(calibrated), as_learnt(calibrated, data)
@@ -156,12 +148,12 @@ def updated(
     for _ in range(_ROUNDS):
         before = result
         with one_blas_thread():
-            prior = _Prior.of(calibrated, placed, drifts, earlier, before)
+            prior = _Prior.of(calibrated, placed, drift, earlier, before)
         result = _fitted(calibrated, placed, prior, data, stated, before)
         if not result.status.converged:
             break  # it has no end that a further fit could begin near
         with one_blas_thread():
-            sds = None if held else learnt(calibrated, earlier, result, placed.anew, drifts)
+            sds = None if held else learnt(calibrated, earlier, result, placed.anew, drift)
         if sds is not None:
             calibrated = replace(calibrated, noise=sds.noise)
             stated, earlier = noise_of(calibrated), earlier.at_sds(calibrated)
@@ -177,9 +169,10 @@ def updated(
         )
         noted = () if held else calibrated.noise
         result = replace(result, inherited=Inherited(prior.widened(result), terms, noted))
+    result = result.noted(*allowance.words)
     if (words := _unchanged(calibrated, result, placed)) is not None:
         result = result.noted(words)
-    done = Updated(result, check)
+    done = Updated(result, allowance.check)
     return done if done.mixed is None else replace(done, result=result.noted(done.mixed))
 
 
@@ -240,46 +233,6 @@ def _unchanged(calibrated: Calibrated, result: FitResult, placed: Replaced) -> s
     return None
 
 
-def _drifts(calibrated: Calibrated, drift: Mapping[str, float]) -> Array:
-    """(n_all,) sds [SI] of the drift of each parameter."""
-    parameters = calibrated.mechanism.parameters
-    sds = np.zeros(len(parameters))
-    for key, sd in drift.items():
-        if not sd >= 0.0:
-            raise InputError(
-                f"the drift of {key!r} is {sd!r}",
-                code="invalid-value",
-                remedy="give an sd above zero, or leave it out",
-            )
-        if key not in DRIFTING and key not in parameters.names:
-            raise InputError(
-                f"there is no parameter and no role of parameters {key!r}",
-                code="unknown-name",
-                remedy=nearest(key, (*DRIFTING, *parameters.names)),
-            )
-        named = [p.name for p in parameters if key in (p.name, p.role, p.dimension)]
-        free = [n for n in named if not parameters[n].fixed]
-        if sd > 0.0 and not free:
-            raise _held(calibrated, key)
-        sds[[parameters.names.index(n) for n in free]] = sd
-    return sds
-
-
-def _held(calibrated: Calibrated, key: str) -> InputError:
-    """Of a drift that no estimated parameter can follow."""
-    what = f"the parameter {key!r} is"
-    if key in DRIFTING:
-        what = f"all parameters of the role {key!r} are"
-    remarks = [r for r in calibrated.mechanism.remarks if r.startswith(f"{key!r} is fixed")]
-    why = f" ({remarks[0].rstrip('.')})" if remarks else ""
-    return InputError(
-        f"{what} fixed in the calibration{why}, so the update cannot follow its drift",
-        code="no-free-parameter",
-        remedy="allow the drift of an estimated parameter that does the same, or free it in the "
-        "mechanism file (fixed = false) and calibrate anew",
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class _Prior:
     """What a calibration knows of the estimated parameters: |rows (phi(p) - m)|^2.
@@ -302,7 +255,7 @@ class _Prior:
         cls,
         calibrated: Calibrated,
         placed: Replaced,
-        drifts: Array,
+        drift: Array,
         earlier: Earlier,
         before: FitResult | None,
     ) -> _Prior:
@@ -315,7 +268,7 @@ class _Prior:
         if before is not None:
             around = earlier.beside(before.solution.parameters, placed.anew)
         held = ~placed.anew[:, None]
-        root, drift = (around.root * held)[free], (np.diag(drifts) * held)[free]
+        root, drift = (around.root * held)[free], (drift * held)[free]
         C = root @ root.T + drift @ drift.T
         loose = (calibrated.undetermined * held)[free]
         open_ = np.hstack([loose, np.eye(len(C))[:, placed.anew[free]]])
@@ -404,13 +357,13 @@ def learnt(
     earlier: Earlier,
     result: FitResult,
     anew: NDArray[np.bool_],
-    drifts: Array,
+    drift: Array,
 ) -> Sds | None:
     """The learnt sds of a calibration, learnt from its poses and those of an update.
 
-    known: at the sds of the update; found: the update; anew: (n_all,) what was placed anew; drifts:
-    (n_all,) sds. None where no sd was learnt, the earlier poses are not there, or the loops have no
-    noise.
+    known: at the sds of the update; found: the update; anew: (n_all,) what was placed anew; drift:
+    (n_all, k) steps of one sd. None where no sd was learnt, the earlier poses are not there, or the
+    loops have no noise.
     """
     which = [i for i, entry in enumerate(calibrated.noise) if _begun(entry) is not None]
     if not which or earlier.problem is None:
@@ -426,7 +379,7 @@ def learnt(
         Component(", ".join(entry.quantities), tuple(names.index(q) for q in entry.quantities))
         for entry in (calibrated.noise[i] for i in which)
     ]
-    model = _model(components, reference, result, earlier, anew, drifts)
+    model = _model(components, reference, result, earlier, anew, drift)
     # Ratios are of variances to those at which the loadings are made.
     start = np.square([calibrated.noise[i].sd / begun[i] for i in which])
     try:
@@ -457,7 +410,7 @@ def _model(
     result: FitResult,
     earlier: Earlier,
     anew: NDArray[np.bool_],
-    drifts: Array,
+    drift: Array,
 ) -> LinearModel:
     """One model of all poses: steps of today's parameters, of what stood elsewhere, and drifts.
 
@@ -472,19 +425,19 @@ def _model(
     free = np.array([not p.fixed for p in result.mechanism.parameters])
     every = np.eye(len(parameters))
     shared, placed = every[:, free & ~anew], every[:, free & anew]
-    drift = every[:, free & ~anew & (drifts > 0.0)]
+    drift = drift * ~anew[:, None]
     stood = every[:, free & anew & earlier.estimated]
     of_today = np.hstack([shared, placed, np.zeros_like(stood), np.zeros_like(drift)])
     # d = p - drift: the earlier poses saw the machine before it drifted.
     of_then = np.hstack([shared, np.zeros_like(placed), stood, -drift])
     n, prior = of_today.shape[1], earlier.prior(parameters_then)
-    unit = np.hstack([np.zeros((drift.shape[1], n - drift.shape[1])), np.eye(drift.shape[1])])
-    sds = drifts[free & ~anew & (drifts > 0.0)]
+    k = drift.shape[1]
+    unit = np.hstack([np.zeros((k, n - k)), np.eye(k)])
     blocks = (
         *(replace(block, J=block.J @ of_today) for block in new),
         *(replace(block, J=block.J @ of_then) for block in old),
         *_rows(Sloped(prior.values, prior.slopes @ of_then)),
-        *_rows(Sloped(np.zeros(len(sds)), unit / sds[:, None])),
+        *_rows(Sloped(np.zeros(k), unit)),
     )
     return LinearModel(blocks, np.zeros(n), np.zeros(n), len(components))
 

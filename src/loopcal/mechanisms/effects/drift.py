@@ -19,7 +19,7 @@ from loopcal.units import difference_to_si, to_si, unit
 
 DRIFT_SD = 1e-3
 """Prior sd [m or rad]: 1 mm or 1 mrad over a drift's span."""
-SHIFT_SD = {"rad": 0.1}
+_SHIFT_SD = {"rad": 0.1}
 """Prior sd of a shift by unit, else 0.01: 10 mm, and 6 degrees, for what slips may turn far."""
 
 Moving = Annotated[
@@ -135,7 +135,7 @@ class Shift:
                 parameter,
                 0.0,
                 si,
-                SHIFT_SD.get(si, 0.01),
+                shift_sd(si),
                 meaning=f"change of {name} from {self.column} {a:.12g} on",
                 changes=name,
             )
@@ -169,6 +169,11 @@ class Shift:
     def _at(self) -> list[float]:
         """Beginnings of the segments [SI]."""
         return [to_si(a, self.unit) for a in self.at]
+
+
+def shift_sd(si: str) -> float:
+    """Prior sd of what changed at once, in its SI unit."""
+    return _SHIFT_SD.get(si, 0.01)
 
 
 def _units(mechanism: Mechanism, patterns: tuple[str, ...]) -> dict[str, str]:

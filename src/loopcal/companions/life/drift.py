@@ -1,0 +1,270 @@
+"""What may have changed on a machine since its calibration, as directions of its parameters.
+
+A drift of an estimated parameter is a step of that parameter. Others are held, because estimated
+ones do to every reading what they do, and some joints have no parameter for their zero. Such a
+change is one of the machine all the same. It lies along the step v of the estimated parameters that
+does the same to the readings,
+
+    J v = c,   c the column of the held parameter, or of the zero of the joint's reading,
+
+whichever of them the calibration held (`loopcal.mechanisms.redundancy.exchanged`). An sd q of the
+change adds q^2 v v^T to the covariance of the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, nearest
+from loopcal.lazy import cached_property
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import MODEL, Noise
+from loopcal.mechanisms.effects.drift import shift_sd
+from loopcal.mechanisms.parameters import BEYOND, ROLES
+from loopcal.mechanisms.redundancy import exchanged
+from loopcal.mechanisms.structure.structured import driven_joints
+from loopcal.statistics.another_day import day_problem
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.changed import LEVEL, Change
+from loopcal.statistics.predictive import unmeasured_corrections
+from loopcal.statistics.verification import verify
+from loopcal.statistics.verified import Verification
+
+Array = NDArray[np.float64]
+DRIFTING: tuple[str, ...] = tuple(
+    role for role in ROLES if role not in ("placement", "model error")
+)
+"""Roles of parameters that may drift."""
+# Chosen, not derived: three times as many equations as a large machine has parameters.
+_LOOKED_AT = 300
+"""Poses that show which parameters do the same, of machines that stand in no other ones."""
+# Chosen, not derived: to follow a change that did not happen costs more than to average over one
+# that the poses hardly show. `analyses.followed` counts both.
+_SURE = 1e-3
+"""p-value of a change, adjusted for the search, below which an update follows it in any case."""
+# Chosen, not derived: a prior of so many times a change shrinks its estimate by 1 %.
+_ALLOWED = 10.0
+"""Sd that a change gets which the check found, over its size."""
+
+
+@dataclass(frozen=True)
+class Since:
+    """What may have changed since a calibration, as `update` takes it."""
+
+    moved: bool = True
+    remounted: bool | Sequence[str] = False
+    drift: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Allowance:
+    """What an update allows to have changed.
+
+    drift: (n_all, k) steps [SI] of one sd of each independent change; check: whether the readings
+    are of the calibrated machine after it; words: a remark on each change that the check found and
+    the update follows.
+    """
+
+    drift: Array
+    check: Verification
+    words: tuple[str, ...] = ()
+
+    @property
+    def consistent(self) -> bool:
+        """Whether no test says that the readings are of another machine."""
+        return self.check.verdict["consistent"].passed is not False
+
+    @property
+    def explained(self) -> bool:
+        """Whether the readings as a whole are of the machine, but for changes hardly seen."""
+        changes, p_value = self.check.changes, self.check.innovation.p_value
+        sizes = () if changes is None else changes.found
+        unsure = all(change.p_value >= _SURE for change in sizes)
+        return self.consistent or (unsure and p_value is not None and p_value >= LEVEL)
+
+
+def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | None) -> Allowance:
+    """The stated drift, and the changes that a check finds where these explain the readings.
+
+    A role allows every parameter of it. Where the check says which of them changed, it is these
+    alone: to estimate all at once would cost the others their accuracy.
+    """
+    drifting = Drifting(calibrated, data, noise)
+
+    def checked(drift: Array) -> Allowance:
+        drifted = calibrated.drifted(drift)
+        return Allowance(drift, verify(drifted, data, noise=noise, remounted=since.remounted))
+
+    def followed(allowance: Allowance, within: Container[str] | None = None) -> Allowance:
+        """With the changes that its check found; itself where they are none, or not all within."""
+        check = allowance.check
+        named = () if check.changes is None else check.changes.found
+        sure = [change for change in named if change.p_value < _SURE]
+        # One that the poses hardly show is followed where it is the zero of one joint alone.
+        changes = sure or [change for change in named if len(change.zeros) == 1]
+        sds = drifting.followed(changes)
+        if allowance.consistent or not sds or not all(within is None or n in within for n in sds):
+            return allowance
+        wider = checked(np.hstack([allowance.drift, drifting.columns(sds)]))
+        words = tuple(followed_words(change) for change in changes)
+        return replace(wider, words=words) if wider.explained else allowance
+
+    every = checked(drifting.columns(drifting.stated(since.drift)))
+    roles = {key: sd for key, sd in since.drift.items() if key in DRIFTING}
+    if roles:
+        by_name = {key: sd for key, sd in since.drift.items() if key not in roles}
+        narrow = checked(drifting.columns(drifting.stated(by_name)))
+        narrow = followed(narrow, drifting.stated(roles))
+        if narrow.words and (narrow.consistent or every.consistent):
+            # Whether two machines are mixed is asked of all that was allowed.
+            return narrow if narrow.consistent else replace(narrow, check=every.check)
+    return followed(every)
+
+
+@dataclass(frozen=True, eq=False)
+class Drifting:
+    """The changes that the parameters of a calibration can follow.
+
+    data, noise: readings of another day and their sds, for a machine whose earlier poses are not
+    there.
+    """
+
+    calibrated: Calibrated
+    data: Dataset
+    noise: Noise | None
+
+    def stated(self, drift: Mapping[str, float]) -> dict[str, float]:
+        """Sds [SI] by parameter, and by joint without an estimated zero.
+
+        drift: sds [SI] by role, parameter or joint. Raises InputError for a key that is none of
+        these, a negative sd, and a drift that no estimated parameter follows.
+        """
+        sds: dict[str, float] = {}
+        for key, sd in drift.items():
+            if not sd >= 0.0:
+                raise InputError(
+                    f"the drift of {key!r} is {sd!r}",
+                    code="invalid-value",
+                    remedy="give an sd above zero, or leave it out",
+                )
+            named = [name for name in self._named(key) if name in self._steps]
+            if sd > 0.0 and not named:
+                raise _held(key)
+            sds |= dict.fromkeys(named, sd)
+        return sds
+
+    def followed(self, changes: Sequence[Change]) -> dict[str, float]:
+        """The same of changes that a check found; empty where one of them cannot be followed."""
+        mechanism, sds = self.calibrated.mechanism, dict[str, float]()
+        for change in changes:
+            for cause in causes_of(change):
+                other = change.kind != "zero" and cause in change.zeros
+                size = shift_sd(mechanism.quantities[cause]) if other else abs(change.value)
+                sds[self._zeros.get(cause, cause)] = _ALLOWED * size
+        return sds if sds.keys() <= self._steps.keys() else {}
+
+    def columns(self, sds: Mapping[str, float]) -> Array:
+        """(n_all, k) steps [SI] of one sd of each of these changes."""
+        size = len(self.calibrated.mechanism.parameters)
+        columns = [sd * self._steps[name] for name, sd in sds.items() if sd > 0.0]
+        return np.array(columns).reshape(-1, size).T
+
+    def _named(self, key: str) -> list[str]:
+        """The parameters, and the joints without an estimated zero, that a key stands for."""
+        parameters, zeros = self.calibrated.mechanism.parameters, self._zeros
+        if key in parameters.names or key in zeros:
+            return [zeros.get(key, key)]
+        if key not in DRIFTING:
+            raise InputError(
+                f"there is no parameter and no role of parameters {key!r}",
+                code="unknown-name",
+                remedy=nearest(key, (*DRIFTING, *parameters.names, *zeros)),
+            )
+        alike = [p for p in parameters if key in (p.role, p.dimension)]
+        if key != "zero":
+            return [p.name for p in alike]
+        # The zero of a joint is one change, however many parameters say it.
+        return [*zeros.values(), *(p.name for p in alike if p.owner not in zeros)]
+
+    @cached_property
+    def _zeros(self) -> Mapping[str, str]:
+        """Of each driven joint its estimated zero; the joint itself where it has none."""
+        mechanism = self.calibrated.mechanism
+        zeros = {p.owner: p.name for p in mechanism.parameters if p.role == "zero" and not p.fixed}
+        return {joint: zeros.get(joint, joint) for joint in driven_joints(mechanism)}
+
+    @cached_property
+    def _steps(self) -> Mapping[str, Array]:
+        """(n_all,) of unit changes of parameters and of zeros of joints, by name; without those
+        that the estimated parameters cannot follow."""
+        mechanism = self.calibrated.mechanism
+        parameters, unit = mechanism.parameters, np.eye(len(mechanism.parameters))
+        every = dict(zip(parameters.names, unit, strict=True))
+        steps = {name: every[name] for name in parameters.free}
+        # A learnt model error says how the machine gives way, not where its zeros are.
+        among = [name for name in parameters.free if parameters[name].role not in BEYOND]
+        held = [name for name in (*parameters.names, *self._zeros.values()) if name not in steps]
+        if not among or not held:
+            return steps
+        of_others = exchanged(
+            mechanism, held, among, readings=self._readings, unmeasured=self._unmeasured
+        )
+        basis = np.array([every[name] for name in among])
+        return steps | {name: step @ basis for name, step in of_others.items()}
+
+    @cached_property
+    def _unmeasured(self) -> list[str]:
+        problem = day_problem(self.calibrated, self.data, self.noise)
+        unread = np.flatnonzero(np.isinf(problem.uncertainty.sd).all(axis=1))
+        return [problem.mechanism.tape.quantities[i] for i in unread.tolist()]
+
+    @property
+    def _readings(self) -> dict[str, Array] | None:
+        """Of poses in which the loops close; None for an arm, whose joints move freely."""
+        mechanism = self.calibrated.mechanism
+        if mechanism.chain:
+            return None
+        poses = self.calibrated.poses or self.data
+        some = np.unique(np.linspace(0, len(poses) - 1, _LOOKED_AT).astype(int))
+        # Any sds do: they only say which quantities the loops have to find.
+        sds = {"*": 1.0} | ({MODEL: 1.0} if mechanism.disturbances else {})
+        noise = Noise(sds | dict.fromkeys(self._unmeasured, np.inf))
+        problem = day_problem(self.calibrated, poses.take(some), noise)
+        tape, x = problem.mechanism.tape, problem.readings
+        x = x + unmeasured_corrections(problem, problem.start)
+        names = (*tape.quantities, *tape.pose_constants)
+        return dict(zip(names, (*x, *problem.pose_constants), strict=True))
+
+
+def causes_of(change: Change) -> tuple[str, ...]:
+    """What an update estimates of a change: joints whose zero explains it, else what was named.
+
+    A joint's zero moves more easily than its other parameters change.
+    """
+    if change.kind == "zero":
+        return (change.name,)
+    return change.zeros or tuple(change.parts) or (change.name,)
+
+
+def followed_words(change: Change) -> str:
+    """That an update follows this change, in two sentences."""
+    joints = " and ".join(causes_of(change)) if change.zeros else ""
+    what = f"the zero of {joints}" if joints else change.name
+    other = f", or {what} moved" if joints and change.kind != "zero" else ""
+    return f"Since the calibration, {change.words}{other}. The update estimates {what} anew."
+
+
+def _held(key: str) -> InputError:
+    """Of a drift that no estimated parameter can follow."""
+    what = f"the parameter {key!r} is"
+    if key in DRIFTING:
+        what = f"all parameters of the role {key!r} are"
+    return InputError(
+        f"{what} fixed in the calibration, so the update cannot follow its drift",
+        code="no-free-parameter",
+        remedy="free it in the mechanism file (fixed = false) and calibrate anew",
+    )

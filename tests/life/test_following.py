@@ -1,0 +1,134 @@
+"""What `verify` finds, `update` follows, whichever parameter the calibration held."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.followed import ALLOWED, LATER, ZERO, Days, moved
+from analyses.gauntlet_worlds import World
+from loopcal.companions.life.drift import Drifting
+from loopcal.estimation.prediction import predict_outputs
+from loopcal.mechanisms.redundancy import exchanged
+from loopcal.statistics.calibrated import Calibrated
+from tests.command_line import run_here as run
+from tests.refusals import refused
+
+CASES = [("ur urdf", "q3"), ("ur urdf", "q5"), ("ur", "q6"), ("six", "q5"), ("seven", "q4")]
+
+
+@cache
+def calibrated(arm: str, how: str = "stated") -> tuple[Days, lc.Result]:
+    days = Days.of(arm, how, 0)
+    return days, days.calibrated(how)
+
+
+@pytest.mark.parametrize(("arm", "joint"), CASES)
+def test_an_update_is_as_good_as_a_recalibration_with_the_zero_unknown(
+    arm: str, joint: str
+) -> None:
+    days, first = calibrated(arm)
+    errors = days.errors(first, joint)
+    assert errors.said
+    assert errors.none > 3.0 * errors.oracle
+    assert errors.plain < ALLOWED * errors.oracle
+    assert errors.drift < ALLOWED * errors.oracle
+
+
+def test_with_a_learnt_model_error_too() -> None:
+    days, first = calibrated("ur urdf", "auto")
+    errors = days.errors(first, "q3")
+    assert first.terms
+    assert errors.said
+    assert max(errors.plain, errors.drift) < ALLOWED * errors.oracle
+
+
+@pytest.mark.parametrize("drift", [[], ["zero=0.05deg"], ["q3=0.05deg"], ["q3_rz=0.05deg"]])
+def test_from_the_command_line(tmp_path: Path, drift: list[str]) -> None:
+    """q3_rz is the parameter of that zero, and held: others make it superfluous."""
+    days, first = calibrated("ur urdf")
+    assert first.mechanism.parameters["q3_rz"].fixed
+    first.save(tmp_path / "first")
+    day, folder = moved(days.later.readings, "q3", ZERO), str(tmp_path / "first")
+    file = str(tmp_path / "day.csv")
+    np.savetxt(
+        file, np.column_stack([*day.values()]), delimiter=",", header=",".join(day), comments=""
+    )
+    assert run("verify", folder, file).returncode == 4
+    allowed = [text for one in drift for text in ("--drift", one)]
+    done = run("update", folder, file, *allowed, "--no-report", "--out", str(tmp_path / "new"))
+    assert done.returncode == 0, done.stderr
+    assert "mixes" not in done.stdout
+    stated = drift and "zero" not in drift[0]
+    words = " ".join(done.stdout.split())
+    assert bool(re.search("The update estimates the zero of q3 anew", words)) != bool(stated)
+    new = lc.read_result(tmp_path / "new")
+    oracle = days.recalibrated(first, lc.update(first, day), "q3", day)
+    assert days.error(new, "q3", ZERO) < ALLOWED * days.error(oracle, "q3", ZERO)
+
+
+@pytest.mark.parametrize("kept", ["tool_*", "offset_6"])
+def test_it_does_not_matter_which_parameter_was_held(kept: str) -> None:
+    """The last zero turns the tool: either is held, and the machines are the same."""
+    days, first = calibrated("six")
+    free = first.mechanism.parameters.with_fixed(["offset_6", "d_6", "a_6", "alpha_6"], fixed=False)
+    bare = first.mechanism.with_parameters(free)
+    assert {"offset_6", "tool_x"} <= {*free.free}
+    mechanism = lc.fix_redundant(bare, keep=[kept])
+    assert mechanism.parameters["offset_6"].fixed == (kept == "tool_*")
+    one = days.first
+    other = lc.calibrate(mechanism, one.readings, noise=one.noise, method="implicit-loop")
+    day = moved(days.later.readings, "q6", ZERO)
+    points = []
+    for result in (first, other):
+        for key in ("offset_6", "q6"):
+            new = lc.update(result, day, drift={key: ZERO})
+            predicted = lc.predict(new, days.fresh.readings)
+            points.append(np.column_stack([predicted.outputs[q] for q in days.fresh.outputs]))
+    # A hundredth of what the zero moves the tool by: updates settle to 0.02 sds.
+    assert np.ptp(points, axis=0).max() < 1e-2 * ZERO * 0.06
+
+
+def test_the_step_of_a_held_parameter_does_the_same_to_readings() -> None:
+    mechanism, size = calibrated("ur urdf")[1].calibrated, 1e-5
+    names, free = mechanism.parameters.names, mechanism.parameters.free
+    steps = exchanged(mechanism, ["q3_rz", "q4"], free)
+    read = np.zeros((9, 4))
+    read[:6] = np.random.default_rng(0).uniform(-1.0, 1.0, (6, 4))
+    start = np.array([p.nominal for p in mechanism.parameters])
+
+    def reached(p: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return predict_outputs(mechanism, p, x, np.empty((0, 4)))
+
+    for name, step in steps.items():
+        p, followed, x = start.copy(), start.copy(), read.copy()
+        followed[[names.index(n) for n in free]] += size * step
+        if name in names:
+            p[names.index(name)] += size
+        else:
+            x[mechanism.tape.quantities.index(name)] += size
+        assert np.abs(reached(p, x) - reached(start, read)).max() > 1e-6
+        assert reached(p, x) == pytest.approx(reached(followed, read), abs=1e-9)
+
+
+def test_a_role_of_which_no_parameter_can_follow_is_refused() -> None:
+    trial = World("planar").made(np.random.default_rng(0))
+    held = trial.mechanism.with_parameters(trial.mechanism.parameters.with_fixed(["l2", "l3"]))
+    first = lc.calibrate(held, trial.readings, noise=trial.noise, method="implicit-loop")
+    with refused("no-free-parameter", "length"):
+        lc.update(first, trial.readings, drift={"length": 1e-3})
+
+
+def test_the_zero_of_every_joint_can_drift() -> None:
+    days, first = calibrated("ur urdf")
+    known = Calibrated.of(first, "").stationed
+    drifting = Drifting(known, lc.Dataset.from_arrays(days.later.readings), None)
+    stated = drifting.stated({"zero": ZERO})
+    assert len([name for name in stated if name[:2] in days.joints]) >= len(days.joints)
+    assert drifting.columns(stated).shape == (len(known.mechanism.parameters), len(stated))
+    assert len(days.later.readings["q1"]) == LATER
