@@ -414,6 +414,21 @@ _ROWS = (
         "Measure more poses: the tolerance lies within the guard band.",
         _PLAN,
     ),
+    _not_consistent(
+        "day-at-fault",
+        "The file is at fault: {faults}.",
+        "Correct the file, then verify again.",
+        _VERIFY,
+        shared="column-fault",
+    ),
+    _not_consistent(
+        "moved-in-run",
+        "Something moved along this run{what}.",
+        "Check what moved, then measure and verify again.",
+        _VERIFY,
+        detail="{details}",
+        shared="change-points",
+    ),
     _consistent_open(
         "no-redundancy", "These poses only determine what was placed anew.", "Measure more poses."
     ),
@@ -449,6 +464,57 @@ _ROWS = (
         "Inspect the worst poses. If the reflector was mounted anew, state it (--remounted). "
         "Otherwise calibrate anew.",
         f"{_VERIFY} --remounted",
+    ),
+    _not_consistent(
+        "load-changed",
+        _NOT_AS_CALIBRATED,
+        "Verify with the load of the calibration, or calibrate with this load.",
+        _VERIFY,
+        shared="changed",
+    ),
+    _not_consistent(
+        "expansion-changed",
+        _NOT_AS_CALIBRATED,
+        "Let machine and instrument reach the temperature of the calibration, then verify again.",
+        _VERIFY,
+        shared="changed",
+    ),
+    _not_consistent(
+        "errors-larger",
+        "These poses err {times:2} times as much as the calibration states: {rms:3} rms instead of "
+        "{expected:3}.",
+        "Inspect the worst poses. Calibrate anew.",
+    ),
+    _not_consistent(
+        "misfit-larger",
+        "An error that no change explains is {times:2} times as large as the calibration states.",
+        "Inspect the worst poses. Calibrate anew.",
+        shared="errors-larger",
+    ),
+    _consistent_open(
+        "moved-or-machine",
+        "Something may have moved along this run{what}.",
+        "Measure the poses in random order: a drift is then no error of the machine.",
+        detail="{details} An error of the machine along these poses looks the same.",
+        shared="drift-or-model",
+    ),
+    _consistent_open(
+        "poses-unlike",
+        "{count} not fit the others ({named}).",
+        "Inspect these poses; measure them again or exclude them, then verify again.",
+        _VERIFY,
+        shared="outliers",
+    ),
+    _consistent_open(
+        "day-copied",
+        "{copied} rows copy others; they were left out.",
+        "Check how the file was made; delete the copies.",
+        shared="rows-copied",
+    ),
+    _consistent_open(
+        "own-poses",
+        "{repeated} of these poses are those of the calibration itself, which they cannot test.",
+        "Measure other poses.",
     ),
     _better_open("nominal-not-placed", "The nominal machine cannot be placed: {reason}."),
     _better_open(

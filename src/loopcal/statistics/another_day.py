@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.noise.learning import with_model
+from loopcal.document.change_points import ChangePoint
+from loopcal.estimation.dependence.dependence import pose_order
 from loopcal.estimation.problem.constants import with_latest
-from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.problem.problem import Problem, build_problem, taken
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.statistics.calibrated import Calibrated
@@ -24,12 +26,13 @@ class Day:
     """The poses of another day, at a machine that is held but for what may stand elsewhere.
 
     problem: at the calibrated parameters, all of which count as estimated; freed: names of what
-    is found anew.
+    is found anew; moved: what changed along the run, by any size.
     """
 
     calibrated: Calibrated
     problem: Problem
     freed: tuple[str, ...]
+    moved: tuple[ChangePoint, ...] = ()
 
     @classmethod
     def of(
@@ -69,7 +72,33 @@ class Day:
 
     def linearised(self, changes: Mapping[str, float] = {}) -> Linearised:
         """The equations of the held machine where it is placed anew after these changes."""
-        return Linearised.of(self.placed(changes), self.calibrated)
+        placement = self.placed(changes)
+        return Linearised.of(placement, self.calibrated, self._columns(placement))
+
+    def _columns(self, placement: Replaced) -> NDArray[np.float64] | None:
+        """(R, q) of what changed along the run; None without any."""
+        if not self.moved:
+            return None
+        count = len(self.problem.poses)
+        number = np.empty(count)
+        number[pose_order(self.problem)] = np.arange(1.0, count + 1.0)
+        row = number[placement.row_poses][:, None]
+        columns = []
+        for point in self.moved:
+            names = sorted(point.names, key=lambda n: n not in self.problem.mechanism.quantities)
+            size = row / count if point.shape == "ramp" else 1.0 * (row >= point.number)
+            columns.append(size * placement.columns(names))
+        return np.hstack(columns)
+
+    def without(self, poses: NDArray[np.intp]) -> Day:
+        """The day without the poses at these positions."""
+        kept = np.setdiff1d(np.arange(len(self.problem.poses)), poses)
+        gone = np.isin(pose_order(self.problem), poses)
+        moved = tuple(
+            replace(one, number=one.number - int(gone[: one.number - 1].sum()))
+            for one in self.moved
+        )
+        return replace(self, problem=taken(self.problem, kept), moved=moved)
 
     def as_drawn(self) -> Day:
         """The same poses at the machine as drawn."""

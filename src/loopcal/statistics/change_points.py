@@ -30,7 +30,7 @@ from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.presentation.shown import wrapped
 from loopcal.statistics.estimated import log_tail
-from loopcal.statistics.ordered_system import Fitted, ordered_system
+from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
 from loopcal.statistics.possible_changes import ALONG_A_RUN, Possible, possible, unit_of
 from loopcal.statistics.run_order import order_by_joints, path_cosines
 
@@ -41,6 +41,9 @@ MOST_POSES = 5000
 # Chosen, not derived: fewer poses are outliers, which have tests of their own.
 LEAST = 5
 """Poses between two changes, and before the first and after the last."""
+# Chosen, not derived: each costs a search, and a run with more is no run.
+MOST = 8
+"""Change points that are sought."""
 # Record 0054: p-value of a single test.
 UNREMARKABLE = 1e-3
 """A pose that is at least so probable fits."""
@@ -123,7 +126,7 @@ class _Step:
         return rows[:, None, None] * self.candidate.columns
 
 
-def find_shifts(result: FitResult, *, level: float = 0.01, most: int = 8) -> Shifts:
+def find_shifts(result: FitResult, *, level: float = 0.01, most: int = MOST) -> Shifts:
     """The change points of a calibration: rows, what moved, size and significance.
 
     Candidates are each target on the body, each instrument's place, each joint's zero and each
@@ -139,10 +142,15 @@ def find_shifts(result: FitResult, *, level: float = 0.01, most: int = 8) -> Shi
             f"the level of a test is a probability, not {level:g}", code="invalid-value"
         )
     count = len(result.problem.poses)
-    if result.all_poses is not None or not 4 * LEAST <= count <= MOST_POSES:
+    if result.all_poses is not None or not searchable(count):
         return replace(NOT_SEARCHED, level=level)
     with one_blas_thread():
-        return _Search(result, level).run(most)
+        return Search(ordered_system(result), level).run(most)[0]
+
+
+def searchable(poses: int) -> bool:
+    """Whether so many poses are searched for change points."""
+    return 4 * LEAST <= poses <= MOST_POSES
 
 
 def apart(point: ChangePoint, points: Sequence[ChangePoint]) -> bool:
@@ -153,12 +161,11 @@ def apart(point: ChangePoint, points: Sequence[ChangePoint]) -> bool:
     return all(abs(point.number - other.number) > LEAST for other in alike)
 
 
-class _Search:
+class Search:
     """Forward selection of steps, each placed anew when another joins."""
 
-    def __init__(self, result: FitResult, level: float) -> None:
-        self.problem, self.level = result.problem, level
-        self.system = ordered_system(result)
+    def __init__(self, system: OrderedSystem, level: float = NOT_SEARCHED.level) -> None:
+        self.problem, self.level, self.system = system.problem, level, system
         changes = possible(self.problem, ALONG_A_RUN)
         self.candidates = [_Candidate(one, self.system.columns(one.names)) for one in changes]
         steps = len(self.system.E) * sum(one.steps for one in changes)
@@ -166,8 +173,8 @@ class _Search:
         # Half of the level for steps, half for ramps; each shared by all of its tests (Bonferroni).
         self.tests = {False: 2.0 * max(steps, 1), True: 2.0 * max(ramps, 1)}
 
-    def run(self, most: int) -> Shifts:
-        """The change points in order."""
+    def run(self, most: int = MOST) -> tuple[Shifts, Fitted]:
+        """The change points in order, and the fit that has them."""
         steps, fit = list[_Step](), self.system.fitted()
         while len(steps) < most:
             best, log_p = self._best(fit, steps, self.candidates)
@@ -192,7 +199,7 @@ class _Search:
         apart = self._distinct(fit, steps)
         order = self.system.order
         fits = fit.p_values >= UNREMARKABLE if steps else np.zeros(0, dtype=bool)
-        return Shifts(
+        shifts = Shifts(
             tuple(sorted(points, key=lambda point: point.number)),
             self.level,
             len(order),
@@ -200,6 +207,7 @@ class _Search:
             unsure,
             tuple(point for point, step in zip(points, steps, strict=True) if step in apart),
         )
+        return shifts, fit
 
     def _distinct(self, fit: Fitted, steps: Sequence[_Step]) -> list[_Step]:
         """The steps that an error of the machine model along these poses does not look like."""

@@ -27,6 +27,7 @@ two-sided critical value of the smallest p-value.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -34,12 +35,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import NoTrustworthyResult
-from loopcal.small_samples import f_tail, t_quantile
+from loopcal.small_samples import f_limit, f_tail, t_quantile
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, POWER, Candidate, Change, WhatChanged
-from loopcal.statistics.estimated import Estimated
+from loopcal.statistics.estimated import Estimated, log_tail
 from loopcal.statistics.innovation import Innovation, Linearised
-from loopcal.statistics.possible_changes import BETWEEN_DAYS, possible, unit_of
+from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible, unit_of
 from loopcal.statistics.replacing import ASTRAY, Replaced
 
 Array = NDArray[np.float64]
@@ -69,38 +70,67 @@ _SAME = 1e-6
 # Chosen, not derived: a few thousand times the rounding of a unit column.
 _ROUNDING = 1e-12
 """Information along a direction of columns of length 1 that is rounding."""
+# As in `change_points`: a factor of e^7, about 1000, in the likelihood; chosen, not derived.
+_ALIKE = 14.0
+"""An alternative explains the change about as well if its innovation and the price of its parts are
+within this of those of the change."""
 
 
-def what_changed(day: Day, linear: Linearised) -> WhatChanged | None:
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """What changed; linear: the equations after it, columns (R, d): of these changes."""
+
+    what: WhatChanged
+    linear: Linearised
+    columns: Array
+
+
+def what_changed(day: Day, linear: Linearised) -> Explained | None:
     """Search for changes; None where these poses have no redundancy.
 
     linear: the machine as calibrated, at these poses.
     """
     if linear.innovation().p_value is None:
         return None
-    candidates = _candidates(linear.placement)
-    begun = system = _System.of(day, candidates, linear, np.zeros(len(candidates)))
+    causes = _Causes.of(linear.placement)
+    begun = system = _System.of(day, causes, linear, np.zeros(len(causes.owner)))
     chosen: tuple[int, ...] = ()
     p_values: dict[int, float] = {}
-    for _ in range(_MOST):
-        tests = system.tests(chosen)
+    impossible: set[int] = set()
+    while len(chosen) < _MOST:
+        tests = {i: p for i, p in system.tests(chosen).items() if i not in impossible}
         if not tests or min(tests.values()) >= LEVEL:
             break
         several = [(*chosen, j) for j in system.tried([*tests], chosen)]
         fits = [(one, system.settled(one, _HALVED)) for one in several]
-        best, trial = min(fits, key=lambda fit: fit[1].present)
+        best, trial = min(fits, key=lambda fit: fit[1].cost(fit[0]))
         if trial.astray and trial.present > _HELPED * system.present:
             break
-        chosen, system = best, trial.settled(best)
+        settled = trial.settled(best)
+        if far := settled.too_far(best):
+            impossible |= {*far}
+            chosen, system = _without(far, chosen, system, begun)
+            continue
+        chosen, system = best, settled
         p_values[chosen[-1]] = tests[chosen[-1]]
-        if kept := system.kept(chosen):
+        kept = system.kept(chosen)
+        if kept and kept != chosen:
             chosen, system = kept, system.settled(kept)
     if system.astray and system.present > _EXPLAINED * begun.present:
         chosen, system = (), begun
     whole, left = begun.innovation(()), system.innovation(chosen).p_value
     changes = system.changes(chosen, [p_values[j] for j in chosen])
     verdict = _verdict(whole.p_value, changes, left)
-    return WhatChanged(verdict, changes, begun.tested(), whole, begun.scale, left)
+    what = WhatChanged(verdict, changes, begun.tested(), whole, begun.scale, left)
+    return Explained(what, system.linear, system.columns(chosen))
+
+
+def _without(
+    far: Sequence[int], chosen: tuple[int, ...], system: _System, begun: _System
+) -> tuple[tuple[int, ...], _System]:
+    """The changes accepted so far, without those that no machine can have."""
+    kept = tuple(i for i in chosen if i not in far)
+    return (chosen, system) if kept == chosen else (kept, begun.settled(kept) if kept else begun)
 
 
 def _verdict(p_value: float | None, changes: Sequence[Change], left: float | None) -> str:
@@ -112,30 +142,76 @@ def _verdict(p_value: float | None, changes: Sequence[Change], left: float | Non
     return "calibrate-anew"
 
 
-def _candidates(placement: Replaced) -> tuple[Candidate, ...]:
-    """What may have changed of all that is held."""
-    problem = placement.problem
-    anew = dict(zip(problem.mechanism.parameters.names, placement.anew, strict=True))
-    return tuple(
-        Candidate(name, one.kind, unit_of(problem, name))
-        for one in possible(problem, BETWEEN_DAYS)
-        for name in one.names
-        if not anew.get(name)
-    )
+@dataclass(frozen=True, eq=False)
+class _Causes:
+    """What may have changed of all that is held: causes with m directions in all.
+
+    names: (n,) of what they move; W: (n, m) by how much; owner: (m,) the cause of each direction;
+    units: of the causes.
+    """
+
+    causes: tuple[Possible, ...]
+    names: tuple[str, ...]
+    W: Array
+    owner: NDArray[np.intp]
+    units: tuple[str, ...]
+
+    @classmethod
+    def of(cls, placement: Replaced) -> _Causes:
+        """Without what is placed anew."""
+        problem = placement.problem
+        anew = dict(zip(problem.mechanism.parameters.names, placement.anew, strict=True))
+        causes = []
+        for one in possible(problem, BETWEEN_DAYS):
+            held = tuple(n for n in one.names if not anew.get(n))
+            if held and (held == one.names or not one.parts):
+                causes.append(replace(one, names=held))
+        directions = [(i, d) for i, one in enumerate(causes) for d in one.directions]
+        moved = dict.fromkeys(n for _, d in directions for n in d)
+        # Zeros first, as `Replaced.columns` orders them.
+        read = [n for n in moved if n in problem.mechanism.quantities]
+        names = (*read, *(n for n in moved if n not in read))
+        W = np.zeros((len(names), len(directions)))
+        for column, (_, direction) in enumerate(directions):
+            for name, amount in direction.items():
+                W[names.index(name), column] = amount
+        owner = np.array([i for i, _ in directions], dtype=np.intp)
+        units = tuple(
+            "1" if one.kind == "expansion" else unit_of(problem, one.names[0]) for one in causes
+        )
+        return cls(tuple(causes), names, W, owner, units)
+
+    def columns(self, placement: Replaced) -> Array:
+        """(R, m)"""
+        return np.asarray(placement.columns(self.names) @ self.W)
+
+    def changes(self, t: Array) -> dict[str, float]:
+        """By name [SI], of changes t (m,)."""
+        moved = self.W @ t
+        return {self.names[i]: float(moved[i]) for i in np.flatnonzero(moved).tolist()}
+
+    def candidate(self, i: int) -> Candidate:
+        """As it is reported."""
+        return Candidate(self.causes[i].name, self.causes[i].kind, self.units[i])
+
+    def rows(self, i: int) -> NDArray[np.intp]:
+        """The directions of a cause."""
+        return np.flatnonzero(self.owner == i)
 
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """The tests of m candidates at some changes t (m,): G (m, m), g (m,) as if nothing had changed.
+    """The tests of causes at some changes t (m,): G (m, m), g (m,) as if nothing had changed.
 
-    present: the innovation at t; value: that as if nothing had changed; visible: (m,); group: (m,)
-    the first candidate with the same column; freedom: (m,) degrees of freedom of the variance of
-    each change; linear: the equations at t; every: all candidates together; scale: of S, by these
-    poses; scale_freedom: its degrees of freedom, None where the stated variances are taken.
+    present: the innovation at t; value: that as if nothing had changed; U: (R, m) the directions,
+    less what the placement takes up; visible: (m,); group: of each cause the first with the same
+    column; freedom: (m,) degrees of freedom of the variance of each direction; linear: the
+    equations at t; every: all causes together; scale: of S, by these poses; scale_freedom: its
+    degrees of freedom, None where the stated variances are taken.
     """
 
     day: Day
-    candidates: tuple[Candidate, ...]
+    causes: _Causes
     G: Array
     g: Array
     t: Array
@@ -150,12 +226,9 @@ class _System:
     scale_freedom: float | None
 
     @classmethod
-    def of(
-        cls, day: Day, candidates: tuple[Candidate, ...], linear: Linearised, t: Array
-    ) -> _System:
+    def of(cls, day: Day, causes: _Causes, linear: Linearised, t: Array) -> _System:
         """The tests where the machine has changed by t."""
-        names = [one.name for one in candidates]
-        raw = linear.placement.columns(names) / np.sqrt(linear.factor)
+        raw = causes.columns(linear.placement) / np.sqrt(linear.factor)
         U = raw - linear.F @ (linear.solve @ raw)
         visible = np.linalg.norm(U, axis=0) > _VISIBLE * np.linalg.norm(raw, axis=0)
         G, g = linear.weighed(U, U), linear.weighed(U, linear.left)
@@ -172,78 +245,122 @@ class _System:
         g = g + G @ t
         scale = np.sqrt(np.where(visible, np.diag(G), 1.0))
         alike = G / scale / scale[:, None]
-        same = np.abs(alike) > 1.0 - _SAME
-        same[~visible], same[:, ~visible] = False, False
-        np.fill_diagonal(same, True)
-        group, freedom = same.argmax(axis=0), linear.freedom(raw)
-        heads = np.unique(group[visible])
-        ones = np.ones(len(heads))
-        every = Estimated.of((g / scale)[heads], alike[np.ix_(heads, heads)], ones, _SAME)
+        group, freedom = _groups(causes, alike, visible), linear.freedom(raw)
+        rows = np.flatnonzero(visible & (group[causes.owner] == causes.owner))
+        every = Estimated.of(
+            (g / scale)[rows], alike[np.ix_(rows, rows)], np.ones(len(rows)), _SAME
+        )
         wider, wider_freedom = 1.0, None
         left = len(linear.e) - linear.rank - every.rank
         if (day.calibrated.carried or day.calibrated.rejected is not None) and left >= _ENOUGH:
             wider = max((value - every.gain) / left, 1.0)
-            learnt = linear.denominator((U / scale)[:, heads] @ every.root) or np.inf
+            learnt = linear.denominator((U / scale)[:, rows] @ every.root) or np.inf
             # Relative variances 2 / nu of independent errors of a scale add up.
             wider_freedom = 1.0 / (1.0 / left + 1.0 / learnt)
             freedom = 1.0 / (1.0 / freedom + 1.0 / left)
         held = G, g, t, present, value, visible, group, freedom, linear, every
-        return cls(day, candidates, *held, wider, wider_freedom)
+        return cls(day, causes, *held, wider, wider_freedom)
+
+    def _rows(self, *chosen: int) -> NDArray[np.intp]:
+        """The visible directions of these causes."""
+        rows = [self.causes.rows(i) for i in chosen]
+        every = np.concatenate([np.zeros(0, dtype=np.intp), *rows])
+        return every[self.visible[every]]
+
+    def columns(self, chosen: Sequence[int]) -> Array:
+        """(R, d) of these causes, in the equations as they are linearised."""
+        raw = self.causes.columns(self.linear.placement) / np.sqrt(self.linear.factor)
+        return raw[:, self._rows(*chosen)]
+
+    @property
+    def heads(self) -> list[int]:
+        """The causes that these poses show, one of each group."""
+        shown = np.unique(self.causes.owner[self.visible])
+        return [int(i) for i in shown if self.group[i] == i]
 
     def estimated(self, chosen: Sequence[int]) -> Estimated:
-        """The changes of these candidates together."""
-        rows = list(chosen)
+        """These changes together."""
+        rows = self._rows(*chosen)
         G, g = self.G[np.ix_(rows, rows)], self.g[rows]
         length = np.sqrt(np.diag(G))
         scale = 1.0 / np.where(length > 0.0, length, 1.0)
         return Estimated.of(scale * g, G * np.outer(scale, scale), scale, _ROUNDING)
 
+    def beside(self, i: int, chosen: Sequence[int]) -> Estimated:
+        """What one further change explains beside those that were accepted."""
+        rows, others = self._rows(i), self._rows(*chosen)
+        G, g = self.G[np.ix_(rows, rows)], self.g[rows]
+        scale = 1.0 / np.sqrt(np.diag(G))
+        if others.size:
+            X = self.estimated(chosen).covariance @ self.G[np.ix_(others, rows)]
+            G, g = G - self.G[np.ix_(rows, others)] @ X, g - X.T @ self.g[others]
+        # `_VISIBLE` is a share of lengths, here of columns of length 1.
+        return Estimated.of(scale * g, G * np.outer(scale, scale), scale, _VISIBLE)
+
     def innovation(self, chosen: Sequence[int]) -> Innovation:
         """The innovation after these changes."""
-        explained = self.estimated(chosen).gain
+        together = self.estimated(chosen)
         if self.scale_freedom is not None:
-            value = max((self.every.gain - explained) / self.scale, 0.0)
-            return Innovation.of(value, self.every.rank - len(chosen), self.scale_freedom)
+            value = max((self.every.gain - together.gain) / self.scale, 0.0)
+            return Innovation.of(value, self.every.rank - together.rank, self.scale_freedom)
         total = self.linear.innovation().value
-        return self.linear.innovation(total - self.value + explained, len(chosen))
+        return self.linear.innovation(total - self.value + together.gain, together.rank)
 
     @property
     def astray(self) -> bool:
         """Whether the misfit is gross."""
         return self.present > ASTRAY * len(self.linear.e)
 
-    def critical(self, i: int) -> float:
-        """Of the most significant of all candidates [sds]."""
-        groups = len(np.unique(self.group[self.visible]))
-        return t_quantile(1.0 - LEVEL / max(groups, 1), self.freedom[i])
+    def cost(self, chosen: Sequence[int]) -> float:
+        """The innovation there, and what each part of a change costs (Schwarz 1978)."""
+        return self.present / self.scale + len(self._rows(*chosen)) * self._charge
+
+    @property
+    def _charge(self) -> float:
+        return math.log(max(len(self.linear.e), 2))
+
+    def _freedom(self, i: int) -> float:
+        """Degrees of freedom of the variance of a change."""
+        return float(self.freedom[self._rows(i)].min(initial=np.inf))
+
+    def critical(self, i: int, rank: int = 1) -> float:
+        """Of the most significant of all causes, the square of so many parts [sds squared]."""
+        level = 1.0 - LEVEL / max(len(self.heads), 1)
+        return float(f_limit(level, rank, np.array([self._freedom(i)]))[0])
 
     def tests(self, chosen: Sequence[int]) -> dict[int, float]:
-        """Adjusted p-values of the further candidates beside those that were accepted, one for each
-        group, the most significant first."""
-        G, g, rows = self.G, self.g, list(chosen)
-        heads = [i for i in np.unique(self.group[self.visible]).tolist() if i not in rows]
-        X = self.estimated(chosen).covariance @ G[rows]
-        left = np.diag(G) - (G[:, rows] * X.T).sum(axis=1)
-        seen = [i for i in heads if left[i] > _VISIBLE * G[i, i]]
-        score = g - g[rows] @ X
-        squares = np.square(score) / (self.scale * np.where(left > 0.0, left, 1.0))
-        p = np.array([f_tail(float(squares[i]), 1, self.freedom[i]) for i in seen])
-        order = np.argsort(p, kind="stable")
+        """Adjusted p-values of further causes beside those that were accepted, the most significant
+        first.
+
+        Not of a cause whose smallest visible change is larger than a machine can have.
+        """
+        seen, p, logs = list[int](), list[float](), list[float]()
+        for i in self.heads:
+            if i in chosen or not self.smallest(i) <= self.causes.causes[i].most:
+                continue
+            part = self.beside(i, chosen)
+            if part.rank:
+                gain, freedom = part.gain / self.scale, self._freedom(i)
+                seen.append(i)
+                p.append(f_tail(gain, part.rank, freedom))
+                logs.append(_log_tail(gain, part.rank, freedom))
+        order = np.argsort(logs, kind="stable")
         # The smallest of m counts m times, the next m - 1; none falls below the one before.
-        holm = np.maximum.accumulate(p[order] * (len(p) - np.arange(len(p))))
+        holm = np.maximum.accumulate(np.array(p)[order] * (len(p) - np.arange(len(p))))
         adjusted = np.minimum(holm, 1.0).tolist()
         return {seen[i]: p_value for i, p_value in zip(order.tolist(), adjusted, strict=True)}
 
     def tried(self, order: Sequence[int], chosen: Sequence[int]) -> tuple[int, ...]:
-        """The candidates whose fits are compared: the best one where the equations are linear.
+        """The causes whose fits are compared: the best one where the equations are linear.
 
-        Where it leaves differences, changes may be too large for that: all zeros, and the best.
+        Where it leaves differences, changes may be too large for that: all zeros and mountings, and
+        the best.
         """
         p_value = self.innovation((*chosen, order[0])).p_value
         if p_value is None or p_value >= LEVEL:
             return (order[0],)
-        zeros = [i for i in order if self.candidates[i].kind == "zero"]
-        return tuple(dict.fromkeys([*order[:_TRIED], *zeros]))
+        likely = [i for i in order if self.causes.causes[i].kind in ("zero", "mounting")]
+        return tuple(dict.fromkeys([*order[:_TRIED], *likely]))
 
     def settled(self, chosen: Sequence[int], falling: float | None = None) -> _System:
         """Linearised where the accepted changes are the estimated ones.
@@ -251,7 +368,7 @@ class _System:
         It ends where a change leaves more misfit than before, by more than noise does; falling: or
         more than this share of it.
         """
-        system, rows = self, list(chosen)
+        system, rows = self, self._rows(*chosen)
         # Where changes are dropped, the system at hand fits better than the new one can.
         least = np.inf if np.delete(system.t, rows).any() else system.present
         for _ in range(_ROUNDS):
@@ -260,9 +377,9 @@ class _System:
             moved = np.abs(t - system.t) * np.sqrt(np.diag(system.G))
             if moved.max() < _SETTLED:
                 break
-            changes = {self.candidates[i].name: float(t[i]) for i in np.flatnonzero(t)}
             try:
-                trial = _System.of(self.day, self.candidates, self.day.linearised(changes), t)
+                linear = self.day.linearised(self.causes.changes(t))
+                trial = _System.of(self.day, self.causes, linear, t)
             except NoTrustworthyResult:
                 break
             # 1: about what noise adds to a chi-squared by one degree of freedom.
@@ -273,49 +390,133 @@ class _System:
                 break
         return system
 
+    def too_far(self, chosen: Sequence[int]) -> tuple[int, ...]:
+        """Those that are larger than a machine can have."""
+        return tuple(i for i in chosen if abs(self._size(i, chosen)[0]) > self.causes.causes[i].most)
+
     def kept(self, chosen: Sequence[int]) -> tuple[int, ...]:
-        """Those that are still significant beside the others; the last one is."""
-        changes = self.estimated(chosen)
-        z = np.abs(changes.size) / (np.sqrt(self.scale) * changes.sds)
-        return tuple(j for j, size in zip(chosen, z, strict=True) if size >= self.critical(j))
+        """Those that are still significant beside the others."""
+        kept = []
+        for j in chosen:
+            part = self.beside(j, [i for i in chosen if i != j])
+            if part.rank and part.gain >= self.scale * self.critical(j, part.rank):
+                kept.append(j)
+        return tuple(kept)
 
     def changes(self, chosen: Sequence[int], p_values: Sequence[float]) -> tuple[Change, ...]:
         """The accepted changes, with what cannot be distinguished from each."""
-        together, changes = self.estimated(chosen), list[Change]()
-        sizes, sds = together.size.tolist(), (np.sqrt(self.scale) * together.sds).tolist()
-        for j, size, sd, p in zip(chosen, sizes, sds, p_values, strict=True):
-            one, half = self.candidates[j], t_quantile(0.95, self.freedom[j]) * sd
-            alike, interval = self._alike(chosen, j), (size - half, size + half)
-            changes.append(Change(one.name, one.kind, one.unit, size, sd, *interval, p, alike))
+        changes = []
+        for j, p in zip(chosen, p_values, strict=True):
+            one, cause = self.causes.candidate(j), self.causes.causes[j]
+            size, sd, t = self._size(j, chosen)
+            half = t_quantile(0.95, self._freedom(j)) * sd
+            parts: dict[str, float] = {}
+            if len(cause.names) > 1 and not cause.parts and cause.kind == "mounting":
+                parts = {n: v for n, v in self.causes.changes(t).items() if self._alike_unit(j, n)}
+            changes.append(
+                Change(
+                    one.name,
+                    one.kind,
+                    one.unit,
+                    size,
+                    sd,
+                    size - half,
+                    size + half,
+                    p,
+                    self._alike(chosen, j),
+                    parts,
+                )
+            )
         return tuple(changes)
 
+    def _alike_unit(self, i: int, name: str) -> bool:
+        return unit_of(self.linear.placement.problem, name) == self.causes.units[i]
+
+    def _size(self, j: int, chosen: Sequence[int]) -> tuple[float, float, Array]:
+        """The size of an accepted change [unit] and its sd, and its parts (m,).
+
+        Of several parts the length of those in the unit of the first.
+        """
+        rows, own = self._rows(*chosen), self._rows(j)
+        together, where = self.estimated(chosen), np.isin(self._rows(*chosen), own)
+        t = np.zeros(len(self.t))
+        t[rows[where]] = together.size[where]
+        covariance = self.scale * together.covariance[np.ix_(where, where)]
+        if len(own) == 1:
+            return float(t[own[0]]), float(np.sqrt(covariance[0, 0])), t
+        first = [
+            k
+            for k, row in enumerate(own)
+            if self._alike_unit(j, self.causes.names[int(np.abs(self.causes.W[:, row]).argmax())])
+        ]
+        part, C = t[own[first]], covariance[np.ix_(first, first)]
+        length = float(np.linalg.norm(part))
+        along = part / (length or 1.0)
+        return length, float(np.sqrt(along @ C @ along)), t
+
     def _alike(self, chosen: Sequence[int], j: int) -> tuple[Candidate, ...]:
-        """The candidates in whose presence j adds nothing significant."""
-        others = [i for i in chosen if i != j]
-        limit = self.scale * self.critical(j) ** 2
-        alike = []
-        for k, one in enumerate(self.candidates):
-            if k in chosen or not self.visible[k]:
+        """The causes in whose presence j adds nothing significant, and that are about as simple."""
+        others, alike = [i for i in chosen if i != j], []
+        cost = len(self._rows(j)) * self._charge - self.beside(j, others).gain / self.scale
+        for k in range(len(self.causes.causes)):
+            if k in chosen or not self._rows(k).size:
                 continue
             same = self.group[k] == self.group[j]
-            if not same:
-                with_k = [*others, k]
-                both = self.G[np.ix_([*with_k, j], [*with_k, j])]
-                # Of two columns that are nearly one, what either adds would be rounding.
-                if np.linalg.cond(both / np.sqrt(np.outer(np.diag(both), np.diag(both)))) < 1e12:
-                    gained = self.estimated([*with_k, j]).gain - self.estimated(with_k).gain
-                    same = gained <= limit
+            if not same and self.smallest(k) <= self.causes.causes[k].most:
+                part, added = self.beside(k, others), self.beside(j, [*others, k])
+                limit = self.scale * self.critical(j, max(added.rank, 1))
+                price = len(self._rows(k)) * self._charge - part.gain / self.scale
+                possible_size = np.abs(part.size).max(initial=0.0) <= self.causes.causes[k].most
+                same = added.gain <= limit and price < cost + _ALIKE and bool(possible_size)
             if same:
-                alike.append(one)
+                alike.append(self.causes.candidate(k))
         return tuple(alike)
 
+    def smallest(self, i: int) -> float:
+        """The smallest change that is seen with the stated power, in the direction that these poses
+        show worst."""
+        part = self.beside(i, ())
+        if not part.rank:
+            return math.inf
+        reach = math.sqrt(self.critical(i, part.rank)) + t_quantile(
+            2.0 * POWER - 1.0, self._freedom(i)
+        )
+        rows = self._rows(i)
+        alike = [
+            self._alike_unit(i, self.causes.names[int(np.abs(self.causes.W[:, row]).argmax())])
+            or self.causes.units[i] == "1"
+            for row in rows
+        ]
+        worst = np.linalg.eigvalsh(part.covariance[np.ix_(alike, alike)])[-1]
+        return float(reach * np.sqrt(self.scale * worst))
+
     def tested(self) -> tuple[Candidate, ...]:
-        """All candidates, with the smallest change that is seen with the stated power."""
+        """All causes, with the smallest change that is seen with the stated power."""
         tests, tested = self.tests(()), []
-        for i, one in enumerate(self.candidates):
-            if self.visible[i]:
-                reach = self.critical(i) + t_quantile(2.0 * POWER - 1.0, self.freedom[i])
-                smallest = float(reach * np.sqrt(self.scale / self.G[i, i]))
-                one = replace(one, p_value=tests[int(self.group[i])], smallest=smallest)
+        for i in range(len(self.causes.causes)):
+            one = self.causes.candidate(i)
+            if self._rows(i).size and (p := tests.get(int(self.group[i]))) is not None:
+                one = replace(one, p_value=p, smallest=self.smallest(i))
             tested.append(one)
         return tuple(tested)
+
+
+def _groups(causes: _Causes, alike: Array, visible: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Of each cause the first that does the same: of one direction, with the same column."""
+    count = np.bincount(causes.owner, minlength=len(causes.causes))
+    single = visible & (count[causes.owner] == 1)
+    same = (np.abs(alike) > 1.0 - _SAME) & single & single[:, None]
+    np.fill_diagonal(same, True)
+    first = causes.owner[same.argmax(axis=0)]
+    group = np.arange(len(causes.causes))
+    group[causes.owner[single]] = first[single]
+    return group
+
+
+def _log_tail(gain: float, rank: int, freedom: float) -> float:
+    """Log of `f_tail`, also where that underflows."""
+    if math.isinf(freedom):
+        return log_tail(gain, rank)
+    p = f_tail(gain, rank, freedom)
+    # The tail of F falls as a power: only its order is asked for where doubles end.
+    return math.log(p) if p > 0.0 else -0.5 * freedom * math.log1p(gain / freedom)

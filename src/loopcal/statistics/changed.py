@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from loopcal.presentation.shown import by_sd, chance, percent, size, unit_shown, with_unit
+from loopcal.presentation.shown import by_sd, chance, percent, significant, size, unit_shown, with_unit
 from loopcal.statistics.innovation import Innovation
 
 # Record 0053.
@@ -21,8 +21,13 @@ _WORDS = {
     "angle": "angles",
     "length": "lengths",
     "mounting": "mountings",
-    "gain": "gains",
+    "scale": "scales",
+    "load": "load",
+    "expansion": "scale of the machine",
 }
+_CONDITIONS = ("load", "expansion")
+"""Kinds of changes of what a machine is used under, not of itself."""
+_VERBS = {"zero": "moved", "mounting": "moved"}
 # Chosen, not derived: what fits a line.
 _MOST_NAMED = 4
 # Chosen, not derived: such a change would be of the size of the machine.
@@ -35,9 +40,10 @@ _WIDER = 1.5
 
 @dataclass(frozen=True)
 class Candidate:
-    """What may have changed: the zero of a joint, or a parameter.
+    """What may have changed: the zero of a joint, a parameter, or several that change together.
 
-    kind: "zero" of the joint `name`, else the kind of the parameter `name`; p_value: of its own
+    kind: "zero" of the joint `name`, "mounting" of what is mounted, "load" on the arm, "expansion"
+    of the machine, else the kind of the parameter `name`; p_value: of its own
     test, adjusted for the others (Holm), None where these poses do not show it; smallest: the
     change [unit] that is seen with probability `POWER`, None likewise.
     """
@@ -59,7 +65,8 @@ class Change:
     """A change that was found.
 
     value, low, high: [unit] how much, with its 95 % interval; p_value: adjusted for the search;
-    alike: further candidates which explain these poses about as well.
+    alike: further candidates which explain these poses about as well; parts: how much of each [SI],
+    where several change together; the value is then the length of those in its unit.
     """
 
     name: str
@@ -71,6 +78,7 @@ class Change:
     high: float
     p_value: float
     alike: tuple[Candidate, ...]
+    parts: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def zeros(self) -> tuple[str, ...]:
@@ -91,11 +99,17 @@ class Change:
     @property
     def words(self) -> str:
         """The change in a sentence without its end."""
-        moved = by_sd(self.value, self.sd, self.unit)
-        half = size(0.5 * (self.high - self.low), self.unit, 2)
-        unit = unit_shown(self.unit)
-        verb = "moved" if self.kind in ("zero", "mounting") else "changed"
-        return f"{self.where} {verb} by {moved} {unit} ± {half} {unit}"
+        verb = _VERBS.get(self.kind, "changed")
+        if self.kind == "load":
+            return f"{self.where} {verb}"
+        half = 0.5 * (self.high - self.low)
+        if self.kind == "expansion":
+            value, sure = (significant(1e6 * one, 3) for one in (self.value, half))
+            return f"{self.where} {verb} by {value} ± {sure} ppm"
+        moved, unit = by_sd(self.value, self.sd, self.unit), unit_shown(self.unit)
+        words = f"{self.where} {verb} by {moved} {unit} ± {size(half, self.unit, 2)} {unit}"
+        parts = [f"{n} {with_unit(v, self.unit)}" for n, v in self.parts.items()]
+        return f"{words} ({', '.join(parts)})" if parts else words
 
 
 @dataclass(frozen=True)
@@ -146,6 +160,9 @@ class WhatChanged:
         if self.verdict == "re-master":
             alone = all(change.kind == "zero" for change in self.found)
             return "re-master" if alone else "re-master-first"
+        kinds = {change.kind for change in self.found}
+        if len(kinds) == 1 and not kinds.isdisjoint(_CONDITIONS):
+            return f"{kinds.pop()}-changed"
         if self.found and all(change.mounted for change in self.found):
             return "mounting-changed"
         stated = not any(one.kind == "mounting" for one in self.candidates)

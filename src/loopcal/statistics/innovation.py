@@ -101,8 +101,9 @@ class Linearised:
     noise: float
 
     @classmethod
-    def of(cls, placement: Replaced, calibrated: Calibrated) -> Linearised:
-        """Undetermined steps of the calibration are as free as the placement."""
+    def of(cls, placement: Replaced, calibrated: Calibrated, moved: Array | None = None) -> Linearised:
+        """Undetermined steps of the calibration are as free as the placement; moved: (R, q) the
+        columns of further changes that are."""
         J, f = placement.J / np.sqrt(calibrated.factor), calibrated.factor
         held = ~placement.anew[:, None]
         root = root_of(f * calibrated.covariance.matrix) * held
@@ -111,6 +112,8 @@ class Linearised:
         single = np.linalg.norm(J, axis=0) @ np.abs(loose)
         loose = loose[:, seen > _UNSEEN * np.maximum(single, 1e-300)]
         F = np.hstack([J @ placement.directions, J @ loose])
+        if moved is not None:
+            F = np.hstack([F, moved / np.sqrt(f)])
         # Columns of length 1: the cut on s is then free of their units.
         scale = np.linalg.norm(F, axis=0)
         scale = np.where(scale > 0.0, scale, 1.0)

@@ -392,7 +392,7 @@ def ordered_system(result: FitResult) -> OrderedSystem:
         .T[:, None, :]
         .repeat(R, 1)
     ] = 0.0
-    B = _smooth_columns(problem, X)
+    B = smooth_columns(problem, X)
     m = n + B.shape[2]
     pull = np.where(
         precision > 0.0, precision * (problem.nominal - solution.parameters[problem.free]), 0.0
@@ -415,7 +415,7 @@ def ordered_system(result: FitResult) -> OrderedSystem:
     )
 
 
-def _smooth_columns(problem: Problem, X: Array) -> Array:
+def smooth_columns(problem: Problem, X: Array) -> Array:
     """(N, R, m) smooth functions of the joints along the readings of each instrument."""
     mechanism, names = problem.mechanism, problem.mechanism.tape.quantities
     joints = joint_rows(problem)

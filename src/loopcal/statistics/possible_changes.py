@@ -6,25 +6,61 @@ causes of a change between two poses of one run, `BETWEEN_DAYS` those of one sin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from loopcal.estimation.problem.problem import Problem
 from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
+from loopcal.mechanisms.structure.sag import TOOL
 from loopcal.mechanisms.structure.structured import driven_joints
+
+
+# What machines can have; chosen, not derived, a few times what their makers and users report: a
+# joint that is mastered anew, a link that a crash bends, a tool that is exchanged, 50 K of warming
+# at 24e-6 per kelvin. A load may do anything.
+_MOST = {
+    "zero": 0.5,
+    "angle": 0.05,
+    "length": 0.03,
+    "mounting": 1.0,
+    "scale": 0.1,
+    "expansion": 1.2e-3,
+}
+"""The largest change of a kind [SI]."""
 
 
 @dataclass(frozen=True)
 class Possible:
     """A change of parameters, or of zeros of readings, by name; steps, ramps: whether it may happen
-    at once, and all along a run."""
+    at once, and all along a run; parts: its independent parts, by name [SI], where they are not the
+    names one by one; label: what it is called where that is not its only name."""
 
     kind: str
     names: tuple[str, ...]
     steps: bool = True
     ramps: bool = True
+    parts: tuple[tuple[tuple[str, float], ...], ...] = ()
+    label: str = ""
+
+    @property
+    def name(self) -> str:
+        """What changes."""
+        return self.label or self.names[0]
+
+    @property
+    def directions(self) -> tuple[Mapping[str, float], ...]:
+        """Its independent parts, by name [SI]."""
+        if self.parts:
+            return tuple(dict(part) for part in self.parts)
+        return tuple({name: 1.0} for name in self.names)
+
+    @property
+    def most(self) -> float:
+        """The largest that a machine can have [SI]."""
+        return _MOST.get(self.kind, math.inf)
 
 
 Cause = Callable[[Problem], Iterable[Possible]]
@@ -59,8 +95,9 @@ def held_station(problem: Problem) -> tuple[str, ...]:
     return _BASE.parameters if chain and not {*_BASE.parameters} & {*problem.names} else ()
 
 
-def _targets(problem: Problem) -> Iterator[Possible]:
-    """Each thing on the body; by instrument where the body gives way already."""
+def _mounted(problem: Problem) -> Iterator[tuple[str, ...]]:
+    """The estimated parameters of each thing on the body; by instrument where the body gives way
+    already."""
     mechanism = problem.mechanism
     groups = () if mechanism.body is None else mechanism.body.mounted
     if mechanism.body is None:
@@ -69,7 +106,13 @@ def _targets(problem: Problem) -> Iterator[Possible]:
         groups = (*seen, tuple(n for n in mounted if not any(n in names for names in seen)))
     for names in groups:
         if estimated := tuple(n for n in names if n in problem.names):
-            yield Possible("target", estimated)
+            yield estimated
+
+
+def _targets(problem: Problem) -> Iterator[Possible]:
+    """Each thing on the body."""
+    for names in _mounted(problem):
+        yield Possible("target", names)
 
 
 def _stations(problem: Problem) -> Iterator[Possible]:
@@ -104,9 +147,9 @@ def _readings(problem: Problem) -> Iterator[Possible]:
         units = [mechanism.quantities[q] for q in group]
         for unit in dict.fromkeys(units):
             alike = tuple(q for q, other in zip(group, units, strict=True) if other == unit)
-            yield Possible("reading", alike, ramps=False)
-    for q in (q for group in by_instrument for q in group):
-        yield Possible("reading", (q,), steps=False)
+            yield Possible("reading", alike)
+            for q in alike if len(alike) > 1 else ():
+                yield Possible("reading", (q,), steps=False)
 
 
 def _zeros(problem: Problem) -> Iterator[Possible]:
@@ -115,8 +158,40 @@ def _zeros(problem: Problem) -> Iterator[Possible]:
 
 
 def _mountings(problem: Problem) -> Iterator[Possible]:
-    for name in problem.mechanism.parameters.of_role("mounting"):
-        yield Possible("mounting", (name,))
+    """Each thing on the body, its place and its turn together, and the tool that carries several
+    targets: each is exchanged as a whole."""
+    parameters, mounted = problem.mechanism.parameters, list(_mounted(problem))
+    if tool := _tool(problem, mounted):
+        yield tool
+    for names in mounted:
+        owners = {parameters[n].owner for n in names} if len(names) > 1 else set()
+        label = next(iter(owners)) if len(owners) == 1 else ""
+        yield Possible("mounting", names, label=label)
+
+
+def _tool(problem: Problem, mounted: Sequence[tuple[str, ...]]) -> Possible | None:
+    """A rigid motion of all targets, of which there are several in space."""
+    parameters = problem.mechanism.parameters
+    points = [names for names in mounted if len(names) == len("xyz")]
+    if len(points) < 2 or len(points) < len(mounted):
+        return None
+    parts: list[tuple[tuple[str, float], ...]] = []
+    for i in range(3):
+        parts.append(tuple((names[i], 1.0) for names in points))
+    for i, j in ((1, 2), (2, 0), (0, 1)):
+        # A small turn about the third axis moves (x_i, x_j) by (-x_j, x_i).
+        parts.append(
+            tuple(
+                pair
+                for names in points
+                for pair in (
+                    (names[i], -parameters[names[j]].nominal),
+                    (names[j], parameters[names[i]].nominal),
+                )
+            )
+        )
+    names = tuple(n for target in points for n in target)
+    return Possible("mounting", names, parts=tuple(parts), label="the tool")
 
 
 def _dimensions(problem: Problem) -> Iterator[Possible]:
@@ -125,6 +200,24 @@ def _dimensions(problem: Problem) -> Iterator[Possible]:
             yield Possible(p.dimension or p.role, (p.name,))
 
 
+def _loads(problem: Problem) -> Iterator[Possible]:
+    """What the arm carries, by all that gives way under it."""
+    structure = problem.mechanism.structure
+    columns = () if structure is None else structure.columns
+    if names := tuple(c.parameter for c in columns if c.load == TOOL):
+        yield Possible("load", names, label="the load")
+
+
+def _expansion(problem: Problem) -> Iterator[Possible]:
+    """All dimensions of the machine in proportion, as it warms up, or another scale of what
+    measures it."""
+    lengths = [p for p in problem.mechanism.parameters if p.dimension == "length" and p.nominal]
+    if lengths:
+        names = tuple(p.name for p in lengths)
+        part = tuple((p.name, p.nominal) for p in lengths)
+        yield Possible("expansion", names, parts=(part,), label="the scale of the machine")
+
+
 ALONG_A_RUN: tuple[Cause, ...] = (_targets, _stations, _joints, _readings)
-BETWEEN_DAYS: tuple[Cause, ...] = (_zeros, _mountings, _dimensions)
+BETWEEN_DAYS: tuple[Cause, ...] = (_zeros, _mountings, _loads, _dimensions, _expansion)
 """Of changes that do the same the first speaks: zeros of joints, then mountings."""

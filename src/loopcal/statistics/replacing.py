@@ -126,6 +126,11 @@ class Replaced:
         return np.concatenate([rows.J.reshape(-1, rows.J.shape[2]) for rows in self.rows])
 
     @cached_property
+    def row_poses(self) -> NDArray[np.intp]:
+        """(R,) the pose of each equation."""
+        return np.concatenate([np.repeat(rows.poses, rows.e.shape[1]) for rows in self.rows])
+
+    @cached_property
     def merit(self) -> float:
         """The sum of squares; infinite where a loop has no value."""
         with np.errstate(all="ignore"):  # steps may lead anywhere; what is not finite is refused
@@ -167,6 +172,8 @@ class Replaced:
         )
 
     def _zero_columns(self, quantities: Sequence[int]) -> Array:
+        if not quantities:
+            return np.zeros((len(self.e), 0))
         sweeper = Sweeper(self.problem)
         by_block = []
         for (pattern, block), rows in zip(

@@ -62,8 +62,8 @@ def _moved(document: ResultDocument) -> Fact | None:
         return None
     most = max(_beside(document, point) for point in points)
     if most < SMALL:
-        return _along_the_run("changes-small", points, predicted_sds=most)
-    return _along_the_run("change-points", points, changes=len(points))
+        return along_the_run("changes-small", points, predicted_sds=most)
+    return along_the_run("change-points", points, changes=len(points))
 
 
 def _beside(document: ResultDocument, point: ChangePoint) -> float:
@@ -80,10 +80,10 @@ def _modelled_changes(document: ResultDocument) -> Fact | None:
     points = tuple(point for point in points if point.modelled)
     if not points:
         return None
-    return _along_the_run("changes-modelled", points, changes=len(points))
+    return along_the_run("changes-modelled", points, changes=len(points))
 
 
-def _along_the_run(code: str, points: Sequence[ChangePoint], **numbers: float) -> Fact:
+def along_the_run(code: str, points: Sequence[ChangePoint], **numbers: float) -> Fact:
     """The title says how often and when; the details name the first of many."""
     more = len(points) - _NAMED
     details = "; ".join(map(str, points[:_NAMED])) + (f"; and {more} more" if more > 0 else "")

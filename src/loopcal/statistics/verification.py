@@ -9,7 +9,8 @@ the same freedom, and beside the one that the stated covariance leads one to exp
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,14 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.change_tests import what_changed
+from loopcal.statistics.changed import WhatChanged
+from loopcal.statistics.day_run import Run, faults, searched
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.verdict import Quantile
@@ -65,8 +69,36 @@ def verify(
     data = data.dataset if isinstance(data, FitResult) else data
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     check_tolerance(tolerance)
+    mechanism = calibrated.mechanism
+    columns = [*mechanism.quantities, *mechanism.pose_constants]
+    copied = copies(data, columns, mechanism.outputs).copied
+    stated = Noise.of(noise)
+    if copied.size:
+        kept = np.delete(np.arange(len(data)), copied)
+        data, stated = data.without_copies(copied), stated and stated.take(kept)
     with one_blas_thread():
-        return _verified(Day.of(calibrated, data, Noise.of(noise), remounted), tolerance)
+        day = Day.of(calibrated, data, stated, remounted)
+        return _verified(day, tolerance, len(copied), _repeated(calibrated, data))
+
+
+def _repeated(calibrated: Calibrated, data: Dataset) -> int:
+    """How many poses have the very readings of the calibration."""
+    if calibrated.poses is None:
+        return 0
+    earlier = calibrated.poses
+    read = [
+        q
+        for q in calibrated.mechanism.quantities
+        if q in data.readings and q in earlier.readings
+    ]
+    if not read:
+        return 0
+    # As many digits as files of results hold.
+    rows, others = (
+        {tuple(f"{v:.9g}" for v in row) for row in zip(*(d.readings[q] for q in read), strict=True)}
+        for d in (data, earlier)
+    )
+    return len(rows & others)
 
 
 def check_tolerance(tolerance: float | None) -> None:
@@ -79,7 +111,7 @@ def check_tolerance(tolerance: float | None) -> None:
         )
 
 
-def _verified(day: Day, tolerance: float | None) -> Verification:
+def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> Verification:
     linear = day.linearised()
     placement, mechanism = linear.placement, day.problem.mechanism
     apart = deviations(mechanism, placement.measured, placement.differences)
@@ -93,13 +125,16 @@ def _verified(day: Day, tolerance: float | None) -> Verification:
         nominal, others = _distances(apart_as_drawn), by_pose(apart_as_drawn)
         if distances is not None and others is not None:
             gain = Gain.in_rms(np.square(distances), np.square(others))
-    changes = what_changed(day, linear)
+    calibrated, (expected, chance) = _distances(apart), _expected(linear, day.variance)
+    rare = 1.0 if calibrated is None else chance(calibrated.rms)
+    columns = faults(day, linear)
+    changes, run = (None, Run()) if columns else _searched(day, linear)
     return Verification(
         poses=day.problem.poses,
         unit=main_unit(apart) or "m",
-        calibrated=_distances(apart),
+        calibrated=calibrated,
         nominal=nominal,
-        expected=_expected(linear, day.variance),
+        expected=expected,
         gain=gain,
         innovation=linear.innovation() if changes is None else changes.test,
         changes=changes,
@@ -108,7 +143,30 @@ def _verified(day: Day, tolerance: float | None) -> Verification:
         quantile=None if distances is None else Quantile.of(distances),
         tolerance=tolerance,
         unplaced=unplaced,
+        faults=columns,
+        shifts=run.shifts,
+        outliers=tuple(day.problem.poses[i] for i in run.outliers),
+        rare=rare,
+        copied=copied,
+        repeated=repeated,
     )
+
+
+def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
+    """What changed since the calibration, and during the run.
+
+    What happens during a run looks like changes before it, and these like a step at its begin: the
+    run is searched beside the changes, and then the changes beside what it shows.
+    """
+    explained = what_changed(day, linear)
+    if explained is None:
+        return None, Run()
+    run = searched(explained)
+    if run.shifts.found or run.outliers:
+        moved = replace(day, moved=run.shifts.found)
+        calm = moved.without(np.array(run.outliers, dtype=np.intp))
+        explained = what_changed(calm, calm.linearised()) or explained
+    return explained.what, run
 
 
 def _distances(apart: Sequence[Apart]) -> Distances | None:
@@ -154,8 +212,11 @@ def _placed(linear: Linearised, names: Sequence[str]) -> tuple[Placed, ...]:
     return tuple(entries)
 
 
-def _expected(linear: Linearised, variance: float | None) -> Distances | None:
-    """The distances that the stated covariance leads one to expect, as means over random draws.
+def _expected(
+    linear: Linearised, variance: float | None
+) -> tuple[Distances | None, Callable[[float], float]]:
+    """The distances that the stated covariance leads one to expect, as means over random draws, and
+    the share of draws whose rms is at least so large.
 
     What is placed anew follows the error of the held machine as far as it can, and takes up some
     of the noise.
@@ -163,7 +224,7 @@ def _expected(linear: Linearised, variance: float | None) -> Distances | None:
     placement = linear.placement
     problem, mechanism = placement.problem, placement.problem.mechanism
     if not mechanism.outputs:
-        return None
+        return None, lambda rms: 1.0
     names = mechanism.tape.quantities
     outputs = [names.index(q) for q in mechanism.outputs]
     measured, differences = placement.measured, placement.differences[: len(outputs)]
@@ -193,11 +254,13 @@ def _expected(linear: Linearised, variance: float | None) -> Distances | None:
         if one is not None:
             samples.append((one.mean, one.rms, one.p95, one.max))
     if not samples:
-        return None
+        return None, lambda rms: 1.0
+    drawn_rms = np.array(samples)[:, 1]
     mean, _, p95, largest = np.mean(samples, axis=0).tolist()
     # Squares are averaged, for the mean of roots is smaller than the root of the mean.
-    rms = float(np.sqrt(np.square(np.array(samples)[:, 1]).mean()))
-    return Distances(mean, rms, p95, largest, int(np.isfinite(differences).all(axis=0).sum()))
+    rms, count = float(np.sqrt(np.square(drawn_rms).mean())), np.isfinite(differences).all(axis=0)
+    expected = Distances(mean, rms, p95, largest, int(count.sum()))
+    return expected, lambda other: float((drawn_rms >= other).mean())
 
 
 def _reading_noise(

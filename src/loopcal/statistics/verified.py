@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.catalogue import findings
+from loopcal.document.findings import ColumnFault
 from loopcal.document.tables import machine_table
 from loopcal.document.verdict import (
     Answer,
@@ -21,11 +23,18 @@ from loopcal.document.verdict import (
 )
 from loopcal.lazy import cached_property
 from loopcal.presentation.shown import Table, by_sd, chance, significant, size, unit_shown
-from loopcal.statistics.changed import WhatChanged
+from loopcal.statistics.change_points import NOT_SEARCHED, Shifts
+from loopcal.statistics.changed import LEVEL, WhatChanged
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Innovation
+from loopcal.statistics.sound import along_the_run
 from loopcal.statistics.verdict import Quantile, kept
 
+# Record 0053.
+LARGER = 1.5
+"""Error over what is expected from which on a machine is not as calibrated."""
+MOVED = "moved-in-run"
+_AGAINST = (MOVED, "errors-larger", "misfit-larger")
 _QUESTIONS: tuple[Question, ...] = ("consistent", "better", "tolerance")
 
 
@@ -60,8 +69,11 @@ class Verification:
     expect of the calibrated one; gain: of calibrated over nominal; innovation: the test of the
     machine; changes: of single parameters and zeros of joints, None without redundancy; placed:
     what was found anew; worst: poses, the farthest first; quantile: the distance that 95 % of poses
-    keep; unplaced: why the nominal machine cannot be placed, None where it can; files: names of
-    result and readings, for command lines.
+    keep; unplaced: why the nominal machine cannot be placed, None where it can; faults: of the
+    file; shifts: what moved along the run; outliers: poses that do not fit the others; rare:
+    probability of an rms at least so large, if the stated covariance holds; copied: rows that copy
+    others; repeated: poses of the calibration itself; files: names of result and readings, for
+    command lines.
     """
 
     poses: tuple[str, ...]
@@ -77,6 +89,12 @@ class Verification:
     quantile: Quantile | None
     tolerance: float | None = None
     unplaced: str | None = None
+    faults: tuple[ColumnFault, ...] = ()
+    shifts: Shifts = NOT_SEARCHED
+    outliers: tuple[str, ...] = ()
+    rare: float = 1.0
+    copied: int = 0
+    repeated: int = 0
     files: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
@@ -93,18 +111,29 @@ class Verification:
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
         """What was found out, the gravest first."""
-        facts = [self._consistent(), self._better()]
+        facts = [*self._consistent(), self._better()]
         if self.tolerance is not None:
             facts.append(kept(self.quantile, self.tolerance, self.unit, "of this file"))
         return findings(facts, self.files)
 
-    def _consistent(self) -> Fact:
-        innovation, changes = self.innovation, self.changes
-        if innovation.p_value is None or changes is None:
-            return fact("no-redundancy")
+    def _consistent(self) -> list[Fact]:
+        if self.faults:
+            readings = tuple(dict.fromkeys(q for one in self.faults for q in one.quantities))
+            words = "; ".join(one.words for one in self.faults)
+            return [fact("day-at-fault", Where(readings=readings), faults=words)]
+        if self.innovation.p_value is None or self.changes is None:
+            return [fact("no-redundancy")]
+        stated = (self._moved(), self._larger(), self._unlike(), *self._rows())
+        facts = [one for one in stated if one is not None]
+        if self.changes.code != "unchanged" or not any(one.code in _AGAINST for one in facts):
+            facts.append(self._changed(self.changes))
+        return facts
+
+    def _changed(self, changes: WhatChanged) -> Fact:
+        innovation = self.innovation
         place = Where(parameters=tuple(change.name for change in changes.found))
         words = "; ".join(change.words for change in changes.found) or self._statistic()
-        p_value = min(innovation.p_value, *(change.p_value for change in changes.found), 1.0)
+        p_value = min(innovation.p_value or 0.0, *(c.p_value for c in changes.found), 1.0)
         return fact(
             changes.code,
             place,
@@ -113,6 +142,41 @@ class Verification:
             changes=words,
             joints=", ".join(changes.joints),
         )
+
+    def _moved(self) -> Fact | None:
+        """What moved during the run, or may have, where an error of the machine looks the same."""
+        if clear := self.shifts.told_apart:
+            return along_the_run(MOVED, clear, changes=len(clear))
+        open_ = (*self.shifts.found, *self.shifts.unsure)
+        return along_the_run("moved-or-machine", open_, changes=len(open_)) if open_ else None
+
+    def _larger(self) -> Fact | None:
+        """Errors that are larger than stated by half, whatever explains them."""
+        spread = math.sqrt(self.changes.spread) if self.changes is not None else 1.0
+        mine, expected = self.calibrated, self.expected
+        if mine is not None and expected is not None and expected.rms and self.rare < LEVEL:
+            times = mine.rms / expected.rms
+            if times > max(LARGER, spread):
+                sizes = {"rms": Figure(mine.rms, self.unit), "expected": Figure(expected.rms, self.unit)}
+                return fact("errors-larger", numbers={"times": times, **sizes})
+        if spread > LARGER:
+            return fact("misfit-larger", numbers={"times": spread})
+        return None
+
+    def _unlike(self) -> Fact | None:
+        bad = self.outliers
+        if not bad:
+            return None
+        named = ", ".join(bad[:5]) + (", ..." if len(bad) > 5 else "")
+        count = f"{len(bad)} poses do" if len(bad) > 1 else "1 pose does"
+        return fact("poses-unlike", Where(poses=bad), {"poses": len(bad)}, named=named, count=count)
+
+    def _rows(self) -> Iterator[Fact]:
+        if self.copied:
+            yield fact("day-copied", numbers={"rows": self.copied}, copied=str(self.copied))
+        if self.repeated:
+            numbers = {"poses": self.repeated}
+            yield fact("own-poses", numbers=numbers, repeated=str(self.repeated))
 
     def _statistic(self) -> str:
         innovation = self.innovation
@@ -165,6 +229,8 @@ class Verification:
             "placed": [asdict(one) for one in self.placed],
             "poses": len(self.poses),
             "worst": [asdict(one) for one in self.worst],
+            "along_the_run": [asdict(one) for one in self.shifts.found],
+            "outliers": list(self.outliers),
             "quantile": None if self.quantile is None else asdict(self.quantile),
             "tolerance": self.tolerance,
         }

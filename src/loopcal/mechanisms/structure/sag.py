@@ -32,6 +32,7 @@ from loopcal.mechanisms.structure.smooth import Smooth
 Array = NDArray[np.float64]
 BASE = "base"
 GRAVITY = "gravity"
+TOOL = "tool"
 """Begins the names of the two parameters that tilt gravity against the base."""
 # Random poses show which columns act; columns equal to nine digits in all of them are one.
 _POSES, _ALIKE = 24, 1e-9
@@ -94,7 +95,7 @@ class Sag:
         n = len(self.joints)
         inner = {"elbow": (n + 1) // 2, "wrist": n - 1}
         used = {at: name for name, at in inner.items() if at > 1}
-        return {**{name: at for at, name in used.items()}, "tool": None}
+        return {**{name: at for at, name in used.items()}, TOOL: None}
 
     @property
     def names(self) -> list[str]:

@@ -1,0 +1,127 @@
+"""What happened during a run of another day, searched as in the run of a calibration.
+
+At the held machine the equations of the poses are
+
+    e = F d + A h + v,   h ~ N(0, 1),   v ~ N(0, 1),
+
+as `innovation` has them. In the order of the poses they are searched for what moved between two of
+them or all along the run (`change_points`), and for poses that fit neither the machine nor each
+other. Where the machine misses the readings by far, the file may be at fault (`faults`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.chi_squared import tail
+from loopcal.document.findings import ColumnFault
+from loopcal.estimation.dependence.dependence import pose_order
+from loopcal.estimation.faults.search import column_faults
+from loopcal.statistics.another_day import Day
+from loopcal.statistics.change_tests import Explained
+from loopcal.statistics.change_points import NOT_SEARCHED, Search, Shifts, searchable
+from loopcal.statistics.innovation import Linearised
+from loopcal.statistics.ordered_system import Fitted, OrderedSystem, smooth_columns
+from loopcal.statistics.replacing import ASTRAY
+
+Array = NDArray[np.float64]
+# The level of `find_outliers` (docs/explanation/outliers.md).
+_LEVEL = 0.05
+"""Probability of calling any of the poses unlike the others where all are good."""
+# Chosen, not derived: where more are unlike the others, it is the machine or the sds.
+_MOST = 0.1
+
+
+@dataclass(frozen=True)
+class Run:
+    """shifts: what moved along the run; outliers: positions of the poses that do not fit the
+    others."""
+
+    shifts: Shifts = NOT_SEARCHED
+    outliers: tuple[int, ...] = ()
+
+
+def faults(day: Day, linear: Linearised) -> tuple[ColumnFault, ...]:
+    """The faults of the file of a day, sought where the held machine misses its readings by far."""
+    if linear.placement.merit <= ASTRAY * len(linear.e):
+        return ()
+    problem, parameters = day.problem, day.problem.mechanism.parameters
+    # Wherever the instruments stand: the search begins where points are best aligned.
+    flat = parameters.with_prior(dict.fromkeys(parameters.of_role("placement"), math.inf))
+    return column_faults(replace(problem, mechanism=problem.mechanism.with_parameters(flat)))
+
+
+def searched(explained: Explained) -> Run:
+    """What happened during the run of a day, beside what changed before it."""
+    linear = explained.linear
+    if not searchable(len(linear.placement.problem.poses)):
+        return Run()
+    shifts, fit = Search(_system(linear, explained.columns)).run()
+    return Run(shifts, _outliers(linear, fit))
+
+
+def _outliers(linear: Linearised, fit: Fitted) -> tuple[int, ...]:
+    """Poses that stand out of the scatter of the others, and of what is stated."""
+    squares = linear.by_pose()
+    stated = tail(np.nan_to_num(squares.squares), np.maximum(squares.loops, 1))
+    order, count = fit.system.order, len(fit.system.order)
+    # Weighed by their own scatter, of few equations: as F, by its leading term.
+    spare = max(fit.spare, 1.0)
+    with np.errstate(divide="ignore"):
+        logs = np.log(fit.p_values)
+    few = -0.5 * (spare + 1.0) * np.log1p(-2.0 * logs / spare)
+    bad = (few < np.log(_LEVEL / count)) & (stated[order] < _LEVEL / count)
+    if bad.sum() > max(1.0, _MOST * count):
+        return ()
+    return tuple(sorted(order[bad].tolist()))
+
+
+def _system(linear: Linearised, changed: Array) -> OrderedSystem:
+    """The equations in the order of the poses; changed: (R, d) columns of what is free as well.
+
+    What is placed anew is free, and errors of the machine have the variance 1.
+    """
+    placement, scale = linear.placement, 1.0 / np.sqrt(linear.factor)
+    problem = placement.problem
+    N, k = len(problem.poses), len(problem.readings)
+    R = max(rows.e.shape[1] for rows in placement.rows)
+    quantities = problem.mechanism.tape.quantities
+    read = np.isfinite(problem.uncertainty.sd).any(axis=1)
+    zeros = [i for i in range(k) if read[i]]
+    X_rows = np.zeros((len(linear.e), k))
+    X_rows[:, zeros] = -scale * placement.columns([quantities[i] for i in zeros])
+    Z_rows, D_rows = np.hstack([linear.F, changed, linear.A]), scale * placement.J[:, problem.free]
+    E, Z = np.zeros((N, R)), np.zeros((N, R, Z_rows.shape[1]))
+    D, X = np.zeros((N, R, D_rows.shape[1])), np.zeros((N, R, k))
+    rows, patterns, begin = np.zeros((N, R), dtype=bool), np.zeros(N, dtype=np.intp), 0
+    for block in placement.rows:
+        b, r = block.e.shape
+        span, poses = slice(begin, begin + b * r), block.poses
+        E[poses, :r] = linear.e[span].reshape(b, r)
+        Z[poses, :r], D[poses, :r] = (M[span].reshape(b, r, M.shape[1]) for M in (Z_rows, D_rows))
+        X[poses, :r], rows[poses, :r] = X_rows[span].reshape(b, r, k), True
+        patterns[poses] = r
+        begin += b * r
+    B = smooth_columns(problem, X)
+    Z, order = np.concatenate([Z, B], axis=2), pose_order(problem)
+    precision = np.concatenate(
+        [np.zeros(linear.F.shape[1] + changed.shape[1]), np.ones(linear.A.shape[1]), np.zeros(B.shape[2])]
+    )
+    return OrderedSystem(
+        problem,
+        order,
+        E[order],
+        Z[order],
+        D[order],
+        X[order],
+        precision,
+        np.zeros(Z.shape[2]),
+        patterns[order],
+        rows[order],
+        B.shape[2],
+        0.0,
+    )
