@@ -39,7 +39,8 @@ def test_a_drawing_is_the_machine_of_its_file(number: int, tmp_path: Path) -> No
     q, p = user.measured(user.posed(40, RNG), conditions, RNG)
     write_readings(tmp_path / "day.csv", user.joints, q, p, user.columns(conditions))
     option, file = user.description(tmp_path)
-    project = lc.init(tmp_path / "day.csv", **{option[2:]: tmp_path / file})
+    of = {key: tmp_path / file if option == f"--{key}" else None for key in ("dh", "urdf")}
+    project = lc.init(tmp_path / "day.csv", dh=of["dh"], urdf=of["urdf"])
     assert project.rms < 0.01  # [mm]: the joints are rounded to a millionth of a degree
 
 
