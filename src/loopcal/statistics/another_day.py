@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.noise.learning import with_model
 from loopcal.document.change_points import ChangePoint
 from loopcal.estimation.dependence.dependence import pose_order
+from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.problem import Problem, build_problem, taken
 from loopcal.measurements.dataset import Dataset

@@ -1,4 +1,4 @@
-"""Which joint's zero, or which parameter, changed since a calibration?
+"""What changed since a calibration: a joint's zero, a tool, a load, a dimension?
 
 With S = 1 + A A^T the covariance of the whitened misclosures e at the held machine (`innovation`),
 and u_j the column of candidate j, both less what the placement takes up, a change t_j is estimated
@@ -28,13 +28,14 @@ two-sided critical value of the smallest p-value.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import NoTrustworthyResult
+from loopcal.estimation.problem.problem import Problem
 from loopcal.small_samples import f_limit, f_tail, t_quantile
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, POWER, Candidate, Change, WhatChanged
@@ -70,6 +71,9 @@ _SAME = 1e-6
 # Chosen, not derived: a few thousand times the rounding of a unit column.
 _ROUNDING = 1e-12
 """Information along a direction of columns of length 1 that is rounding."""
+# As in `change_points`: joints are mastered and tools exchanged more often than links bend.
+_USUAL, _RARE = ("zero", "mounting"), 10.0
+"""Kinds of changes that happen, and by how much the log p-value of others must be lower."""
 # As in `change_points`: a factor of e^7, about 1000, in the likelihood; chosen, not derived.
 _ALIKE = 14.0
 """An alternative explains the change about as well if its innovation and the price of its parts are
@@ -101,7 +105,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         tests = {i: p for i, p in system.tests(chosen).items() if i not in impossible}
         if not tests or min(tests.values()) >= LEVEL:
             break
-        several = [(*chosen, j) for j in system.tried([*tests], chosen)]
+        several = [(*chosen, j) for j in system.tried(_significant(tests), chosen)]
         fits = [(one, system.settled(one, _HALVED)) for one in several]
         best, trial = min(fits, key=lambda fit: fit[1].cost(fit[0]))
         if trial.astray and trial.present > _HELPED * system.present:
@@ -123,6 +127,11 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     verdict = _verdict(whole.p_value, changes, left)
     what = WhatChanged(verdict, changes, begun.tested(), whole, begun.scale, left)
     return Explained(what, system.linear, system.columns(chosen))
+
+
+def _significant(tests: Mapping[int, float]) -> list[int]:
+    """The causes that are, the likeliest first."""
+    return [i for i, p in tests.items() if p < LEVEL]
 
 
 def _without(
@@ -180,6 +189,12 @@ class _Causes:
             "1" if one.kind == "expansion" else unit_of(problem, one.names[0]) for one in causes
         )
         return cls(tuple(causes), names, W, owner, units)
+
+    def in_unit(self, problem: Problem, i: int, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which of these directions of a cause are in its unit."""
+        first = [self.names[k] for k in np.abs(self.W[:, rows]).argmax(axis=0)]
+        alike = [self.units[i] in ("1", unit_of(problem, name)) for name in first]
+        return np.array(alike, dtype=bool)
 
     def columns(self, placement: Replaced) -> Array:
         """(R, m)"""
@@ -265,12 +280,12 @@ class _System:
         """The visible directions of these causes."""
         rows = [self.causes.rows(i) for i in chosen]
         every = np.concatenate([np.zeros(0, dtype=np.intp), *rows])
-        return every[self.visible[every]]
+        return np.asarray(every[self.visible[every]])
 
     def columns(self, chosen: Sequence[int]) -> Array:
         """(R, d) of these causes, in the equations as they are linearised."""
         raw = self.causes.columns(self.linear.placement) / np.sqrt(self.linear.factor)
-        return raw[:, self._rows(*chosen)]
+        return np.asarray(raw[:, self._rows(*chosen)])
 
     @property
     def heads(self) -> list[int]:
@@ -313,7 +328,12 @@ class _System:
 
     def cost(self, chosen: Sequence[int]) -> float:
         """The innovation there, and what each part of a change costs (Schwarz 1978)."""
-        return self.present / self.scale + len(self._rows(*chosen)) * self._charge
+        rare = 2.0 * sum(self._rare(i) for i in chosen)
+        return self.present / self.scale + len(self._rows(*chosen)) * self._charge + rare
+
+    def _rare(self, i: int) -> float:
+        """What a less usual change must be likelier by [log]."""
+        return 0.0 if self.causes.causes[i].kind in _USUAL else _RARE
 
     @property
     def _charge(self) -> float:
@@ -329,8 +349,7 @@ class _System:
         return float(f_limit(level, rank, np.array([self._freedom(i)]))[0])
 
     def tests(self, chosen: Sequence[int]) -> dict[int, float]:
-        """Adjusted p-values of further causes beside those that were accepted, the most significant
-        first.
+        """Adjusted p-values of further causes beside those that were accepted, the likeliest first.
 
         Not of a cause whose smallest visible change is larger than a machine can have.
         """
@@ -343,12 +362,12 @@ class _System:
                 gain, freedom = part.gain / self.scale, self._freedom(i)
                 seen.append(i)
                 p.append(f_tail(gain, part.rank, freedom))
-                logs.append(_log_tail(gain, part.rank, freedom))
-        order = np.argsort(logs, kind="stable")
+                logs.append(_log_tail(gain, part.rank, freedom) + self._rare(i))
+        order = np.argsort(p, kind="stable")
         # The smallest of m counts m times, the next m - 1; none falls below the one before.
         holm = np.maximum.accumulate(np.array(p)[order] * (len(p) - np.arange(len(p))))
-        adjusted = np.minimum(holm, 1.0).tolist()
-        return {seen[i]: p_value for i, p_value in zip(order.tolist(), adjusted, strict=True)}
+        adjusted = dict(zip(order.tolist(), np.minimum(holm, 1.0).tolist(), strict=True))
+        return {seen[i]: adjusted[i] for i in np.argsort(logs, kind="stable").tolist()}
 
     def tried(self, order: Sequence[int], chosen: Sequence[int]) -> tuple[int, ...]:
         """The causes whose fits are compared: the best one where the equations are linear.
@@ -359,7 +378,7 @@ class _System:
         p_value = self.innovation((*chosen, order[0])).p_value
         if p_value is None or p_value >= LEVEL:
             return (order[0],)
-        likely = [i for i in order if self.causes.causes[i].kind in ("zero", "mounting")]
+        likely = [i for i in order if self.causes.causes[i].kind in _USUAL]
         return tuple(dict.fromkeys([*order[:_TRIED], *likely]))
 
     def settled(self, chosen: Sequence[int], falling: float | None = None) -> _System:
@@ -392,7 +411,9 @@ class _System:
 
     def too_far(self, chosen: Sequence[int]) -> tuple[int, ...]:
         """Those that are larger than a machine can have."""
-        return tuple(i for i in chosen if abs(self._size(i, chosen)[0]) > self.causes.causes[i].most)
+        return tuple(
+            i for i in chosen if abs(self._size(i, chosen)[0]) > self.causes.causes[i].most
+        )
 
     def kept(self, chosen: Sequence[int]) -> tuple[int, ...]:
         """Those that are still significant beside the others."""
@@ -411,8 +432,11 @@ class _System:
             size, sd, t = self._size(j, chosen)
             half = t_quantile(0.95, self._freedom(j)) * sd
             parts: dict[str, float] = {}
-            if len(cause.names) > 1 and not cause.parts and cause.kind == "mounting":
-                parts = {n: v for n, v in self.causes.changes(t).items() if self._alike_unit(j, n)}
+            if one.kind == "mounting" and len(cause.names) > 1 and not cause.parts:
+                alike = self.causes.in_unit(self._problem, j, self.causes.rows(j))
+                held = np.zeros(len(t), dtype=bool)
+                held[self.causes.rows(j)[alike]] = True
+                parts = self.causes.changes(np.where(held, t, 0.0))
             changes.append(
                 Change(
                     one.name,
@@ -429,30 +453,26 @@ class _System:
             )
         return tuple(changes)
 
-    def _alike_unit(self, i: int, name: str) -> bool:
-        return unit_of(self.linear.placement.problem, name) == self.causes.units[i]
+    @property
+    def _problem(self) -> Problem:
+        return self.linear.placement.problem
 
     def _size(self, j: int, chosen: Sequence[int]) -> tuple[float, float, Array]:
         """The size of an accepted change [unit] and its sd, and its parts (m,).
 
-        Of several parts the length of those in the unit of the first.
+        Of several parts the length of those in the unit of the cause.
         """
-        rows, own = self._rows(*chosen), self._rows(j)
-        together, where = self.estimated(chosen), np.isin(self._rows(*chosen), own)
-        t = np.zeros(len(self.t))
-        t[rows[where]] = together.size[where]
-        covariance = self.scale * together.covariance[np.ix_(where, where)]
-        if len(own) == 1:
-            return float(t[own[0]]), float(np.sqrt(covariance[0, 0])), t
-        first = [
-            k
-            for k, row in enumerate(own)
-            if self._alike_unit(j, self.causes.names[int(np.abs(self.causes.W[:, row]).argmax())])
-        ]
-        part, C = t[own[first]], covariance[np.ix_(first, first)]
-        length = float(np.linalg.norm(part))
-        along = part / (length or 1.0)
-        return length, float(np.sqrt(along @ C @ along)), t
+        rows, together = self._rows(*chosen), self.estimated(chosen)
+        part = self.causes.owner[rows] == j
+        t, covariance = np.zeros(len(self.t)), self.scale * together.covariance
+        t[rows[part]] = together.size[part]
+        if part.sum() == 1:
+            (at,) = np.flatnonzero(part)
+            return float(together.size[at]), float(np.sqrt(covariance[at, at])), t
+        part[part] = self.causes.in_unit(self._problem, j, rows[part])
+        length = float(np.linalg.norm(together.size[part]))
+        along = together.size[part] / (length or 1.0)
+        return length, float(np.sqrt(along @ covariance[np.ix_(part, part)] @ along)), t
 
     def _alike(self, chosen: Sequence[int], j: int) -> tuple[Candidate, ...]:
         """The causes in whose presence j adds nothing significant, and that are about as simple."""
@@ -481,12 +501,7 @@ class _System:
         reach = math.sqrt(self.critical(i, part.rank)) + t_quantile(
             2.0 * POWER - 1.0, self._freedom(i)
         )
-        rows = self._rows(i)
-        alike = [
-            self._alike_unit(i, self.causes.names[int(np.abs(self.causes.W[:, row]).argmax())])
-            or self.causes.units[i] == "1"
-            for row in rows
-        ]
+        alike = self.causes.in_unit(self._problem, i, self._rows(i))
         worst = np.linalg.eigvalsh(part.covariance[np.ix_(alike, alike)])[-1]
         return float(reach * np.sqrt(self.scale * worst))
 

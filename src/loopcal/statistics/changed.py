@@ -7,7 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from loopcal.presentation.shown import by_sd, chance, percent, significant, size, unit_shown, with_unit
+from loopcal.presentation.shown import (
+    by_sd,
+    chance,
+    percent,
+    significant,
+    size,
+    unit_shown,
+    with_unit,
+)
 from loopcal.statistics.innovation import Innovation
 
 # Record 0053.

@@ -22,8 +22,8 @@ from loopcal.document.findings import ColumnFault
 from loopcal.estimation.dependence.dependence import pose_order
 from loopcal.estimation.faults.search import column_faults
 from loopcal.statistics.another_day import Day
-from loopcal.statistics.change_tests import Explained
 from loopcal.statistics.change_points import NOT_SEARCHED, Search, Shifts, searchable
+from loopcal.statistics.change_tests import Explained
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, smooth_columns
 from loopcal.statistics.replacing import ASTRAY
@@ -67,14 +67,14 @@ def searched(explained: Explained) -> Run:
 def _outliers(linear: Linearised, fit: Fitted) -> tuple[int, ...]:
     """Poses that stand out of the scatter of the others, and of what is stated."""
     squares = linear.by_pose()
-    stated = tail(np.nan_to_num(squares.squares), np.maximum(squares.loops, 1))
+    stated: Array = tail(np.nan_to_num(squares.squares), np.maximum(squares.loops, 1))
     order, count = fit.system.order, len(fit.system.order)
     # Weighed by their own scatter, of few equations: as F, by its leading term.
     spare = max(fit.spare, 1.0)
     with np.errstate(divide="ignore"):
         logs = np.log(fit.p_values)
     few = -0.5 * (spare + 1.0) * np.log1p(-2.0 * logs / spare)
-    bad = (few < np.log(_LEVEL / count)) & (stated[order] < _LEVEL / count)
+    bad = np.asarray((few < np.log(_LEVEL / count)) & (stated[order] < _LEVEL / count))
     if bad.sum() > max(1.0, _MOST * count):
         return ()
     return tuple(sorted(order[bad].tolist()))
@@ -90,8 +90,7 @@ def _system(linear: Linearised, changed: Array) -> OrderedSystem:
     N, k = len(problem.poses), len(problem.readings)
     R = max(rows.e.shape[1] for rows in placement.rows)
     quantities = problem.mechanism.tape.quantities
-    read = np.isfinite(problem.uncertainty.sd).any(axis=1)
-    zeros = [i for i in range(k) if read[i]]
+    zeros = np.flatnonzero(np.isfinite(problem.uncertainty.sd).any(axis=1)).tolist()
     X_rows = np.zeros((len(linear.e), k))
     X_rows[:, zeros] = -scale * placement.columns([quantities[i] for i in zeros])
     Z_rows, D_rows = np.hstack([linear.F, changed, linear.A]), scale * placement.J[:, problem.free]
@@ -109,7 +108,11 @@ def _system(linear: Linearised, changed: Array) -> OrderedSystem:
     B = smooth_columns(problem, X)
     Z, order = np.concatenate([Z, B], axis=2), pose_order(problem)
     precision = np.concatenate(
-        [np.zeros(linear.F.shape[1] + changed.shape[1]), np.ones(linear.A.shape[1]), np.zeros(B.shape[2])]
+        [
+            np.zeros(linear.F.shape[1] + changed.shape[1]),
+            np.ones(linear.A.shape[1]),
+            np.zeros(B.shape[2]),
+        ]
     )
     return OrderedSystem(
         problem,

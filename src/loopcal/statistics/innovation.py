@@ -101,7 +101,9 @@ class Linearised:
     noise: float
 
     @classmethod
-    def of(cls, placement: Replaced, calibrated: Calibrated, moved: Array | None = None) -> Linearised:
+    def of(
+        cls, placement: Replaced, calibrated: Calibrated, moved: Array | None = None
+    ) -> Linearised:
         """Undetermined steps of the calibration are as free as the placement; moved: (R, q) the
         columns of further changes that are."""
         J, f = placement.J / np.sqrt(calibrated.factor), calibrated.factor

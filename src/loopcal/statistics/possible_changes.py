@@ -17,7 +17,6 @@ from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.sag import TOOL
 from loopcal.mechanisms.structure.structured import driven_joints
 
-
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
 # joint that is mastered anew, a link that a crash bends, a tool that is exchanged, 50 K of warming
 # at 24e-6 per kelvin. A load may do anything.

@@ -87,9 +87,7 @@ def _repeated(calibrated: Calibrated, data: Dataset) -> int:
         return 0
     earlier = calibrated.poses
     read = [
-        q
-        for q in calibrated.mechanism.quantities
-        if q in data.readings and q in earlier.readings
+        q for q in calibrated.mechanism.quantities if q in data.readings and q in earlier.readings
     ]
     if not read:
         return 0

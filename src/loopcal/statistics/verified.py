@@ -130,14 +130,14 @@ class Verification:
         return facts
 
     def _changed(self, changes: WhatChanged) -> Fact:
-        innovation = self.innovation
         place = Where(parameters=tuple(change.name for change in changes.found))
         words = "; ".join(change.words for change in changes.found) or self._statistic()
-        p_value = min(innovation.p_value or 0.0, *(c.p_value for c in changes.found), 1.0)
+        whole = 0.0 if self.innovation.p_value is None else self.innovation.p_value
+        p_value = min(whole, *(change.p_value for change in changes.found), 1.0)
         return fact(
             changes.code,
             place,
-            {"p_value": innovation.p_value if changes.code == "unchanged" else p_value},
+            {"p_value": whole if changes.code == "unchanged" else p_value},
             statistic=self._statistic(),
             changes=words,
             joints=", ".join(changes.joints),
@@ -157,7 +157,10 @@ class Verification:
         if mine is not None and expected is not None and expected.rms and self.rare < LEVEL:
             times = mine.rms / expected.rms
             if times > max(LARGER, spread):
-                sizes = {"rms": Figure(mine.rms, self.unit), "expected": Figure(expected.rms, self.unit)}
+                sizes = {
+                    "rms": Figure(mine.rms, self.unit),
+                    "expected": Figure(expected.rms, self.unit),
+                }
                 return fact("errors-larger", numbers={"times": times, **sizes})
         if spread > LARGER:
             return fact("misfit-larger", numbers={"times": spread})

@@ -1,0 +1,167 @@
+"""What `verify` says of a run of another day: slips, drifts, outliers, copies, files at fault."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.gauntlet_kinds import bending
+from analyses.gauntlet_worlds import Run, World
+
+Rng = np.random.Generator
+WORLD = World("six", poses=100)
+SAGGING = World("ur", poses=120, worn=bending)
+
+
+@cache
+def calibrated(world: World) -> lc.Result:
+    trial = world.made(np.random.default_rng(0), np.random.default_rng(1))
+    method = {} if world is SAGGING else {"method": "implicit-loop"}
+    return lc.calibrate(trial.mechanism, trial.readings, noise=trial.noise, **method)
+
+
+def later(world: World, seed: int = 5, **happened: object) -> lc.Verification:
+    """The same machine on another day, on which something happened."""
+    made = replace(world, poses=30, **happened).made(
+        np.random.default_rng(0), np.random.default_rng(seed)
+    )
+    return lc.verify(calibrated(world), made.readings)
+
+
+def slipped(run: Run, rng: Rng) -> None:
+    run.target[20:] += np.array([0.6e-3, -0.4e-3, 0.5e-3])
+
+
+def drifting(run: Run, rng: Rng) -> None:
+    run.drift += np.linspace(0.0, 0.3e-3, len(run.drift))[:, None] * np.array([0.6, -0.5, 0.6])
+
+
+def one_off(run: Run, rng: Rng) -> None:
+    run.drift[5] += 12e-3
+
+
+def loose(run: Run, rng: Rng) -> None:
+    run.target += 3e-4 * rng.standard_normal(run.target.shape)
+
+
+def exchanged(run: Run, rng: Rng) -> None:
+    run.target += np.array([4e-3, -6e-3, 3e-3])
+
+
+def late(readings: dict[str, np.ndarray], rng: Rng) -> dict[str, np.ndarray]:
+    return readings | {q: np.roll(readings[q], 1) for q in "xyz"}
+
+
+def reversed_joint(readings: dict[str, np.ndarray], rng: Rng) -> dict[str, np.ndarray]:
+    return readings | {"q5": -readings["q5"]}
+
+
+def doubled(readings: dict[str, np.ndarray], rng: Rng) -> dict[str, np.ndarray]:
+    return {q: np.concatenate([v, v[:10]]) for q, v in readings.items()}
+
+
+@pytest.mark.parametrize("world", [WORLD, SAGGING], ids=["rigid", "sagging"])
+class TestEach:
+    def test_a_clean_day_is_as_calibrated(self, world: World) -> None:
+        assert later(world).verdict["consistent"].codes == ("unchanged",)
+
+    def test_a_target_that_slips_is_named_with_its_pose_and_size(self, world: World) -> None:
+        found = later(world, event=slipped)
+        answer = found.verdict["consistent"]
+        assert (answer.passed, answer.code) == (False, "change-points")
+        (point,) = found.shifts.told_apart
+        assert point.pose == "21"
+        assert {n: c.size for n, c in point.changes.items()} == pytest.approx(
+            {"tool_x": 0.6e-3, "tool_y": -0.4e-3, "tool_z": 0.5e-3}, abs=0.1e-3
+        )
+        assert found.changes is not None
+        assert found.changes.found == ()  # nothing had changed before the run
+
+    def test_a_drift_of_the_instrument_is_named(self, world: World) -> None:
+        found = later(world, event=drifting)
+        assert found.verdict["consistent"].passed is not True
+        assert any(point.shape == "ramp" for point in found.shifts.found)
+
+    def test_one_pose_far_off_is_named_and_not_the_machine(self, world: World) -> None:
+        found = later(world, event=one_off)
+        assert found.outliers == ("6",)
+        assert found.verdict["consistent"].passed is False
+        assert {"errors-larger", "outliers"} == {*found.verdict["consistent"].codes}
+
+    def test_an_error_that_nothing_explains_is_not_as_calibrated(self, world: World) -> None:
+        found = later(world, event=loose)
+        assert found.verdict["consistent"].passed is False
+        assert "errors-larger" in found.verdict["consistent"].codes
+        assert found.changes is not None
+        assert found.changes.found == ()
+
+    def test_a_tool_that_was_exchanged_is_named_as_the_tool(self, world: World) -> None:
+        found = later(world, event=exchanged)
+        assert found.changes is not None
+        (change,) = found.changes.found
+        assert (change.name, change.kind) == ("tool", "mounting")
+        assert change.parts == pytest.approx(
+            {"tool_x": 4e-3, "tool_y": -6e-3, "tool_z": 3e-3}, abs=0.15e-3
+        )
+
+    @pytest.mark.parametrize(
+        ("tamper", "words"),
+        [(late, "1 row too late"), (reversed_joint, "q5 counts the other way round")],
+    )
+    def test_a_file_at_fault_is_named(
+        self, world: World, tamper: Callable[..., object], words: str
+    ) -> None:
+        found = later(world, tamper=tamper)
+        answer = found.verdict["consistent"]
+        assert (answer.passed, answer.code) == (False, "column-fault")
+        assert words in answer.words
+        assert found.changes is None
+
+
+def test_rows_that_copy_others_count_once() -> None:
+    found = later(WORLD, tamper=doubled)
+    assert found.copied == 10
+    assert len(found.poses) == 30
+    assert found.verdict["consistent"].code == "rows-copied"
+
+
+def test_the_poses_of_the_calibration_prove_nothing() -> None:
+    result = calibrated(WORLD)
+    found = lc.verify(result, result.dataset)
+    assert found.repeated == 100
+    assert found.verdict["consistent"].passed is None
+    assert "own-poses" in found.verdict["consistent"].codes
+
+
+def test_machines_as_calibrated_are_seldom_called_otherwise() -> None:
+    """Twelve clean days of each machine: at 5 % three or more alarms of 24 are rarer than 1 in 8,
+    five or more rarer than 1 in 100."""
+    answers = [
+        later(world, seed).verdict["consistent"].passed
+        for world in (WORLD, SAGGING)
+        for seed in range(100, 112)
+    ]
+    assert sum(answer is not True for answer in answers) < 5
+
+
+def test_a_machine_that_has_warmed_up_is_named_by_its_scale() -> None:
+    """All lengths of the machine grow by 400 ppm, as aluminium does over 17 K."""
+    result = calibrated(WORLD)
+    made = replace(WORLD, poses=40).made(np.random.default_rng(0), np.random.default_rng(8))
+    machine = result.machine
+    lengths = {p.name: p.nominal for p in machine.parameters if p.dimension == "length"}
+    grown = machine.with_nominal({name: 1.0004 * value for name, value in lengths.items()})
+    joints = {q: v for q, v in made.readings.items() if q.startswith("q")}
+    sds = {"q*": 3e-5, **dict.fromkeys("xyz", 1.5e-5)}
+    day = lc.simulate(grown, joints, noise=lc.Noise(sds), seed=3).dataset
+    found = lc.verify(result, day)
+    assert found.changes is not None
+    (change,) = found.changes.found
+    assert change.kind == "expansion"
+    assert change.value == pytest.approx(4e-4, abs=4.0 * change.sd)
+    assert "ppm" in change.words
