@@ -10,14 +10,15 @@ has CSV files and a table of Denavit-Hartenberg parameters or a URDF (of a delta
 
 On each later day the tracker stands elsewhere, and 20 to 40 new poses are measured and verified:
 
-    loopcal verify calibration/project-result day-2-zero.csv --json
+    loopcal verify calibration/project-result day-2.csv --json
 
 Every second day nothing happened; on the others one change was planted (`analyses.lives_days`).
 After a day whose joint zero moved, `loopcal update` follows it. Of each day is kept what was
 answered, and the true error of the calibrated machine: rms distance at 200 fresh poses of that
 day, predicted by `loopcal predict` and moved rigidly onto the truth. Counted are
 
-- alarms: answers to "is the machine as calibrated?" other than yes; files that are refused too;
+- alarms: answers to "is the machine as calibrated?" other than yes; so are clean files that are
+  refused, and others that are refused for what was planted;
 - named: the change is named first, or as not distinguishable from what is, with a size between
   half and twice the true one (zeros, links); or it is spoken of (`lives_days.KINDS`), with its
   pose, and no change that it is not;
@@ -179,7 +180,7 @@ def lived(kind: str, number: int, folder: Path, command: str) -> Draw:
     number, day = divmod(number, 1000)
     user, folder = machine(number), place(folder, number)
     measured, planted = made(user, day, kind)
-    file = f"day-{day}-{kind.replace(' ', '-')}.csv"
+    file = f"day-{day}.csv"
     write_readings(folder / file, user.joints, measured.joints, measured.points, measured.columns)
     begun = time.monotonic()
     done = answered(command, "verify", CALIBRATION, file, "--json", folder=folder)
@@ -240,14 +241,22 @@ def _updated(day: int, file: str, true: Array, folder: Path, command: str) -> di
 
 
 def alarmed(answer: dict[str, Any]) -> bool:
-    """Whether the answer to "is the machine as calibrated?" is other than yes."""
+    """Whether the answer to "is the machine as calibrated?" is other than yes.
+
+    A file that is refused for another reason than what was planted answers nothing.
+    """
+    if answer.get("refused"):
+        return answer["kind"] == CLEAN or _speaks(answer)
     return answer.get("passed") is not True
 
 
 def named(answer: dict[str, Any]) -> bool:
     """Whether an alarm speaks of what was planted."""
-    if not alarmed(answer):
-        return False
+    return alarmed(answer) and _speaks(answer)
+
+
+def _speaks(answer: dict[str, Any]) -> bool:
+    """Whether changes or words of an answer are those of what was planted."""
     planted, pattern = answer["planted"], KINDS[answer["kind"]].names
     findings = answer.get("findings", [])
     changes = answer.get("changes", [])
@@ -262,6 +271,8 @@ def named(answer: dict[str, Any]) -> bool:
         return any(_is_it(one, planted) for one in changes[:1])
     spoken = [words, *(f"{one['name']} {one.get('kind', '')}" for one in changes)]
     if not all(re.search(pattern, text, re.IGNORECASE) for text in spoken):
+        return False
+    if KINDS[answer["kind"]].column and not any(name in words for name in planted["parameters"]):
         return False
     if planted["pose"] is None:
         return True
@@ -292,7 +303,9 @@ def absurd(answer: dict[str, Any]) -> bool:
         limit = LARGEST.get(unit, math.inf)
         if planted["unit"] == unit:
             limit = 5.0 * abs(planted["size"])
-        if abs(change.get("value") or 0.0) > limit:
+        parts = change.get("parts", {}).values()
+        sizes = [change.get("value") or 0.0, *parts]
+        if max(map(abs, sizes)) > limit:
             return True
     return False
 
@@ -336,7 +349,8 @@ def table(first: Sequence[Draw], answers: Sequence[Draw]) -> str:
 
 def _row(kind: str, answers: Sequence[dict[str, Any]]) -> str:
     alarms = sum(map(alarmed, answers))
-    names = "" if kind == CLEAN else _rate(sum(map(named, answers)), len(answers))
+    nameable = [one for one in answers if KINDS[one["kind"]].named]
+    names = _rate(sum(map(named, nameable)), len(nameable)) if nameable else ""
     return (
         f"{kind:14}{len(answers):6d}{_rate(alarms, len(answers))}{names:27}"
         f"{sum(map(absurd, answers)):7d}{sum(map(wrong, answers)):6d}"

@@ -63,7 +63,7 @@ class Kind:
 
     event: before the measurement; names: what an answer must speak of to have named it, a regular
     expression, where no parameter does; tamper: afterwards, in the file; happens: to which
-    machines.
+    machines; named: whether it has a name; column: whether that of its column belongs to it.
     """
 
     name: str
@@ -71,6 +71,8 @@ class Kind:
     names: str = ""
     tamper: Event | None = None
     happens: Callable[[Machine], bool] = lambda machine: True
+    named: bool = True
+    column: bool = False
 
 
 def _direction(rng: Rng) -> Array:
@@ -189,33 +191,29 @@ def _unit(day: Day, rng: Rng) -> Planted:
 def _sign(day: Day, rng: Rng) -> Planted:
     j = int(rng.integers(2, len(day.machine.joints)))
     day.joints[:, j - 1] *= -1.0
-    return Planted("sign", 2.0, "1", (day.machine.joints[j - 1],))
+    return Planted("sign", 2.0, "1", _zeros(day, j))
 
 
 CLEAN = "clean"
+ALONG = r"drift|warm|temperature|over the (whole )?run"
 LOAD = r"payload|\bload|weight|heavier|gravity"
 KINDS = {
     kind.name: kind
     for kind in (
-        Kind(CLEAN),
+        Kind(CLEAN, named=False),
         Kind("zero", _zero),
         Kind("tool", _tool, r"\btool|target|reflector|mount(ed|ing)", happens=lambda m: m.turns),
         Kind("slip", _slip, names=r"slip|from pose|since pose"),
-        Kind("warming", _warming, names=r"drift|warm|temperature|over the (whole )?run"),
-        Kind(
-            "payload",
-            _payload,
-            names=r"payload|\bload|weight|heavier|gravity",
-            happens=lambda m: m.sags,
-        ),
+        Kind("warming", _warming, names=ALONG),
+        Kind("payload", _payload, LOAD, happens=lambda m: m.sags),
         Kind("bend", _bend),
         Kind("rows shifted", tamper=_rows_shifted, names=r"\brows?\b"),
-        Kind("one pose off", tamper=_one_off),
-        Kind("loose flange", _loose, names=r"loose|scatter|noisier|flange"),
-        Kind("warm machine", _warm_machine, names=r"warm|temperature|scale|expan|drift"),
+        Kind("one pose off", names=r"pose", tamper=_one_off),
+        Kind("loose flange", _loose, named=False),
+        Kind("warm machine", _warm_machine, names=rf"{ALONG}|scale|expan"),
         Kind("copied rows", tamper=_copied, names=r"cop(y|ies|ied)|same row|repeated row|twice"),
-        Kind("unit", tamper=_unit, names=r"\bunits?\b|\binch|25\.4"),
-        Kind("sign", tamper=_sign, names=r"\bsign|revers|other way"),
+        Kind("unit", tamper=_unit, names=r"\bunits?\b|\binch|25\.4", column=True),
+        Kind("sign", tamper=_sign, names=r"\bsign|revers|other way", column=True),
     )
 }
 PLANTED = tuple(name for name in KINDS if name != CLEAN)
