@@ -67,6 +67,8 @@ LARGEST = {"m": 0.02, "rad": 2.0 * DEGREE}
 """Changes that no machine has by itself."""
 NEAR = 2
 """By how many poses a slip may be dated wrongly."""
+PATIENCE = 600
+"""Seconds after which a user gives up."""
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "LOOPCAL_THREADS": "1"}
 
 
@@ -93,15 +95,18 @@ xyz = { sd = 20, unit = "um", estimate = "group" }
 
 def answered(command: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """What a command prints and how it ends, run in a folder where no person looks."""
-    return subprocess.run(
-        [command, *arguments],
-        cwd=folder,
-        env=os.environ | ONE_THREAD,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=3600,
-    )
+    try:
+        return subprocess.run(
+            [command, *arguments],
+            cwd=folder,
+            env=os.environ | ONE_THREAD,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+        )
+    except subprocess.TimeoutExpired:
+        return subprocess.CompletedProcess(arguments, 124, "", f"no answer in {PATIENCE} s")
 
 
 def calibrated(_: str, number: int, folder: Path, command: str) -> Draw:
