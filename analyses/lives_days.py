@@ -7,8 +7,10 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from analyses.gauntlet_truth import Array
+from analyses.gauntlet_truth import Arm, Array
+from analyses.lives_parallel import Palletiser, RotaryDelta, bent, relinked, rezeroed
 from analyses.lives_truth import DEGREE, Conditions, Machine, Rng
 
 
@@ -33,13 +35,23 @@ class Planted:
 
 @dataclass(eq=False)
 class Day:
-    """A file while it is measured: events change the conditions, tampering the columns."""
+    """A file while it is measured: events change the conditions, tampering the columns.
+
+    rows: which pose each row of the file belongs to.
+    """
 
     machine: Machine
     q: Array
     conditions: Conditions
     joints: Array = field(default_factory=lambda: np.zeros((0, 0)))
     points: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    rows: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    @property
+    def columns(self) -> dict[str, list[str]]:
+        """The other columns of the file."""
+        every = self.machine.columns(self.conditions)
+        return {key: [values[i] for i in self.rows] for key, values in every.items()}
 
 
 Event = Callable[[Day, Rng], Planted]
@@ -49,16 +61,18 @@ Event = Callable[[Day, Rng], Planted]
 class Kind:
     """A kind of day.
 
-    event: before the measurement; tamper: afterwards, in the file; names: what an answer must
-    speak of to have named it, a regular expression, where no parameter does; sagging: happens to
-    arms that give way under their load only.
+    event: before the measurement; names: what an answer must speak of to have named it, a regular
+    expression, where no parameter does; tamper: afterwards, in the file; happens: to which
+    machines; named: whether it has a name; column: whether that of its column belongs to it.
     """
 
     name: str
     event: Event | None = None
-    tamper: Event | None = None
     names: str = ""
-    sagging: bool = False
+    tamper: Event | None = None
+    happens: Callable[[Machine], bool] = lambda machine: True
+    named: bool = True
+    column: bool = False
 
 
 def _direction(rng: Rng) -> Array:
@@ -70,31 +84,26 @@ def _row(day: Day, rng: Rng) -> int:
     return int(rng.uniform(0.3, 0.7) * len(day.q))
 
 
-def _link(day: Day, j: int, **changes: float) -> None:
-    """Add to the values of link j, counted from 1."""
-    arm = day.conditions.arm
-    link = arm.links[j - 1]
-    moved = replace(link, **{key: getattr(link, key) + v for key, v in changes.items()})
-    links = (*arm.links[: j - 1], moved, *arm.links[j:])
-    day.conditions.arm = replace(arm, links=links)
-
-
 def _zeros(day: Day, j: int) -> tuple[str, ...]:
-    """Names of the zero of joint j, by a table and by a URDF."""
+    """Names of the zero of joint j, by a table, by a URDF and in a project."""
     joint = day.machine.joints[j - 1]
-    return joint, f"theta_{j}", f"offset_{j}", f"{joint}_rz"
+    return joint, f"theta_{j}", f"offset_{j}", f"{joint}_rz", f"theta_{j}_offset"
 
 
 def _origin(day: Day, j: int, coordinates: Sequence[str]) -> tuple[str, ...]:
     """Names by which a URDF has the link behind joint j."""
-    return tuple(f"{day.machine.joints[j]}_{c}" for c in coordinates)
+    names = day.machine.joints
+    if isinstance(day.machine.arm, Palletiser):
+        names = ("J1", "J2", "elbow", "wrist", "J4")
+    return tuple(f"{names[j]}_{c}" for c in coordinates)
 
 
 def _zero(day: Day, rng: Rng) -> Planted:
-    """A joint between the first and the last: those two hide behind station and tool."""
-    j = int(rng.integers(2, len(day.machine.joints)))
+    """A joint behind the first and ahead of the last of an arm: station and tool hide those."""
+    last = len(day.machine.joints) - day.machine.turns
+    j = int(rng.integers(2, last + 1))
     size = 0.05 * DEGREE * rng.choice([-1.0, 1.0])
-    _link(day, j, offset=size)
+    day.conditions.arm = rezeroed(day.conditions.arm, j, size)
     return Planted("zero", size, "rad", _zeros(day, j))
 
 
@@ -127,7 +136,9 @@ def _warm_machine(day: Day, rng: Rng) -> Planted:
 
 def _payload(day: Day, rng: Rng) -> Planted:
     more = 5.0
-    day.conditions.arm = replace(day.conditions.arm, tool_mass=day.conditions.arm.tool_mass + more)
+    arm = day.conditions.arm
+    assert isinstance(arm, Arm)
+    day.conditions.arm = replace(arm, tool_mass=arm.tool_mass + more)
     return Planted("payload", more, "kg")
 
 
@@ -135,10 +146,14 @@ def _bend(day: Day, rng: Rng) -> Planted:
     """The second or the third link, between arm axes: a crash seldom bends a wrist."""
     j = int(rng.integers(2, 4))
     sign = rng.choice([-1.0, 1.0])
+    arm = day.conditions.arm
+    if isinstance(arm, RotaryDelta):
+        day.conditions.arm = bent(arm, j, 3e-4 * sign)
+        return Planted("bend", 3e-4 * sign, "m", (f"proximal_{j}",))
     if rng.random() < 0.5:
-        _link(day, j, a=3e-4 * sign)
+        day.conditions.arm = relinked(arm, j, a=3e-4 * sign)
         return Planted("bend", 3e-4 * sign, "m", (f"a_{j}", *_origin(day, j, "xyz")))
-    _link(day, j, alpha=5e-4 * sign)
+    day.conditions.arm = relinked(arm, j, alpha=5e-4 * sign)
     angles = (f"alpha_{j}", *_origin(day, j, ("rx", "ry", "rz")))
     return Planted("bend", 5e-4 * sign, "rad", angles)
 
@@ -150,7 +165,7 @@ def _loose(day: Day, rng: Rng) -> Planted:
 
 
 def _rows_shifted(day: Day, rng: Rng) -> Planted:
-    day.joints, day.points = day.joints[:-1], day.points[1:]
+    day.joints, day.points, day.rows = day.joints[:-1], day.points[1:], day.rows[:-1]
     return Planted("rows shifted", 1.0, "rows")
 
 
@@ -161,9 +176,10 @@ def _one_off(day: Day, rng: Rng) -> Planted:
 
 
 def _copied(day: Day, rng: Rng) -> Planted:
-    rows = np.append(np.arange(len(day.q)), np.sort(rng.permutation(len(day.q))[: len(day.q) // 3]))
-    day.joints, day.points = day.joints[rows], day.points[rows]
-    return Planted("copied rows", float(len(rows) - len(day.q)), "rows")
+    again = np.sort(rng.permutation(len(day.q))[: len(day.q) // 3])
+    rows = np.append(np.arange(len(day.q)), again)
+    day.joints, day.points, day.rows = day.joints[rows], day.points[rows], rows
+    return Planted("copied rows", float(len(again)), "rows")
 
 
 def _unit(day: Day, rng: Rng) -> Planted:
@@ -175,27 +191,29 @@ def _unit(day: Day, rng: Rng) -> Planted:
 def _sign(day: Day, rng: Rng) -> Planted:
     j = int(rng.integers(2, len(day.machine.joints)))
     day.joints[:, j - 1] *= -1.0
-    return Planted("sign", 2.0, "1", (day.machine.joints[j - 1],))
+    return Planted("sign", 2.0, "1", _zeros(day, j))
 
 
 CLEAN = "clean"
+ALONG = r"drift|warm|temperature|over the (whole )?run"
+LOAD = r"payload|\bload|weight|heavier|gravity"
 KINDS = {
     kind.name: kind
     for kind in (
-        Kind(CLEAN),
+        Kind(CLEAN, named=False),
         Kind("zero", _zero),
-        Kind("tool", _tool, names=r"\btool|target|reflector|mounted"),
+        Kind("tool", _tool, r"\btool|target|reflector|mount(ed|ing)", happens=lambda m: m.turns),
         Kind("slip", _slip, names=r"slip|from pose|since pose"),
-        Kind("warming", _warming, names=r"drift|warm|temperature|over the (whole )?run"),
-        Kind("payload", _payload, names=r"payload|\bload|weight|heavier|gravity", sagging=True),
+        Kind("warming", _warming, names=ALONG),
+        Kind("payload", _payload, LOAD, happens=lambda m: m.sags),
         Kind("bend", _bend),
         Kind("rows shifted", tamper=_rows_shifted, names=r"\brows?\b"),
-        Kind("one pose off", tamper=_one_off),
-        Kind("loose flange", _loose, names=r"loose|scatter|noisier|flange"),
-        Kind("warm machine", _warm_machine, names=r"warm|temperature|scale|expan|drift"),
+        Kind("one pose off", names=r"pose", tamper=_one_off),
+        Kind("loose flange", _loose, named=False),
+        Kind("warm machine", _warm_machine, names=rf"{ALONG}|scale|expan"),
         Kind("copied rows", tamper=_copied, names=r"cop(y|ies|ied)|same row|repeated row|twice"),
-        Kind("unit", tamper=_unit, names=r"\bunits?\b|\binch|25\.4"),
-        Kind("sign", tamper=_sign, names=r"\bsign|revers|other way"),
+        Kind("unit", tamper=_unit, names=r"\bunits?\b|\binch|25\.4", column=True),
+        Kind("sign", tamper=_sign, names=r"\bsign|revers|other way", column=True),
     )
 }
 PLANTED = tuple(name for name in KINDS if name != CLEAN)
@@ -203,7 +221,7 @@ PLANTED = tuple(name for name in KINDS if name != CLEAN)
 
 def kinds(machine: Machine, days: int) -> list[str]:
     """What happens on each day of a machine: every second day nothing, the rest in turn."""
-    applicable = [k for k in PLANTED if machine.sags or not KINDS[k].sagging]
+    applicable = [k for k in PLANTED if KINDS[k].happens(machine)]
     first = 5 * machine.number  # ten days bring five changes: the next machine goes on with others
     return [
         CLEAN if day % 2 == 0 else applicable[(first + day // 2) % len(applicable)]
@@ -220,6 +238,7 @@ def made(machine: Machine, day: int, kind: str) -> tuple[Day, Planted]:
     planted = Planted(kind)
     if event := KINDS[kind].event:
         planted = event(measured, rng)
+    measured.rows = np.arange(poses)
     measured.joints, measured.points = machine.measured(q, measured.conditions, rng)
     if tamper := KINDS[kind].tamper:
         planted = tamper(measured, rng)
@@ -238,4 +257,5 @@ def afterwards(day: Day, poses: int) -> Conditions:
         target,
         np.zeros((poses, 3)),
         np.full(poses, last.warmth[-1]),
+        day.machine.conditions(poses).more,
     )
