@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ def calibrated(world: World) -> lc.Result:
     return lc.calibrate(trial.mechanism, trial.readings, noise=trial.noise, **method)
 
 
-def later(world: World, seed: int = 5, **happened: object) -> lc.Verification:
+def later(world: World, seed: int = 5, **happened: Any) -> lc.Verification:
     """The same machine on another day, on which something happened."""
     made = replace(world, poses=30, **happened).made(
         np.random.default_rng(0), np.random.default_rng(seed)
