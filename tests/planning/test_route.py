@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 
-from loopcal.companions.planning.plan import route, there_and_back, travel
+from loopcal.companions.planning.plan import out_and_back, route, travel
 from loopcal.statistics.run_order import order_by_joints
 
 
@@ -26,12 +26,12 @@ def test_poses_on_a_line_are_visited_along_it() -> None:
     assert route(joints) == [0, 2, 4, 1, 3]
 
 
-def test_the_joints_do_not_tell_the_order_of_a_way_there_and_back() -> None:
+def test_the_joints_do_not_show_the_order_of_a_way_out_and_back() -> None:
     """The way itself does, and is at most about half as long."""
     for seed in range(5):
         joints = np.random.default_rng(seed).uniform(size=(3, 60))
         way = route(joints)
-        back = there_and_back(way)
+        back = out_and_back(way)
         assert sorted(back) == sorted(way)
         assert travel(joints, back) < 2.2 * travel(joints, way)
         assert order_by_joints(joints[:, back].T) < 0.25

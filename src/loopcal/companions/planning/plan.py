@@ -12,8 +12,8 @@ so also for the best choice of n poses. The weights follow multiplicative steps 
 it does.
 
 An order of poses with short joint travel: nearest neighbour, then 2-opt; out by every second
-pose of it, back by the others. The joints then do not tell the number of the pose, so that a linear
-drift of the instrument looks like no error of the machine.
+pose of it, back by the others. The joints then do not show the number of the pose, so that a
+linear drift of the instrument looks like no error of the machine.
 
 All joints move at once. So the way between two poses is as long as the longest of their moves, each
 in shares of its range.
@@ -318,7 +318,7 @@ def _planned(
     curve = expected_curve(draw, names, chosen, how)
     marked = to_validate(made.draws, chosen, how)
     shares = in_shares(pool.driven)[:, chosen]
-    order = there_and_back(route(shares))
+    order = out_and_back(route(shares))
     again = (len(order) // 2, len(order)) if repeats and len(order) >= _RUN else ()
     use = [VALIDATE if chosen[i] in marked else CALIBRATE for i in order]
     for at in reversed(again):
@@ -485,7 +485,7 @@ def route(joints: Array) -> list[int]:
     return order
 
 
-def there_and_back(order: list[int]) -> list[int]:
+def out_and_back(order: list[int]) -> list[int]:
     """Every second pose of a way, and back by the others."""
     return order[::2] + order[1::2][::-1]
 
