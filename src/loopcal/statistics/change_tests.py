@@ -100,9 +100,9 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     begun = system = _System.of(day, causes, linear, np.zeros(len(causes.owner)))
     chosen: tuple[int, ...] = ()
     p_values: dict[int, float] = {}
-    impossible: set[int] = set()
+    given_up: set[int] = set()  # what was given up is not tried again: the search ends
     while len(chosen) < _MOST:
-        tests = {i: p for i, p in system.tests(chosen).items() if i not in impossible}
+        tests = {i: p for i, p in system.tests(chosen).items() if i not in given_up}
         if not tests or min(tests.values()) >= LEVEL:
             break
         several = [(*chosen, j) for j in system.tried(_significant(tests), chosen)]
@@ -112,13 +112,14 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
             break
         settled = trial.settled(best)
         if far := settled.too_far(best):
-            impossible |= {*far}
+            given_up |= {*far}
             chosen, system = _without(far, chosen, system, begun)
             continue
         chosen, system = best, settled
         p_values[chosen[-1]] = tests[chosen[-1]]
         kept = system.kept(chosen)
         if kept and kept != chosen:
+            given_up |= {*chosen} - {*kept}
             chosen, system = kept, system.settled(kept)
     if system.astray and system.present > _EXPLAINED * begun.present:
         chosen, system = (), begun
