@@ -12,6 +12,7 @@ import loopcal as lc
 from analyses.instruments import setup
 from analyses.verify import another_day
 from analyses.what_changed import draw
+from loopcal.statistics.changed import LEVEL
 from tests.reference.simulated import planar_arm
 from tests.statistics.test_comparison import elsewhere, sds_of
 
@@ -91,7 +92,7 @@ def test_more_than_a_few_changes_ask_for_a_calibration() -> None:
     found = changes(later(**dict(zip(names, 2e-3 * rng.standard_normal(7), strict=True))))
     assert found.verdict == "calibrate-anew"
     assert found.left is not None
-    assert found.left < 0.025
+    assert found.left < LEVEL
     assert "do not explain all differences" in "\n".join(found.lines())
 
 
