@@ -7,6 +7,7 @@ from functools import partial
 from loopcal.document.verdict import Row
 
 _VERIFY = "loopcal verify {result} {readings}"
+_UPDATE = "loopcal update {result} {readings}"
 _NOT_AS_CALIBRATED = "The machine is not as calibrated: {changes}."
 _not_consistent = partial(Row, "consistent", "refuse")
 _consistent_open = partial(Row, "consistent", "caution")
@@ -33,7 +34,10 @@ ANOTHER_DAY = (
     ),
     _consistent("unchanged", "The machine is as calibrated: {statistic}."),
     _not_consistent(
-        "re-master", _NOT_AS_CALIBRATED, "Re-master {joints}, then verify again.", _VERIFY
+        "re-master",
+        _NOT_AS_CALIBRATED,
+        "Re-master {joints}, or update the calibration with these poses. Then verify again.",
+        _UPDATE,
     ),
     _not_consistent(
         "re-master-first",

@@ -25,19 +25,19 @@ def verification_html(verification: Verification, title: str, files: str) -> str
             for name, a in verification.verdict.items()
         ),
     )
-    parts: list[Part] = [answers, *(table for table in verification.tables if table.rows)]
+    parts: list[Part] = [table for table in verification.tables if table.rows]
     if verification.changes is not None:
         lines = "\n".join(verification.changes.lines())
         parts = [lines, *change_figures(verification.changes), *parts]
+    parts = [answers, *parts]
     section = Section("l", f"Verification of {title}", [verification.headline], parts)
     return section_page("life", section, {"files": files, "poses": len(verification.poses)})
 
 
 def change_figures(what_changed: WhatChanged) -> list[Figure]:
-    """What changed, and what would not have been seen: one figure for each unit."""
-    units = dict.fromkeys(one.unit for one in what_changed.candidates)
+    """What changed, and what would not have been seen: one figure for lengths, one for angles."""
     drawn = [
-        changes(UNITS.get(u, "others"), unit_shown(u), _reaches(what_changed, u)) for u in units
+        changes(key, unit_shown(unit), _reaches(what_changed, unit)) for unit, key in UNITS.items()
     ]
     return [figure for figure in drawn if figure is not None]
 

@@ -31,7 +31,6 @@ _WORDS = {
     "length": "lengths",
     "mounting": "mountings",
     "scale": "scales",
-    "load": "loads",
     "expansion": "scales",
 }
 _CONDITIONS = ("load", "expansion")
@@ -203,7 +202,7 @@ class WhatChanged:
         return [*self._seen(), *self._unseen()]
 
     def _seen(self) -> list[str]:
-        lines = ["what changed"]
+        lines = ["what changed since the calibration"]
         for change in self.found:
             lines.append(f"  {change.words} (95 %), {_p(change.p_value)}")
             if change.alike:
@@ -227,7 +226,8 @@ class WhatChanged:
     def _unseen(self) -> list[str]:
         seen: dict[str, list[Candidate]] = {}
         for one in self.candidates:
-            if one.smallest is not None:
+            # A load is of no size that a user knows: it is seen by what it does to each joint.
+            if one.smallest is not None and one.kind != "load":
                 seen.setdefault(f"{one.kind} {one.unit}", []).append(one)
         lines = [f"smaller changes are not always seen (seen with {percent(POWER)})"]
         hidden = [one.words for one in self.candidates if one.smallest is None]
