@@ -91,6 +91,24 @@ def test_a_misfit_has_no_unit_of_length() -> None:
     assert other == pytest.approx(one, rel=1e-3)
 
 
+@pytest.mark.parametrize("share", ["last half", "some"])
+def test_rows_in_another_unit_are_named(share: str) -> None:
+    """A file put together from two programs, or typed in by two people."""
+    given = setup("six-axis spherical")
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=2)
+    count = len(made.dataset)
+    some = np.arange(count) >= count // 2
+    if share == "some":
+        some = np.random.default_rng(0).random(count) < 0.3
+    read = dict(made.dataset.readings)
+    axes = [q for q in given.truth.outputs if given.truth.quantities[q] == "m"]
+    readings = read | {q: np.where(some, read[q] / 25.4, read[q]) for q in axes}
+    problem = started(given.nominal(2), lc.Dataset.from_arrays(readings), given.noise, "auto")
+    (fault,) = column_faults(problem, suspected=False)
+    assert fault.code == "unit"
+    assert f"in inches, taken as millimetres in {some.sum()} poses" in fault.words
+
+
 def test_learnt_sds_are_not_sought_in_a_file_at_fault_and_every_face_says_so() -> None:
     given = setup("two-link point")
     made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=2)

@@ -47,6 +47,10 @@ ANGLES = (
 # Chosen, not derived: rows slip where a header or a pose is lost, one to three of them.
 SHIFTS = (1, -1, 2, -2, 3, -3)
 """By how many rows the readings of the instruments may be displaced."""
+# Chosen, not derived: what an instrument sees of one machine is about as far away, the least factor
+# of units is 10, and three ids show which rows are meant.
+_APART, _LIKE, _NAMED = 1.5, 3.0, 3
+"""Sizes of readings that stand apart; by how much a factor may be missed; ids that are named."""
 # 256 combinations: chosen, not derived, with the time that they take.
 MOST_SIGNS = 8
 """Of more joints than these not all combinations of signs are tried, single ones and pairs only."""
@@ -68,6 +72,7 @@ def repairs(problem: Problem) -> Iterator[Repair]:
     yield from made.mirrored()
     yield from made.signs()
     yield from made.units()
+    yield from made.mixed_units()
     yield from made.exchanged()
     yield from made.orientations()
     yield from made.rows()
@@ -139,6 +144,32 @@ class _Maker:
                 for ratio, words in ratios:
                     sentence = f"{self._listed(rows)} {be} {words}"
                     yield self._changed("unit", sentence, rows, ratio * x[list(rows)])
+
+    def mixed_units(self) -> Iterator[Repair]:
+        """What an instrument reads in another unit in some of the rows, which stand apart."""
+        x = self.problem.readings
+        for group in self.seen:
+            rows = [j for j in group if self.unit[j] == "m"]
+            sizes = np.sqrt(np.square(x[rows]).sum(axis=0)) if rows else np.zeros(0)
+            read = np.flatnonzero(np.isfinite(sizes) & (sizes > 0.0))
+            if read.size < 2:
+                continue
+            order = read[np.argsort(sizes[read])]
+            gaps = np.diff(np.log(sizes[order]))
+            at = int(np.argmax(gaps)) + 1
+            small, large = order[:at], order[at:]
+            apart = float(np.median(sizes[large]) / np.median(sizes[small]))
+            for ratio, words in LENGTHS if gaps[at - 1] > math.log(_APART) else ():
+                factor = max(ratio, 1.0 / ratio)
+                if not factor / _LIKE < apart < factor * _LIKE:
+                    continue
+                some = small if ratio > 1.0 else large
+                values = x[rows].copy()
+                values[:, some] *= ratio
+                first = ", ".join(self.problem.poses[i] for i in np.sort(some)[:_NAMED])
+                which = f"{len(some)} poses ({first}{', ...' if len(some) > _NAMED else ''})"
+                sentence = f"{self._listed(rows)} are {words} in {which}"
+                yield self._changed("unit", sentence, rows, values)
 
     def exchanged(self) -> Iterator[Repair]:
         """Columns of one unit in each other's place."""
