@@ -56,6 +56,8 @@ Array = NDArray[np.float64]
 # As in the search for change points (record 0051).
 FOLLOWED = 0.5
 """Share of the order of the poses from which a drift looks like an error of the machine."""
+ORDERED = "order-by-joints"
+"""Code of the finding on such an order."""
 # Chosen, not derived: a rule of thumb; below, residuals follow the model more than the noise.
 FEW = 3.0
 """Loop equations per parameter below which there is little to check the model against."""
@@ -289,7 +291,7 @@ def _order(problem: Problem) -> Iterator[Fact]:
     if joints.size and np.isfinite(joints).all() and len(joints) >= 2 * terms:
         share = order_by_joints(joints)
         if share > FOLLOWED:
-            yield fact("order-by-joints", numbers={"r_squared": share})
+            yield fact(ORDERED, numbers={"r_squared": share})
 
 
 def _range_table(check: Check) -> list[str]:

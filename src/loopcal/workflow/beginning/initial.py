@@ -35,7 +35,7 @@ from loopcal.mechanisms.outputs import measured_points, output_groups
 from loopcal.presentation.shown import columns as in_columns
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
 from loopcal.small_samples import LearntCovariance
-from loopcal.statistics.check import FEW, check
+from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
 from loopcal.units import unit
 from loopcal.workflow.beginning.searching import PLAUSIBLE, Machine
@@ -200,9 +200,10 @@ def initial_project(
     # Where the machine fits, no fault of a whole file is left to be found.
     if way.share > PLAUSIBLE:
         _refuse_faults(project.mechanism, dataset)
-    weak = _weakest(project, dataset)
-    if weak:
+    poses = check(project.mechanism, dataset, noise=project.noise.noise())
+    if weak := _weakest(poses, dataset):
         statement = statement.remarked("mechanism", weak)
+    odd = (*odd, *(one.words for one in poses.findings if one.code == ORDERED))
     tables = {READINGS: _table(fields, statement)} if statement.converted else {}
     remarks = tuple(source.remark for source in sources if source.remark)
     remarks += tuple(row for rows in statement.remarks.values() for row in rows) + odd
@@ -292,15 +293,14 @@ def _far_off(fits: Mapping[str, Mounted]) -> tuple[str, ...]:
     )
 
 
-def _weakest(project: Project, dataset: Dataset) -> str:
+def _weakest(made: Check, dataset: Dataset) -> str:
     """Where these poses leave the machine worse known than its drawing, and what to measure; empty
     where they do not.
 
     Compared is what parameters cause in the end point over the working region. Single parameters
     may be open and change no reading, such as a turn of the last joint and of the target on it.
     """
-    made = check(project.mechanism, dataset, noise=project.noise.noise())
-    predictor, machine = made.predictor, project.mechanism
+    predictor, machine = made.predictor, made.mechanism
     if predictor is None:
         return ""
     # Other dimensions have no usual error: taken as exact, they favour the drawing.
