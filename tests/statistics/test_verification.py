@@ -219,7 +219,8 @@ def test_a_nominal_machine_that_cannot_be_placed_leaves_the_rest() -> None:
     noise = lc.Noise({"q": 1e-4, "y": 1e-4})
     result = lc.calibrate(machine, {"q": q, "y": np.sqrt(q + 0.5)}, noise=noise)
     known = replace(Calibrated.of(result, "A"), nominal=np.array([-0.9]))
-    found = verify(known, {"q": q, "y": np.sqrt(q + 0.5)})
+    later = q + 0.01
+    found = verify(known, {"q": later, "y": np.sqrt(later + 0.5)})
     assert found.nominal is None
     assert found.calibrated is not None
     assert found.verdict["better"].code == "nominal-not-placed"

@@ -20,8 +20,8 @@ from loopcal.statistics.innovation import Innovation
 
 # Record 0053.
 LEVEL = 0.015
-"""p-value of either test, of the whole and of single changes. With the searches of the run for slips
-and for poses that do not fit, at 1 % each, together 5 %."""
+"""p-value of either test, of the whole and of single changes. With the searches of the run for
+slips and for poses that do not fit, at 1 % each, together 5 %."""
 # Chosen, not derived: the usual power of a statement on what is missed.
 POWER = 0.9
 """With which a change of the stated smallest size is seen."""
