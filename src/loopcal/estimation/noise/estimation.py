@@ -358,8 +358,9 @@ def scaled(problem: Problem, components: Sequence[Sequence[int]], ratios: Array)
     for positions, ratio in zip(components, ratios, strict=True):
         factor[list(positions)] = math.sqrt(ratio)
     uncertainty = problem.uncertainty
-    # inf times zero: what is not measured stays so
-    sd = np.where(np.isinf(uncertainty.sd), uncertainty.sd, uncertainty.sd * factor[:, None])
+    # What is not measured stays so: inf times a factor of zero would be no number.
+    sd = uncertainty.sd.copy()
+    np.multiply(sd, factor[:, None], out=sd, where=np.isfinite(sd))
     blocks = tuple(
         CovarianceBlock(b.indices, b.factor * factor[b.indices[0]]) for b in uncertainty.blocks
     )
