@@ -222,8 +222,8 @@ class _System:
     present: the innovation at t; value: that as if nothing had changed; U: (R, m) the directions,
     less what the placement takes up; visible: (m,); group: of each cause the first with the same
     column; freedom: (m,) degrees of freedom of the variance of each direction; linear: the
-    equations at t; every: all causes but loads together; scale: of S, by these poses; scale_freedom: its
-    degrees of freedom, None where the stated variances are taken.
+    equations at t; every: all causes but loads together; scale: of S, by these poses;
+    scale_freedom: its degrees of freedom, None where the stated variances are taken.
     """
 
     day: Day
