@@ -50,10 +50,10 @@ _WIDER = 1.5
 class Candidate:
     """What may have changed: the zero of a joint, a parameter, or several that change together.
 
-    kind: "zero" of the joint `name`, "mounting" of what is mounted, "load" on the arm, "expansion"
-    of the machine, else the kind of the parameter `name`; p_value: of its own
-    test, adjusted for the others (Holm), None where these poses do not show it; smallest: the
-    change [unit] that is seen with probability `POWER`, None likewise.
+    kind: "zero" of the joint `name`, "mounting", "load", "expansion" of the machine, or the kind of
+    the parameter `name`. p_value: of its test, adjusted for the others (Holm), None where these
+    poses do not show it. smallest: the change [unit] that is seen with probability `POWER`, None
+    likewise.
     """
 
     name: str

@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 
 from loopcal.chi_squared import tail
 from loopcal.document.findings import ColumnFault
-from loopcal.estimation.dependence.dependence import pose_order
 from loopcal.estimation.faults.search import column_faults
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.change_points import NOT_SEARCHED, Search, Shifts, searchable
 from loopcal.statistics.change_tests import Explained
 from loopcal.statistics.innovation import Linearised
-from loopcal.statistics.ordered_system import Fitted, OrderedSystem, smooth_columns
+from loopcal.statistics.ordered_system import Fitted, OrderedSystem
 from loopcal.statistics.replacing import ASTRAY
 
 Array = NDArray[np.float64]
@@ -105,26 +104,10 @@ def _system(linear: Linearised, changed: Array) -> OrderedSystem:
         X[poses, :r], rows[poses, :r] = X_rows[span].reshape(b, r, k), True
         patterns[poses] = r
         begin += b * r
-    B = smooth_columns(problem, X)
-    Z, order = np.concatenate([Z, B], axis=2), pose_order(problem)
-    precision = np.concatenate(
-        [
-            np.zeros(linear.F.shape[1] + changed.shape[1]),
-            np.ones(linear.A.shape[1]),
-            np.zeros(B.shape[2]),
-        ]
-    )
-    return OrderedSystem(
-        problem,
-        order,
-        E[order],
-        Z[order],
-        D[order],
-        X[order],
-        precision,
-        np.zeros(Z.shape[2]),
-        patterns[order],
-        rows[order],
-        B.shape[2],
-        0.0,
-    )
+    # Errors of the machine have the variance 1; all else is free.
+    free, held = linear.F.shape[1] + changed.shape[1], linear.A.shape[1]
+    precision = np.concatenate([np.zeros(free), np.ones(held)])
+    none = np.zeros(free + held)
+    as_read = np.arange(N)
+    made = OrderedSystem(problem, as_read, E, Z, D, X, precision, none, patterns, rows, 0, 0.0)
+    return made.in_order()

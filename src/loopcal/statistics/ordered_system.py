@@ -64,6 +64,23 @@ class OrderedSystem:
     smooth: int
     rounding: float
 
+    def in_order(self) -> OrderedSystem:
+        """With smooth columns, and the poses as they were measured."""
+        B, order = _smooth_columns(self.problem, self.X), pose_order(self.problem)
+        return replace(
+            self,
+            order=order,
+            E=self.E[order],
+            Z=np.concatenate([self.Z, B], axis=2)[order],
+            D=self.D[order],
+            X=self.X[order],
+            precision=np.pad(self.precision, (0, B.shape[2])),
+            pull=np.pad(self.pull, (0, B.shape[2])),
+            patterns=self.patterns[order],
+            rows=self.rows[order],
+            smooth=B.shape[2],
+        )
+
     def columns(self, names: Sequence[str]) -> Array:
         """(N, R, d) of a change of these parameters or zeros of readings by one [SI]."""
         quantities = self.problem.mechanism.tape.quantities
@@ -392,30 +409,16 @@ def ordered_system(result: FitResult) -> OrderedSystem:
         .T[:, None, :]
         .repeat(R, 1)
     ] = 0.0
-    B = smooth_columns(problem, X)
-    m = n + B.shape[2]
     pull = np.where(
         precision > 0.0, precision * (problem.nominal - solution.parameters[problem.free]), 0.0
     )
-    order = pose_order(problem)
-    Z = np.concatenate([D, B], axis=2)
-    return OrderedSystem(
-        problem,
-        order,
-        E[order],
-        Z[order],
-        D[order],
-        X[order],
-        np.pad(precision, (0, m - n)),
-        np.pad(pull, (0, m - n)),
-        patterns[order],
-        rows[order],
-        B.shape[2],
-        rounding_left(problem, equations),
-    )
+    rounding = rounding_left(problem, equations)
+    as_read = np.arange(N)
+    made = OrderedSystem(problem, as_read, E, D, D, X, precision, pull, patterns, rows, 0, rounding)
+    return made.in_order()
 
 
-def smooth_columns(problem: Problem, X: Array) -> Array:
+def _smooth_columns(problem: Problem, X: Array) -> Array:
     """(N, R, m) smooth functions of the joints along the readings of each instrument."""
     mechanism, names = problem.mechanism, problem.mechanism.tape.quantities
     joints = joint_rows(problem)
