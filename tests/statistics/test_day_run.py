@@ -121,6 +121,7 @@ class TestEach:
         answer = found.verdict["consistent"]
         assert (answer.passed, answer.code) == (False, "column-fault")
         assert words in answer.words
+        assert found.verdict["better"].code == "unknown-accuracy"
         assert found.changes is None
 
 

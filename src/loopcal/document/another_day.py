@@ -119,4 +119,13 @@ ANOTHER_DAY = (
         "{repeated} of these poses are those of the calibration itself, which they cannot test.",
         "Measure other poses.",
     ),
+    Row(
+        "better",
+        "caution",
+        "accuracy-of-faulty-file",
+        "The accuracy is unknown: the file is at fault.",
+        "Correct the file, then verify again.",
+        _VERIFY,
+        shared="unknown-accuracy",
+    ),
 )

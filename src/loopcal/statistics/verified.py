@@ -193,6 +193,8 @@ class Verification:
 
     def _better(self) -> Fact:
         mine, drawn, gain = self.calibrated, self.nominal, self.gain
+        if self.faults:
+            return fact("accuracy-of-faulty-file")
         if self.unplaced is not None:
             return fact("nominal-not-placed", reason=self.unplaced)
         if mine is None or drawn is None or gain is None:
