@@ -290,10 +290,16 @@ def test_priors_follow_the_roles_and_stated_ones_stay() -> None:
     assert made.parameters["base_x"].prior_sd == math.inf
     assert made.parameters["tool_z"].prior_sd == 5e-3
     assert made.parameters["joint_2_x"].prior_sd == 2e-4
-    lengths, angles = made.terms[:2]
-    assert (lengths.name, lengths.sd, angles.name, angles.sd) == ("lengths", 1e-3, "angles", 1e-3)
+    lengths, zeros, twists = made.terms[:3]
+    assert [(t.name, t.sd) for t in made.terms[:3]] == [
+        ("lengths", 1e-3),
+        ("zeros", 3e-3),
+        ("twists", 1e-3),
+    ]
+    assert {made.parameters[n].role for n in zeros.parameters} == {"zero"}
     assert "joint_2_x" not in lengths.parameters
-    assert not any(n.startswith("joint_3") for n in (*lengths.parameters, *angles.parameters))
+    geometry = (*lengths.parameters, *zeros.parameters, *twists.parameters)
+    assert not any(n.startswith("joint_3") for n in geometry)
     assert {made.parameters[n].unit for n in lengths.parameters} == {"m"}
     turned = structured(assemble(stewart_gough(), [pose()], {"tool_z": 0.1}))
     assert turned.parameters["tool_rx"].prior_sd == 50e-3

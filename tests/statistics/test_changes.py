@@ -16,6 +16,7 @@ from loopcal.statistics.case import Case, Entrant
 from loopcal.statistics.changes import NUMBER, Changes, changes
 from loopcal.statistics.choice import choose
 from loopcal.statistics.folds import Scheme
+from loopcal.statistics.judged import Judged, fitted
 from loopcal.statistics.verdict import findings_of
 from loopcal.workflow.checking import run_prediction
 from tests.estimation.test_real_data import RIGHT, measured
@@ -56,9 +57,9 @@ def course() -> list[str]:
 
 @pytest.fixture(scope="module")
 def result(course: list[str]) -> Iterator[lc.Result]:
-    fitted, sought = choice._fitted, changes
+    sought = changes
 
-    def recorded(one: Entrant, *given: Any) -> choice.Judged:
+    def recorded(one: Entrant, *given: Any) -> Judged:
         course.append("structured" if one.structured else one.name)
         return fitted(one, *given)
 
@@ -67,7 +68,7 @@ def result(course: list[str]) -> Iterator[lc.Result]:
         return sought(*given)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(choice, "_fitted", recorded)
+        patch.setattr(choice, "fitted", recorded)
         patch.setattr(choice, "changes", recorded_changes)
         patch.setenv("LOOPCAL_THREADS", "1")  # what a forked copy does is not seen here
         yield told(slipped())

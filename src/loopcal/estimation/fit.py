@@ -26,7 +26,7 @@ from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import Prior, PriorLike
 from loopcal.mechanisms.structure.smooth import vectors_for
-from loopcal.mechanisms.structure.structured import EFFECT, structured
+from loopcal.mechanisms.structure.structured import structured
 
 if TYPE_CHECKING:
     from loopcal.measurements.dataset import Dataset
@@ -225,7 +225,7 @@ def modelled(fit: Fit, mechanism: Mechanism, poses: int) -> Mechanism:
 
     A mechanism that is structured already stays as it is.
     """
-    if fit.model_error == "none" or EFFECT in mechanism.effects:
+    if fit.model_error == "none":
         return mechanism
     return structured(mechanism, discrepancy=vectors_for(poses))
 

@@ -28,7 +28,7 @@ from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.structure.structured import mounted
+from loopcal.mechanisms.structure.structured import mounted, without
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -159,6 +159,20 @@ def entrants(
             drawn.mechanism.parameters.free
         ):  # else the accuracy before the fit is that of the drawing
             yield Entrant(NOMINAL, drawn, drawn=True)
+
+
+def without_terms(case: Case, one: Entrant, terms: Collection[str]) -> Entrant | None:
+    """A structured candidate without terms of these names; None where that changes nothing.
+
+    What the user has structured stays as it was stated.
+    """
+    machine, made = case.fit.with_prior(case.mechanism), one.case.mechanism
+    if machine.structure is not None or not terms:
+        return None
+    fewer = without(machine, made, terms)
+    if len(fewer.terms) == len(made.terms):
+        return None
+    return replace(one, case=replace(one.case, mechanism=fewer))
 
 
 def nominal_case(case: Case, moved: Collection[str] = ()) -> Case:

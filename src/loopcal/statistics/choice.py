@@ -7,7 +7,10 @@ parts: poses at random, and regions of the joint space. The risk of a candidate 
 squared distance there, averaged over both ways to leave the pose out; without outputs it is minus
 twice the log density of its loops.
 
-The structured candidate of least risk is taken, or without one the first method, unless another is
+Of structured candidates those terms leave whose gain is not positive. The one of least risk is
+taken, but one that takes no sensor as exact where that is within one paired standard error of it,
+and with only its certain terms where these are. It is taken, or without one the first method,
+unless another is
 significantly better: lower in both, by more than the 97.5 % point of Student's t times the standard
 error of the mean difference. Errors in one region are not independent, so regions are the units of
 the second; the units of the first are poses. Against a structured candidate both must be
@@ -27,8 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.choice import Candidate, Chosen, beats
-from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
+from loopcal.document.choice import DECISIVE, Candidate, Chosen, beats
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.dependence.dependence import likenesses
 from loopcal.estimation.plausible import CODE as CONTRADICTED
@@ -42,6 +44,7 @@ from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
+from loopcal.statistics.judged import Judged, begun, fitted, lean
 from loopcal.statistics.noise_floor import excess, noise_floor
 from loopcal.statistics.validation import (
     Failed,
@@ -52,7 +55,6 @@ from loopcal.statistics.validation import (
     left_out,
     planned,
     pooled,
-    unread,
     validated,
 )
 
@@ -67,26 +69,6 @@ random and on regions."""
 # Chosen, not derived: a mean over fewer may be one over easy poses.
 _LEAST = 0.5
 """A candidate must predict this share of the poses."""
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """A candidate on the parts that it predicted.
-
-    whole: its fit of all poses; made: what became of each part, in their order; failed: why it is
-    out, empty where it is not.
-    """
-
-    entrant: Entrant
-    whole: FitResult | None
-    made: tuple[Outcome, ...] = ()
-    failed: str = ""
-    error: LoopcalError | None = None
-
-    @property
-    def name(self) -> str:
-        """As the reader knows it."""
-        return self.entrant.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +103,13 @@ def choose(
     while doubted and waiting and not any(one.whole for one in judged):
         # the first fit seeks faults for all
         entrant = waiting.pop(0)
-        judged.append(_fitted(entrant, iterated))
+        judged.append(fitted(entrant, iterated))
         whole = judged[-1].whole
         if whole is not None and whole.faults:  # no candidate is of use
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             return Choice(_chosen(case, whole, Chosen(entrant.name, (), words, ())), None)
     case = replace(case, trusted=True)
-    judged, run_changes, by = _searched(case, judged, [_begun(e, None) for e in waiting], iterated)
+    judged, run_changes, by = _searched(case, judged, [begun(e, None) for e in waiting], iterated)
     near = next((one.whole for one in judged if one.whole and not one.failed), None)
     whole_fits: dict[str, FitResult | None] = {}
     if run_changes.points:
@@ -142,11 +124,13 @@ def choose(
         return _plan(run_changes.plain, kept_scheme)
 
     # those without a model error are fitted once, where what happened during the run is known
-    more, plan = _all_fitted([_begun(one, near) for one in waiting], iterated, whole_fits, planned)
+    more, plan = _all_fitted([begun(one, near) for one in waiting], iterated, whole_fits, planned)
     judged = [*judged, *more]
     _refuse(judged)
+    judged = [lean(case, one) for one in judged]
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
+        judged = _with_fewer(case, judged, plan, executor, progress)
     taken, chosen, validation = _choice(judged, plan, len(case.data))
     assert taken.whole is not None
     exact = (one.failed for one in judged if one.error and one.error.code == CONTRADICTED)
@@ -197,20 +181,6 @@ def _closest(judged: Sequence[Judged]) -> Judged | None:
     return min(able, key=misfit, default=None)
 
 
-def _begun(one: Entrant, whole: FitResult | None) -> Entrant:
-    """A further candidate, for which no fault of the file is sought.
-
-    A plain one begins where another, whole, has converged, and needs no other starts.
-    """
-    case = replace(one.case, trusted=True)
-    if whole is not None and not (one.structured or one.drawn):
-        names = case.mechanism.parameters.names
-        start = {name: value for name, value in whole.value.items() if name in names}
-        near = unread(whole) if len(case.data) == whole.problem.count else {}
-        case = replace(case, begin=start, near=near)
-    return replace(one, case=case)
-
-
 def _searched(
     case: Case, judged: Sequence[Judged], waiting: Sequence[Entrant], iterated: Iterated | None
 ) -> tuple[list[Judged], Changes, str]:
@@ -223,12 +193,12 @@ def _searched(
     first = next((one for one in structured if one.case.fit.method.exact), None)
     order = sorted(structured, key=lambda one: one is not first)
 
-    def fitted(_: None, one: Entrant) -> tuple[Judged, Changes | None]:
-        judged = _fitted(one, None if helping() else iterated)
+    def with_changes(_: None, one: Entrant) -> tuple[Judged, Changes | None]:
+        judged = fitted(one, None if helping() else iterated)
         return judged, _changes(case, judged) if one is first else None
 
     done, run_changes = dict[str, Judged](), None
-    with closing(process_cores().run(fitted, None, order)) as outcomes:
+    with closing(process_cores().run(with_changes, None, order)) as outcomes:
         for outcome in outcomes:
             one, fit_changes = outcome.value
             done[one.name] = one
@@ -268,25 +238,37 @@ def _all_fitted(
     whole_fits: fits at hand, by name. Iterations in other processes are not reported.
     """
 
-    def fitted(_: None, one: Entrant | None) -> Judged | Plan | None:
+    def made(_: None, one: Entrant | None) -> Judged | Plan | None:
         if one is None:
             return plan()
-        return _fitted(one, None if helping() else iterated, whole_fits.get(one.name))
+        return fitted(one, None if helping() else iterated, whole_fits.get(one.name))
 
-    outcomes: list[Any] = gathered(process_cores(), fitted, None, [*entrants, None])
+    outcomes: list[Any] = gathered(process_cores(), made, None, [*entrants, None])
     return outcomes[:-1], outcomes[-1]
 
 
-def _fitted(one: Entrant, iterated: Iterated | None, whole: FitResult | None = None) -> Judged:
-    """A candidate with its fit of all poses; whole: that fit, where it is at hand."""
-    try:
-        whole = one.case.calibrated(progress=iterated) if whole is None else whole
-    except (InputError, NoTrustworthyResult) as error:
-        return Judged(one, None, failed=error.message, error=error)
-    if not whole.status.converged:
-        return Judged(one, whole, failed=f"the fit did not converge ({whole.status.reason})")
-    _ = whole.chi_squared  # asked of every candidate: here beside the fits of the others
-    return Judged(one, whole)
+def _with_fewer(
+    case: Case,
+    judged: Sequence[Judged],
+    plan: Plan,
+    executor: Executor | None,
+    progress: Progress | None,
+) -> list[Judged]:
+    """What would be taken, with only those terms that are certain where that predicts as well:
+    within one paired standard error, at random poses and in regions."""
+    made = [one for one in judged if one.made]
+    if all(one.entrant.drawn for one in made):
+        return [*judged]
+    risks = {one.name: _risk(one, plan, len(case.data)) for one in made}
+    taken = _taken(made, risks, plan)
+    fewer = lean(case, taken, DECISIVE)
+    if fewer is taken:
+        return [*judged]
+    (fewer,) = _validated([fewer], plan, executor, progress)
+    risk = _risk(fewer, plan, len(case.data))
+    if fewer.failed or not _as_good(risk, risks[taken.name], plan):
+        return [*judged]
+    return [fewer if one is taken else one for one in judged]
 
 
 def _plan(case: Case, scheme: Scheme | None) -> Plan | None:
@@ -317,10 +299,10 @@ def _validated(
             progress(before + done, total)
 
     for half in halves:
-        fitted = {one.name: (one.entrant.case, one.whole) for one in judged if one.whole}
-        alive = [one.name for one in judged if not one.failed and one.name in fitted]
+        whole_by_name = {one.name: (one.entrant.case, one.whole) for one in judged if one.whole}
+        alive = [one.name for one in judged if not one.failed and one.name in whole_by_name]
         outcomes = left_out(
-            [fitted[name] for name in alive], half, executor, advance, anew=plan.anew
+            [whole_by_name[name] for name in alive], half, executor, advance, anew=plan.anew
         )
         before += len(half) * len(alive)
         made = dict(zip(alive, outcomes, strict=True))
@@ -457,6 +439,10 @@ def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> 
 
     structured = [one for one in judged if one.entrant.structured]
     preferred = min(structured, key=score) if structured else judged[0]
+    # exact readings are taken only where they predict better
+    uncertain = [one for one in structured if not one.entrant.case.fit.method.exact]
+    as_good = [one for one in uncertain if _as_good(risks[one.name], risks[preferred.name], plan)]
+    preferred = min(as_good, key=score, default=preferred)
     enough = all if structured else any
     better = [
         one for one in judged if _better(risks[one.name], risks[preferred.name], plan, enough)
@@ -500,16 +486,29 @@ def _better(
     risk: Array, other: Array, plan: Plan, enough: Callable[[Iterable[bool]], bool]
 ) -> bool:
     """Whether a candidate is significantly better than another, in all or any of both ways."""
-    gains = [Gain.of(risk[0], other[0], plan.groups)]
-    if plan.blocked is not None:
-        region = np.zeros(len(plan.groups), dtype=np.intp)
-        for number, index in enumerate(plan.blocked.indices):
-            region[index] = number
-        gains.append(Gain.of(risk[1], other[1], region))
+    ways = zip(risk, other, _clusters(plan), strict=False)
+    gains = [Gain.of(one, two, clusters) for one, two, clusters in ways]
     clustered = [gain for gain in gains if gain.clusters]
     return all(gain.difference > 0.0 for gain in clustered) and enough(
         gain.better is True for gain in clustered
     )
+
+
+def _as_good(risk: Array, best: Array, plan: Plan) -> bool:
+    """Whether a candidate predicts within one paired standard error of another, in both ways."""
+    ways = zip(best, risk, _clusters(plan), strict=False)
+    gains = [Gain.in_rms(one, two, clusters) for one, two, clusters in ways]
+    return all(gain is None or gain.difference <= gain.sd for gain in gains)
+
+
+def _clusters(plan: Plan) -> list[Index]:
+    """(N,) labels of poses whose errors belong together: at random, and in regions where any."""
+    if plan.blocked is None:
+        return [plan.groups]
+    region = np.zeros(len(plan.groups), dtype=np.intp)
+    for number, index in enumerate(plan.blocked.indices):
+        region[index] = number
+    return [plan.groups, region]
 
 
 def _unvalidated(judged: Sequence[Judged]) -> Judged:

@@ -11,7 +11,7 @@ import numpy as np
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
-from loopcal.mechanisms.structure.structured import MOUNTED
+from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS, MOUNTED
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import f_limit
 from loopcal.statistics.judged_readings import RARE
@@ -82,12 +82,15 @@ def off_the_drawing(document: ResultDocument) -> Fact | None:
 
 
 def _dimensions(document: ResultDocument) -> Iterator[list[ParameterEntry]]:
-    """Lengths, and angles, that nothing but a learnt sd holds near the drawing, or nothing."""
+    """What the drawing states, by kind, that only a learnt sd holds near it, or nothing."""
     learnt = {term.name: term.columns for term in document.terms}
-    for dimension in ("length", "angle"):
-        entries = [p for p in document.parameters if p.dimension == dimension and not p.fixed]
+    by_kind: dict[tuple[str, str], list[ParameterEntry]] = {}
+    for p in document.parameters:
+        if (p.role, p.unit) in GEOMETRY_TERMS and not p.fixed:
+            by_kind.setdefault((p.role, p.unit), []).append(p)
+    for kind, entries in by_kind.items():
         # A document does not mark learnt sds: as many parameters share one as its term has columns.
-        shared, count = Counter(p.prior_sd for p in entries), learnt.get(f"{dimension}s")
+        shared, count = Counter(p.prior_sd for p in entries), learnt.get(GEOMETRY_TERMS[kind][0])
         alike = [p for p in entries if not p.prior_sd or shared[p.prior_sd] == count]
         if alike:
             yield alike
@@ -109,22 +112,23 @@ def _one_off(dimensions: Sequence[list[ParameterEntry]]) -> Fact | None:
         freedom = np.array(float(others))
         if _off(worst) > math.sqrt(f_limit(1.0 - RARE / len(alike), 1, freedom)) * usual:
             numbers = {"difference": Figure(worst.value - worst.nominal, unit)}
-            kind = {"m": "lengths", "rad": "angles"}.get(unit, "parameters")
+            kind = GEOMETRY_TERMS[worst.role, unit][0].replace("_", " ")
             within = with_unit(usual, unit, 2)
             return fact("off-the-drawing", _of(worst), numbers, kind=kind, usual=within)
     return None
 
 
 def _all_off(document: ResultDocument, dimensions: Sequence[list[ParameterEntry]]) -> Fact | None:
-    """All lengths, or all angles, far off: another machine is drawn."""
+    """All of a kind far off: another machine is drawn."""
     for alike in dimensions:
-        dimension = alike[0].dimension
-        drawn = [p.nominal for p in document.parameters if p.dimension == dimension]
-        size = _rms(drawn) if dimension == "length" else 1.0
+        role, unit = alike[0].role, alike[0].unit
+        drawn = [p.nominal for p in document.parameters if p.dimension == "length"]
+        size = _rms(drawn) if unit == "m" else 1.0
         off, sure = _rms([_off(p) for p in alike]), _rms([p.sd or 0.0 for p in alike])
         if len(alike) > _FEWEST and off > max(ANOTHER * size, _CLEAR * sure):
-            numbers = {"difference": Figure(off, alike[0].unit)}
-            return fact("another-drawing", _of(*alike), numbers, kind=f"{dimension}s")
+            numbers = {"difference": Figure(off, unit)}
+            kind = GEOMETRY_TERMS[role, unit][0].replace("_", " ")
+            return fact("another-drawing", _of(*alike), numbers, kind=kind)
     return None
 
 

@@ -15,6 +15,7 @@ from loopcal.document.change_points import ChangePoint, hold, when
 from loopcal.document.choice import DECISIVE, TermEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
+from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.presentation.shown import percent
 from loopcal.statistics.judged_machine import far_from_nominal, off_the_drawing, prior_tension
 from loopcal.statistics.judged_readings import (
@@ -43,8 +44,6 @@ _NAMED = 3
 # Chosen, not derived: what fits a line.
 _MODELLED = 2
 """Learnt effects that a result names."""
-_GEOMETRY = ("lengths", "angles")
-"""Terms that give a plain model nothing but priors."""
 
 
 def _not_converged(document: ResultDocument) -> Fact | None:
@@ -105,7 +104,7 @@ def _plain_model(document: ResultDocument) -> Fact | None:
     chosen = document.chosen
     if chosen is None or _errors_shared(document):  # which a term takes for its own
         return None
-    modelled = {*chosen.terms, *_GEOMETRY}
+    modelled = {*chosen.terms, *(name for name, _, _ in GEOMETRY_TERMS.values())}
     by: dict[str, list[TermEntry]] = {}
     for term in (t for one in chosen.over for t in one.terms if t.name not in modelled):
         by.setdefault(term.name, []).append(term)

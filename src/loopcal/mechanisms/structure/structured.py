@@ -6,8 +6,9 @@ whose sds are learnt (`Term`): near zero where the data do not ask for them.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, TypeVar
 
@@ -35,15 +36,28 @@ EFFECT = "structure"
 """Name of all that is added, among the effects of a mechanism."""
 DISCREPANCY = "discrepancy"
 """Name of the term of smooth shifts of the body."""
+DRIVES = ("harmonics", "scales")
+"""Names of the terms of gears and encoders, and of slides."""
+GEOMETRY_TERMS: Mapping[tuple[str, str], tuple[str, float, str]] = {
+    ("length", "m"): ("lengths", 1e-3, "lengths of the machine differ from the drawing by {scale}"),
+    ("zero", "m"): ("slide_zeros", 1e-3, "zeros of slides differ from the drawing by {scale}"),
+    ("zero", "rad"): ("zeros", 3e-3, "zeros of joints differ from the drawing by {scale}"),
+    ("twist", "rad"): (
+        "twists",
+        1e-3,
+        "turns between axes differ from the drawing by {scale}",
+    ),
+    ("angle", "rad"): ("angles", 1e-3, "angles of the machine differ from the drawing by {scale}"),
+}
+"""Role and unit of what a drawing states -> name, median of the learnt sd [SI], and words of its
+term. Joints are mastered less exactly than links are machined (record 0046)."""
 STRUCTURE_TERMS = (
-    "lengths",
-    "angles",
+    *(name for name, _, _ in GEOMETRY_TERMS.values()),
     "sag",
     "sag_across",
     DISCREPANCY,
     "discrepancy_turns",
-    "harmonics",
-    "scales",
+    *DRIVES,
 )
 """Names of the terms that a structured mechanism may have."""
 # Once per turn: off centre; twice: elliptic or tilted (see `Harmonics`).
@@ -73,8 +87,8 @@ def structured(
     """The mechanism with the model error of a real machine, as parameters with learnt sds.
 
     Priors by role, where none is stated (see `Parameter.role`): placement flat; mounting known
-    to 5 mm and 50 mrad, flat where all its values are 0 and so unstated; lengths and
-    angles share a learnt sd each (medians 1 mm and 1 mrad). Further parameters, nominally 0:
+    to 5 mm and 50 mrad, flat where all its values are 0 and so unstated; lengths, twists and
+    zeros share a learnt sd each (see `GEOMETRY_TERMS`). Further parameters, nominally 0:
 
     - sag, of serial arms: JOINT_sag_AXIS_LOAD [rad/m] about the joints' axes (median 0.5 mrad per
       metre) and across them (0.2), and two tilts of gravity, known to 5 degrees (see `Sag`).
@@ -87,7 +101,7 @@ def structured(
     Loops of a Python function are returned as they are, and so is a structured mechanism.
     Raises InputError for parameters of sag that the arm cannot have.
     """
-    if "structure" in (mechanism.description or {}) or not _has_roles(mechanism):
+    if mechanism.structure is not None or not _has_roles(mechanism):
         return mechanism
     old = set(mechanism.parameters.names)
     made = _with_priors(mechanism)
@@ -114,6 +128,26 @@ def structured(
     )
 
 
+def without(
+    mechanism: Mechanism, structured_mechanism: Mechanism, terms: Collection[str]
+) -> Mechanism:
+    """A mechanism structured like another, but for the terms of these names.
+
+    The drives of turning joints and of slides stay together.
+    """
+    made = structured_mechanism
+    kept = [term for term in made.terms if term.name not in terms]
+    names = {name for term in kept for name in term.parameters}
+    structure = made.structure or Structure()
+    remaining = structure.smooth if any(term.name == DISCREPANCY for term in kept) else None
+    return structured(
+        mechanism,
+        sag=tuple(c.parameter for c in structure.columns if c.parameter in names),
+        harmonics=any(term.name in DRIVES for term in kept),
+        discrepancy=len(remaining.harmonics) if remaining else False,
+    )
+
+
 def _has_roles(mechanism: Mechanism) -> bool:
     """Whether the roles of its parameters are stated: it has instruments or a placement."""
     return bool(mechanism.families) or mechanism.placement is not None
@@ -122,22 +156,11 @@ def _has_roles(mechanism: Mechanism) -> bool:
 def _with_priors(mechanism: Mechanism) -> Mechanism:
     """Default priors by kind; what is stated stays."""
     flat = [p for p in mechanism.parameters if not p.fixed and math.isinf(p.prior_sd)]
-    return mounted(mechanism).with_terms(
-        *_term(
-            "lengths",
-            # Medians of 1 mm and 1 mrad: what drawings are off by (record 0046); a factor of e
-            # either way.
-            [p.name for p in flat if p.dimension == "length"],
-            1e-3,
-            "lengths of the machine differ from the drawing by {scale}",
-        ),
-        *_term(
-            "angles",
-            [p.name for p in flat if p.dimension == "angle"],
-            1e-3,
-            "angles of the machine differ from the drawing by {scale}",
-        ),
-    )
+    terms = [
+        _term(name, [p.name for p in flat if (p.role, p.unit) == kind], sd, words)
+        for kind, (name, sd, words) in GEOMETRY_TERMS.items()
+    ]
+    return mounted(mechanism).with_terms(*itertools.chain.from_iterable(terms))
 
 
 def mounted(mechanism: Mechanism) -> Mechanism:
@@ -340,13 +363,13 @@ def _with_drives(mechanism: Mechanism) -> tuple[Mechanism, list[str]]:
     made = _with_drive(
         mechanism,
         turning,
-        Term("harmonics", ("",), 1e-4, words="gears and encoders are out of round by {scale}"),
+        Term(DRIVES[0], ("",), 1e-4, words="gears and encoders are out of round by {scale}"),
     )
     sliding = [Scale((q,), f"{EFFECT} {q}") for q in driven if mechanism.quantities[q] == "m"]
     made = _with_drive(
         made,
         _further(made, sliding),
-        Term("scales", ("",), 1e-4, words="scales of slides are wrong by {scale}"),
+        Term(DRIVES[1], ("",), 1e-4, words="scales of slides are wrong by {scale}"),
     )
     return made, [q for effect in turning for q in effect.joints]
 

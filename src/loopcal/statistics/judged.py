@@ -1,0 +1,80 @@
+"""A candidate of a choice with its fit: of all poses, and with no more terms than it needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
+from loopcal.estimation.result import FitResult
+from loopcal.estimation.solve.solver import Progress as Iterated
+from loopcal.statistics.case import Case, Entrant, without_terms
+from loopcal.statistics.validation import Outcome, unread
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A candidate on the parts that it predicted.
+
+    whole: its fit of all poses; made: what became of each part, in their order; failed: why it is
+    out, empty where it is not.
+    """
+
+    entrant: Entrant
+    whole: FitResult | None
+    made: tuple[Outcome, ...] = ()
+    failed: str = ""
+    error: LoopcalError | None = None
+
+    @property
+    def name(self) -> str:
+        """As the reader knows it."""
+        return self.entrant.name
+
+
+def begun(one: Entrant, whole: FitResult | None) -> Entrant:
+    """A further candidate, for which no fault of the file is sought.
+
+    A plain one begins where another, whole, has converged, and needs no other starts.
+    """
+    case = replace(one.case, trusted=True)
+    if whole is not None and not (one.structured or one.drawn):
+        names = case.mechanism.parameters.names
+        start = {name: value for name, value in whole.value.items() if name in names}
+        near = unread(whole) if len(case.data) == whole.problem.count else {}
+        case = replace(case, begin=start, near=near)
+    return replace(one, case=case)
+
+
+def fitted(
+    one: Entrant, iterated: Iterated | None = None, whole: FitResult | None = None
+) -> Judged:
+    """A candidate with its fit of all poses; whole: that fit, where it is at hand."""
+    try:
+        whole = one.case.calibrated(progress=iterated) if whole is None else whole
+    except (InputError, NoTrustworthyResult) as error:
+        return Judged(one, None, failed=error.message, error=error)
+    if not whole.status.converged:
+        return Judged(one, whole, failed=f"the fit did not converge ({whole.status.reason})")
+    _ = whole.chi_squared  # asked of every candidate: here beside the fits of the others
+    return Judged(one, whole)
+
+
+def lean(case: Case, one: Judged, least: float = 0.0) -> Judged:
+    """The candidate without the terms whose gain is at most so much; itself if there are none.
+
+    Dimensions of the drawing stay: without a term they would be exact. Where one term leaves,
+    others may gain less, so this goes on until all that are left gain more.
+    """
+    while one.entrant.structured and one.whole is not None and not one.failed:
+        idle = {t.name for t in one.whole.terms if t.gain is not None and t.gain <= least}
+        fewer = without_terms(case, one.entrant, idle)
+        if fewer is None:
+            break
+        names = fewer.case.mechanism.parameters.names
+        start = {name: value for name, value in one.whole.value.items() if name in names}
+        near = replace(fewer.case, trusted=True, begin=start, near=unread(one.whole))
+        again = fitted(replace(fewer, case=near))
+        if again.failed:
+            break
+        one = replace(again, entrant=replace(fewer, case=replace(fewer.case, trusted=True)))
+    return one

@@ -1,0 +1,75 @@
+"""Terms that a structured candidate gains nothing by leave it; those of the drawing stay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.gauntlet_truth import Arm
+from analyses.gauntlet_worlds import Rng, World
+from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
+from loopcal.statistics.case import Case, entrants, without_terms
+from loopcal.statistics.judged import Judged, fitted, lean
+
+DRAWN = {name for name, _, _ in GEOMETRY_TERMS.values()}
+
+
+def sagging(arm: Arm, rng: Rng) -> Arm:
+    return replace(arm, yielding=4e-6)
+
+
+def judged(world: World) -> tuple[Case, Judged]:
+    trial = world.made(np.random.default_rng([3, 1]))
+    data = lc.Dataset.from_arrays(trial.readings)
+    case = Case(trial.mechanism, data, trial.noise, lc.Fit(method="auto"), trusted=True)
+    return case, fitted(next(iter(entrants(case))))
+
+
+def names(one: Judged) -> set[str]:
+    return {term.name for term in one.entrant.case.mechanism.terms}
+
+
+def test_a_machine_of_geometry_alone_keeps_its_dimensions_only() -> None:
+    case, full = judged(World(poses=50))
+    assert names(full) > DRAWN & names(full)
+    fewer = lean(case, full, 10.0)
+    assert fewer.whole is not None
+    assert names(fewer) == {"lengths", "zeros", "twists"}
+    assert fewer.whole.status.converged
+    assert not {n for n in fewer.whole.value if "sag" in n or "discrepancy" in n}
+    # what left is gone in later fits of the same candidate, too
+    again = fewer.entrant.case.calibrated(np.arange(40))
+    assert set(again.value) == set(fewer.whole.value)
+
+
+def test_an_arm_that_sags_keeps_its_sag() -> None:
+    case, full = judged(World(poses=50, worn=sagging))
+    fewer = lean(case, full)
+    assert "sag" in names(fewer)
+    assert names(fewer) <= names(full)
+    assert fewer.whole is not None
+    assert all(
+        term.gain is None or term.gain > 0.0 or term.name in DRAWN for term in fewer.whole.terms
+    )
+
+
+def test_what_the_user_structured_stays() -> None:
+    case, full = judged(World(poses=30))
+    stated = replace(case, mechanism=lc.structured(case.mechanism, discrepancy=2))
+    kept = replace(full.entrant, case=stated)
+    assert without_terms(stated, kept, {"sag"}) is None
+    assert without_terms(case, full.entrant, {"lengths"}) is None
+
+
+@pytest.mark.parametrize("absent", ["sag", "sag_across", "discrepancy", "harmonics"])
+def test_any_term_can_leave_alone(absent: str) -> None:
+    case, full = judged(World(poses=30))
+    fewer = without_terms(case, full.entrant, {absent})
+    assert fewer is not None
+    made = fewer.case.mechanism
+    assert {t.name for t in made.terms} == names(full) - {absent}
+    left = {n for t in full.entrant.case.mechanism.terms if t.name == absent for n in t.parameters}
+    assert left.isdisjoint(made.parameters.names)
