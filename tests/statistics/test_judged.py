@@ -40,6 +40,12 @@ def test_a_machine_of_geometry_alone_keeps_its_dimensions_only() -> None:
     assert names(fewer) == {"lengths", "zeros", "twists"}
     assert fewer.whole.status.converged
     assert not {n for n in fewer.whole.value if "sag" in n or "discrepancy" in n}
+    # both are compared with the machine as drawn and placed, wherever their fits began
+    assert full.whole is not None
+    assert fewer.whole.fit == full.whole.fit
+    before = [one.closure_before for one in (fewer.whole, full.whole)]
+    assert before[0].rms == pytest.approx(before[1].rms, rel=1e-9)
+    assert fewer.whole.accuracy_before == full.whole.accuracy_before
     # what left is gone in later fits of the same candidate, too
     again = fewer.entrant.case.calibrated(np.arange(40))
     assert set(again.value) == set(fewer.whole.value)

@@ -35,6 +35,27 @@ Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
+class Begin:
+    """Where another calibration of the same poses ended [SI].
+
+    ended: its parameters; nominal: the machine as drawn, where that calibration placed it.
+    """
+
+    ended: Mapping[str, float]
+    nominal: Mapping[str, float]
+
+    @classmethod
+    def of(cls, whole: FitResult, mechanism: Mechanism) -> Begin:
+        """Of the parameters that this mechanism has."""
+        names = mechanism.parameters.names
+        parameters = whole.mechanism.parameters
+        return cls(
+            {name: value for name, value in whole.value.items() if name in names},
+            {p.name: p.nominal for p in parameters if p.name in names},
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Case:
     """A calibration as it was asked for."""
 
@@ -46,9 +67,9 @@ class Case:
     """Corrections (N,) of what no sensor reads, where a fit of these readings ended."""
     trusted: bool = False
     """Whether faults of the file were sought, and there are none."""
-    begin: Mapping[str, float] | None = None
-    """Where the calibration of all poses begins [SI], as another one ended. That of some begins as
-    asked: what it leaves open must not stand where the other poses put it."""
+    begin: Begin | None = None
+    """Where the calibration of all poses begins. That of some begins as asked: what it leaves open
+    must not stand where the other poses put it."""
 
     @cached_property
     def copied(self) -> Index:
@@ -76,17 +97,19 @@ class Case:
 
         progress: called at every iteration.
         """
-        data, fit = self.data, self.fit
-        if index is None and self.begin is not None:
-            fit = replace(fit, start=self.begin)
+        mechanism, data, fit = self.mechanism, self.data, self.fit
+        begin = self.begin if index is None else None
+        if begin is not None:
+            mechanism = mechanism.with_nominal(begin.nominal)
+            fit = replace(fit, start=begin.ended)
         if index is not None:
             index = index[~np.isin(index, self.copied)]
             # Copies were sought in all poses; a part might judge the same rows otherwise.
             data = replace(data, source=replace(data.source, judged=True)).take(index)
         noise = taken(self.noise, index)
         near = of_poses(self.near, index)
-        return calibrate(
-            self.mechanism,
+        result = calibrate(
+            mechanism,
             data,
             noise=noise,
             fit=fit,
@@ -94,6 +117,11 @@ class Case:
             near=near,
             trusted=self.trusted,
         )
+        if begin is None:
+            return result
+        # The nominal machine is compared where it was placed, not where this fit began.
+        problem = result.problem.with_nominal(result.mechanism)
+        return replace(result, fit=self.fit, problem=problem)
 
 
 def of_poses(values: Mapping[str, Array] | None, index: Index | None) -> Mapping[str, Array] | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress as Iterated
-from loopcal.statistics.case import Case, Entrant, without_terms
+from loopcal.statistics.case import Begin, Case, Entrant, without_terms
 from loopcal.statistics.validation import Outcome, unread
 
 
@@ -38,10 +38,8 @@ def begun(one: Entrant, whole: FitResult | None) -> Entrant:
     """
     case = replace(one.case, trusted=True)
     if whole is not None and not (one.structured or one.drawn):
-        names = case.mechanism.parameters.names
-        start = {name: value for name, value in whole.value.items() if name in names}
         near = unread(whole) if len(case.data) == whole.problem.count else {}
-        case = replace(case, begin=start, near=near)
+        case = replace(case, begin=Begin.of(whole, case.mechanism), near=near)
     return replace(one, case=case)
 
 
@@ -70,9 +68,8 @@ def lean(case: Case, one: Judged, least: float = 0.0) -> Judged:
         fewer = without_terms(case, one.entrant, idle)
         if fewer is None:
             break
-        names = fewer.case.mechanism.parameters.names
-        start = {name: value for name, value in one.whole.value.items() if name in names}
-        near = replace(fewer.case, trusted=True, begin=start, near=unread(one.whole))
+        begin = Begin.of(one.whole, fewer.case.mechanism)
+        near = replace(fewer.case, trusted=True, begin=begin, near=unread(one.whole))
         again = fitted(replace(fewer, case=near))
         if again.failed:
             break
