@@ -209,6 +209,27 @@ tip,0.02,0.03,90,90,fixed
         assert np.allclose(bodies.rotations[0], T[:3, :3], atol=1e-9), form
 
 
+def test_a_slide_parallel_to_the_next_axis_may_tilt_both_ways(tmp_path: Path) -> None:
+    """Without beta, a tilt about y would turn the slide about its axis by up to a right angle."""
+    text = """name,a,d,alpha,theta,kind
+q1,350,200,0,0,
+q2,300,0,180,0,
+q3,0,50,0,0,prismatic
+q4,0,80,0,0,
+"""
+    made = dh_robot(written(tmp_path, text), ())
+    mechanism = mechanism_from_data(dict(made.table), "project.toml")
+    names = mechanism.parameters.names
+    assert {"alpha_3", "beta_3", "alpha_2", "beta_2"} <= set(names)
+    values = {p.name: p.nominal for p in mechanism.parameters}
+    q = {"q1": 0.3, "q2": -0.8, "q3": 0.04, "q4": 1.1}
+    readings = {n: np.array([v]) for n, v in q.items()}
+    here = bodies_of(ChainFrame(mechanism.chain, readings, values), 1)
+    assert here.origins[0][2] == pytest.approx(0.2 - 0.05 - 0.04 - 0.08)
+    turned = bodies_of(ChainFrame(mechanism.chain, readings, values | {"beta_3": 1e-3}), 1)
+    assert turned.rotations[0][2] @ here.rotations[0][2] < 1.0 - 4e-7
+
+
 def motion(kind: str, value: float) -> np.ndarray:
     T = np.eye(4)
     axis = "xyz".index(kind[1])

@@ -168,7 +168,7 @@ def _joint(name: str, row: Row, *, last: bool, ahead: Mapping[str, float]) -> di
     # Axes that are parallel with opposite directions count too.
     turned = row.alpha % pi
     parallel = min(turned, pi - turned) < _PARALLEL
-    form = "hayati" if parallel and not last and row.kind == "revolute" else "dh"
+    form = "hayati" if parallel and not last else "dh"
     if form != "dh":
         joint["form"] = form
     if row.kind != "revolute":
@@ -178,7 +178,7 @@ def _joint(name: str, row: Row, *, last: bool, ahead: Mapping[str, float]) -> di
     # Hayati and Mirmirani (1985): the form has no d, so that of the drawing goes ahead.
     before = dict(ahead)
     if form == "hayati" and row.d:
-        _append(before, {"tz": row.d})  # Tz and Rz of one axis may be exchanged
+        _append(before, {"tz": row.d})  # motions along and about one axis may be exchanged
     if before:
         joint["before"] = before
     keys = {"a": row.a, "alpha": row.alpha, "offset": row.offset}
