@@ -128,7 +128,7 @@ def _first(kind: Kind, draw: int, root: Path) -> Draw:
         true = now.seen(user.bodies(q, now)[1])[:, 0]
         columns = user.columns(now)
         write_readings(folder / f"{where}.csv", user, read, None, columns)
-        stated = predicted(CALIBRATION, user, folder, where)
+        stated = predicted(CALIBRATION, folder, where)
         answer[where] = None if stated is None else _beside(*stated, true, placed=kind.placed)
         points = {name: one.points(read) for name, one in rivals.items()}
         for name, its in points.items():
@@ -155,7 +155,7 @@ def _later(kind: Kind, draw: int, root: Path) -> Draw:
     true = user.points(_posed(user, user.box)[0], now)
     for name, points in json.loads((folder / RIVAL_POINTS).read_text()).items():
         answer[f"{name} inside"] = _rms(away(np.array(points), true))
-    answer["true"] = _true(CALIBRATION, user, folder, true)
+    answer["true"] = _true(CALIBRATION, folder, true)
     try:
         answer |= _compact(json.loads(done.stdout), planted)
     except json.JSONDecodeError:
@@ -165,7 +165,7 @@ def _later(kind: Kind, draw: int, root: Path) -> Draw:
         shutil.rmtree(folder / out, ignore_errors=True)
         done = asked(folder, "update", CALIBRATION, file, "--out", out, "--no-report", "--force")
         updated = {"exit": done.returncode, "error": done.stderr[-400:]}
-        answer["updated"] = updated | {"true": _true(out, user, folder, true)}
+        answer["updated"] = updated | {"true": _true(out, folder, true)}
     return answer
 
 
@@ -193,11 +193,12 @@ def _calibrate(user: Machine, folder: Path) -> subprocess.CompletedProcess[str]:
 
 def _state_sds(user: Machine, project: Path) -> None:
     """The user fixes all sds, by a factor beside what is true."""
-    assert user.stated is not None
-    sds = {"J*": (user.encoder, "rad"), "xyz": (user.tracker, "m")}
-    lines = [f'"{q}" = {{ sd = {user.stated * sd:g}, unit = "{u}" }}' for q, (sd, u) in sds.items()]
-    text = project.read_text("utf-8").partition("[noise]")[0]
-    project.write_text("\n".join([text, "[noise]", *lines, ""]), "utf-8")
+    factor = user.stated or 1.0
+    sds = {"urad": 1e6 * factor * user.encoder, "um": 1e6 * factor * user.tracker}
+    learnt = r'sd = [\d.]+, unit = "(u\w+)", estimate = "group"'
+    text = project.read_text("utf-8")
+    text = re.sub(learnt, lambda m: f'sd = {sds[m[1]]:g}, unit = "{m[1]}"', text)
+    project.write_text(text, "utf-8")
 
 
 def _posed(user: Machine, box: Array) -> tuple[Array, Array]:
@@ -216,9 +217,7 @@ def _rivals(user: Machine, day: Day) -> dict[str, Rival]:
     }
 
 
-def predicted(
-    result: str, user: Machine, folder: Path, fresh: str
-) -> tuple[Array, Array, Array] | None:
+def predicted(result: str, folder: Path, fresh: str) -> tuple[Array, Array, Array] | None:
     """Points at fresh poses by a calibration, their sds and half-widths [m]; None without any."""
     out = folder / f"{result.split('/')[0]}-{fresh}.csv"
     if not out.exists():
@@ -227,7 +226,7 @@ def predicted(
         if asked(folder, "predict", result, f"{fresh}.csv", "--out", out.name).returncode:
             return None
     table = np.genfromtxt(out, delimiter=",", names=True, deletechars="")
-    first = user.coordinates[:3]
+    first = [name.removesuffix("_[m]") for name in (table.dtype.names or ())[1:4]]
     points, sds, halves = (
         np.column_stack([table[f"{c}_{what}[m]"] for c in first])
         for what in ("", "sd_", "+-_95_%_")
@@ -248,9 +247,9 @@ def _beside(points: Array, sds: Array, halves: Array, true: Array, *, placed: bo
     }
 
 
-def _true(result: str, user: Machine, folder: Path, true: Array) -> float | None:
+def _true(result: str, folder: Path, true: Array) -> float | None:
     """The error of a calibration on a later day, wherever its instrument stands [m]."""
-    stated = predicted(result, user, folder, "inside")
+    stated = predicted(result, folder, "inside")
     return None if stated is None else _rms(away(stated[0], true))
 
 

@@ -28,7 +28,7 @@ EXCHANGED, HANDED = "exchang|swap", "exchang|swap|handed|mirror|revers"
 SCALE, OFF = r"scale|expan|temperature", r"outlier|not fit|poses? \d"
 TOOL, SLIP = r"\btool|target|reflector|mount(ed|ing)", r"slip|from pose|since pose"
 NEAR = r"near-poses-only|near the measured poses|outside"
-DRAWING = r"off the drawing|(off|from) (its|the) (nominal|drawing)|another robot|nominal values"
+DRAWING = r"off the drawing|(off|from) (its|the) (nominal|drawing)|does not describe"
 
 
 @dataclass(frozen=True)
@@ -112,14 +112,14 @@ CLEAN = (
     _clean("two stations", family="six", stations=2),
     _clean("column of loads", family="ur", wear="sagging", loaded=True),
     _clean("headers without units", family="irb", wear="rigid", plain=True),
-    _clean("small region", **_SIX, share=0.3),
-    _clean("small region, sagging", family="irb", wear="sagging", share=0.3),
+    _clean("small region", **_SIX, described="urdf", share=0.3),
+    _clean("small region, sagging", family="irb", wear="sagging", described="urdf", share=0.3),
 )
 FIRST = (
     _file("points in inches", UNIT, days.in_inches(0.0)),
     _file("half of the rows in inches", UNIT, days.in_inches(0.5)),
     _file("a column in inches", UNIT, days.a_column_in_inches),
-    _file("radians called degrees", "radian|degree", days.other_angles(DEGREE)),
+    _file("radians called degrees", UNIT, days.other_angles(DEGREE)),
     _file("gon called degrees", r"\bgon\b", days.other_angles(200 / 180)),
     _file("a joint reversed", SIGN, days.reversed_joints(1)),
     _file("three joints reversed", SIGN, days.reversed_joints(3)),

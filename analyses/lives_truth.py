@@ -238,7 +238,7 @@ class Machine:
             return ["--urdf", "robot.urdf"]
         assert isinstance(self.drawing, Arm)
         if self.described == "urdf":
-            (folder / "robot.urdf").write_text(urdf(self.drawing, self.box, self.joints))
+            (folder / "robot.urdf").write_text(urdf(self.drawing, BOXES[self.family], self.joints))
             return ["--urdf", "robot.urdf"]
         (folder / "dh.csv").write_text(dh_table(self.drawing))
         return ["--dh", "dh.csv"]
