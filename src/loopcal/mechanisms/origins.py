@@ -155,6 +155,7 @@ def joint_chain(
     axes: bool = False,
     name: str = "robot",
     description: Mapping[str, Any] | None = None,
+    masses: Sequence[Load] = (),
 ) -> Machine:
     """The machine of a chain of joints from the base to the tip.
 
@@ -175,6 +176,7 @@ def joint_chain(
         )
     steps = tuple(step for joint in joints for step in joint.steps(axes=axes))
     stated = {"type": "urdf", "fix_redundant": False, "axes": axes, "joints": list(joints)}
+    stated |= {"mass": list(masses)} if masses else {}
     tilts = [p for j in joints for p in axis_parameters(j.name, j.tilts).values()]
     parameters = [*(tilts if axes else ()), *(p for joint in joints for p in joint.origin)]
     return Machine(
@@ -183,6 +185,7 @@ def joint_chain(
         {p.name: p for p in parameters},
         lambda x, p: ChainFrame(steps, x, p),
         chain=steps,
+        masses=tuple(masses),
         description=description or stated,
     )
 

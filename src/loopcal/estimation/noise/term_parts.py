@@ -82,9 +82,9 @@ def with_parts(
     )
     parts_by_term: dict[str, list[TermPart]] = {}
     if structure.sag is not None:
-        for name, about in (("sag", True), ("sag_across", False)):
+        for name in dict.fromkeys(c.term for c in structure.columns):
             parts_by_term[name] = _under_gravity(
-                at, structure.sag, [c for c in structure.columns if c.about_joint == about]
+                at, structure.sag, [c for c in structure.columns if c.term == name]
             )
     parts_by_term["harmonics"] = [_out_of_round(at, joint) for joint in structure.joints]
     if structure.smooth is not None:
