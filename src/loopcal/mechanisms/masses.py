@@ -32,14 +32,19 @@ def with_masses(mechanism: Mechanism, masses: Sequence[Load]) -> Mechanism:
     return replace(mechanism, masses=every, description=described)
 
 
+def in_space(mechanism: Mechanism) -> bool:
+    """Whether it is an arm in space, which gives way under what it carries."""
+    return bool(mechanism.chain) and mechanism.body is not None and not mechanism.body.planar
+
+
 def with_payload(mechanism: Mechanism, payload: str) -> Mechanism:
     """The arm whose tool carries a mass that is read in each pose, as a known constant [kg].
 
     Raises InputError for a machine that is not an arm, and for a name that is taken.
     """
-    if not mechanism.chain or mechanism.body is None:
+    if not in_space(mechanism):
         raise InputError(
-            f"{mechanism.name!r} is not a chain of joints, so nothing says what its load does",
+            f"{mechanism.name!r} is no arm in space, so nothing says what its load does",
             code="unsupported",
             remedy="leave payload out",
         )

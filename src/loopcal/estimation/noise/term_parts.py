@@ -73,6 +73,7 @@ def with_parts(
     mechanism = problem.mechanism
     structure = mechanism.structure or Structure()
     read = dict(zip(mechanism.tape.quantities, problem.readings + corrections, strict=True))
+    read |= dict(zip(mechanism.tape.pose_constants, problem.pose_constants, strict=True))
     at = _Fitted(
         dict(zip(mechanism.parameters.names, parameters.tolist(), strict=True)),
         problem.names,
@@ -103,6 +104,7 @@ def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[Ter
     """By how much base and joints give way under gravity."""
     joints = [j for j in arm.names if any(c.joint == j for c in columns)]
     read = tuple(dict.fromkeys(step.joint for step in arm.chain if step.joint))
+    read = (*read, arm.payload) if arm.payload else read
     if not joints or not all(q in at.readings for q in read):
         return []
 

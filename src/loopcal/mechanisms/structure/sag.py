@@ -17,7 +17,8 @@ moment of all that stand behind it, with a compliance c [rad/(N m)]:
 
     w = c e (e . sum_k m_k g_0 (r_k - o_j) x g),    g_0 standard gravity.
 
-A mass that the tool carries may differ by pose.
+What the tool carries is estimated where the masses of the links are known, and may be known to
+differ by pose.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ BASE = "base"
 GRAVITY = "gravity"
 TOOL = "tool"
 """Begins the names of the two parameters that tilt gravity against the base."""
+LOAD = "load_mass"
+"""The mass [kg] at the tool beyond those that are known: a gripper that a URDF leaves out."""
 MASSES = "masses"
 """Stands for all known masses behind a joint, where others name the point of a weight."""
 # Random poses show which columns act; columns equal to nine digits in all of them are one.
@@ -102,6 +105,11 @@ class Sag:
         return Direction.near(self.gravity, name=GRAVITY, what="gravity")
 
     @property
+    def carried(self) -> tuple[str, ...]:
+        """The parameter of the mass at the tool, where a compliance shows it."""
+        return (LOAD,) if self.masses else ()
+
+    @property
     def joints(self) -> dict[str, int]:
         """Positions of the steps that joints move; of a joint that moves several, NAME_2, ..."""
         positions: dict[str, int] = {}
@@ -148,6 +156,7 @@ class Sag:
         names = [column.parameter for column in candidates]
         known = () if self.payload is None else (self.payload,)
         p = {**nominal, **dict.fromkeys(names, 0.0), **dict.fromkeys(self.down.tilts, 0.1)}
+        p |= dict.fromkeys(self.carried, 0.0)
         tape = trace(
             lambda x, p: [
                 *np.concatenate(self.displacement(candidates, cast("Any", x), cast("Any", p)))
@@ -203,20 +212,21 @@ class Sag:
         behind = [link.origin for link in links]
         points = {load: tool if at is None else behind[at] for load, at in self.loads.items()}
         g = self._pull(x, p)
-        behind_each = self._weights(masses, tool, x)
+        known = any(column.load == MASSES for column in columns)
+        behind_each = self._weights(masses, tool, x, p) if known else []
         turns = {}
         for number, link in enumerate(links):
             on_link = [column for column in columns if column.joint == self.names[number]]
             if not on_link:
                 continue
-            weight, moment = behind_each[number]
             moments = {
-                load: cross(
-                    moment - link.origin * weight if load == MASSES else points[load] - link.origin,
-                    g,
-                )
+                load: cross(points[load] - link.origin, g)
                 for load in dict.fromkeys(c.load for c in on_link)
+                if load != MASSES
             }
+            if behind_each:
+                weight, moment = behind_each[number]
+                moments[MASSES] = cross(moment - link.origin * weight, g)
             turn = vector(0.0, 0.0, 0.0)
             for axis in "xyz":
                 e = link.axes[axis]
@@ -229,11 +239,12 @@ class Sag:
         return turns
 
     def _weights(
-        self, masses: Sequence[Vector], tool: Vector, x: Values
+        self, masses: Sequence[Vector], tool: Vector, x: Values, p: Values
     ) -> list[tuple[Any, Vector]]:
         """Of the known masses behind base and each joint, sum m g_0 [N] and sum m g_0 r (3,)."""
-        carried = 0.0 if self.payload is None else x[self.payload] * ACCELERATION
-        weight, moment = carried, tool * carried
+        carried: Any = sum((p[name] for name in self.carried), 0.0)
+        weight = (carried if self.payload is None else carried + x[self.payload]) * ACCELERATION
+        moment = tool * weight
         sums: list[tuple[Any, Vector]] = []
         for joint in reversed(range(1 + len(self.joints))):
             for mass, point in zip(self.masses, masses, strict=True):

@@ -33,6 +33,10 @@ MOUNTED = {"m": 5e-3, "rad": 50e-3}
 TILTED = math.radians(5.0)
 """Prior sd of each tilt of gravity against the machine's base."""
 GRAVITY_TILT = "tilt of gravity against the base"
+CARRIED = 0.2
+"""Prior sd of the mass at the tool, as a share of the known masses: from a tenth to a third of its
+own weight is what an arm is rated to carry."""
+LOAD_MASS = "mass at the tool beyond the known ones"
 EFFECT = "structure"
 """Name of all that is added, among the effects of a mechanism."""
 DISCREPANCY = "discrepancy"
@@ -274,6 +278,9 @@ def _displaced(
             for c in columns
         ]
         added += [Parameter(n, 0.0, "rad", TILTED, meaning=GRAVITY_TILT) for n in arm.down.tilts]
+        if any(c.term == "compliance" for c in columns):
+            sd = CARRIED * sum(load.mass or 0.0 for load in arm.masses)
+            added += [Parameter(n, 0.0, "kg", sd, meaning=LOAD_MASS) for n in arm.carried]
         terms += [
             *_term(
                 "sag",
