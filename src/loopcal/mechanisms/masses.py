@@ -57,8 +57,9 @@ def with_payload(mechanism: Mechanism, payload: str) -> Mechanism:
         )
     ends = ENDS if any(v.first for v in mechanism.variables) else ENDS[:1]
     known = [Quantity(payload + end, "kg", "known", payload if end else None) for end in ends]
+    names = [constant.name for constant in known]
     carrying = mechanism.with_tape(
-        lambda tape: substituted(tape, lambda x, p: ({}, {}), pose_constants=[v.name for v in known])
+        lambda tape: substituted(tape, lambda x, p: ({}, {}), pose_constants=names)
     )
     described = mechanism.description and {**mechanism.description, "payload": payload}
     variables = (*mechanism.variables, *known)

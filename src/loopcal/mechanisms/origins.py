@@ -42,6 +42,7 @@ from loopcal.mechanisms.chain import (
     unit_direction,
     zero_of,
 )
+from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parameters import Parameter
@@ -161,7 +162,7 @@ def joint_chain(
 
     axes: whether the joints' axes have parameters too, NAME_axis_rx and so on; the origins alone
     hold every geometry that a robot of these kinds of joints can have. description: the file that
-    it was read from, for messages.
+    it was read from, for messages; masses: known ones of its links.
 
     Raises InputError for a chain in which nothing moves, or two joints of one name.
     """

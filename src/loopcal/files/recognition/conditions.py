@@ -67,15 +67,17 @@ def _named(free: Sequence[Field], units: Collection[str], names: Collection[str]
 def _payload(column: Field, arm: bool) -> Conditions:
     low, high = float(np.min(column.values)), float(np.max(column.values))
     shown = f"Column {column.label!r}"
-    if not (arm and 0.0 <= low and high <= _HEAVIEST):
-        why = f"a payload is 0 to {_HEAVIEST:g} kg in every row" if arm else "this machine is no arm"
+    if not (arm and low >= 0.0 and high <= _HEAVIEST):
+        why = (
+            f"a payload is 0 to {_HEAVIEST:g} kg in every row" if arm else "this machine is no arm"
+        )
         return Conditions(remarks=(f"{shown} takes no part: {why}.",))
     if low == high:
         words = f"{shown} is {low:g} kg in every row: the calibration holds for this load alone."
         return Conditions(remarks=(words,))
     words = (
-        f"{shown} is the payload, {low:g} to {high:g} kg: it weighs on the joints at the target, in "
-        "each pose with its own mass."
+        f"{shown} is the payload, {low:g} to {high:g} kg: in each pose the joints yield to its "
+        "weight at the target."
     )
     return Conditions({"payload": (column, "kg")}, {"payload": "payload"}, (words,))
 
@@ -104,8 +106,8 @@ def _tool(column: Field) -> Conditions:
     words = f"Column {column.label!r} names one tool and takes no part."
     if kinds > 1:
         words = (
-            f"Column {column.label!r} names {kinds} tools and takes no part. Where each carries the "
-            "target elsewhere, begin with the rows of one tool. Or give each tool an instrument "
-            "with a target of its own, whose columns are blank in the rows of the others."
+            f"Column {column.label!r} names {kinds} tools and takes no part. Where each carries "
+            "the target elsewhere, begin with the rows of one tool. Or give each tool an "
+            "instrument with a target, whose columns are blank in the rows of other tools."
         )
     return Conditions(remarks=(words,))

@@ -58,7 +58,8 @@ class Thermal:
         """P_thermal of each parameter, in its unit per kelvin; or one of all lengths."""
         if not self.changing:
             name = f"{self.name}_expansion"
-            return {name: Parameter(name, 0.0, "1/K", EXPANSION, meaning="expansion of all lengths")}
+            meaning = "expansion of all lengths"
+            return {name: Parameter(name, 0.0, "1/K", EXPANSION, meaning=meaning)}
         return {
             (coefficient := f"{p.name}_thermal"): Parameter(
                 coefficient, 0.0, unit(f"{p.unit}/K").si, SD, meaning=f"expansion of {p.name}"

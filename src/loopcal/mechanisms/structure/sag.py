@@ -17,8 +17,8 @@ moment of all that stand behind it, with a compliance c [rad/(N m)]:
 
     w = c e (e . sum_k m_k g_0 (r_k - o_j) x g),    g_0 standard gravity.
 
-What the tool carries is estimated where the masses of the links are known, and may be known to
-differ by pose.
+What the body carries is estimated where the masses of the links are known, and may be known to
+differ by pose; its centre is estimated.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ GRAVITY = "gravity"
 TOOL = "tool"
 """Begins the names of the two parameters that tilt gravity against the base."""
 LOAD = "load_mass"
-"""The mass [kg] at the tool beyond those that are known: a gripper that a URDF leaves out."""
+"""The mass [kg] on the body beyond those that are known: a gripper that a URDF leaves out."""
+CENTRE = {letter: f"load_{letter}" for letter in "xyz"}
+"""The coordinates [m] of its centre, and that of a payload, in the frame of the body."""
 MASSES = "masses"
 """Stands for all known masses behind a joint, where others name the point of a weight."""
 # Random poses show which columns act; columns equal to nine digits in all of them are one.
@@ -106,8 +108,9 @@ class Sag:
 
     @property
     def carried(self) -> tuple[str, ...]:
-        """The parameter of the mass at the tool, where a compliance shows it."""
-        return (LOAD,) if self.masses else ()
+        """The parameters of what the body carries, where a compliance shows it."""
+        mass = (LOAD,) if self.masses else ()
+        return (*mass, *CENTRE.values()) if self.masses or self.payload else ()
 
     @property
     def joints(self) -> dict[str, int]:
@@ -213,7 +216,7 @@ class Sag:
         points = {load: tool if at is None else behind[at] for load, at in self.loads.items()}
         g = self._pull(x, p)
         known = any(column.load == MASSES for column in columns)
-        behind_each = self._weights(masses, tool, x, p) if known else []
+        behind_each = self._weights(masses, body, x, p) if known else []
         turns = {}
         for number, link in enumerate(links):
             on_link = [column for column in columns if column.joint == self.names[number]]
@@ -239,12 +242,15 @@ class Sag:
         return turns
 
     def _weights(
-        self, masses: Sequence[Vector], tool: Vector, x: Values, p: Values
+        self, masses: Sequence[Vector], body: _Link, x: Values, p: Values
     ) -> list[tuple[Any, Vector]]:
         """Of the known masses behind base and each joint, sum m g_0 [N] and sum m g_0 r (3,)."""
-        carried: Any = sum((p[name] for name in self.carried), 0.0)
+        carried: Any = p[LOAD] if self.masses else 0.0
         weight = (carried if self.payload is None else carried + x[self.payload]) * ACCELERATION
-        moment = tool * weight
+        centre = body.origin
+        for letter, name in CENTRE.items():
+            centre = centre + body.axes[letter] * p[name]
+        moment = centre * weight
         sums: list[tuple[Any, Vector]] = []
         for joint in reversed(range(1 + len(self.joints))):
             for mass, point in zip(self.masses, masses, strict=True):
