@@ -17,8 +17,8 @@ moment of all that stand behind it, with a compliance c [rad/(N m)]:
 
     w = c e (e . sum_k m_k g_0 (r_k - o_j) x g),    g_0 standard gravity.
 
-What the body carries is estimated where the masses of the links are known, and may be known to
-differ by pose; its centre is estimated.
+What the tool carries is estimated where the masses of the links are known, and may be known to
+differ by pose.
 """
 
 from __future__ import annotations
@@ -44,9 +44,7 @@ GRAVITY = "gravity"
 TOOL = "tool"
 """Begins the names of the two parameters that tilt gravity against the base."""
 LOAD = "load_mass"
-"""The mass [kg] on the body beyond those that are known: a gripper that a URDF leaves out."""
-CENTRE = {letter: f"load_{letter}" for letter in "xyz"}
-"""The coordinates [m] of its centre, and that of a payload, in the frame of the body."""
+"""The mass [kg] at the tool beyond those that are known: a gripper that a URDF leaves out."""
 MASSES = "masses"
 """Stands for all known masses behind a joint, where others name the point of a weight."""
 # Random poses show which columns act; columns equal to nine digits in all of them are one.
@@ -108,9 +106,8 @@ class Sag:
 
     @property
     def carried(self) -> tuple[str, ...]:
-        """The parameters of what the body carries, where a compliance shows it."""
-        mass = (LOAD,) if self.masses else ()
-        return (*mass, *CENTRE.values()) if self.masses or self.payload else ()
+        """The parameter of what the tool carries, where the masses of the links show it."""
+        return (LOAD,) if self.masses else ()
 
     @property
     def joints(self) -> dict[str, int]:
@@ -216,7 +213,7 @@ class Sag:
         points = {load: tool if at is None else behind[at] for load, at in self.loads.items()}
         g = self._pull(x, p)
         known = any(column.load == MASSES for column in columns)
-        behind_each = self._weights(masses, body, x, p) if known else []
+        behind_each = self._weights(masses, tool, x, p) if known else []
         turns = {}
         for number, link in enumerate(links):
             on_link = [column for column in columns if column.joint == self.names[number]]
@@ -242,15 +239,12 @@ class Sag:
         return turns
 
     def _weights(
-        self, masses: Sequence[Vector], body: _Link, x: Values, p: Values
+        self, masses: Sequence[Vector], tool: Vector, x: Values, p: Values
     ) -> list[tuple[Any, Vector]]:
         """Of the known masses behind base and each joint, sum m g_0 [N] and sum m g_0 r (3,)."""
         carried: Any = p[LOAD] if self.masses else 0.0
         weight = (carried if self.payload is None else carried + x[self.payload]) * ACCELERATION
-        centre = body.origin
-        for letter, name in CENTRE.items():
-            centre = centre + body.axes[letter] * p[name]
-        moment = centre * weight
+        moment = tool * weight
         sums: list[tuple[Any, Vector]] = []
         for joint in reversed(range(1 + len(self.joints))):
             for mass, point in zip(self.masses, masses, strict=True):

@@ -24,7 +24,7 @@ from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
 from loopcal.mechanisms.serial import places_itself
-from loopcal.mechanisms.structure.sag import LOAD, Column, Sag, Structure
+from loopcal.mechanisms.structure.sag import Column, Sag, Structure
 from loopcal.mechanisms.structure.smooth import FEATURES, Smooth
 from loopcal.mechanisms.terms import Term
 
@@ -36,9 +36,7 @@ GRAVITY_TILT = "tilt of gravity against the base"
 CARRIED = 0.2
 """Prior sd of the mass at the tool, as a share of the known masses: from a tenth to a third of its
 own weight is what an arm is rated to carry."""
-BRACKET = 0.1
-"""Length of a typical bracket [m]: prior sd of where the load has its centre."""
-MASS, CENTRE = "mass on the body beyond the known ones", "centre of what the body carries"
+LOAD_MASS = "mass at the tool beyond the known ones"
 EFFECT = "structure"
 """Name of all that is added, among the effects of a mechanism."""
 DISCREPANCY = "discrepancy"
@@ -282,10 +280,7 @@ def _displaced(
         added += [Parameter(n, 0.0, "rad", TILTED, meaning=GRAVITY_TILT) for n in arm.down.tilts]
         if any(c.term == "compliance" for c in columns):
             weighing = CARRIED * sum(load.mass or 0.0 for load in arm.masses)
-            for n in arm.carried:
-                mass = n == LOAD
-                unit, sd, words = ("kg", weighing, MASS) if mass else ("m", BRACKET, CENTRE)
-                added.append(Parameter(n, 0.0, unit, sd, meaning=words))
+            added += [Parameter(n, 0.0, "kg", weighing, meaning=LOAD_MASS) for n in arm.carried]
         terms += [
             *_term(
                 "sag",
