@@ -11,7 +11,7 @@ out of round. A smooth discrepancy is told by its rms, and by the joints on whic
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -73,6 +73,7 @@ def with_parts(
     mechanism = problem.mechanism
     structure = mechanism.structure or Structure()
     read = dict(zip(mechanism.tape.quantities, problem.readings + corrections, strict=True))
+    read |= dict(zip(mechanism.tape.pose_constants, problem.pose_constants, strict=True))
     at = _Fitted(
         dict(zip(mechanism.parameters.names, parameters.tolist(), strict=True)),
         problem.names,
@@ -82,9 +83,9 @@ def with_parts(
     )
     parts_by_term: dict[str, list[TermPart]] = {}
     if structure.sag is not None:
-        for name, about in (("sag", True), ("sag_across", False)):
+        for name in dict.fromkeys(c.term for c in structure.columns):
             parts_by_term[name] = _under_gravity(
-                at, structure.sag, [c for c in structure.columns if c.about_joint == about]
+                at, structure.sag, [c for c in structure.columns if c.term == name]
             )
     parts_by_term["harmonics"] = [_out_of_round(at, joint) for joint in structure.joints]
     if structure.smooth is not None:
@@ -103,6 +104,7 @@ def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[Ter
     """By how much base and joints give way under gravity."""
     joints = [j for j in arm.names if any(c.joint == j for c in columns)]
     read = tuple(dict.fromkeys(step.joint for step in arm.chain if step.joint))
+    read = (*read, arm.payload) if arm.payload else read
     if not joints or not all(q in at.readings for q in read):
         return []
 
@@ -261,14 +263,41 @@ def term_entries(mechanism: Mechanism, learnt: TermVariances) -> tuple[TermEntry
     return tuple(entries)
 
 
-def _gain(system: TermSystem, present: TermFit, term: int) -> float:
-    """By how much the criterion is lower with a term than without it.
+def idle(learnt: TermVariances, least: float = 0.0, *, keep: Collection[str] = ()) -> set[str]:
+    """The terms that gain at most so much, taken out one after the other, the idlest first.
+
+    Of two that say the same each gains nothing beside the other: one stays. keep: terms that do.
+    """
+    system, every = learnt.system, np.ones(len(learnt.at.x), dtype=bool)
+    present = searched(system, learnt.at.x, every).at
+    absent: dict[int, str] = {}
+    while True:
+        gains = {
+            i: _gain(system, present, i, [*absent])
+            for i, term in enumerate(system.terms)
+            if term.name not in keep and i not in absent
+        }
+        i = min(gains, key=lambda k: gains[k], default=-1)
+        if i < 0 or gains[i] > least:
+            return {*absent.values()}
+        absent[i] = system.terms[i].name
+        present = _absent(system, present, [*absent])
+
+
+def _absent(system: TermSystem, present: TermFit, terms: Sequence[int]) -> TermFit:
+    """The fit without these terms."""
+    x, others = present.x.copy(), np.ones(len(present.x), dtype=bool)
+    for term in terms:
+        x[1 + term], others[1 + term] = 2.0 * math.log(_ABSENT * system.terms[term].sd), False
+    return searched(system, x, others).at
+
+
+def _gain(system: TermSystem, present: TermFit, term: int, absent: Sequence[int] = ()) -> float:
+    """By how much the criterion is lower with a term than without it, others being absent.
 
     present: with all terms, and all noise free to have a factor. Without a term the other terms and
     that factor make up for it where they can.
     """
-    x, others = present.x.copy(), np.ones(len(present.x), dtype=bool)
-    x[1 + term], others[1 + term] = 2.0 * math.log(_ABSENT * system.terms[term].sd), False
-    without = searched(system, x, others).at
+    without = _absent(system, present, [*absent, term])
     gain = without.criterion - present.criterion
     return gain - float(without.penalties[term] - present.penalties[term])
