@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -35,24 +34,19 @@ joints act through lever arms of unlike length. The log of a p-value falls in pr
 class Readings:
     """What was found out about the readings of a calibration, or of another day.
 
-    faults: of whole columns; tests: of the outliers, None where none were sought; spare: degrees of
-    freedom that the residuals have as a scale, inf where that is not known.
+    faults: of whole columns; tests: of the outliers, None where none were sought.
     """
 
     data: DataEntry
     faults: Sequence[ColumnFault]
     outliers: Sequence[Outlier]
     tests: OutlierTests | None
-    spare: float
 
     @classmethod
     def of(cls, document: ResultDocument) -> Readings:
         """Of a calibration."""
-        index, chi = document.identifiability.calibration_index, document.chi_squared
-        left = math.inf if index is None else index.value - document.identifiability.rank
-        spare = max(left if chi is None else float(chi.degrees_of_freedom), 1.0)
         faults, outliers = document.column_faults or (), document.outliers or ()
-        return cls(document.data, faults, outliers, document.outlier_tests, spare)
+        return cls(document.data, faults, outliers, document.outlier_tests)
 
     def facts(self) -> list[Fact]:
         """Faults of the file, outliers, copies and coarse digits, where there are any."""
@@ -71,13 +65,12 @@ class Readings:
         # Bonferroni, over the poses and over all their readings.
         whole = 0.5 * _CHANCE / poses if poses else 1.0
         single = whole / max(len(self.data.quantities), 1) if poses else 1.0
-        spare = math.inf
         if by_residuals:
-            whole, single, spare = whole**_UNLIKE, single**_UNLIKE, self.spare
+            whole, single = whole**_UNLIKE, single**_UNLIKE
         named = [
             entry.pose
             for entry in self.outliers
-            if _by_few(entry.p_value, spare) <= (whole if entry.quantity is None else single)
+            if entry.p_value <= (whole if entry.quantity is None else single)
         ]
         bad = tuple(dict.fromkeys(named))
         # Too few poses are left to tell: any few can be fitted exactly.
@@ -105,14 +98,6 @@ class Readings:
             return None
         numbers = {"sd": max(one.sd for one in steps)}
         return fact("readings-coarse", numbers=numbers, quantities="; ".join(map(str, steps)))
-
-
-def _by_few(p: float, spare: float) -> float:
-    """The p-value of what has p beside a known scale, where the scale has so many degrees of
-    freedom: exp(-x / 2) becomes (1 + x / nu)^(-(nu + 1) / 2), as from the normal to Student's t."""
-    if math.isinf(spare) or p <= 0.0:
-        return p
-    return math.exp(-0.5 * (spare + 1.0) * math.log1p(-2.0 * math.log(p) / spare))
 
 
 def suspects(document: ResultDocument) -> str:
