@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from loopcal.document.choice import DECISIVE
 from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
 from loopcal.document.result_document import DataEntry, ResultDocument
-from loopcal.document.verdict import Fact, Where, fact
+from loopcal.document.verdict import Fact, Figure, Where, fact
+from loopcal.mechanisms.effects.drift import RUN_DRIFT
 from loopcal.mechanisms.structure.structured import DISCREPANCY
 from loopcal.presentation.shown import significant
 
@@ -22,6 +23,9 @@ LOOSE = 0.25
 # Chosen, not derived: 3 mm of a metre, more than the noise of any instrument here.
 SIZE = 3e-3
 """Relative sd of a size that only priors determine from which on its bias counts."""
+# As the changes that may move the end point: record 0054.
+UNSURE = 0.5
+"""Stated sds by which a drift along ordered poses may be uncertain."""
 # Chosen, not derived: one good data set of a hundred; `analyses.alarms` counts all codes together.
 _CHANCE = 0.01
 """Share of good data sets with a pose so far off; the search for outliers names more."""
@@ -175,6 +179,24 @@ def order_or_model(document: ResultDocument) -> Fact | None:
     if alike is None or any((t.gain or 0.0) >= DECISIVE for t in effect_terms):
         return None
     return fact("drift-or-model", numbers={"evidence": alike.correlation})
+
+
+def drift_or_machine(document: ResultDocument) -> Fact | None:
+    """A drift of the instrument that the poses cannot tell from an error of the machine.
+
+    It is among the parameters only where the joints tell the order of the poses (`run_drift`).
+    """
+    region = None if document.prediction is None else document.prediction.region
+    ratios = []
+    for p in (p for p in document.parameters if p.owner == RUN_DRIFT and p.sd):
+        stated = None if region is None else region.of(p.unit)
+        if stated is not None and p.sd and p.sd > UNSURE * stated.sd_at_poses:
+            ratios.append((p.sd / stated.sd_at_poses, p.sd, stated))
+    if not ratios:
+        return None
+    _, sd, stated = max(ratios, key=lambda one: one[0])
+    numbers = {"sd": Figure(sd, stated.unit), "stated": Figure(stated.sd_at_poses, stated.unit)}
+    return fact("drift-or-machine", numbers=numbers)
 
 
 def sds_overruled(document: ResultDocument) -> Fact | None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.findings import RegionEntry, RegionRange, RegionSd
 from loopcal.estimation.prediction import predict_outputs, solving
+from loopcal.estimation.problem.constants import as_now
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.mechanisms.limits import joint_limits
@@ -69,15 +70,12 @@ def region_of(
         x[rows] = corrected[rows][:, first]
         # One share for all joints: a point on the straight way between two poses.
         x[rows] += rng.random(_POSES) * (corrected[rows][:, last] - x[rows])
-    constants = problem.pose_constants[
-        :, rng.integers(0, problem.pose_constants.shape[1] or 1, _POSES)
-    ]
+    now = as_now(mechanism, problem.pose_constants)
+    constants = now[:, rng.integers(0, now.shape[1] or 1, _POSES)]
     also = [q for i, q in enumerate(names) if unread[i] and q not in still]
     region_sds = _sds(calibrated, x, constants, also)
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
-    fit_sds = _sds(
-        calibrated, corrected[:, some], problem.pose_constants[:, some], also, measured=True
-    )
+    fit_sds = _sds(calibrated, corrected[:, some], now[:, some], also, measured=True)
     worst: dict[str, tuple[float, RegionSd]] = {}
     for i, group in enumerate(output_groups(mechanism)):
         at, over = fit_sds[i][np.isfinite(fit_sds[i])], region_sds[i][~np.isnan(region_sds[i])]
