@@ -187,16 +187,13 @@ def drift_or_machine(document: ResultDocument) -> Fact | None:
     It is among the parameters only where the joints tell the order of the poses (`run_drift`).
     """
     region = None if document.prediction is None else document.prediction.region
-    ratios = []
-    for p in (p for p in document.parameters if p.owner == RUN_DRIFT and p.sd):
-        stated = None if region is None else region.of(p.unit)
-        if stated is not None and p.sd and p.sd > UNSURE * stated.sd_at_poses:
-            ratios.append((p.sd / stated.sd_at_poses, p.sd, stated))
-    if not ratios:
-        return None
-    _, sd, stated = max(ratios, key=lambda one: one[0])
-    numbers = {"sd": Figure(sd, stated.unit), "stated": Figure(stated.sd_at_poses, stated.unit)}
-    return fact("drift-or-machine", numbers=numbers)
+    for by in () if region is None else region.by:
+        drifts = [p for p in document.parameters if (p.owner, p.unit) == (RUN_DRIFT, by.unit)]
+        sd = max((p.sd or 0.0 for p in drifts), default=0.0)
+        if sd > UNSURE * by.sd_at_poses:
+            numbers = {"sd": Figure(sd, by.unit), "stated": Figure(by.sd_at_poses, by.unit)}
+            return fact("drift-or-machine", numbers=numbers)
+    return None
 
 
 def sds_overruled(document: ResultDocument) -> Fact | None:

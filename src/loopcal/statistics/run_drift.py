@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.mechanisms.effects.drift import RUN_DRIFT, Drift
+from loopcal.mechanisms.effects.drift import RUN_DRIFT, RUN_DRIFT_TURNS, Drift
 from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.placement import ChainPlacement
@@ -21,13 +21,14 @@ from loopcal.mechanisms.station import BASE, Station, standing
 from loopcal.mechanisms.structure.structured import driven_joints
 from loopcal.mechanisms.terms import Term
 from loopcal.statistics.case import Case
+from loopcal.statistics.changes import pose_numbers
 from loopcal.statistics.run_order import told_by_joints
 
 COLUMN = "share_of_run"
 """The known constant from -1/2 at the first pose to 1/2 at the last: no file has it."""
 SDS = {"m": 1e-4, "rad": 1e-4}
 """Median of the learnt sd [SI]: by so much trackers and cameras drift in an hour or two."""
-_NAMES = {"m": RUN_DRIFT, "rad": f"{RUN_DRIFT}_turns"}
+_NAMES = {"m": RUN_DRIFT, "rad": RUN_DRIFT_TURNS}
 _WORDS = "the instrument drifts by {scale} over the run"
 
 
@@ -41,7 +42,7 @@ def with_run_drift(case: Case) -> Case:
     joints = [q for q in driven_joints(mechanism) if q in data.readings]
     if case.fit.robust_loss is not None or not joints:
         return case
-    if not told_by_joints(np.column_stack([data.readings[q] for q in joints])):
+    if told_by_joints(np.column_stack([data.readings[q] for q in joints])) is None:
         return case
     if isinstance(mechanism.placement, ChainPlacement):
         mechanism = standing(mechanism, Station(BASE).parameters)
@@ -54,7 +55,8 @@ def with_run_drift(case: Case) -> Case:
     for name in made.effects.get(RUN_DRIFT, ()):
         by_unit.setdefault(made.parameters[name].unit, []).append(name)
     terms = [Term(_NAMES[u], tuple(n), SDS[u], words=_WORDS) for u, n in by_unit.items()]
-    share = np.linspace(-0.5, 0.5, len(data))
+    numbers = pose_numbers(data)
+    share = (numbers - numbers[0]) / (numbers[-1] - numbers[0]) - 0.5
     dated = data.with_readings({COLUMN: share}, units={COLUMN: "1"})
     return replace(case, mechanism=made.with_terms(*terms), data=dated)
 

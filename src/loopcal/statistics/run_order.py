@@ -13,6 +13,9 @@ Array = NDArray[np.float64]
 # Half: docs/decisions/0051.
 FOLLOWED = 0.5
 """Adjusted R^2 above which the joints tell the order."""
+SPARE = 16
+"""Poses beyond the columns of a regression, and as many as these: with fewer the joints of 2 % and
+more of random orders seem to tell it."""
 # Chosen, not derived: more cosines describe more, and take up real steps.
 DESCRIBED = 0.99
 """The share of the variance of every joint that its description leaves nothing of to see."""
@@ -41,14 +44,20 @@ def order_by_joints(joints: Array, products: bool = True) -> float:
     return explained
 
 
-def told_by_joints(joints: Array) -> bool:
-    """Whether the joints (N, n), in order, tell the number of the pose; by themselves alone where
-    poses are too few for products. False where nothing can be said."""
+def told_by_joints(joints: Array) -> float | None:
+    """`order_by_joints` where the joints (N, n), in order, tell the number of the pose; else None.
+
+    By the joints alone where poses are too few for products; None where nothing can be said.
+    """
     N, n = joints.shape
-    # Constant, joints, and their products of second order: 1 + n + n (n + 1) / 2 columns.
-    if not n or not np.isfinite(joints).all() or N < 2 * (n + 1):
-        return False
-    return order_by_joints(joints, products=N >= (n + 1) * (n + 2)) > FOLLOWED
+    if not n or not np.isfinite(joints).all():
+        return None
+    # Constant, joints, and their products of second order.
+    for products, columns in ((True, (n + 1) * (n + 2) // 2), (False, n + 1)):
+        if columns + max(columns, SPARE) <= N:
+            share = order_by_joints(joints, products)
+            return share if share > FOLLOWED else None
+    return None
 
 
 def path_cosines(joints: Array) -> int:
