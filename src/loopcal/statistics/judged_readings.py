@@ -22,14 +22,10 @@ LOOSE = 0.25
 # Chosen, not derived: 3 mm of a metre, more than the noise of any instrument here.
 SIZE = 3e-3
 """Relative sd of a size that only priors determine from which on its bias counts."""
-<<<<<<< HEAD
 # As the changes that may move the end point: record 0054.
 UNSURE = 0.5
 """Stated sds by which a drift along ordered poses may be uncertain."""
-# Chosen, not derived: one good data set of a hundred; `analyses.alarms` counts all codes together.
-=======
 # Chosen, not derived: one good data set of a hundred; `analyses.gauntlet` counts all codes.
->>>>>>> gauntlet
 _CHANCE = 0.01
 """Share of good data sets with a pose so far off; the search for outliers names more."""
 # Record 0054; `analyses.residual_outliers` counts the good poses that are named.
