@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 import loopcal as lc
 from loopcal.estimation.fit import Fit
-
 from loopcal.mechanisms.instruments.length import draw_wire
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.planar import motoman_ma1400
@@ -61,8 +60,7 @@ def test_what_the_poses_cannot_separate_widens_and_poses_measured_again_separate
     rows = np.linspace(0, 59, 57).astype(int)
     again = np.concatenate([rows, rows[[5, 28, 50]]])
     sds = [
-        _free(SORTED.take(index)).calibrated().sd["xP_drift"]
-        for index in (np.arange(60), again)
+        _free(SORTED.take(index)).calibrated().sd["xP_drift"] for index in (np.arange(60), again)
     ]
     assert sds[1] < sds[0]
 

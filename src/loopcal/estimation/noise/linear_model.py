@@ -335,8 +335,8 @@ def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected
         # |C - Q|^2 = C C - 2 C Q + Q Q; the last part joins all pairs of poses, hence `first`.
         pairs += members @ np.einsum("bkl,bkl->kl", C, C - 2.0 * Q) @ members.T
         for j in range(count):
-            Y_j = Y[:, columns(block.owner, j)]
-            first[j] += np.tensordot(Y_j, Y_j, ((0, 1), (0, 1)))
+            Y_j = Y[:, columns(block.owner, j)].reshape(-1, rank)
+            first[j] += Y_j.T @ Y_j
         every.append(Y)
     flat = first.reshape(count, rank * rank)
     owners = tuple(block.owner for block in model.blocks)
