@@ -69,9 +69,6 @@ def beyond(result: lc.Result, fresh: Fresh, *, placed: bool = False) -> dict[str
         computed = computed @ R.T + shift
     index = [list(predicted.outputs).index(q) for q in fresh.outputs]
     C = predicted.covariance[:, index][:, :, index]
-    if predicted.from_readings is None:  # of least squares its residuals stand for them
-        after = result.accuracy_after
-        C = C + (after.rms if after else 0.0) ** 2 / len(index) * np.eye(len(index))
     off = computed - fresh.true
     usable = np.isfinite(off).all(axis=1) & np.isfinite(C).all(axis=(1, 2))
     if not usable.any():
