@@ -109,14 +109,14 @@ def _first(kind: Kind, draw: int, root: Path) -> Draw:
     done = _calibrate(user, folder)
     answer = {"planted": planted.document(), "exit": done.returncode, "family": user.family}
     answer |= {"order": user.order, "wear": user.wear, "described": user.described}
-    told = [done.stdout, done.stderr]
     if not (folder / CALIBRATION / "result.json").exists():
-        return answer | {"refused": True, "told": "\n".join(told)[-4000:]}
+        return answer | {"refused": True, "told": done.stderr[-4000:]}
     result = json.loads((folder / CALIBRATION / "result.json").read_text("utf-8"))
     answer |= {question: result["verdict"][question]["passed"] for question in QUESTIONS}
     answer |= {"codes": [result["verdict"][question]["code"] for question in QUESTIONS]}
-    told += [f"{one['code']} {one['words']} {one['next']}" for one in result["findings"]]
-    answer["told"] = "\n".join([*told, *result["warnings"]])[:8000]
+    told = [line for line in done.stdout.splitlines() if line.startswith("- Inferred")]
+    told += [f"{one['code']} {one['words']}" for one in result["findings"]]
+    answer["told"] = "\n".join([*told, *result["warnings"]])
     answer["findings"] = [{"place": one["place"]} for one in result["findings"]]
     rivals = _rivals(user, day)
     boxes = {"inside": user.box} | (
