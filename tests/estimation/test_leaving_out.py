@@ -43,6 +43,8 @@ def test_what_is_learnt_of_the_rest_is_known_from_the_sums() -> None:
     assert begun is not None
     assert begun.problem.mechanism.learnt_terms
     part = lc.calibrate(begun.problem.mechanism, rest, noise=lc.Noise(SDS), method="least-squares")
-    for before, after in zip(begun.problem.mechanism.parameters, part.mechanism.parameters, strict=True):
+    for before, after in zip(
+        begun.problem.mechanism.parameters, part.mechanism.parameters, strict=True
+    ):
         if np.isfinite(before.prior_sd):
             assert after.prior_sd == pytest.approx(before.prior_sd, rel=0.1)
