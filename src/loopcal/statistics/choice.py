@@ -46,6 +46,7 @@ from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.judged import Judged, begun, fitted, lean
 from loopcal.statistics.noise_floor import excess, noise_floor
+from loopcal.statistics.run_drift import with_run_drift
 from loopcal.statistics.validation import (
     Failed,
     Outcome,
@@ -98,6 +99,7 @@ def choose(
     Raises InputError where no candidate can be fitted.
     """
     reuse_memory(32)
+    case = with_run_drift(case)
     judged, waiting = list[Judged](), list(entrants(case))
     doubted = waiting[0].case.may_be_faulty
     while doubted and waiting and not any(one.whole for one in judged):
