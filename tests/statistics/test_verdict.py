@@ -530,6 +530,21 @@ def test_sds_that_a_learnt_error_makes_good_are_named_on_a_sound_result() -> Non
         assert ("err 3.0 times as much as the stated sds" in found.words) is told
 
 
+def test_a_drift_that_ordered_poses_cannot_tell_from_the_machine_leaves_the_answer_open() -> None:
+    document = clean()
+    entry = document.prediction
+    assert entry is not None
+    assert entry.region is not None
+    at = replace(entry.region.by[0], sd_at_poses=1e-4)
+    document = changed(document, "prediction.region.by", (at,))
+    drift = replace(document.parameters[0], name="xP_drift", role="effect", owner="run_drift")
+    for sd, code in ((6e-5, "drift-or-machine"), (4e-5, "sound")):
+        own = (*document.parameters, replace(drift, unit=at.unit, sd=sd))
+        found = verdict_of(replace(document, parameters=own)).sound
+        assert found.code == code
+        assert found.passed is (None if code != "sound" else True)
+
+
 def test_a_drift_that_a_smooth_model_error_hides_is_named() -> None:
     first, *others = candidates(1e-6).over
     alike = replace(others[0], serial=Likeness(0.3, 1e-6))

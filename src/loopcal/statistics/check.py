@@ -49,13 +49,10 @@ from loopcal.statistics.predictor import (
     predictor_at,
     usual_words,
 )
-from loopcal.statistics.run_order import order_by_joints
+from loopcal.statistics.run_order import told_by_joints
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
-# As in the search for change points (record 0051).
-FOLLOWED = 0.5
-"""Share of the order of the poses from which a drift looks like an error of the machine."""
 ORDERED = "order-by-joints"
 """Code of the finding on such an order."""
 # Chosen, not derived: a rule of thumb; below, residuals follow the model more than the noise.
@@ -286,12 +283,9 @@ def _determined(problem: Problem, said: WhatDataSay, loose: set[str]) -> Fact:
 def _order(problem: Problem) -> Iterator[Fact]:
     """Whether, before any reading, a drift could be told from an error of the machine."""
     joints = problem.readings[joint_rows(problem)].T
-    # Constant, joints, and their products of second order: 1 + n + n (n + 1) / 2 columns.
-    terms = (joints.shape[1] + 1) * (joints.shape[1] + 2) // 2
-    if joints.size and np.isfinite(joints).all() and len(joints) >= 2 * terms:
-        share = order_by_joints(joints)
-        if share > FOLLOWED:
-            yield fact(ORDERED, numbers={"r_squared": share})
+    share = told_by_joints(joints)
+    if share is not None:
+        yield fact(ORDERED, numbers={"r_squared": share})
 
 
 def _range_table(check: Check) -> list[str]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from loopcal.document.choice import DECISIVE
 from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
 from loopcal.document.result_document import DataEntry, ResultDocument
-from loopcal.document.verdict import Fact, Where, fact
+from loopcal.document.verdict import Fact, Figure, Where, fact
+from loopcal.mechanisms.effects.drift import RUN_DRIFT
 from loopcal.mechanisms.structure.structured import DISCREPANCY
 from loopcal.presentation.shown import significant
 
@@ -21,7 +22,10 @@ LOOSE = 0.25
 # Chosen, not derived: 3 mm of a metre, more than the noise of any instrument here.
 SIZE = 3e-3
 """Relative sd of a size that only priors determine from which on its bias counts."""
-# Chosen, not derived: one good data set of a hundred; `analyses.alarms` counts all codes together.
+# As the changes that may move the end point: record 0054.
+UNSURE = 0.5
+"""Stated sds by which a drift along ordered poses may be uncertain."""
+# Chosen, not derived: one good data set of a hundred; `analyses.gauntlet` counts all codes.
 _CHANCE = 0.01
 """Share of good data sets with a pose so far off; the search for outliers names more."""
 # Record 0054; `analyses.residual_outliers` counts the good poses that are named.
@@ -160,6 +164,21 @@ def order_or_model(document: ResultDocument) -> Fact | None:
     if alike is None or any((t.gain or 0.0) >= DECISIVE for t in effect_terms):
         return None
     return fact("drift-or-model", numbers={"evidence": alike.correlation})
+
+
+def drift_or_machine(document: ResultDocument) -> Fact | None:
+    """A drift of the instrument that the poses cannot tell from an error of the machine.
+
+    It is among the parameters only where the joints tell the order of the poses (`run_drift`).
+    """
+    region = None if document.prediction is None else document.prediction.region
+    for by in () if region is None else region.by:
+        drifts = [p for p in document.parameters if (p.owner, p.unit) == (RUN_DRIFT, by.unit)]
+        sd = max((p.sd or 0.0 for p in drifts), default=0.0)
+        if sd > UNSURE * by.sd_at_poses:
+            numbers = {"sd": Figure(sd, by.unit), "stated": Figure(by.sd_at_poses, by.unit)}
+            return fact("drift-or-machine", numbers=numbers)
+    return None
 
 
 def sds_overruled(document: ResultDocument) -> Fact | None:

@@ -257,7 +257,7 @@ class Search:
 
     def _closed(self, fit: Fitted, parameters: Array, corrections: Array) -> Fitted:
         closed = settle(self.problem, parameters, corrections)
-        return replace(fit, parameters=parameters, corrections=closed.corrections)
+        return replace(fit, parameters=parameters, corrections=closed.corrections, blocks=())
 
     def _scaled(self, fit: Fitted, gone: NDArray[np.bool_], *, cleaned: bool = False) -> Fitted:
         """The fit with the variance factor that the tests are to use.
@@ -267,9 +267,11 @@ class Search:
         """
         if self.scale == "stated":
             return replace(fit, factor=1.0, denominator=math.inf)
+        fit = replace(fit, alike={}, blocks=())
+        blocks = fit.equations(self.problem)
         if self.scale == "residual":
-            blocks = replace(fit, alike={}).equations(self.problem)
             fit = replace(fit, alike=independent(blocks, ~gone))
+        fit = replace(fit, blocks=fit.turned(blocks))
         factor = self._factor(fit, gone, cleaned)
         if self.scale == "auto" and factor < self._plausible(gone):
             return replace(fit, factor=1.0, denominator=math.inf)

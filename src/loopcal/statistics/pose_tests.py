@@ -63,7 +63,8 @@ class Fitted:
     variance factor of 1, the factor itself with its degrees of freedom, inf where it is known.
 
     alike: number of equations r -> (r, r) by which those of a pose are turned to be independent and
-    alike, where the scale of errors that several targets share comes from the residuals.
+    alike, where the scale of errors that several targets share comes from the residuals; blocks:
+    the equations of all poses of the fit where they are at hand.
     """
 
     parameters: Array
@@ -72,10 +73,16 @@ class Fitted:
     factor: float
     denominator: float = math.inf
     alike: Mapping[int, Array] = field(default_factory=dict)
+    blocks: tuple[PoseEquations, ...] = ()
 
     def equations(self, problem: Problem) -> tuple[PoseEquations, ...]:
         """Of every pose where the fit stands."""
-        blocks = pose_equations(problem.where_closed, self.parameters, self.corrections)
+        if self.blocks:
+            return self.blocks
+        return self.turned(pose_equations(problem.where_closed, self.parameters, self.corrections))
+
+    def turned(self, blocks: Sequence[PoseEquations]) -> tuple[PoseEquations, ...]:
+        """Blocks as they were whitened, with equations that are independent and alike."""
         return tuple(self._turned(block) for block in blocks)
 
     def _turned(self, block: PoseEquations) -> PoseEquations:
@@ -193,7 +200,8 @@ def try_rows(
     start = np.where(hidden, fit.corrections, 0.0)[:, index]
     closed = settle(rows, fit.parameters, start)
     none = np.zeros(len(index), dtype=bool)
-    tests = pose_tests(rows, replace(fit, corrections=closed.corrections), none)
+    other = replace(fit, corrections=closed.corrections, blocks=())
+    tests = pose_tests(rows, other, none)
     t = np.where(few | closed.open | ~np.isfinite(tests.t), np.inf, tests.t)
     return Trials(replace(tests, t=t), closed.corrections)
 
@@ -205,7 +213,7 @@ def misfit_of_rows(
     index = np.asarray(poses, dtype=np.intp)
     rows = left_unmeasured(replace(taken(problem, index), readings=readings), without)
     none = np.zeros(len(index), dtype=bool)
-    held = replace(fit, corrections=np.zeros_like(readings))
+    held = replace(fit, corrections=np.zeros_like(readings), blocks=())
     t: Array = pose_tests(rows, held, none).t
     return t
 

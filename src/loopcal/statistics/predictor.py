@@ -15,6 +15,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.noise.learning import joint_covariances
 from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.problem.constants import as_now
 from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
@@ -262,6 +263,7 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
     mechanism = bare.mechanism
     values = np.array([p.nominal for p in mechanism.parameters])
     outputs = {mechanism.tape.quantities.index(q) for q in mechanism.outputs}
+    now = as_now(mechanism, problem.pose_constants)
     loops, unused = mechanism.predicting().tape.loops, mechanism.predicting().unused
     gathered = []
     for pattern in problem.patterns:
@@ -270,7 +272,7 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
         solved = outputs | too
         if not poses.size or len(solved) > len(loops):
             continue  # the other readings do not say where the outputs are
-        at, constants = x[:, poses], problem.pose_constants[:, poses]
+        at, constants = x[:, poses], now[:, poses]
         # An output without a reading has no value to linearise at.
         if outputs & set(pattern.absent):
             at = at.copy()

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import RegionEntry, RegionRange, RegionSd
+from loopcal.estimation.problem.constants import as_now
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.limits import joint_limits
@@ -67,13 +68,12 @@ def region_of(
         x[rows] = corrected[rows][:, first]
         # One share for all joints: a point on the straight way between two poses.
         x[rows] += rng.random(_POSES) * (corrected[rows][:, last] - x[rows])
-    constants = problem.pose_constants[
-        :, rng.integers(0, problem.pose_constants.shape[1] or 1, _POSES)
-    ]
+    now = as_now(mechanism, problem.pose_constants)
+    constants = now[:, rng.integers(0, now.shape[1] or 1, _POSES)]
     also = [q for i, q in enumerate(names) if unread[i] and q not in still]
     region = _parts(calibrated, x, constants, also)
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
-    fit = _parts(calibrated, corrected[:, some], problem.pose_constants[:, some], also, True)
+    fit = _parts(calibrated, corrected[:, some], now[:, some], also, True)
     worst: dict[str, tuple[float, RegionSd]] = {}
     for group in output_groups(mechanism):
         at, over = (trace_sd(parts.covariance, group) for parts in (fit, region))

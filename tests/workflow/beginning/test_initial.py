@@ -520,6 +520,9 @@ def test_what_does_not_fit_is_explained(tmp_path: Path, arm: Any) -> None:
     moved[30:] += (0.4, -0.2, 0.0)
     with refused("implausible-readings", "moved during the run", "x2"):
         lc.init({**own, **of(moved, "xyz")}, dh=path)
+    still = points * (1.0, 1.0, 0.0) + (0.0, 0.0, 0.5)
+    with refused("implausible-readings", "z reads the same value in every row"):
+        lc.init({**own, **of(still, "xyz")}, dh=path)
     with refused("implausible-readings", "counts of encoders"):
         lc.init({**of(np.round(joints * 2**20 / 2 / np.pi), NAMES), **of(points, "xyz")}, dh=path)
     still = 1e-5 * np.random.default_rng(1).standard_normal((20, 9))

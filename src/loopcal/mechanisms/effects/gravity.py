@@ -57,6 +57,11 @@ class Load:
                 remedy="give a positive number, or none if unknown",
             )
 
+    @property
+    def weight(self) -> float:
+        """m g [N]; 1 where the mass is unknown: force and compliance are then one parameter."""
+        return 1.0 if self.mass is None else self.mass * ACCELERATION
+
 
 def acting(chain: Sequence[Step], name: str) -> list[int]:
     """Positions of the steps that a joint or parameter moves."""

@@ -21,6 +21,7 @@ from loopcal.files.atomic import write_files
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
+from loopcal.files.recognition.conditions import apart
 from loopcal.files.recognition.fields import Source, sources_of
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import layouts
@@ -30,6 +31,7 @@ from loopcal.measurements.checks import check_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
 from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.masses import in_space
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, output_groups
 from loopcal.presentation.shown import columns as in_columns
@@ -192,8 +194,9 @@ def initial_project(
     fields = joined(sources)
     made = _robot(robot, fields, folder)
     machine = _machine(made, fields, folder)
+    fields, conditions = apart(fields, made.names, arm=in_space(machine.mechanism))
     way = understood(machine, _layouts(made, fields), fields, ask)
-    statement = stated(made, machine, fields, way, folder)
+    statement = stated(made, machine, fields, way, folder, conditions)
     project = _read(statement, folder)
     dataset = _dataset(fields, statement)
     odd = (*_odd(project, dataset), *_far_off(statement.fits))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import NEAR, TURNED, Bodies, Mounted, see_points
 from loopcal.files.outputs import relative
+from loopcal.files.recognition.conditions import Conditions
 from loopcal.files.recognition.fields import Field, column_key, names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.robots import Robot
@@ -22,7 +23,7 @@ from loopcal.files.toml.writer import document
 from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
 from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.shown import significant, with_unit
-from loopcal.units import from_si, unit
+from loopcal.units import from_si, to_si, unit
 from loopcal.workflow.beginning.meanings import Meaning, polar
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
 
@@ -82,9 +83,15 @@ class Statement:
 
 
 def stated(
-    robot: Robot, machine: Machine, fields: Fields, understood: Understood, folder: Path
+    robot: Robot,
+    machine: Machine,
+    fields: Fields,
+    understood: Understood,
+    folder: Path,
+    conditions: Conditions,
 ) -> Statement:
-    """The project of what was understood. folder: where it will lie, for its paths."""
+    """The project of what was understood. folder: where it will lie, for its paths; conditions:
+    what is known of the poses beside the readings."""
     readings = {
         name: Reading(understood.joints[name], si, f, f.unit or understood.units[si])
         for name, f, si in zip(machine.joints, understood.layout.joints, machine.units, strict=True)
@@ -118,6 +125,11 @@ def stated(
         table = {**apart.table, "instrument": looking}
         lengths = {n: {"value": 1e3 * v, "unit": "mm"} for n, v in apart.lengths.items()}
         parameters = {**lengths, **parameters}
+    table |= conditions.table
+    readings |= {
+        name: Reading(to_si(field.values, of_column), unit(of_column).si, field, of_column)
+        for name, (field, of_column) in conditions.columns.items()
+    }
     converted = (
         any(r.field is None for r in readings.values())
         or any(source.path is None for source in fields.sources)
@@ -133,6 +145,7 @@ def stated(
         ),
         "data": (
             *(*fields.remarks, *_inferred(understood), *understood.remarks, *_left_out(understood)),
+            *conditions.remarks,
             *((f"Several instruments: {'; '.join(stands)}.",) if several else ()),
         ),
         "noise": tuple(guesses),
