@@ -76,9 +76,7 @@ class Case:
     def copied(self) -> Index:
         """Positions of the rows that copy others."""
         mechanism = self.mechanism
-        return copies(
-            self.data, mechanism.recorded, mechanism.outputs
-        ).copied
+        return copies(self.data, mechanism.recorded, mechanism.outputs).copied
 
     @property
     def may_be_faulty(self) -> bool:
