@@ -171,6 +171,11 @@ class Mechanism:
         return {v.name: v.unit for v in self.variables if v.role == "known"}
 
     @cached_property
+    def recorded(self) -> tuple[str, ...]:
+        """What two measurements may differ in: all that varies by pose but what only dates it."""
+        return tuple(v.name for v in self.variables if v.name not in self.latest)
+
+    @cached_property
     def roles(self) -> Mapping[str, Role]:
         """What each parameter says, by name (see `loopcal.mechanisms.parameters.ROLES`)."""
         return {p.name: p.role for p in self.parameters}

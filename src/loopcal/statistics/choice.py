@@ -46,6 +46,7 @@ from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.judged import Judged, begun, fitted, lean
 from loopcal.statistics.noise_floor import excess, noise_floor
+from loopcal.statistics.run_drift import with_run_drift
 from loopcal.statistics.validation import (
     Failed,
     Outcome,
@@ -98,6 +99,7 @@ def choose(
     Raises InputError where no candidate can be fitted.
     """
     reuse_memory(32)
+    case = with_run_drift(case)
     judged, waiting = list[Judged](), list(entrants(case))
     doubted = waiting[0].case.may_be_faulty
     while doubted and waiting and not any(one.whole for one in judged):
@@ -127,10 +129,11 @@ def choose(
     more, plan = _all_fitted([begun(one, near) for one in waiting], iterated, whole_fits, planned)
     judged = [*judged, *more]
     _refuse(judged)
-    judged = [lean(case, one) for one in judged]
+    judged = gathered(process_cores(), lean, case, judged)
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
         judged = _with_fewer(case, judged, plan, executor, progress)
+        judged = _refitted(judged, plan, len(case.data), executor)
     taken, chosen, validation = _choice(judged, plan, len(case.data))
     assert taken.whole is not None
     exact = (one.failed for one in judged if one.error and one.error.code == CONTRADICTED)
@@ -271,6 +274,28 @@ def _with_fewer(
     return [fewer if one is taken else one for one in judged]
 
 
+def _refitted(
+    judged: Sequence[Judged], plan: Plan, poses: int, executor: Executor | None
+) -> list[Judged]:
+    """With every part of what would be taken fitted; where that changes what would be taken, of
+    that as well. Steps from the fit of all only tell who loses (record 0061)."""
+    judged = list(judged)
+    for _ in judged:
+        made = [one for one in judged if one.made]
+        if all(one.entrant.drawn for one in made):
+            break
+        taken = _taken(made, {one.name: _risk(one, plan, poses) for one in made}, plan)
+        steps = [i for i, p in enumerate(taken.made) if isinstance(p, Predicted) and p.stepped]
+        if not steps or taken.whole is None:
+            break
+        fitted_case = taken.entrant.case, taken.whole
+        (refits,) = left_out([fitted_case], [taken.made[i].index for i in steps], executor)
+        by_position = dict(zip(steps, refits, strict=True))
+        parts = tuple(by_position.get(i, part) for i, part in enumerate(taken.made))
+        judged = [replace(one, made=parts) if one is taken else one for one in judged]
+    return judged
+
+
 def _plan(case: Case, scheme: Scheme | None) -> Plan | None:
     """What is left out; None where there are too few different poses for any part."""
     sds = stated_sds(case.noise, case.mechanism, case.data)
@@ -302,7 +327,12 @@ def _validated(
         whole_by_name = {one.name: (one.entrant.case, one.whole) for one in judged if one.whole}
         alive = [one.name for one in judged if not one.failed and one.name in whole_by_name]
         outcomes = left_out(
-            [whole_by_name[name] for name in alive], half, executor, advance, anew=plan.anew
+            [whole_by_name[name] for name in alive],
+            half,
+            executor,
+            advance,
+            anew=plan.anew,
+            stepped=True,
         )
         before += len(half) * len(alive)
         made = dict(zip(alive, outcomes, strict=True))

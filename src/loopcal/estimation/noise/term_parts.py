@@ -24,6 +24,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.expressions.engine import LoopValues, engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
+from loopcal.mechanisms.effects.drift import RUN_DRIFT, RUN_DRIFT_TURNS
 from loopcal.mechanisms.parameters import BEYOND
 from loopcal.mechanisms.structure.sag import BASE, Column, Sag, Structure
 from loopcal.mechanisms.structure.smooth import Smooth
@@ -94,6 +95,8 @@ def with_parts(
     if structure.smooth is not None:
         for name, unit in _TERMS.items():
             parts_by_term[name] = _remaining(at, structure.smooth, unit)
+    for name in (RUN_DRIFT, RUN_DRIFT_TURNS):
+        parts_by_term[name] = _drifts(at, mechanism, name)
     return tuple(
         replace(
             term,
@@ -195,6 +198,21 @@ def _out_of_round(at: _Fitted, joint: str) -> TermPart:
     return TermPart((joint,), "rad", size, sd, at.poses[pose], words)
 
 
+def _drifts(at: _Fitted, mechanism: Mechanism, term: str) -> list[TermPart]:
+    """By how much each coordinate of an instrument drifts over the run."""
+    members = {name for one in mechanism.terms if one.name == term for name in one.parameters}
+    parts = []
+    for p in (p for p in mechanism.parameters if p.name in members and p.name in at.names):
+        size = at.values[p.name]
+        words = f"{p.changes} drifts by {_shown(size, p.unit)} over the run"
+        parts.append(TermPart((p.changes,), p.unit, abs(size), at.sd({p.name: 1.0}), None, words))
+    return parts
+
+
+def _shown(size: float, si: str) -> str:
+    return with_unit(size, si, 2) if si == "m" else f"{significant(1e3 * size, 2)} mrad"
+
+
 def _remaining(at: _Fitted, smooth: Smooth, unit: str) -> list[TermPart]:
     """How large a smooth discrepancy is, and on which joints it depends."""
     axes = ("x", "y", "z") if unit == "m" else ("rx", "ry", "rz")
@@ -215,8 +233,7 @@ def _remaining(at: _Fitted, smooth: Smooth, unit: str) -> list[TermPart]:
     sd = at.sd(dict(zip(names, slopes.ravel().tolist(), strict=True)))
     joints = _depends_on(at, smooth, c)
     where = "all joints" if set(joints) == set(smooth.joints) else enumerated(joints)
-    shown = with_unit(size, unit, 2) if unit == "m" else f"{significant(1e3 * size, 2)} mrad"
-    words = f"what remains unexplained: {shown} rms, smooth in {where}"
+    words = f"what remains unexplained: {_shown(size, unit)} rms, smooth in {where}"
     return [TermPart(joints, unit, size, sd, None, words)]
 
 
