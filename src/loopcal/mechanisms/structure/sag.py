@@ -197,6 +197,14 @@ class Sag:
         turns = self._link_turns(links, body, masses, columns, x, p)
         return {self.names[number]: turn for number, turn in turns.items()}
 
+    def next_axis(self, joint: str, x: Values, p: Values) -> tuple[str, Vector] | None:
+        """The next joint behind the base or a joint, and its axis (3,) in the first frame; None
+        where it does not turn."""
+        at = self.names.index(joint) + 1
+        behind = self.names[at] if at < len(self.names) else ""
+        motion = self.chain[self.joints[behind]].motion if behind else "t"
+        return (behind, self._links(x, p)[0][at].axes[motion[1]]) if motion[0] == "r" else None
+
     def _link_turns(
         self,
         links: list[_Link],
