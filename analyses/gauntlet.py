@@ -28,8 +28,9 @@ On a later day, and where only the instrument was at fault, predictions are plac
         [--keep FILE] [--write]
 
 Draws are kept in FILE as they end, with the stamp of the code that they judged; a run goes on where
-an earlier one stopped, and draws of other code do not count. --kinds takes those whose names have
-one of the words; --write puts the tables into the documentation.
+an earlier one stopped, and draws of other code do not count; with 0 processes it only counts what
+is kept. --kinds takes those whose names have one of the words; --write puts the tables into the
+documentation.
 """
 
 from __future__ import annotations

@@ -37,8 +37,8 @@ PATIENCE = 600
 """Seconds after which a user gives up."""
 THE_FLEET = "the fleet"
 """The kind of first day whose machines later days verify."""
-FOLLOWED = ("day 2: zero", "day 2: tool", "day 2: bend")
-"""Days that `update` follows."""
+FOLLOWED = {"day 2: zero": (), "day 2: tool": ("--remounted",), "day 2: bend": ()}
+"""Days that `update` follows, with what its user states."""
 RIVALS = ("nominal", "least squares")
 RIVAL_POINTS = "rivals.json"
 QUESTIONS = ("sound", "valid", "better")
@@ -109,14 +109,14 @@ def _first(kind: Kind, draw: int, root: Path) -> Draw:
     done = _calibrate(user, folder)
     answer = {"planted": planted.document(), "exit": done.returncode, "family": user.family}
     answer |= {"order": user.order, "wear": user.wear, "described": user.described}
-    told = [done.stdout, done.stderr]
     if not (folder / CALIBRATION / "result.json").exists():
-        return answer | {"refused": True, "told": "\n".join(told)[-4000:]}
+        return answer | {"refused": True, "told": done.stderr[-4000:]}
     result = json.loads((folder / CALIBRATION / "result.json").read_text("utf-8"))
     answer |= {question: result["verdict"][question]["passed"] for question in QUESTIONS}
     answer |= {"codes": [result["verdict"][question]["code"] for question in QUESTIONS]}
-    told += [f"{one['code']} {one['words']} {one['next']}" for one in result["findings"]]
-    answer["told"] = "\n".join([*told, *result["warnings"]])[:8000]
+    told = [line for line in done.stdout.splitlines() if line.startswith("- Inferred")]
+    told += [f"{one['code']} {one['words']}" for one in result["findings"]]
+    answer["told"] = "\n".join([*told, *result["warnings"]])
     answer["findings"] = [{"place": one["place"]} for one in result["findings"]]
     rivals = _rivals(user, day)
     boxes = {"inside": user.box} | (
@@ -146,24 +146,27 @@ def _later(kind: Kind, draw: int, root: Path) -> Draw:
     if not (folder / RIVAL_POINTS).exists():
         return {"unmade": True}
     day, planted = made(user, int(rng.integers(20, 41)), rng, kind.event, kind.tamper)
-    file = f"{re.sub(r'[^a-z0-9]+', '-', kind.name)}.csv"
+    name = re.sub(r"[^a-z0-9]+", "-", kind.name)
+    file = f"{name}.csv"
     write_readings(folder / file, user, day.joints, day.points, day.columns, kind.cell)
     done = asked(folder, "verify", CALIBRATION, file, "--json")
     answer: Draw = {"planted": planted.document(), "exit": done.returncode, "family": user.family}
     answer |= {"wear": user.wear, "order": user.order, "told": done.stderr[-600:]}
     now = afterwards(day, FRESH)
     true = user.points(_posed(user, user.box)[0], now)
-    for name, points in json.loads((folder / RIVAL_POINTS).read_text()).items():
-        answer[f"{name} inside"] = _rms(away(np.array(points), true))
+    for rival_name, points in json.loads((folder / RIVAL_POINTS).read_text()).items():
+        answer[f"{rival_name} inside"] = _rms(away(np.array(points), true))
     answer["true"] = _true(CALIBRATION, folder, true)
     try:
         answer |= _compact(json.loads(done.stdout), planted)
     except json.JSONDecodeError:
         answer["refused"] = True
     if kind.name in FOLLOWED:
-        out = f"updated-{draw}"
+        out = f"{name}-updated"
         shutil.rmtree(folder / out, ignore_errors=True)
-        done = asked(folder, "update", CALIBRATION, file, "--out", out, "--no-report", "--force")
+        (folder / f"{out}-inside.csv").unlink(missing_ok=True)
+        state = ["--out", out, "--no-report", *FOLLOWED[kind.name]]
+        done = asked(folder, "update", CALIBRATION, file, *state)
         updated = {"exit": done.returncode, "error": done.stderr[-400:]}
         answer["updated"] = updated | {"true": _true(out, folder, true)}
     return answer

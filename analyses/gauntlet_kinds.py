@@ -21,9 +21,10 @@ from analyses.lives_truth import DEGREE, DRAWINGS, FLEET, Machine, machine
 ARMS = 12
 """Of the fleet: arms measured from one place with one load."""
 ALONG = r"drift|warm|temperature|over the (whole )?run|pose order|serial"
-LOAD = r"payload|\bload|weight|heavier|gravity"
+LOAD_ONLY = r"payload|\bload|weight|heavier"
+LOAD = LOAD_ONLY + "|gravity"
 ROWS, COPIES = r"\brows?\b", r"cop(y|ies|ied)|duplicat|same row|repeated row|twice"
-UNIT, SIGN = r"\bunits?\b|\binch|25\.4", r"\bsign|revers|other way"
+UNIT, SIGN = r"\bunits?\b|\binch|25\.4|\bin in\b", r"\bsign|revers|other way"
 EXCHANGED, HANDED = "exchang|swap", "exchang|swap|handed|mirror|revers"
 SCALE, OFF = r"scale|expan|temperature", r"outlier|not fit|poses? \d"
 TOOL, SLIP = r"\btool|target|reflector|mount(ed|ing)", r"slip|from pose|since pose"
@@ -144,8 +145,10 @@ FIRST = (
     _fault("tracker moves", SLIP, days.moved_station, placed=True),
     _fault("zero moves", "", days.within_the_run(days.moved_zero)),
     _fault("link bends", "", days.within_the_run(days.bent_link)),
-    _fault("payload added", LOAD, days.within_the_run(days.heavier), fixed={"wear": "sagging"}),
-    _fault("loads unrecorded", LOAD, days.unrecorded_loads, fixed={"wear": "sagging"}),
+    _fault(
+        "payload added", LOAD_ONLY, days.within_the_run(days.heavier), fixed={"wear": "sagging"}
+    ),
+    _fault("loads unrecorded", LOAD_ONLY, days.unrecorded_loads, fixed={"wear": "sagging"}),
     _fault("loose flange", None, days.loose_flange),
     _fault("drift, random order", ALONG, _DRIFT, placed=True, fixed={"order": "random"}),
     _fault("drift, sorted", ALONG, _DRIFT, placed=True, fixed={"order": "sorted"}),

@@ -41,14 +41,17 @@ def complete(
 ) -> list[Draw]:
     """All wanted draws (kind, number): those that are kept, and what `run` makes of the others.
 
-    Each runs in a process that imports everything anew; again: those that are kept as well.
+    Each runs in a process that imports everything anew; without any process nothing runs. again:
+    those that are kept as well.
     """
     wanted = list(wanted)
     done = set() if again else {(one["kind"], one["draw"]) for one in kept(path, stamp)}
     marked = {} if stamp is None else {"stamp": stamp}
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a", encoding="utf-8") as file, _pool(processes) as pool:
-        for future in as_completed([pool.submit(run, *one) for one in wanted if one not in done]):
+    with path.open("a", encoding="utf-8") as file, _pool(max(processes, 1)) as pool:
+        for future in as_completed(
+            [pool.submit(run, *one) for one in (wanted if processes else ()) if one not in done]
+        ):
             file.write(json.dumps(future.result() | marked) + "\n")
             file.flush()
     asked = set(wanted)

@@ -22,10 +22,11 @@ import numpy as np
 
 import loopcal as lc
 from analyses import gauntlet_truth as truth
-from analyses.gauntlet import STAMP, _placed
+from analyses.gauntlet import stamp
 from analyses.gauntlet_truth import Array, drawn, random_placement
 from analyses.gauntlet_worlds import ARMS, BUILT, MOUNTED, TOOL, World
 from analyses.kept import complete
+from analyses.lives_truth import away
 from analyses.written import write_block
 
 MACHINES = ("six", "irb", "ur")
@@ -65,7 +66,7 @@ class Measured:
         q = drawn(self.box, FRESH, self.rng)
         computed = lc.predict(result, dict(zip(self.names, q.T, strict=True))).outputs
         here, true = np.column_stack([computed[c] for c in "xyz"]), self.points(q)
-        return math.sqrt(float(np.square(_placed(here, true) - true).sum(axis=1).mean()))
+        return math.sqrt(float(np.square(away(here, true)).mean()))
 
 
 def run(name: str, draw: int) -> dict[str, Any]:
@@ -87,7 +88,7 @@ def run(name: str, draw: int) -> dict[str, Any]:
     return {
         "kind": name,
         "draw": draw,
-        "stamp": STAMP,
+        "stamp": stamp(),
         "rigid": plan.rigid.end_point,
         "promised": plan.expected.end_point,
         "found": cell.error(result),
@@ -121,7 +122,7 @@ def main() -> None:
     chosen = options.parse_args()
     wanted = range(chosen.first, chosen.first + chosen.draws)
     asked = [(f"{machine} {kind}", i) for i in wanted for machine in MACHINES for kind in YIELDS]
-    text = table(complete(chosen.keep, asked, run, chosen.processes, STAMP))
+    text = table(complete(chosen.keep, asked, run, chosen.processes, stamp()))
     print(text)
     if chosen.write:
         write_block(chosen.write, "promises", text)

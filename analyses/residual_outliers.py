@@ -16,8 +16,7 @@ import warnings
 import numpy as np
 
 import loopcal as lc
-from analyses.gauntlet_kinds import bending
-from analyses.gauntlet_worlds import World
+from analyses.gauntlet_worlds import World, bending
 from analyses.rates import interval
 
 CASES = {
