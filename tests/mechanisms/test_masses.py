@@ -41,6 +41,7 @@ JOINTS = {"q1": ("base", "pan", "0 0 0", "0 0 1"), "q2": ("pan", "upper", "0 0 0
           "q4": ("fore", "wrist", "0.4 0 0", "0 -1 0")}  # fmt: skip
 YIELDS = {"q2_yield": 5e-5, "q3_yield": 4e-5, "q4_yield": 9e-5}
 STATED: dict[str, Any] = {"type": "urdf", "base": "base", "tip": "hand"}
+RANGES = {"q1": (-2.5, 2.5), "q2": (-1.5, 1.5), "q3": (-2.0, 1.0), "q4": (-2.0, 2.0)}
 NOISE = lc.Noise({"x": 1e-5, "y": 1e-5, "z": 1e-5, "q*": 5e-6})
 
 
@@ -183,9 +184,8 @@ def test_only_arms_in_space_carry_a_payload() -> None:
 def test_compliances_and_an_unstated_load_are_recovered(tmp_path: Path) -> None:
     made = structured(arm(tmp_path), harmonics=False, sag=("*_yield",))
     assert [t.name for t in made.terms][-1] == "compliance"
-    ranges = {"q1": (-2.5, 2.5), "q2": (-1.5, 1.5), "q3": (-2.0, 1.0), "q4": (-2.0, 2.0)}
     truth = YIELDS | {LOAD: 2.0}
-    poses = lc.random_poses(ranges, 80, seed=4)
+    poses = lc.random_poses(RANGES, 80, seed=4)
     read = lc.simulate(made, poses, noise=NOISE, seed=5, truth=truth).dataset
     result = lc.calibrate(made, read, noise=NOISE, method="implicit-loop")
     assert result.status.converged
@@ -197,8 +197,7 @@ def test_compliances_and_an_unstated_load_are_recovered(tmp_path: Path) -> None:
 
 def test_a_load_that_changes_along_the_run_is_named(tmp_path: Path) -> None:
     carrying = structured(arm(tmp_path, payload="payload"), harmonics=False, sag=("*_yield",))
-    ranges = {"q1": (-2.5, 2.5), "q2": (-1.5, 1.5), "q3": (-2.0, 1.0), "q4": (-2.0, 2.0)}
-    poses = {**lc.random_poses(ranges, 60, seed=6), "payload": np.repeat([0.0, 5.0], 30)}
+    poses = {**lc.random_poses(RANGES, 60, seed=6), "payload": np.repeat([0.0, 5.0], 30)}
     read = lc.simulate(carrying, poses, noise=NOISE, seed=7, truth=YIELDS).dataset
     plain = structured(arm(tmp_path), harmonics=False, sag=("*_yield",))
     data = {name: read[name] for name in plain.quantities}
@@ -208,3 +207,22 @@ def test_a_load_that_changes_along_the_run_is_named(tmp_path: Path) -> None:
     # One step of Newton's method, from a fit that the step has bent.
     assert step.changes[LOAD].size == pytest.approx(5.0, rel=0.5)
     assert "the load on the tool changed" in str(step)
+
+
+@pytest.mark.parametrize(
+    ("column", "words"),
+    [
+        ("q1_sag_y_tool", "q1 across its axis or q2 about its axis gives way"),
+        ("q2_sag_y_tool", "q2 gives way about its axis"),
+        ("q2_sag_x_tool", "q2 gives way across its axis"),
+    ],
+)
+def test_what_readings_hardly_tell_apart_is_named_as_a_group(
+    column: str, words: str, tmp_path: Path
+) -> None:
+    made = structured(replace(arm(tmp_path), masses=()), harmonics=False, sag=(column,))
+    poses = lc.random_poses(RANGES, 50, seed=8)
+    read = lc.simulate(made, poses, noise=NOISE, seed=9, truth={column: 1e-3}).dataset
+    result = lc.calibrate(made, read, noise=NOISE, method="implicit-loop")
+    (term,) = [term for term in result.document.terms if term.parts]
+    assert [words in part.words for part in term.parts] == [True]

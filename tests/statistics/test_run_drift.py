@@ -60,7 +60,8 @@ def test_what_the_poses_cannot_separate_widens_and_poses_measured_again_separate
     rows = np.linspace(0, 59, 57).astype(int)
     again = np.concatenate([rows, rows[[5, 28, 50]]])
     sds = [
-        _free(SORTED.take(index)).calibrated().sd["xP_drift"] for index in (np.arange(60), again)
+        _free(SORTED.take(index)).calibrated().sd["xP_drift"] or np.nan
+        for index in (np.arange(60), again)
     ]
     assert sds[1] < sds[0]
 
@@ -95,18 +96,8 @@ def test_what_drifts_is_a_place_or_the_zero_of_a_reading() -> None:
     assert drifting(machine(*two)) == ("base_x", "base_y", "base_z")
     assert drifting(machine(draw_wire("wire", anchor="anchor"))) == ("wire",)
     assert drifting(ARM.truth) == ("xP", "yP")
-
-
-def test_an_arm_of_transitions_stands_on_what_drifts() -> None:
-    machine = motoman_ma1400()
-    joints = [f"theta_{i}" for i in range(1, 7)]
-    rng = np.random.default_rng(3)
-    data = {q: rng.uniform(-1.0, 1.0, 70) for q in machine.quantities}
-    data[joints[0]] = np.sort(data[joints[0]])
-    made = with_run_drift(Case(machine, lc.Dataset.from_arrays(data), None, Fit()))
-    (term,) = made.mechanism.terms
-    assert term.parameters == ("base_x_drift", "base_y_drift", "base_z_drift")
-    assert "base_x" not in made.mechanism.parameters.free
+    # transitions say where such an arm stands, and its geometry as well
+    assert drifting(motoman_ma1400()) == ("x", "y", "z")
 
 
 @pytest.mark.parametrize("joints", [2, 3, 6])

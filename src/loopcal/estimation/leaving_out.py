@@ -101,7 +101,7 @@ class _SensorSums:
         v, n = np.append(-dp, 1.0), len(dp)
         taken_up = [float(np.sum(root * (M[:n, :n] @ root))) for M in self.products]
         misfit = np.einsum("i,cij,j->c", v, self.products, v)
-        return 0.5 * (misfit - self.squares + np.array(taken_up))
+        return np.asarray(0.5 * (misfit - self.squares + np.array(taken_up)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ def with_masses(mechanism: Mechanism, masses: Sequence[Load]) -> Mechanism:
                 remedy="give its mass, or leave it out: unknown weights are estimated as sag",
             )
         end_of(mechanism.chain, load)
-        refuse_beyond(mechanism, load)
+        refuse_beyond(mechanism.chain, mechanism.parameters, load)
     every = tuple({load.name: load for load in (*mechanism.masses, *masses)}.values())
     described = mechanism.description and {**mechanism.description, "mass": list(every)}
     return replace(mechanism, masses=every, description=described)
@@ -56,11 +56,11 @@ def with_payload(mechanism: Mechanism, payload: str) -> Mechanism:
             remedy="give its column another name",
         )
     ends = ENDS if any(v.first for v in mechanism.variables) else ENDS[:1]
-    known = [Quantity(payload + end, "kg", "known", payload if end else None) for end in ends]
-    names = [constant.name for constant in known]
+    constants = [Quantity(payload + end, "kg", "known", payload if end else None) for end in ends]
+    names = [constant.name for constant in constants]
     carrying = mechanism.with_tape(
         lambda tape: substituted(tape, lambda x, p: ({}, {}), pose_constants=names)
     )
     described = mechanism.description and {**mechanism.description, "payload": payload}
-    variables = (*mechanism.variables, *known)
+    variables = (*mechanism.variables, *constants)
     return replace(carrying, variables=variables, payload=payload, description=described)

@@ -8,6 +8,7 @@ from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.noise.term_parts import idle
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress as Iterated
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.statistics.case import Begin, Case, Entrant, without_terms
 from loopcal.statistics.validation import Outcome, unread
@@ -75,8 +76,17 @@ def lean(case: Case, one: Judged, least: float = 0.0) -> Judged:
             break
         begin = Begin.of(one.whole, fewer.case.mechanism)
         near = replace(fewer.case, trusted=True, begin=begin, near=unread(one.whole))
+        near = replace(near, mechanism=_begun_with(near.mechanism, one.whole))
         again = fitted(replace(fewer, case=near))
         if again.failed:
             break
         one = replace(again, entrant=replace(fewer, case=replace(fewer.case, trusted=True)))
     return one
+
+
+def _begun_with(mechanism: Mechanism, whole: FitResult) -> Mechanism:
+    """The mechanism whose terms begin at the sds that a fit has learnt."""
+    parameters = mechanism.parameters
+    learnt = dict(zip(whole.problem.names, whole.problem.prior_sd.tolist(), strict=True))
+    learnt = {name: sd for name, sd in learnt.items() if name in parameters.names}
+    return mechanism.with_parameters(parameters.with_prior(learnt))

@@ -16,8 +16,6 @@ from loopcal.errors import InputError
 from loopcal.mechanisms.effects.drift import RUN_DRIFT, RUN_DRIFT_TURNS, Drift
 from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.placement import ChainPlacement
-from loopcal.mechanisms.station import BASE, Station, standing
 from loopcal.mechanisms.structure.structured import driven_joints
 from loopcal.mechanisms.terms import Term
 from loopcal.statistics.case import Case
@@ -44,8 +42,6 @@ def with_run_drift(case: Case) -> Case:
         return case
     if told_by_joints(np.column_stack([data.readings[q] for q in joints])) is None:
         return case
-    if isinstance(mechanism.placement, ChainPlacement):
-        mechanism = standing(mechanism, Station(BASE).parameters)
     drift = Drift(drifting(mechanism), COLUMN, name=RUN_DRIFT, until=0.0)
     try:
         made = with_effects(mechanism, [drift])

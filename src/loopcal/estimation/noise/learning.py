@@ -64,12 +64,12 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
         _check_start(problem, position)
     # Only their sum shows where both are white at one target: what is stated of a sensor tells how
     # much of it is the machine's.
-    known = SPREAD if MODEL in noise.estimate else math.inf
+    spread = SPREAD if MODEL in noise.estimate else math.inf
     learnt_components = [
         Component(
             label,
             tuple(i for i in owner if owner[i] == label),
-            math.inf if label == MODEL else known,
+            math.inf if label == MODEL else spread,
         )
         for label in dict.fromkeys(owner.values())
     ]

@@ -39,6 +39,9 @@ Array = NDArray[np.float64]
 # Chosen, not derived: an even function of six joints gives each a sixth.
 _COUNTS = 0.2
 """Share of the variance of a smooth function from which a joint counts among its arguments."""
+# Chosen, not derived.
+_ALIKE = 0.95
+"""Cosine from which two turns are alike: nine tenths of one, by variance, is the other."""
 _NOTHING = 1e-12
 """So little [rad] is what the arithmetic leaves of a turn that is none."""
 _TERMS = {DISCREPANCY: "m", "discrepancy_turns": "rad"}
@@ -145,9 +148,26 @@ def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[Ter
         who = "the base" if joint == BASE else joint
         way = "about its axis" if columns[0].about_joint else "across its axis"
         way = "" if joint == BASE else f" {way}"
-        words = f"under gravity {who} gives way{way} by up to {_turn(size, sd, at.poses[pose])}"
-        parts.append(TermPart((joint,), "rad", size, sd, at.poses[pose], words))
+        across = not columns[0].about_joint
+        other = _same_way(at, arm, joint, pose, ahead[i, :, i]) if across else ""
+        does = f"{who} gives way{way}"
+        if other:
+            does = f"{who}{way} or {other} about its axis gives way"
+        words = f"under gravity {does} by up to {_turn(size, sd, at.poses[pose])}"
+        owners = (joint, other) if other else (joint,)
+        parts.append(TermPart(owners, "rad", size, sd, at.poses[pose], words))
     return parts
+
+
+def _same_way(at: _Fitted, arm: Sag, joint: str, pose: int, turned: Array) -> str:
+    """The next joint, if the link ahead of it turns (3,) as that joint would by giving way: then
+    these readings hardly tell which of the two does."""
+    x = {q: float(read[pose]) for q, read in at.readings.items()}
+    behind = arm.next_axis(joint, x, at.values)
+    if behind is None:
+        return ""
+    name, axis = behind
+    return name if abs(float(turned @ axis)) > _ALIKE else ""
 
 
 def _evaluated(

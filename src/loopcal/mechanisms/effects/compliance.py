@@ -96,7 +96,7 @@ class Compliance:
         """One for each joint or parameter that yields, lumped: for each load on it as well."""
         made: dict[str, Parameter] = {}
         for load in self.loads:
-            refuse_beyond(mechanism, load)
+            refuse_beyond(mechanism.chain, mechanism.parameters, load)
         for name in self._yielding(mechanism):
             si = self._unit(mechanism, name)
             loads = [load for load in self.loads if carries(mechanism.chain, name, load)]

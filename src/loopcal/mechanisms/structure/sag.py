@@ -154,7 +154,7 @@ class Sag:
         candidates = list(self.candidates())
         units = {step.joint: step.unit for step in self.chain if step.joint}
         names = [column.parameter for column in candidates]
-        known = () if self.payload is None else (self.payload,)
+        payload = () if self.payload is None else (self.payload,)
         p = {**nominal, **dict.fromkeys(names, 0.0), **dict.fromkeys(self.down.tilts, 0.1)}
         p |= dict.fromkeys(self.carried, 0.0)
         tape = trace(
@@ -162,12 +162,12 @@ class Sag:
                 *np.concatenate(self.displacement(candidates, cast("Any", x), cast("Any", p)))
             ],
             quantities=tuple(units),
-            pose_constants=known,
+            pose_constants=payload,
             parameters=tuple(p),
         )
         engine = engine_for(tape, tuple(names), _POSES, ())
         rng = np.random.default_rng(0)
-        carried = rng.uniform(*_PAYLOADS, (len(known), _POSES))
+        carried = rng.uniform(*_PAYLOADS, (len(payload), _POSES))
         # Within most joints' limits: readings outside would show columns that no pose can.
         spans = [(-2.5, 2.5) if unit == "rad" else (0.0, 0.7) for unit in units.values()]
         x = np.array([rng.uniform(*span, _POSES) for span in spans])
@@ -197,6 +197,14 @@ class Sag:
         turns = self._link_turns(links, body, masses, columns, x, p)
         return {self.names[number]: turn for number, turn in turns.items()}
 
+    def next_axis(self, joint: str, x: Values, p: Values) -> tuple[str, Vector] | None:
+        """The next joint behind the base or a joint, and its axis (3,) in the first frame; None
+        where it does not turn."""
+        at = self.names.index(joint) + 1
+        behind = self.names[at] if at < len(self.names) else ""
+        motion = self.chain[self.joints[behind]].motion if behind else "t"
+        return (behind, self._links(x, p)[0][at].axes[motion[1]]) if motion[0] == "r" else None
+
     def _link_turns(
         self,
         links: list[_Link],
@@ -212,8 +220,8 @@ class Sag:
         behind = [link.origin for link in links]
         points = {load: tool if at is None else behind[at] for load, at in self.loads.items()}
         g = self._pull(x, p)
-        known = any(column.load == MASSES for column in columns)
-        behind_each = self._weights(masses, tool, x, p) if known else []
+        weighed = any(column.load == MASSES for column in columns)
+        behind_each = self._weights(masses, tool, x, p) if weighed else []
         turns = {}
         for number, link in enumerate(links):
             on_link = [column for column in columns if column.joint == self.names[number]]
