@@ -173,7 +173,9 @@ def predicted(result: str, folder: Path, command: str) -> Array | None:
         if answered(command, *asked, folder=folder).returncode:
             return None
     table = np.genfromtxt(out, delimiter=",", names=True, deletechars="")
-    columns = [f"{c}_[m]" for c in "xyz"]
+    # of several stations the first stands where all later days are measured from
+    end = "" if "x_[m]" in table.dtype.names else "_1"
+    columns = [f"{c}{end}_[m]" for c in "xyz"]
     return np.column_stack([table[c] for c in columns])
 
 

@@ -30,7 +30,7 @@ from loopcal.document.change_points import (
     Likeness,
 )
 from loopcal.document.choice import Candidate, Chosen, TermEntry
-from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, Undetermined
+from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, ScaleEntry, Undetermined
 from loopcal.document.fit import ChiSquared
 from loopcal.document.result_document import CoarseReadings, ResultDocument
 from loopcal.document.verdict import UNASKED, Fact, Row
@@ -90,6 +90,8 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
         ChangePoints((replace(SLIP, modelled=True),), 0.01, 120, ""),
         None,
     ),
+    "scales-unlike": ("scales", (ScaleEntry(("point_2",), 1e-4, 1e-5, 1e-9, 1e-3),), None),
+    "scale-off-the-drawing": ("scales", (ScaleEntry((), 1e-4, 1e-5, 1e-9, 1e-3),), None),
     "sds-not-converged": ("sds_settled", False, None),
     "mounting-unstated": ("mechanism.unstated", (("x6B", "y6B", "z6B"),), None),
     "model-incomplete": ("dependence", depends(1.0, 1e-9), False),
@@ -519,6 +521,19 @@ def test_a_tool_far_from_its_place_is_named_without_a_prior() -> None:
     unknown = changed(document, "mechanism.unstated", (("tool_x",),))
     own = (*document.parameters, replace(tool, value=0.21))
     assert verdict_of(replace(unknown, parameters=own)).sound.code == "mounting-unstated"
+
+
+def test_scales_are_named_by_their_significance_and_their_size() -> None:
+    one = ScaleEntry(("point_2",), 1e-4, 1e-5, 1e-9, 1e-3)
+    found = verdict_of(changed(clean(), "scales", (one,))).sound
+    assert "'point_2' differs by 100 ppm (sd 10 ppm) from that of the first station" in found.words
+    for entries in ((replace(one, p_value=6e-4), one), (one,)):
+        assert verdict_of(changed(clean(), "scales", entries)).sound.code == "scales-unlike"
+    unsure = (replace(one, p_value=6e-4), replace(one, instruments=(), p_value=0.5))
+    assert verdict_of(changed(clean(), "scales", unsure)).sound.passed
+    little = verdict_of(changed(clean(), "scales", (replace(one, moves=1e-9),))).sound
+    assert little.passed
+    assert "scale-little-off" in little.codes
 
 
 def test_sds_that_a_learnt_error_makes_good_are_named_on_a_sound_result() -> None:

@@ -7,10 +7,17 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from loopcal.files.project.names import QUANTITY
-from loopcal.files.tables.columns import Column
 from loopcal.keys import Key
 
-_COLUMNS = "as their headers have them, or numbers from 1 through the columns of all files"
+_COLUMNS = "by header, or by number from 1 through the columns of numbers of all files"
+
+
+@dataclass(frozen=True)
+class SourceColumn:
+    """A column of a joint."""
+
+    column: Annotated[str | int, Key(f"The column, {_COLUMNS}.")]
+    unit: Annotated[str, Key("Its unit, where its header states none.", is_unit=True)]
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,7 @@ class SourceTable:
     """How files in the layout of the user's first ones become quantities."""
 
     joints: Annotated[
-        Mapping[str, Column],
+        Mapping[str, SourceColumn],
         Key(
             "Quantity of a joint = its column, with its unit.",
             names=QUANTITY,

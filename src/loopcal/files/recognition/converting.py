@@ -188,7 +188,7 @@ def converted(fields: Fields, table: SourceTable, quantities: Set[str]) -> Datas
     readings = {}
     for name, column in table.joints.items():
         if name in quantities:
-            field, unit_name = _in_unit(_needed(fields, column.column), column.unit or "rad")
+            field, unit_name = _in_unit(_needed(fields, column.column), column.unit)
             readings[name] = Reading(
                 to_si(field.values, unit_name), unit(unit_name).si, field, unit_name
             )
