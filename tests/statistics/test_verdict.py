@@ -31,7 +31,7 @@ from loopcal.document.change_points import (
 )
 from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, ScaleEntry, Undetermined
-from loopcal.document.fit import ChiSquared
+from loopcal.document.fit import ChiSquared, ParameterEntry
 from loopcal.document.result_document import CoarseReadings, ResultDocument
 from loopcal.document.verdict import UNASKED, Fact, Row
 from loopcal.mechanisms.limits import joint_limits
@@ -488,12 +488,22 @@ def flat(document: ResultDocument) -> ResultDocument:
     return replace(document, parameters=own, terms=())
 
 
+def _off(p: ParameterEntry) -> float:
+    return abs(p.value - p.nominal)
+
+
 def test_a_dimension_that_is_off_the_drawing_alone_is_named() -> None:
     near = (3e-4, -2e-4, 1e-4, -3e-4, 2e-4)
     found = verdict_of(with_lengths(clean(), *near, -0.05)).sound
     assert (found.code, found.passed) == ("off-the-drawing", None)
     assert "a_6 is off the drawing by -50.0 mm" in found.words
     assert verdict_of(flat(with_lengths(clean(), *near, -0.05))).sound.words == found.words
+    # what the poses leave open stays where it is drawn, with the sd that this one has made large
+    loose = with_lengths(clean(), *near, -0.05, 0.0, 0.0)
+    loose = replace(
+        loose, parameters=tuple(replace(p, sd=2e-2) if not _off(p) else p for p in loose.parameters)
+    )
+    assert "the other lengths are within 0.23 mm" in verdict_of(loose).sound.words
     # all of them are off, or one not far enough to stand out of five others
     for off in ((0.05, -0.04, 0.03, 0.05, -0.06, 0.05), (*near, 1e-3)):
         for document in (with_lengths(clean(), *off), flat(with_lengths(clean(), *off))):

@@ -231,11 +231,12 @@ def _scales(document: ResultDocument) -> Fact | None:
     if not sure:
         return None
     worst = min(sure, key=lambda one: (not one.instruments, one.p_value))
-    numbers = {"ppm": 1e6 * worst.size, "sd": 1e6 * worst.sd, "moves": Figure(worst.moves, "m")}
+    numbers = {"ppm": Figure(1e6 * worst.size), "sd": Figure(1e6 * worst.sd)}
+    numbers["moves"] = Figure(worst.moves, "m")
     region = None if document.prediction is None else document.prediction.region
     stated = None if region is None else region.of("m")
-    little = stated is not None and bool(stated.sd_at_poses)
-    little = little and worst.moves < SMALL * (stated.sd_at_poses or math.inf)
+    sd = 0.0 if stated is None else stated.sd_at_poses or 0.0
+    little = worst.moves < SMALL * sd
     code, other = "scales-unlike", "the first station"
     subject = ", ".join(map(repr, worst.instruments))
     if not subject:
