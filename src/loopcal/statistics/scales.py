@@ -35,17 +35,22 @@ _ABSORBED = 1e-6
 def scales(fit: Fitted) -> tuple[ScaleEntry, ...]:
     """The scales of a calibration, each with its sd and the p-value of one that is not there."""
     system = fit.system
-    groups = _by_station(system.problem)
-    columns = [_column(system, families) for families in groups]
-    spreads = [_spread(system.problem, families) for families in groups]
+    stations = scale_columns(system)
+    spreads = [_spread(system.problem, families) for families, _ in stations]
     freedom = _learnt_lengths(system.problem) - 1.0
     entries = [
         _entry(fit, column, [f.name for f in families], math.inf, spread)
-        for column, families, spread in zip(columns[1:], groups[1:], spreads[1:], strict=True)
+        for (families, column), spread in zip(stations[1:], spreads[1:], strict=True)
     ]
-    if columns and freedom > 0.0:
-        entries.append(_entry(fit, sum(columns, np.zeros(())), [], freedom, max(spreads)))
+    if stations and freedom > 0.0:
+        every = np.sum([column for _, column in stations], axis=0)
+        entries.append(_entry(fit, every, [], freedom, max(spreads)))
     return tuple(one for one in entries if one is not None)
+
+
+def scale_columns(system: OrderedSystem) -> list[tuple[list[Family], Array]]:
+    """The instruments of each station, and the column (N, R, 1) of their scale."""
+    return [(families, _column(system, families)) for families in _by_station(system.problem)]
 
 
 def _by_station(problem: Problem) -> list[list[Family]]:

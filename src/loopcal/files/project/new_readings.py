@@ -111,9 +111,11 @@ def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataTable:
 
 
 def result_columns(inputs: Mapping[str, Any], mechanism: Mechanism) -> dict[str, Column]:
-    """Quantity -> its column and unit in the project of a result; see `read_new_readings`."""
+    """Quantity -> its column and unit in the user's files, or else in the project of a result."""
     spec = _spec(inputs, mechanism)
-    return {q: column for part in spec.parts for q, column in part.columns.items()}
+    joints = {} if spec.source is None else spec.source.joints
+    columns = {q: column for part in spec.parts for q, column in part.columns.items()}
+    return {**columns, **{q: Column(one.column, one.unit) for q, one in joints.items()}}
 
 
 def result_pose_column(inputs: Mapping[str, Any], mechanism: Mechanism) -> str | int:
