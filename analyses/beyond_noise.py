@@ -25,10 +25,10 @@ from pathlib import Path
 import numpy as np
 
 import loopcal as lc
-from analyses.gauntlet_kinds import ALONG, wandering
+from analyses.gauntlet_kinds import ALONG
 from analyses.gauntlet_truth import PLANAR, Arm
-from analyses.gauntlet_worlds import BUILT, Rng, Trial, World
-from analyses.regions import held, sagging
+from analyses.gauntlet_worlds import BUILT, SAGGING, Rng, Trial, World, wandering
+from analyses.regions import held
 from analyses.written import read_block, write_block
 from loopcal.document.aliases import confidence
 
@@ -84,7 +84,7 @@ def eccentric(amplitude: float) -> Callable[[Arm, Rng], Arm]:
 
 def compared(share: float, poses: int, rng: Rng) -> Seen:
     """An unchanged arm that sags, on two days: told is a false alarm."""
-    world = replace(sagging(), poses=poses, share=share)
+    world = replace(SAGGING, poses=poses, share=share)
     machine = int(rng.integers(2**31))
     days = [world.made(np.random.default_rng(machine), rng) for _ in range(2)]
     found = lc.compare(*(calibrated(day) for day in days))

@@ -29,9 +29,8 @@ import numpy as np
 
 import loopcal as lc
 from analyses import gauntlet_truth as truth
-from analyses.gauntlet_kinds import bending
 from analyses.gauntlet_truth import Array
-from analyses.gauntlet_worlds import TOOL, Fresh, Readings, Trial, World
+from analyses.gauntlet_worlds import TOOL, Fresh, Readings, Trial, World, bending
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.origins import LinkJoint, joint_chain

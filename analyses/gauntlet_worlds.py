@@ -7,7 +7,7 @@ happened during the measurement, and what went wrong with the file, does not.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -77,16 +77,54 @@ class Run:
 
 
 Event = Callable[[Run, Rng], None]
-Tamper = Callable[[Readings, Rng], Readings]
 
 
-def _nothing(run: Run, rng: Rng) -> None:
+def nothing(run: Run, rng: Rng) -> None:
     """A measurement during which nothing happens."""
 
 
-def _untouched(readings: Readings, rng: Rng) -> Readings:
-    """A file as it was measured."""
-    return readings
+def sagging(arm: Arm, rng: Rng) -> Arm:
+    return replace(arm, yielding=2e-6, bending=6e-7)
+
+
+def geared(arm: Arm, rng: Rng) -> Arm:
+    n = len(arm.links)
+    phases = rng.uniform(0.0, 2.0 * np.pi, (2, n))
+    sizes = np.full((2, n), [[4e-4], [2e-4]])
+    return replace(arm, gears=np.column_stack([sizes[0], phases[0], sizes[1], phases[1]]))
+
+
+def worn_all_over(arm: Arm, rng: Rng) -> Arm:
+    """A light arm that bends, with gears and backlash of its own."""
+    bent = replace(geared(arm, rng), yielding=2e-5, bending=6e-6)
+    return replace(bent, backlash=2e-4)
+
+
+def bending(arm: Arm, rng: Rng) -> Arm:
+    return replace(arm, yielding=2e-5, bending=6e-6)
+
+
+def _direction(rng: Rng) -> Array:
+    way = rng.standard_normal(3)
+    return way / np.linalg.norm(way)
+
+
+def wandering(persistence: float, sd: float) -> Callable[[Run, Rng], None]:
+    """An instrument that drifts by AR(1), to this sd [m] of each coordinate."""
+
+    def event(run: Run, rng: Rng) -> None:
+        value = sd * rng.standard_normal(3)
+        for row in run.drift:
+            row += value
+            fresh = sd * np.sqrt(1.0 - persistence**2) * rng.standard_normal(3)
+            value = persistence * value + fresh
+
+    return event
+
+
+def in_one_corner(run: Run, rng: Rng) -> None:
+    """The first tenth of a path are neighbours."""
+    run.drift[: len(run.drift) // 10] += 6e-5 * _direction(rng)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +134,9 @@ class World:
     machine: of `ARMS`; instrument: "tracker", "three reflectors", "two trackers", "wire",
     "camera"; share: of each joint's range that is measured; sd [m], encoder [rad]: true noise;
     stated: factor of the sds that the user states, None if none are stated; worn: what the arm is
-    beyond its geometry; event: what happens meanwhile; tamper: what the file makes of it;
-    believed: what the user takes for the drawing; order: "random", "path" where poses follow one
-    another closely, "sweep" where the first joint turns on and never back;
-    tool: where the target truly is, less the drawing [m]; rounded: step [rad] of recorded joints.
+    beyond its geometry; event: what happens meanwhile; order: "random", "path" where poses follow
+    one another closely, "sweep" where the first joint turns on and never back; learnt: whether the
+    stated sds are only where learning begins.
     """
 
     machine: str = "six"
@@ -110,14 +147,9 @@ class World:
     encoder: float = 3e-5
     stated: float | None = 1.0
     worn: Callable[[Arm, Rng], Arm] = lambda arm, rng: arm
-    event: Event = _nothing
-    tamper: Tamper = _untouched
-    believed: Callable[[dict[str, float]], dict[str, float]] = lambda nominal: nominal
+    event: Event = nothing
     order: str = "random"
-    tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rounded: float = 0.0
     learnt: bool = False
-    left_handed: bool = False
 
     def made(self, rng: Rng, day: Rng | None = None) -> Trial:
         """One data set; day: draws all that is not the machine and what is mounted on it."""
@@ -128,7 +160,6 @@ class World:
         if self.machine == "planar":
             places = places * 0.0
         mounted = places + MOUNTED * rng.standard_normal(places.shape) * (self.machine != "planar")
-        mounted = mounted + np.array(self.tool)
         rng = day or rng
         everywhere = truth.BOXES[self.machine]
         box = everywhere if self.share == 1.0 else truth.corner(everywhere, self.share, rng)
@@ -184,8 +215,6 @@ class World:
 
         measured = seen(q, run)
         measured = measured + self.sd * rng.standard_normal(measured.shape)
-        if self.left_handed:
-            measured[:, 1::3] *= -1.0
         names = self._names()
         readings = self._joints(q + run.encoders, rng)
         if self.instrument == "two trackers":
@@ -205,12 +234,12 @@ class World:
             q = drawn(box, FRESH, rng)
             count = {"planar": 2}.get(self.machine, 1 if self.instrument == "wire" else 3)
             outputs = tuple(names[:count])
-            now = quiet(FRESH) if self.event is _nothing else left(FRESH)
+            now = quiet(FRESH) if self.event is nothing else left(FRESH)
             return Fresh(self._joints(q + now.encoders, rng), outputs, seen(q, now)[:, :count])
 
         return Trial(
             mechanism,
-            self.tamper(readings, rng),
+            readings,
             self._noise(mechanism),
             fresh(box),
             None if self.share == 1.0 else fresh(everywhere),
@@ -230,8 +259,6 @@ class World:
     def _joints(self, q: Array, rng: Rng) -> Readings:
         sds = np.where([link.slides for link in ARMS[self.machine].links], 1e-5, self.encoder)
         read = q + sds * rng.standard_normal(q.shape)
-        if self.rounded:
-            read = np.round(read / self.rounded) * self.rounded
         first = 2 if self.machine == "planar" else 1
         name = "phi" if self.machine == "planar" else "q"
         return {f"{name}{j + first}": read[:, j] for j in range(q.shape[1])}
@@ -248,7 +275,7 @@ class World:
 
     def _mechanism(self, anchor: Array, places: Array) -> lc.Mechanism:
         if self.machine == "planar":
-            return lc.planar_two_link(self.believed({"l2": 0.8, "l3": 0.6}))
+            return lc.planar_two_link({"l2": 0.8, "l3": 0.6})
         links = ARMS[self.machine].links
         joints, nominal = [], {}
         for i, link in enumerate(links, 1):
@@ -279,7 +306,7 @@ class World:
         if self.instrument == "wire":
             nominal |= {f"anchor_{c}": float(v) for c, v in zip("xyz", anchor, strict=True)}
         made = lc.assemble(serial_machine(joints), instruments)
-        known = self.believed({n: v for n, v in nominal.items() if n in made.parameters.names})
+        known = {n: v for n, v in nominal.items() if n in made.parameters.names}
         return lc.fix_redundant(made.with_nominal(known))
 
     def _noise(self, mechanism: lc.Mechanism) -> lc.Noise | None:
@@ -413,3 +440,7 @@ def _five_bar(rng: Rng) -> tuple[lc.Machine, Array, Callable[[Array], Solved]]:
 
 
 _PARALLEL = {"hexapod": _hexapod, "delta": _delta, "five-bar": _five_bar}
+
+
+SAGGING = World(poses=150, worn=sagging)
+"""Arms that sag."""

@@ -1,9 +1,9 @@
 """Does the history find the machines that drift, and date the step of those that have one?
 
-Arms of `analyses.lives` are measured on eight days over two years and calibrated anew each time,
-the tracker elsewhere each day. A third of them stay as they are; of a third the zero of one joint
-steps by 0.05 degrees between two of the days; of a third it creeps by 0.08 degrees over the two
-years. As the user sees it:
+Arms of `analyses.lives_truth` are measured on eight days over two years and calibrated anew each
+time, the tracker elsewhere each day. A third of them stay as they are; of a third the zero of one
+joint steps by 0.05 degrees between two of the days; of a third it creeps by 0.08 degrees over the
+two years. As the user sees it:
 
     loopcal init measured-3.csv --dh dh.csv --out calibration-3 --run
     loopcal history machine.history --add calibration-3/project-result --date 2025-02-10
@@ -12,8 +12,8 @@ years. As the user sees it:
 Reported is how often the history says that anything of the machine changed, names the joint whose
 zero did, names the way (step or drift), and, for a step, places it between the right two days.
 
-    python -m analyses.lives_history [--machines 9] [--first 0] [--processes 2] [--command PATH]
-        [--folder FOLDER] [--again] [--write FILE.md]
+    python -m analyses.lives_history [--machines 9] [--first 0] [--processes 2] [--folder FOLDER]
+        [--again] [--write FILE.md]
 
 The folder keeps files and calibrations; --again asks the history anew.
 """
@@ -24,6 +24,7 @@ import argparse
 import json
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import date, timedelta
 from functools import partial
 from pathlib import Path
@@ -31,9 +32,10 @@ from typing import Any
 
 import numpy as np
 
+from analyses.gauntlet_asked import asked
+from analyses.gauntlet_days import made
 from analyses.gauntlet_truth import Arm
 from analyses.kept import Draw, complete
-from analyses.lives import answered
 from analyses.lives_parallel import RotaryDelta, rezeroed
 from analyses.lives_truth import DEGREE, Machine, machine, write_readings
 from analyses.rates import interval
@@ -48,7 +50,7 @@ MACHINE = ("theta", "offset", "alpha", "beta", "a_", "d_", "J")
 """How parameters of the machine begin; stations and reflectors are mounted anew each day."""
 
 
-def history(way: str, number: int, folder: Path, command: str) -> Draw:
+def history(way: str, number: int, folder: Path) -> Draw:
     """One machine over two years, and what the history says of it."""
     user = machine(number)
     folder = folder / f"machine-{number:03d}-{way}"
@@ -63,10 +65,10 @@ def history(way: str, number: int, folder: Path, command: str) -> Draw:
         moved = {"steady": 0.0, "step": STEP * (i >= first), "drift": CREEP * _share(days, day)}
         result = f"calibration-{i}/project-result"
         if not (folder / result / "result.json").exists():
-            _calibrated(user, i, rezeroed(user.arm, joint, moved[way]), folder, described, command)
-        refusal = _added(result, day, folder, command)
+            _calibrated(user, i, rezeroed(user.arm, joint, moved[way]), folder, described)
+        refusal = _added(result, day, folder)
         errors += [refusal] if refusal else []
-    done = answered(command, "history", "machine.history", "--json", folder=folder)
+    done = asked(folder, "history", "machine.history", "--json")
     told: Draw = {"kind": way, "draw": number, "joint": joint, "from": first + 1, "errors": errors}
     try:
         trends = json.loads(done.stdout)["trends"]
@@ -89,23 +91,21 @@ def _share(days: Sequence[date], day: date) -> float:
 
 
 def _calibrated(
-    user: Machine, i: int, arm: Arm | RotaryDelta, folder: Path, described: list[str], command: str
+    user: Machine, i: int, arm: Arm | RotaryDelta, folder: Path, described: list[str]
 ) -> None:
     """One day's file and its calibration."""
     rng = np.random.default_rng([49, user.number, i])
-    conditions = user.conditions(user.poses)
-    conditions.arm = arm
-    joints, points = user.measured(user.posed(user.poses, rng), conditions, rng)
+    day, _ = made(replace(user, arm=arm), user.poses, rng)
     file = f"measured-{i}.csv"
-    write_readings(folder / file, user.joints, joints, points, user.columns(conditions))
+    write_readings(folder / file, user, day.joints, day.points, day.columns)
     init = ["init", file, *described, "--out", f"calibration-{i}", "--force", "--run"]
-    answered(command, *init, folder=folder)
+    asked(folder, *init)
 
 
-def _added(result: str, day: date, folder: Path, command: str) -> str:
+def _added(result: str, day: date, folder: Path) -> str:
     """Add a calibration to the history; what went wrong, if anything did."""
     add = ["history", "machine.history", "--add", result, "--force"]
-    done = answered(command, *add, "--date", day.isoformat(), folder=folder)
+    done = asked(folder, *add, "--date", day.isoformat())
     return done.stderr[-300:] if done.returncode else ""
 
 
@@ -154,21 +154,17 @@ def main() -> None:
     parser.add_argument("--machines", type=int, default=9)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--command", default="loopcal")
     parser.add_argument("--folder", type=Path, default=FOLDER)
     parser.add_argument("--again", action="store_true")
     parser.add_argument("--write", type=Path)
     given = parser.parse_args()
     folder = given.folder.resolve()
-    command = str(Path(given.command).resolve()) if "/" in given.command else given.command
     answers = folder / "answers.jsonl"
     if given.again:
         answers.unlink(missing_ok=True)
     numbers = range(given.first, given.first + given.machines)
     wanted = [(WAYS[(i + i // 3) % 3], i) for i in numbers]
-    draws = complete(
-        answers, wanted, partial(history, folder=folder, command=command), given.processes
-    )
+    draws = complete(answers, wanted, partial(history, folder=folder), given.processes)
     rows = [row(way, [d for d in draws if d["kind"] == way]) for way in WAYS]
     failed = sum("failed" in d or bool(d["errors"]) for d in draws)
     text = "\n".join([HEAD, *rows, *([f"refused: {failed}"] if failed else [])])

@@ -23,9 +23,8 @@ from pathlib import Path
 import numpy as np
 
 import loopcal as lc
-from analyses.gauntlet import beyond
-from analyses.gauntlet_kinds import Kind, bending, worn_all_over
-from analyses.gauntlet_worlds import Rng, Run, World
+from analyses.gauntlet_worlds import Rng, Run, World, bending, worn_all_over
+from analyses.regions import beyond
 from analyses.written import write_block
 
 PAGE = Path("docs/explanation/drift.md")
@@ -60,7 +59,6 @@ def drifting(drift: str) -> Callable[[Run, Rng], None]:
 def drawn(arm: str, order: str, drift: str, seed: int, poses: int = 150) -> Seen:
     """One run with one drift."""
     world = World(poses=poses, order=order, worn=ARMS[arm], event=drifting(drift))
-    kind = Kind("drift", world, placed=True)
     trial = world.made(np.random.default_rng([29, seed]))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -68,7 +66,7 @@ def drawn(arm: str, order: str, drift: str, seed: int, poses: int = 150) -> Seen
         verdict = lc.verdict(result)
     points = result.document.change_points
     ramps = [p for p in points.found if p.shape == "ramp" and p.modelled] if points else []
-    off = beyond(result, trial.inside, kind) or {"held": np.nan, "ratio": np.nan}
+    off = beyond(result, trial.inside, placed=True) or {"held": np.nan, "ratio": np.nan}
     return Seen(bool(ramps), verdict.answers["sound"].passed, off["held"], off["ratio"])
 
 

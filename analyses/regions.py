@@ -20,9 +20,10 @@ from pathlib import Path
 import numpy as np
 
 import loopcal as lc
-from analyses.gauntlet_kinds import KINDS
-from analyses.gauntlet_worlds import Fresh, World
+from analyses.gauntlet_worlds import SAGGING, Fresh, World
+from analyses.lives_truth import placement
 from analyses.written import write_block
+from loopcal.small_samples import f_limit
 
 PAGE = Path("docs/explanation/model-error.md")
 
@@ -59,6 +60,32 @@ def held(result: lc.Result, fresh: Fresh) -> Held:
     )
 
 
+def beyond(result: lc.Result, fresh: Fresh, *, placed: bool = False) -> dict[str, float] | None:
+    """True error over the stated region at fresh poses; error and sd [SI], root mean squares."""
+    predicted = lc.predict(result, fresh.readings)
+    computed = np.column_stack([predicted.outputs[q] for q in fresh.outputs])
+    if placed:
+        R, shift = placement(computed, fresh.true)
+        computed = computed @ R.T + shift
+    index = [list(predicted.outputs).index(q) for q in fresh.outputs]
+    C = predicted.covariance[:, index][:, :, index]
+    off = computed - fresh.true
+    usable = np.isfinite(off).all(axis=1) & np.isfinite(C).all(axis=(1, 2))
+    if not usable.any():
+        return None
+    off, C = off[usable], C[usable]
+    tiny = 1e-24 * np.eye(len(index))
+    squares = np.einsum("ni,ni->n", off, np.linalg.solve(C + tiny, off[:, :, None])[:, :, 0])
+    limit = f_limit(0.95, len(index), predicted.denominator[usable])
+    ratio = np.sqrt(squares / limit)
+    return {
+        "ratio": float(np.quantile(ratio, 0.95)),
+        "held": float((ratio <= 1.0).mean()),
+        "error": math.sqrt(float(np.square(off).sum(axis=1).mean())),
+        "sd": math.sqrt(float(np.einsum("nii->n", C).mean())),
+    }
+
+
 def drawn(world: World, seed: int, method: str = "auto") -> Draw:
     """One machine, measured, calibrated and judged; "auto", or the method with a model error."""
     trial = world.made(np.random.default_rng([seed, 15]))
@@ -74,16 +101,9 @@ def drawn(world: World, seed: int, method: str = "auto") -> Draw:
     )
 
 
-def sagging() -> World:
-    """Arms that sag."""
-    world = KINDS["sag"].world
-    assert isinstance(world, World)
-    return world
-
-
 def corners(poses: int, share: float, *, stated: bool) -> World:
     """Arms that sag, measured in a corner."""
-    return replace(sagging(), poses=poses, share=share, stated=1.0 if stated else None)
+    return replace(SAGGING, poses=poses, share=share, stated=1.0 if stated else None)
 
 
 def line(name: str, draws: Sequence[Draw]) -> str:

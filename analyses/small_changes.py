@@ -20,9 +20,8 @@ from pathlib import Path
 import numpy as np
 
 import loopcal as lc
-from analyses.gauntlet import beyond
-from analyses.gauntlet_kinds import Kind
 from analyses.gauntlet_worlds import Rng, Run, World
+from analyses.regions import beyond
 from analyses.written import write_block
 
 PAGE = Path("docs/explanation/verdict.md")
@@ -54,8 +53,8 @@ def drawn(shape: str, size: float, poses: int, seed: int) -> Seen:
         else:
             run.target[count // 2 :, 0] += way
 
-    kind = Kind("change", World(poses=poses, event=event))
-    trial = kind.world.made(rng)
+    world = World(poses=poses, event=event)
+    trial = world.made(rng)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         result = lc.calibrate(
@@ -63,7 +62,7 @@ def drawn(shape: str, size: float, poses: int, seed: int) -> Seen:
         )
         sound = lc.verdict(result).sound
     points = lc.find_shifts(result).found
-    region = beyond(result, trial.inside, kind)
+    region = beyond(result, trial.inside)
     assert region is not None
     told = sound.passed if sound.code in ("change-points", "changes-small") else True
     return Seen(bool(points), told, region["held"], region["ratio"])

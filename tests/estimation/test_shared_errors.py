@@ -75,7 +75,7 @@ def test_outlier_tests_hold_their_level_where_targets_share_errors(
             plain.corrections,
             plain.covariance,
             1.0,
-            independent((block,), np.ones(N, dtype=bool)),
+            alike=independent((block,), np.ones(N, dtype=bool)),
         )
         none = np.zeros(N, dtype=bool)
         for name, fit in (("white", plain), ("turned", turned)):

@@ -197,3 +197,16 @@ def test_what_is_no_temperature_is_refused(
 ) -> None:
     with refused(code, *stated):
         warmed(**given)
+
+
+def test_without_parameters_all_lengths_grow_in_proportion() -> None:
+    arm = lc.with_effects(lc.planar_two_link(), [lc.effects.Thermal()])
+    assert arm.parameters["thermal_expansion"].unit == "1/K"
+    at = poses(5)
+    warm = lc.simulate(arm, at, noise=EXACT, seed=1, truth={"thermal_expansion": 12e-6}).dataset
+    for i, T in enumerate(at["temperature"]):
+        grown = 1.0 + 12e-6 * (T - 293.15)
+        cold = lc.planar_two_link().with_nominal({"l2": 0.8 * grown, "l3": 0.6 * grown})
+        one = {q: at[q][i : i + 1] for q in ("phi2", "phi3")}
+        plain = lc.simulate(cold, one, noise=EXACT, seed=1).dataset
+        assert warm["xP"][i] == pytest.approx(plain["xP"][0], abs=1e-14)

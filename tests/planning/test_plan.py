@@ -102,6 +102,39 @@ def test_poses_already_measured_count() -> None:
     assert again.expected.end_point == pytest.approx(made.expected.end_point, rel=0.02)
 
 
+def test_the_learnt_error_of_single_poses_is_promised_too() -> None:
+    machine, sd = planar_two_link(), 1e-3
+    noise = lc.Noise({**SD, "model": sd})
+    settings = lc.PlanSettings(ARM, number=60, model_error="none")
+    made = lc.plan(machine, 8, noise=noise, settings=settings)
+    promised = made.expected.end_point
+    assert promised is not None
+    assert promised > math.sqrt(2.0) * sd
+    before = lc.simulate(machine, lc.random_poses(ARM, 40, seed=2), noise=SD, seed=2).dataset
+    rough = before.with_readings(
+        {q: before[q] + sd * np.random.default_rng(4).standard_normal(40) for q in ("xP", "yP")}
+    )
+    result = lc.calibrate(
+        machine, rough, noise=SD, method="implicit-loop", model_error="structured"
+    )
+    learnt = next(entry.sd for entry in result.noise if entry.role == "disturbance")
+    assert learnt == pytest.approx(sd, rel=0.3)
+    again = lc.plan(machine, 5, existing=result, settings=settings)
+    assert again.expected.end_point is not None
+    assert math.sqrt(2.0) * learnt < again.expected.end_point < 1.5 * math.sqrt(2.0) * learnt
+
+
+def test_what_a_machine_without_model_error_would_keep_stands_beside() -> None:
+    settings = lc.PlanSettings(ARM, number=30)
+    made = lc.plan(planar_two_link(), 8, noise=SD, settings=settings)
+    assert made.rigid is not None
+    assert made.rigid.end_point is not None
+    assert made.expected.end_point is not None
+    assert made.rigid.end_point < made.expected.end_point
+    assert "of a machine without any model error" in str(made)
+    assert planned().rigid is None  # geometry is all that was asked
+
+
 def test_every_criterion_is_best_at_its_own() -> None:
     found = {how: planned(criterion=how).document()["expected"][-1] for how in "GI"}
     assert found["G"]["largest"] <= found["I"]["largest"] * (1.0 + 1e-9)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
-from analyses.gauntlet_kinds import KINDS
+from analyses.gauntlet_worlds import Event, World, in_one_corner, nothing
 from loopcal.chi_squared import tail
 from loopcal.document.change_points import Change, ChangePoint
 from loopcal.files.machines.mechanism_file import mechanism_from_data
@@ -244,10 +244,8 @@ def test_noise_that_targets_share_is_no_step() -> None:
     """Encoders move three reflectors of one tool together: nine equations of a pose, one error."""
     from zlib import crc32
 
-    from analyses.gauntlet_kinds import KINDS
-
-    kind = KINDS["three reflectors"]
-    trial = kind.world.made(np.random.default_rng([crc32(kind.name.encode()), 6]))
+    seed = crc32(b"three reflectors")
+    trial = World(instrument="three reflectors").made(np.random.default_rng([seed, 6]))
     result = lc.calibrate(
         trial.mechanism, trial.readings, method="least-squares", model_error="structured"
     )
@@ -299,13 +297,12 @@ def test_a_pose_in_which_no_loop_holds_is_passed_over() -> None:
     assert whole.found == part.found == ()
 
 
-@pytest.mark.parametrize(
-    ("kind", "named"), [("neighbours off by 4 sds", 5), ("six axes along a path", 0)]
-)
-def test_a_step_without_a_sharp_edge_leaves_the_verdict_open(kind: str, named: int) -> None:
+@pytest.mark.parametrize(("event", "named"), [(in_one_corner, 5), (nothing, 0)])
+def test_a_step_without_a_sharp_edge_leaves_the_verdict_open(event: Event, named: int) -> None:
     codes = []
     for seed in range(6):
-        trial = KINDS[kind].world.made(np.random.default_rng([98, 700 + seed]))
+        world = World(poses=150, order="path", event=event)
+        trial = world.made(np.random.default_rng([98, 700 + seed]))
         result = lc.calibrate(
             trial.mechanism,
             trial.readings,

@@ -13,11 +13,12 @@ import pytest
 import loopcal as lc
 from loopcal.execution.executor import InProcess
 from loopcal.statistics.case import Case, Entrant, entrants, without_terms
-from loopcal.statistics.choice import _beats, _taken, choose
+from loopcal.statistics.choice import _taken, choose
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.judged import Judged
 from loopcal.statistics.noise_floor import noise_floor
+from loopcal.statistics.risks import beats
 from tests.reference.simulated import Simulated, planar_arm
 from tests.refusals import refused
 
@@ -141,7 +142,7 @@ def test_what_another_beats_by_the_rule_of_the_verdict_is_never_taken(
     found = _taken(judged, risks, plan)
     assert found.name == taken
     for one in judged:
-        assert not _beats(risks[one.name], risks[found.name], plan)
+        assert not beats(risks[one.name], risks[found.name], plan)
 
 
 def test_a_gain_counts_clusters_not_poses() -> None:

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from analyses.gauntlet_kinds import bending
-from analyses.gauntlet_worlds import Run, World
+from analyses.gauntlet_worlds import Run, World, bending
 
 Rng = np.random.Generator
 WORLD = World("six", poses=100)

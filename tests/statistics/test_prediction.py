@@ -107,15 +107,19 @@ def test_readings_of_outputs_do_not_matter_and_gaps_stay_gaps() -> None:
     assert more.words().startswith("1 of 2 poses predicted")
 
 
-def test_without_sds_of_readings_only_the_parameters_speak() -> None:
+def test_without_sds_of_readings_the_residuals_speak() -> None:
     simulated = planar_arm(poses=25)
     result = lc.calibrate(simulated.truth, simulated.read({"xP": 1e-4}), method="least-squares")
     found = lc.predict(result, {"phi2": [0.4], "phi3": [1.1]})
-    assert found.from_readings is None
-    assert np.array_equal(found.covariance, found.from_parameters)
-    assert "unknown" in found.words()
+    after = result.accuracy_after
+    assert after is not None
+    assert found.from_readings is not None
+    variance = after.rms**2 / 2.0 * result.solution.equations / result.freedom
+    assert np.allclose(found.from_readings[0], variance * np.eye(2))
+    assert "what the fit leaves" in found.words()
     known = lc.predict(result, {"phi2": [0.4], "phi3": [1.1]}, noise=lc.Noise({"phi?": 1e-4}))
     assert known.from_readings is not None
+    assert "caused by readings" in known.words()
 
 
 def test_nothing_to_predict_and_nothing_to_predict_from_are_refused() -> None:

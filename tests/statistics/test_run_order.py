@@ -43,12 +43,17 @@ def test_only_a_path_is_described_by_cosines_and_a_faster_one_by_more() -> None:
     assert 6 < path_cosines(slow) < path_cosines(PATH) <= 50
 
 
-@pytest.mark.parametrize(("ordered", "told"), [(True, True), (False, False)])
-def test_check_says_where_the_joints_tell_the_order(ordered: bool, told: bool) -> None:
+@pytest.mark.parametrize(
+    ("ordered", "again", "told"),
+    [(True, 0, True), (True, 3, False), (False, 0, False)],
+    ids=["sorted", "sorted, three again", "random"],
+)
+def test_check_says_where_the_joints_tell_the_order(ordered: bool, again: int, told: bool) -> None:
     arm = planar_arm(60)
     poses = arm.read({"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}, 1)
     if ordered:
-        poses = poses.take(np.argsort(poses["phi2"]))
+        rows = np.argsort(poses["phi2"])
+        poses = poses.take(np.append(rows, rows[:again]))
     found = lc.check(arm.truth, poses)
     codes = [one.code for one in found.findings if one.question == "sound"]
     assert codes == ["order-by-joints"] * told

@@ -171,6 +171,14 @@ _ROWS = (
         shared="drift-or-model",
     ),
     _sound_open(
+        "drift-or-machine",
+        "Drift or machine: the joints tell the order of the poses, and a drift of the instrument "
+        "over the run is uncertain by {sd:2} (sd), beside a stated sd of {stated:2}.",
+        "Measure some poses again at the end, or all in random order.",
+        "loopcal plan {project}",
+        detail="The stated sds allow for it.",
+    ),
+    _sound_open(
         "order-by-joints",
         "The joints predict {r_squared:0%} of the pose order: a drift of the instrument would look "
         "like an error of the machine.",

@@ -9,12 +9,13 @@ from typing import Literal
 from loopcal.document.bounds import Count, Probability, Size
 from loopcal.presentation.shown import enumerated, percent, significant, with_unit
 
-Moved = Literal["target", "station", "joint", "reading"]
+Moved = Literal["target", "station", "joint", "reading", "load"]
 _WORDS = {
     "target": "the target {names} moved on the body",
     "station": "the instrument or the machine's base moved ({names})",
     "joint": "the zero of the joint {names} changed",
     "reading": "the zero of {names} changed",
+    "load": "the load on the tool changed",
 }
 
 

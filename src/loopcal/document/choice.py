@@ -88,7 +88,7 @@ class TermPart:
     """What a term does at one joint; of a smooth discrepancy: at all of them."""
 
     joints: tuple[str, ...]
-    """The joints concerned, or "base"."""
+    """The joints concerned, or "base"; of a drift the place or reading that drifts."""
     unit: str
     """SI unit of size and sd."""
     size: Size

@@ -170,6 +170,9 @@ class UsualSd:
     unit: str
     sd: Size
     """Root of the trace of their covariance, not exceeded at 95 % of the calibration poses."""
+    residual: Size | None = None
+    """Of a method that takes readings as exact: the sd of one of these outputs that its residuals
+    show; null: the sds of the readings say it."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +191,7 @@ class RegionRange:
 class RegionSd:
     """The predicted sd in the working region, beside that at the measured poses.
 
-    Of what the parameters cause and of what the fit leaves unexplained at its poses.
+    That of `loopcal predict`: of what parameters and readings cause.
     """
 
     unit: str

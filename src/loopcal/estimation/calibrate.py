@@ -85,7 +85,7 @@ def _without_copies(
     refuse_noise(fit, noise)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
-    repeated = copies(data, [*mechanism.quantities, *mechanism.pose_constants], mechanism.outputs)
+    repeated = copies(data, mechanism.recorded, mechanism.outputs)
     copied = repeated.copied
     if repeated.rows.size and repeated.by_chance:
         data = data.with_agreeing(repeated.rows)

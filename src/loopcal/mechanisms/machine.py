@@ -12,7 +12,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
-from typing import Any, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 from loopcal.errors import InputError
 from loopcal.expressions.tape import Tape
@@ -24,6 +24,9 @@ from loopcal.mechanisms.frame import Frame, Values, Vector
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 from loopcal.mechanisms.parameters import Gauge, Parameter, fixed, held, stated
+
+if TYPE_CHECKING:
+    from loopcal.mechanisms.effects.gravity import Load
 
 Arguments = ParamSpec("Arguments")
 SECOND = 0.01
@@ -44,8 +47,8 @@ class Machine:
     search for them begins; pose_constants: those that vary by pose; dimension: 2 for a machine that
     moves in the plane z = 0; gauge: parameters that only say where its frames lie; chain: the
     steps from the base to the body, where it is a serial arm; lines(x, p): what draws it, polylines
-    of points (3,) [m] in its base frame; description: what a mechanism file says to build it, empty
-    where none can.
+    of points (3,) [m] in its base frame; masses: known ones of its links; description: what a
+    mechanism file says to build it, empty where none can.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Machine:
     gauge: Gauge = field(default_factory=Gauge)
     chain: tuple[Step, ...] = ()
     lines: Callable[[Values, Values], list[list[Vector]]] | None = None
+    masses: tuple[Load, ...] = ()
     description: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -191,6 +195,7 @@ def assemble(
         implied={q: v for i in instruments for q, v in i.implied.items()},
         orientations=tuple(i.orientation for i in instruments if i.orientation),
         chain=machine.chain,
+        masses=machine.masses,
         placement=instruments[0].place if len(instruments) == 1 else None,
         body=_body(machine, instruments, made.tape, loops) if instruments else None,
         description=_description(machine, instruments, without_effect),

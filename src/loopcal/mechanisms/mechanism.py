@@ -23,6 +23,7 @@ from loopcal.mechanisms.terms import Term, check_terms
 from loopcal.units import unit
 
 if TYPE_CHECKING:
+    from loopcal.mechanisms.effects.gravity import Load
     from loopcal.mechanisms.structure.sag import Structure
 
 
@@ -88,7 +89,8 @@ class Mechanism:
     body: the loops with a body that can be displaced, where instruments look at one; gravity: the
     direction in which it pulls, in the base of the machine, None for down; latest: known constant
     -> value [SI] after the last change that it dates, for readings of a machine as it is now;
-    structure: what its structured model error consists of, None without one.
+    structure: what its structured model error consists of, None without one; masses: known ones of
+    an arm's links; payload: the known constant [kg] that its tool carries.
     """
 
     name: str
@@ -109,6 +111,8 @@ class Mechanism:
     gravity: tuple[float, float, float] | None = None
     latest: Mapping[str, float] = field(default_factory=dict)
     structure: Structure | None = None
+    masses: tuple[Load, ...] = ()
+    payload: str | None = None
 
     @classmethod
     def from_function(
@@ -165,6 +169,11 @@ class Mechanism:
     def pose_constants(self) -> Mapping[str, str]:
         """Constants that vary by pose and carry no error, name -> SI unit."""
         return {v.name: v.unit for v in self.variables if v.role == "known"}
+
+    @cached_property
+    def recorded(self) -> tuple[str, ...]:
+        """What two measurements may differ in: all that varies by pose but what only dates it."""
+        return tuple(v.name for v in self.variables if v.name not in self.latest)
 
     @cached_property
     def roles(self) -> Mapping[str, Role]:

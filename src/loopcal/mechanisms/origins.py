@@ -42,6 +42,7 @@ from loopcal.mechanisms.chain import (
     unit_direction,
     zero_of,
 )
+from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parameters import Parameter
@@ -155,12 +156,13 @@ def joint_chain(
     axes: bool = False,
     name: str = "robot",
     description: Mapping[str, Any] | None = None,
+    masses: Sequence[Load] = (),
 ) -> Machine:
     """The machine of a chain of joints from the base to the tip.
 
     axes: whether the joints' axes have parameters too, NAME_axis_rx and so on; the origins alone
     hold every geometry that a robot of these kinds of joints can have. description: the file that
-    it was read from, for messages.
+    it was read from, for messages; masses: known ones of its links.
 
     Raises InputError for a chain in which nothing moves, or two joints of one name.
     """
@@ -175,6 +177,7 @@ def joint_chain(
         )
     steps = tuple(step for joint in joints for step in joint.steps(axes=axes))
     stated = {"type": "urdf", "fix_redundant": False, "axes": axes, "joints": list(joints)}
+    stated |= {"mass": list(masses)} if masses else {}
     tilts = [p for j in joints for p in axis_parameters(j.name, j.tilts).values()]
     parameters = [*(tilts if axes else ()), *(p for joint in joints for p in joint.origin)]
     return Machine(
@@ -183,6 +186,7 @@ def joint_chain(
         {p.name: p for p in parameters},
         lambda x, p: ChainFrame(steps, x, p),
         chain=steps,
+        masses=tuple(masses),
         description=description or stated,
     )
 

@@ -179,6 +179,8 @@ def _values(
     unknown = []
     for row, name in zip(x, names, strict=True):
         stated: ArrayLike | None = driven.readings.get(name, mechanism.implied.get(name))
+        if stated is None and name in mechanism.disturbances:
+            stated = 0.0  # of the machine model itself, as in candidates of a plan
         sought = name in mechanism.outputs or name in turns or stated is None
         if sought:
             unknown.append(name)

@@ -78,7 +78,7 @@ class Calibrated:
             np.array([math.inf if exact else p.prior_sd for p in parameters]),
             result.dataset,
             result.dataset.source.sha256 or str(id(result.dataset)),
-            _rejected(result.chi_squared, result.variance_factor_applied),
+            rejected_by(result.chi_squared, result.variance_factor_applied),
             result.terms,
             result.noise,
             _residual(result.solution.chi_squared, result.freedom) if exact else None,
@@ -118,7 +118,7 @@ class Calibrated:
             np.array([math.inf if exact or sd is None else sd for sd in prior]),
             poses,
             document.data.sha256,
-            _rejected(document.chi_squared, document.variance_factor_applied),
+            rejected_by(document.chi_squared, document.variance_factor_applied),
             document.terms,
             document.noise,
             _residual(_squares(document), _freedom(document)) if exact else None,
@@ -137,7 +137,7 @@ class Calibrated:
     @property
     def factor(self) -> float:
         """By how much the residuals are larger than the stated variances say; 1 where not."""
-        return 1.0 if self.rejected is None else self.rejected.variance_factor or 1.0
+        return residual_factor(self.rejected)
 
     @property
     def unwidened(self) -> Array:
@@ -192,14 +192,7 @@ class Calibrated:
     @property
     def by_residuals(self) -> Calibrated:
         """With a covariance as large as the residuals, where chi-squared rejects the sds."""
-        chi, covariance = self.rejected, self.covariance
-        if chi is None:
-            return self
-        if len(covariance.slopes):
-            return replace(self, covariance=covariance.scaled_by(self.factor))
-        # Without slopes no sd was learnt: the factor itself is what the residuals leave unsure.
-        scaled = LearntCovariance.scaled(self.factor * covariance.matrix, chi.degrees_of_freedom)
-        return replace(self, covariance=scaled)
+        return replace(self, covariance=by_residuals(self.covariance, self.rejected))
 
 
 def _hidden(result: FitResult) -> dict[str, float]:
@@ -211,8 +204,25 @@ def _hidden(result: FitResult) -> dict[str, float]:
     }
 
 
-def _rejected(chi: ChiSquared | None, applied: bool) -> ChiSquared | None:
+def rejected_by(chi: ChiSquared | None, applied: bool) -> ChiSquared | None:
+    """Chi-squared where it rejects the stated sds; applied: its factor is in the covariance."""
     return chi if chi is not None and chi.too_large and not applied else None
+
+
+def residual_factor(rejected: ChiSquared | None) -> float:
+    """By how much the residuals are larger than the stated variances say; 1 where not."""
+    return 1.0 if rejected is None else rejected.variance_factor or 1.0
+
+
+def by_residuals(covariance: LearntCovariance, rejected: ChiSquared | None) -> LearntCovariance:
+    """As large as the residuals, where chi-squared rejects the sds."""
+    if rejected is None:
+        return covariance
+    factor = residual_factor(rejected)
+    if len(covariance.slopes):
+        return covariance.scaled_by(factor)
+    # Without slopes no sd was learnt: the factor itself is what the residuals leave unsure.
+    return LearntCovariance.scaled(factor * covariance.matrix, rejected.degrees_of_freedom)
 
 
 def _residual(squares: float, freedom: int) -> ResidualVariance | None:

@@ -27,6 +27,7 @@ from loopcal.lazy import cached_property
 from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.effects.drift import RUN_DRIFT
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import mounted, without
 
@@ -75,9 +76,7 @@ class Case:
     def copied(self) -> Index:
         """Positions of the rows that copy others."""
         mechanism = self.mechanism
-        return copies(
-            self.data, [*mechanism.quantities, *mechanism.pose_constants], mechanism.outputs
-        ).copied
+        return copies(self.data, mechanism.recorded, mechanism.outputs).copied
 
     @property
     def may_be_faulty(self) -> bool:
@@ -219,6 +218,7 @@ def nominal_machine(mechanism: Mechanism, moved: Collection[str] = ()) -> Mechan
     moved: parameters of what slipped during the run, which is no fault of the drawing's.
     """
     placed = {*mechanism.parameters.of_role("placement", "mounting"), *moved}
+    placed |= {*mechanism.effects.get(RUN_DRIFT, ())}  # no fault of the drawing's
     fixed = [p.name for p in mechanism.parameters if p.name not in placed]
     made = mounted(mechanism)
     return made.with_parameters(made.parameters.with_fixed(fixed))

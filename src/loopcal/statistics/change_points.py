@@ -33,7 +33,7 @@ from loopcal.presentation.shown import wrapped
 from loopcal.statistics.estimated import log_tail
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
 from loopcal.statistics.possible_changes import ALONG_A_RUN, Possible, possible, unit_of
-from loopcal.statistics.run_order import order_by_joints, path_cosines
+from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines
 from loopcal.statistics.scales import scales
 
 Array = NDArray[np.float64]
@@ -52,9 +52,8 @@ UNREMARKABLE = 1e-3
 # Six cosines, R^2 of 0.5 and e^10 below: record 0051.
 _WAVES, _EDGE = 6, 1e-3
 """A step is kept if its edge stands out of so many slow cosines over the run at this level."""
-_FOLLOWED, _INSTRUMENT = 0.5, ("station", "reading")
-"""A drift is modelled where the joints explain less than this of the order of the poses, and where
-it is one of an instrument."""
+_INSTRUMENT = ("station", "reading")
+"""A drift is modelled where it is one of an instrument, in an order that the joints do not tell."""
 _RARE = 10.0
 """By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
 the last joint does the same, and does it more often."""
@@ -223,7 +222,7 @@ class Search:
         cosines = path_cosines(joints)
         smooth = self._smooth(fit, steps, cosines) if cosines > _WAVES else []
         clear = [step for step in steps if step.ramp or step not in smooth]
-        if followed < _FOLLOWED:
+        if followed < FOLLOWED:
             return [s for s in clear if not s.ramp or s.candidate.change.kind in _INSTRUMENT]
         return [step for step in clear if not step.ramp]
 

@@ -222,7 +222,7 @@ class _System:
     present: the innovation at t; value: that as if nothing had changed; U: (R, m) the directions,
     less what the placement takes up; visible: (m,); group: of each cause the first with the same
     column; freedom: (m,) degrees of freedom of the variance of each direction; linear: the
-    equations at t; every: all causes but loads together; scale: of S, by these poses;
+    equations at t; every: all causes but loads without mass together; scale: of S, by these poses;
     scale_freedom: its degrees of freedom, None where the stated variances are taken.
     """
 
@@ -262,10 +262,10 @@ class _System:
         scale = np.sqrt(np.where(visible, np.diag(G), 1.0))
         alike = G / scale / scale[:, None]
         group, freedom = _groups(causes, alike, visible), linear.freedom(raw)
-        # A load has so many parts that with them too little is left to show a scale.
-        kinds = np.array([one.kind for one in causes.causes])[causes.owner]
+        # A load without mass has so many parts that with them too little is left to show a scale.
+        many = np.array([one.kind == "load" and len(one.names) > 1 for one in causes.causes])
         heads = group[causes.owner] == causes.owner
-        rows = np.flatnonzero(visible & heads & (kinds != "load"))
+        rows = np.flatnonzero(visible & heads & ~many[causes.owner])
         every = Estimated.of(
             (g / scale)[rows], alike[np.ix_(rows, rows)], np.ones(len(rows)), _SAME
         )

@@ -115,7 +115,7 @@ class Change:
     def words(self) -> str:
         """The change in a sentence without its end."""
         verb = _VERBS.get(self.kind, "changed")
-        if self.kind == "load":
+        if self.kind == "load" and self.unit != "kg":
             return f"{self.where} {verb}"
         half = 0.5 * (self.high - self.low)
         if self.kind == "expansion":

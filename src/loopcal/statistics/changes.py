@@ -107,7 +107,9 @@ def changes(case: Case, way: Fit, whole: FitResult) -> Changes:
     run_changes, way = unchanged(case), way.changed(prior=case.fit.prior)
     for _ in range(ROUNDS):
         searched = find_shifts(whole)
-        new = [p for p in searched.told_apart if _certain(p, run_changes.points)]
+        # No effect of the plain machine is a load: it stays a finding, and a column can state it.
+        moved = [p for p in searched.told_apart if p.moved != "load"]
+        new = [p for p in moved if _certain(p, run_changes.points)]
         if not new:
             break
         try:

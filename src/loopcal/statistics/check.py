@@ -35,6 +35,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import PriorLike
 from loopcal.presentation.shown import SHOWN, columns, significant
 from loopcal.small_samples import LearntCovariance
+from loopcal.statistics.folds import repeated, stated_sds
 from loopcal.statistics.identifiability import (
     SCHROER,
     WhatDataSay,
@@ -49,13 +50,10 @@ from loopcal.statistics.predictor import (
     predictor_at,
     usual_words,
 )
-from loopcal.statistics.run_order import order_by_joints
+from loopcal.statistics.run_order import told_by_joints
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
-# As in the search for change points (record 0051).
-FOLLOWED = 0.5
-"""Share of the order of the poses from which a drift looks like an error of the machine."""
 ORDERED = "order-by-joints"
 """Code of the finding on such an order."""
 # Chosen, not derived: a rule of thumb; below, residuals follow the model more than the noise.
@@ -228,6 +226,7 @@ def check(
                 problem, problem.mechanism, covariance, system, x, ReadingNoise()
             )
     index = calibration_index(problem, problem.count, problem.equations)
+    again = repeated(mechanism, data, stated_sds(stated_noise, mechanism, data))
     # Whitened by stated sds, an equation has the sd 1.
     said = what_data_say(
         problem, information, sds, index, unit_sd=None if stated_noise is None else 1.0
@@ -240,7 +239,7 @@ def check(
         observability(information, len(data)),
         sds,
         predictor,
-        (_determined(problem, said, loose), *_order(problem)),
+        (_determined(problem, said, loose), *_order(problem, again)),
     )
 
 
@@ -283,15 +282,17 @@ def _determined(problem: Problem, said: WhatDataSay, loose: set[str]) -> Fact:
     return fact("poses-good", numbers=numbers)
 
 
-def _order(problem: Problem) -> Iterator[Fact]:
-    """Whether, before any reading, a drift could be told from an error of the machine."""
-    joints = problem.readings[joint_rows(problem)].T
-    # Constant, joints, and their products of second order: 1 + n + n (n + 1) / 2 columns.
-    terms = (joints.shape[1] + 1) * (joints.shape[1] + 2) // 2
-    if joints.size and np.isfinite(joints).all() and len(joints) >= 2 * terms:
-        share = order_by_joints(joints)
-        if share > FOLLOWED:
-            yield fact(ORDERED, numbers={"r_squared": share})
+def _order(problem: Problem, groups: NDArray[np.intp]) -> Iterator[Fact]:
+    """Whether, before any reading, a drift could be told from an error of the machine: by the
+    order of the poses, or by one that was measured again half a run later.
+
+    groups: (N,) equal where a pose was repeated.
+    """
+    share = told_by_joints(problem.readings[joint_rows(problem)].T)
+    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
+    later = np.arange(len(groups)) - first[group]
+    if share is not None and 2 * int(later.max()) < len(groups):
+        yield fact(ORDERED, numbers={"r_squared": share})
 
 
 def _range_table(check: Check) -> list[str]:

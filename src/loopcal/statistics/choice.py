@@ -22,7 +22,7 @@ plain methods one is enough. What another candidate beats by the rule of the ver
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,8 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.choice import DECISIVE, Candidate, Chosen, beats
-from loopcal.estimation.accuracy import by_pose, deviations
+from loopcal.document.choice import DECISIVE, Candidate, Chosen
 from loopcal.estimation.dependence.dependence import likenesses
 from loopcal.estimation.plausible import CODE as CONTRADICTED
 from loopcal.estimation.result import FitResult
@@ -46,9 +45,18 @@ from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.judged import Judged, begun, fitted, lean
 from loopcal.statistics.noise_floor import excess, noise_floor
+from loopcal.statistics.risks import (
+    beats,
+    mean_risk,
+    predicts_as_well,
+    risk_of,
+    rms_of,
+    rms_over,
+    significantly_better,
+)
+from loopcal.statistics.run_drift import with_run_drift
 from loopcal.statistics.validation import (
     Failed,
-    Outcome,
     Plan,
     Predicted,
     Validation,
@@ -98,6 +106,7 @@ def choose(
     Raises InputError where no candidate can be fitted.
     """
     reuse_memory(32)
+    case = with_run_drift(case)
     judged, waiting = list[Judged](), list(entrants(case))
     doubted = waiting[0].case.may_be_faulty
     while doubted and waiting and not any(one.whole for one in judged):
@@ -127,10 +136,11 @@ def choose(
     more, plan = _all_fitted([begun(one, near) for one in waiting], iterated, whole_fits, planned)
     judged = [*judged, *more]
     _refuse(judged)
-    judged = [lean(case, one) for one in judged]
+    judged = gathered(process_cores(), lean, case, judged)
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
         judged = _with_fewer(case, judged, plan, executor, progress)
+        judged = _refitted(judged, plan, len(case.data), executor)
     taken, chosen, validation = _choice(judged, plan, len(case.data))
     assert taken.whole is not None
     exact = (one.failed for one in judged if one.error and one.error.code == CONTRADICTED)
@@ -259,16 +269,38 @@ def _with_fewer(
     made = [one for one in judged if one.made]
     if all(one.entrant.drawn for one in made):
         return [*judged]
-    risks = {one.name: _risk(one, plan, len(case.data)) for one in made}
+    risks = {one.name: risk_of(one, plan, len(case.data)) for one in made}
     taken = _taken(made, risks, plan)
     fewer = lean(case, taken, DECISIVE)
     if fewer is taken:
         return [*judged]
     (fewer,) = _validated([fewer], plan, executor, progress)
-    risk = _risk(fewer, plan, len(case.data))
-    if fewer.failed or not _as_good(risk, risks[taken.name], plan):
+    risk = risk_of(fewer, plan, len(case.data))
+    if fewer.failed or not predicts_as_well(risk, risks[taken.name], plan):
         return [*judged]
     return [fewer if one is taken else one for one in judged]
+
+
+def _refitted(
+    judged: Sequence[Judged], plan: Plan, poses: int, executor: Executor | None
+) -> list[Judged]:
+    """With every part of what would be taken fitted; where that changes what would be taken, of
+    that as well. Steps from the fit of all only tell who loses (record 0061)."""
+    judged = list(judged)
+    for _ in judged:
+        made = [one for one in judged if one.made]
+        if all(one.entrant.drawn for one in made):
+            break
+        taken = _taken(made, {one.name: risk_of(one, plan, poses) for one in made}, plan)
+        steps = [i for i, p in enumerate(taken.made) if isinstance(p, Predicted) and p.stepped]
+        if not steps or taken.whole is None:
+            break
+        fitted_case = taken.entrant.case, taken.whole
+        (refits,) = left_out([fitted_case], [taken.made[i].index for i in steps], executor)
+        by_position = dict(zip(steps, refits, strict=True))
+        parts = tuple(by_position.get(i, part) for i, part in enumerate(taken.made))
+        judged = [replace(one, made=parts) if one is taken else one for one in judged]
+    return judged
 
 
 def _plan(case: Case, scheme: Scheme | None) -> Plan | None:
@@ -302,7 +334,12 @@ def _validated(
         whole_by_name = {one.name: (one.entrant.case, one.whole) for one in judged if one.whole}
         alive = [one.name for one in judged if not one.failed and one.name in whole_by_name]
         outcomes = left_out(
-            [whole_by_name[name] for name in alive], half, executor, advance, anew=plan.anew
+            [whole_by_name[name] for name in alive],
+            half,
+            executor,
+            advance,
+            anew=plan.anew,
+            stepped=True,
         )
         before += len(half) * len(alive)
         made = dict(zip(alive, outcomes, strict=True))
@@ -329,7 +366,10 @@ def _ordered(one: Judged, order: Index) -> Judged:
 def _without_hopeless(judged: Sequence[Judged], random: int) -> list[Judged]:
     """Those that may still be chosen; random: how many of the parts are poses at random."""
     alive = [one for one in judged if not one.failed and one.made]
-    ways = {one.name: (_rms(one, one.made[:random]), _rms(one, one.made[random:])) for one in alive}
+    ways = {
+        one.name: (rms_over(one, one.made[:random]), rms_over(one, one.made[random:]))
+        for one in alive
+    }
     best = [min(sizes, default=0.0) for sizes in zip(*ways.values(), strict=True)]
     kept = []
     for one in judged:
@@ -339,38 +379,6 @@ def _without_hopeless(judged: Sequence[Judged], random: int) -> list[Judged]:
             one = replace(one, made=(), failed=f"{min(times):.1f} times the best rms halfway")
         kept.append(one)
     return kept
-
-
-def _rms(one: Judged, made: Sequence[Outcome]) -> float:
-    """Root mean square distance over some parts; zero without outputs: all may go on."""
-    assert one.whole is not None
-    if not one.whole.mechanism.outputs:
-        return 0.0
-    parts = [_risks(one.whole, p) for p in made if isinstance(p, Predicted)]
-    values = np.concatenate(parts) if parts else np.empty(0)
-    values = values[np.isfinite(values)]
-    return math.sqrt(float(values.mean())) if values.size else math.inf
-
-
-def _risks(whole: FitResult, part: Predicted) -> Array:
-    """(n,) squared distances; without outputs minus twice the log densities."""
-    distances = by_pose(deviations(whole.mechanism, part.measured, part.differences))
-    if distances is not None:
-        return np.square(distances)
-    stated = part.stated(whole.drifting)
-    density = None if stated is None else stated.log_density
-    return np.full(len(part.index), np.nan) if density is None else -2.0 * density
-
-
-def _risk(one: Judged, plan: Plan, poses: int) -> Array:
-    """(2, N): risk where the pose was left out at random, and with its region; NaN if unknown."""
-    risks = np.full((2, poses), np.nan)
-    if one.whole is not None:
-        for number, part in enumerate(one.made):
-            if isinstance(part, Predicted):
-                row = int(number >= len(plan.random.indices))
-                risks[row, part.index] = _risks(one.whole, part)
-    return risks
 
 
 def _choice(
@@ -388,7 +396,7 @@ def _choice(
             )
         words = f"{taken.name}; not validated: {why}"
         return taken, Chosen(taken.name, _terms(taken), words, tuple(map(_bare, judged))), None
-    risks = {one.name: _risk(one, plan, poses) for one in judged if one.made}
+    risks = {one.name: risk_of(one, plan, poses) for one in judged if one.made}
     taken = _taken([one for one in judged if one.made], risks, plan)
     assert taken.whole is not None
     validations = {
@@ -412,7 +420,7 @@ def _choice(
     better = [
         one.name
         for one in judged
-        if one.made and _score(risks[one.name]) < _score(risks[taken.name])
+        if one.made and mean_risk(risks[one.name]) < mean_risk(risks[taken.name])
     ]
     words = _words(over, "" if best is None else best.unit, better)
     return taken, Chosen(taken.name, _terms(taken), words, tuple(over)), validations[taken.name]
@@ -435,80 +443,30 @@ def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> 
     """The candidate that the rule at the head of this module takes."""
 
     def score(one: Judged) -> float:
-        return _score(risks[one.name])
+        return mean_risk(risks[one.name])
 
     structured = [one for one in judged if one.entrant.structured]
     preferred = min(structured, key=score) if structured else judged[0]
     # exact readings are taken only where they predict better
     uncertain = [one for one in structured if not one.entrant.case.fit.method.exact]
-    as_good = [one for one in uncertain if _as_good(risks[one.name], risks[preferred.name], plan)]
+    as_good = [
+        one for one in uncertain if predicts_as_well(risks[one.name], risks[preferred.name], plan)
+    ]
     preferred = min(as_good, key=score, default=preferred)
     enough = all if structured else any
     better = [
-        one for one in judged if _better(risks[one.name], risks[preferred.name], plan, enough)
+        one
+        for one in judged
+        if significantly_better(risks[one.name], risks[preferred.name], plan, enough)
     ]
     taken = min(better, key=score) if better else preferred
     # Each round lowers the rms on common poses. The bound ends a cycle of candidates that failed
     # on different ones.
     for _ in judged if taken.entrant.case.mechanism.outputs else ():
         # the verdict would condemn what another one beats
-        beaten = [one for one in judged if _beats(risks[one.name], risks[taken.name], plan)]
-        taken = min(beaten, key=lambda one: _rms_of(risks[one.name][0]) or 0.0, default=taken)
+        beaten = [one for one in judged if beats(risks[one.name], risks[taken.name], plan)]
+        taken = min(beaten, key=lambda one: rms_of(risks[one.name][0]) or 0.0, default=taken)
     return taken
-
-
-def _beats(rival: Array, taken: Array, plan: Plan) -> bool:
-    """By the rule of the verdict."""
-    gain = Gain.in_rms(taken[0], rival[0], plan.groups)
-    if gain is None:
-        return False
-    return beats(gain.difference, gain.sd, _rms_of(rival[1]), _rms_of(taken[1]))
-
-
-def _rms_of(risk: Array) -> float | None:
-    """Of the poses where it is known; None where at none."""
-    values = risk[np.isfinite(risk)]
-    return math.sqrt(max(float(values.mean()), 0.0)) if values.size else None
-
-
-def _score(risk: Array) -> float:
-    """Mean risk over both ways to leave a pose out."""
-    rows = [row[np.isfinite(row)] for row in risk]
-    return (
-        # A mean of means: one of the ways may know more poses than the other.
-        float(np.mean([row.mean() for row in rows if row.size]))
-        if any(map(len, rows))
-        else math.inf
-    )
-
-
-def _better(
-    risk: Array, other: Array, plan: Plan, enough: Callable[[Iterable[bool]], bool]
-) -> bool:
-    """Whether a candidate is significantly better than another, in all or any of both ways."""
-    ways = zip(risk, other, _clusters(plan), strict=False)
-    gains = [Gain.of(one, two, clusters) for one, two, clusters in ways]
-    clustered = [gain for gain in gains if gain.clusters]
-    return all(gain.difference > 0.0 for gain in clustered) and enough(
-        gain.better is True for gain in clustered
-    )
-
-
-def _as_good(risk: Array, best: Array, plan: Plan) -> bool:
-    """Whether a candidate predicts within one paired standard error of another, in both ways."""
-    ways = zip(best, risk, _clusters(plan), strict=False)
-    gains = [Gain.in_rms(one, two, clusters) for one, two, clusters in ways]
-    return all(gain is None or gain.difference <= gain.sd for gain in gains)
-
-
-def _clusters(plan: Plan) -> list[Index]:
-    """(N,) labels of poses whose errors belong together: at random, and in regions where any."""
-    if plan.blocked is None:
-        return [plan.groups]
-    region = np.zeros(len(plan.groups), dtype=np.intp)
-    for number, index in enumerate(plan.blocked.indices):
-        region[index] = number
-    return [plan.groups, region]
 
 
 def _unvalidated(judged: Sequence[Judged]) -> Judged:

@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
+from loopcal.estimation.noise.term_parts import idle
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress as Iterated
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.statistics.case import Begin, Case, Entrant, without_terms
 from loopcal.statistics.validation import Outcome, unread
 
@@ -61,17 +64,29 @@ def lean(case: Case, one: Judged, least: float = 0.0) -> Judged:
     """The candidate without the terms whose gain is at most so much; itself if there are none.
 
     Dimensions of the drawing stay: without a term they would be exact. Where one term leaves,
-    others may gain less, so this goes on until all that are left gain more.
+    others may gain less or more, so this goes on until all that are left gain more.
     """
     while one.entrant.structured and one.whole is not None and not one.failed:
-        idle = {t.name for t in one.whole.terms if t.gain is not None and t.gain <= least}
-        fewer = without_terms(case, one.entrant, idle)
+        learnt = one.whole.estimate.variances.terms if one.whole.estimate else None
+        if learnt is None:
+            break
+        drawn = {name for name, _, _ in GEOMETRY_TERMS.values()}
+        fewer = without_terms(case, one.entrant, idle(learnt, least, keep=drawn))
         if fewer is None:
             break
         begin = Begin.of(one.whole, fewer.case.mechanism)
         near = replace(fewer.case, trusted=True, begin=begin, near=unread(one.whole))
+        near = replace(near, mechanism=_begun_with(near.mechanism, one.whole))
         again = fitted(replace(fewer, case=near))
         if again.failed:
             break
         one = replace(again, entrant=replace(fewer, case=replace(fewer.case, trusted=True)))
     return one
+
+
+def _begun_with(mechanism: Mechanism, whole: FitResult) -> Mechanism:
+    """The mechanism whose terms begin at the sds that a fit has learnt."""
+    parameters = mechanism.parameters
+    learnt = dict(zip(whole.problem.names, whole.problem.prior_sd.tolist(), strict=True))
+    learnt = {name: sd for name, sd in learnt.items() if name in parameters.names}
+    return mechanism.with_parameters(parameters.with_prior(learnt))

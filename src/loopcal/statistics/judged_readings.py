@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from loopcal.document.choice import DECISIVE
 from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
 from loopcal.document.result_document import DataEntry, ResultDocument
-from loopcal.document.verdict import Fact, Where, fact
+from loopcal.document.verdict import Fact, Figure, Where, fact
+from loopcal.mechanisms.effects.drift import RUN_DRIFT
 from loopcal.mechanisms.structure.structured import DISCREPANCY
 from loopcal.presentation.shown import significant
 
@@ -22,7 +22,10 @@ LOOSE = 0.25
 # Chosen, not derived: 3 mm of a metre, more than the noise of any instrument here.
 SIZE = 3e-3
 """Relative sd of a size that only priors determine from which on its bias counts."""
-# Chosen, not derived: one good data set of a hundred; `analyses.alarms` counts all codes together.
+# As the changes that may move the end point: record 0054.
+UNSURE = 0.5
+"""Stated sds by which a drift along ordered poses may be uncertain."""
+# Chosen, not derived: one good data set of a hundred; `analyses.gauntlet` counts all codes.
 _CHANCE = 0.01
 """Share of good data sets with a pose so far off; the search for outliers names more."""
 # Record 0054; `analyses.residual_outliers` counts the good poses that are named.
@@ -35,24 +38,19 @@ joints act through lever arms of unlike length. The log of a p-value falls in pr
 class Readings:
     """What was found out about the readings of a calibration, or of another day.
 
-    faults: of whole columns; tests: of the outliers, None where none were sought; spare: degrees of
-    freedom that the residuals have as a scale, inf where that is not known.
+    faults: of whole columns; tests: of the outliers, None where none were sought.
     """
 
     data: DataEntry
     faults: Sequence[ColumnFault]
     outliers: Sequence[Outlier]
     tests: OutlierTests | None
-    spare: float
 
     @classmethod
     def of(cls, document: ResultDocument) -> Readings:
         """Of a calibration."""
-        index, chi = document.identifiability.calibration_index, document.chi_squared
-        left = math.inf if index is None else index.value - document.identifiability.rank
-        spare = max(left if chi is None else float(chi.degrees_of_freedom), 1.0)
         faults, outliers = document.column_faults or (), document.outliers or ()
-        return cls(document.data, faults, outliers, document.outlier_tests, spare)
+        return cls(document.data, faults, outliers, document.outlier_tests)
 
     def facts(self) -> list[Fact]:
         """Faults of the file, outliers, copies and coarse digits, where there are any."""
@@ -71,13 +69,12 @@ class Readings:
         # Bonferroni, over the poses and over all their readings.
         whole = 0.5 * _CHANCE / poses if poses else 1.0
         single = whole / max(len(self.data.quantities), 1) if poses else 1.0
-        spare = math.inf
         if by_residuals:
-            whole, single, spare = whole**_UNLIKE, single**_UNLIKE, self.spare
+            whole, single = whole**_UNLIKE, single**_UNLIKE
         named = [
             entry.pose
             for entry in self.outliers
-            if _by_few(entry.p_value, spare) <= (whole if entry.quantity is None else single)
+            if entry.p_value <= (whole if entry.quantity is None else single)
         ]
         bad = tuple(dict.fromkeys(named))
         # Too few poses are left to tell: any few can be fitted exactly.
@@ -105,14 +102,6 @@ class Readings:
             return None
         numbers = {"sd": max(one.sd for one in steps)}
         return fact("readings-coarse", numbers=numbers, quantities="; ".join(map(str, steps)))
-
-
-def _by_few(p: float, spare: float) -> float:
-    """The p-value of what has p beside a known scale, where the scale has so many degrees of
-    freedom: exp(-x / 2) becomes (1 + x / nu)^(-(nu + 1) / 2), as from the normal to Student's t."""
-    if math.isinf(spare) or p <= 0.0:
-        return p
-    return math.exp(-0.5 * (spare + 1.0) * math.log1p(-2.0 * math.log(p) / spare))
 
 
 def suspects(document: ResultDocument) -> str:
@@ -175,6 +164,21 @@ def order_or_model(document: ResultDocument) -> Fact | None:
     if alike is None or any((t.gain or 0.0) >= DECISIVE for t in effect_terms):
         return None
     return fact("drift-or-model", numbers={"evidence": alike.correlation})
+
+
+def drift_or_machine(document: ResultDocument) -> Fact | None:
+    """A drift of the instrument that the poses cannot tell from an error of the machine.
+
+    It is among the parameters only where the joints tell the order of the poses (`run_drift`).
+    """
+    region = None if document.prediction is None else document.prediction.region
+    for by in () if region is None else region.by:
+        drifts = [p for p in document.parameters if (p.owner, p.unit) == (RUN_DRIFT, by.unit)]
+        sd = max((p.sd or 0.0 for p in drifts), default=0.0)
+        if sd > UNSURE * by.sd_at_poses:
+            numbers = {"sd": Figure(sd, by.unit), "stated": Figure(by.sd_at_poses, by.unit)}
+            return fact("drift-or-machine", numbers=numbers)
+    return None
 
 
 def sds_overruled(document: ResultDocument) -> Fact | None:

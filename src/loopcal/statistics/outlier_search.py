@@ -23,7 +23,14 @@ from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.solution import Solution
 from loopcal.statistics.folds import blocks
-from loopcal.statistics.pose_tests import Fitted, PoseTests, independent, pose_tests, settle
+from loopcal.statistics.pose_tests import (
+    Fitted,
+    PoseTests,
+    independent,
+    pose_tests,
+    settle,
+    tail,
+)
 
 Array = NDArray[np.float64]
 # Concentration keeps the other seven tenths (docs/explanation/outliers.md).
@@ -36,6 +43,8 @@ _REGIONS, _MANY, _FINALISTS, _LESS = (4, 8), 6, 2, 0.9
 # ln 2 = 0.69 for two degrees of freedom, 0.79 for three.
 _MEDIAN = 0.75
 """Of chi-squared over its degrees of freedom, of two or three of them, at most 0.79."""
+_MEDIAN_SD = 1.5
+"""Relative sd of a median of |E|^2 / r, times the root of the number of poses."""
 # Chosen, not derived: a cap; residuals of 10 sds, and a fit that brings outputs ten times as near,
 # from which columns may be wrong. The last is the p-value of a single test (record 0054).
 _ROUNDS, _HOPELESS, _BENT, _REJECTED = 10, 100.0, 10.0, 1e-3
@@ -212,12 +221,9 @@ class Search:
         w = tests.w[self.readings]
         poses = 0.5 * self.level / max(self.tested(tests), 1)
         readings = 0.5 * self.level / max(float(np.isfinite(w).sum()) * self._share, 1)
-        limits = np.where(
-            tests.freedom > 0, quantile(poses, np.maximum(tests.freedom, 1.0)), np.inf
-        )
-        misfit = ~(tests.t <= limits)  # what is no number is one
-        wrong = np.square(w) > quantile(readings, 1)
-        remarkable: NDArray[np.bool_] = misfit | wrong.any(axis=0)
+        misfit = ~(tests.p_pose >= poses)  # what is no number is one
+        single = tail(np.square(np.nan_to_num(w)), np.ones(w.shape, np.intp), tests.denominator)
+        remarkable: NDArray[np.bool_] = misfit | (single < readings).any(axis=0)
         return remarkable
 
     def _fit(self, problem: Problem, start: Array, loss: Loss | None) -> Solution:
@@ -251,7 +257,7 @@ class Search:
 
     def _closed(self, fit: Fitted, parameters: Array, corrections: Array) -> Fitted:
         closed = settle(self.problem, parameters, corrections)
-        return replace(fit, parameters=parameters, corrections=closed.corrections)
+        return replace(fit, parameters=parameters, corrections=closed.corrections, blocks=())
 
     def _scaled(self, fit: Fitted, gone: NDArray[np.bool_], *, cleaned: bool = False) -> Fitted:
         """The fit with the variance factor that the tests are to use.
@@ -260,14 +266,20 @@ class Search:
         no less than its mean, for scatter that differs from pose to pose has a low median.
         """
         if self.scale == "stated":
-            return replace(fit, factor=1.0)
+            return replace(fit, factor=1.0, denominator=math.inf)
+        fit = replace(fit, alike={}, blocks=())
+        blocks = fit.equations(self.problem)
         if self.scale == "residual":
-            blocks = replace(fit, alike={}).equations(self.problem)
             fit = replace(fit, alike=independent(blocks, ~gone))
+        fit = replace(fit, blocks=fit.turned(blocks))
         factor = self._factor(fit, gone, cleaned)
         if self.scale == "auto" and factor < self._plausible(gone):
-            factor = 1.0
-        return replace(fit, factor=factor)
+            return replace(fit, factor=1.0, denominator=math.inf)
+        # 2 / nu is the relative variance of the factor: of a mean, or of a median (`_plausible`).
+        kept = float((~gone).sum())
+        equations = self.result.solution.equations * self._spare(fit) * kept / len(gone)
+        denominator = equations if cleaned else 2.0 * kept / _MEDIAN_SD**2
+        return replace(fit, factor=factor, denominator=max(denominator, 1.0))
 
     def _factor(self, fit: Fitted, gone: NDArray[np.bool_], cleaned: bool) -> float:
         pose_blocks = fit.equations(self.problem)
@@ -295,7 +307,7 @@ class Search:
         return max(equations - taken, 1.0) / equations
 
     def _plausible(self, gone: NDArray[np.bool_]) -> float:
-        """Up to here a median ratio is chance: its sd is about 1.5 / sqrt(poses)."""
+        """Up to here a median ratio is chance: its sd is about `_MEDIAN_SD` / sqrt(poses)."""
         # 5 / 1.5 = 3.3 sds, which chance exceeds with a probability of 0.0004.
         return 1.0 + 5.0 / float(np.sqrt(max(int((~gone).sum()), 1)))
 

@@ -150,10 +150,13 @@ def _named(
     suspects = find_suspects(search, fit, where, tests)
     causes = find_causes(search.problem, search.result.dataset, fit, suspects)
     worst = np.argsort([-(s.t / max(s.freedom, 1)) for s in suspects], kind="stable")
-    return tuple(_outlier(search.problem, suspects[i], causes[i]) for i in worst)
+    denominator = tests.denominator
+    return tuple(_outlier(search.problem, suspects[i], causes[i], denominator) for i in worst)
 
 
-def _outlier(problem: Problem, suspect: Suspect, cause: Cause | None) -> Outlier:
+def _outlier(
+    problem: Problem, suspect: Suspect, cause: Cause | None, denominator: float
+) -> Outlier:
     names = problem.mechanism.tape.quantities
     pose = problem.poses[suspect.pose]
     order = list(suspect.explained)
@@ -163,7 +166,7 @@ def _outlier(problem: Problem, suspect: Suspect, cause: Cause | None) -> Outlier
     words, verified = (None, False) if cause is None else (cause.words, cause.verified)
     whole = finite(suspect.t)
     if not order or (cause is not None and cause.quantity is None):
-        p = float(tail(np.array([suspect.t]), np.array([suspect.freedom]))[0])
+        p = float(tail(np.array([suspect.t]), np.array([suspect.freedom]), denominator)[0])
         together = tuple(suspect.together) if cause is None else ()
         size = suspect.together[together[0]] if len(together) == 1 else None
         unit = None if size is None else "m"
@@ -173,7 +176,7 @@ def _outlier(problem: Problem, suspect: Suspect, cause: Cause | None) -> Outlier
     size, left = suspect.explained[j]
     # Leaving a reading out lowers chi-squared by the square of its w.
     w = float(np.copysign(np.sqrt(max(suspect.t - left, 0.0)), size))
-    p = float(tail(np.array([w * w]), np.array([1]))[0])
+    p = float(tail(np.array([w * w]), np.array([1]), denominator)[0])
     others = tuple(names[i] for i in order[1:])
     unit = problem.mechanism.quantities[names[j]]
     read = [f.name for f in problem.mechanism.families if names[j] in f.readings]

@@ -9,6 +9,7 @@ its inverse and y = W E,
 x_j the column of reading j: t asks whether the pose fits, w_j (Baarda 1968) whether reading j is
 wrong; -w_j is also the reading's correction over the sd of that correction. For a pose that took
 part in the fit W = 1 - D C D^T and y = E with C of all poses, which is the same thing.
+Where the scale comes from residuals, t / r follows F and w_j Student's t.
 """
 
 from __future__ import annotations
@@ -40,38 +41,48 @@ class PoseTests:
     """Statistics of N poses.
 
     t: (N,) chi-squared of the pose, freedom: (N,) its degrees of freedom; w: (k, N) of each
-    reading, NaN where it cannot be tested; sd: (k, N) of the size of its error [SI].
+    reading, NaN where it cannot be tested; sd: (k, N) of the size of its error [SI]; denominator:
+    degrees of freedom of the scale, inf where it is known.
     """
 
     t: Array
     freedom: NDArray[np.intp]
     w: Array
     sd: Array
+    denominator: float = math.inf
 
     @property
     def p_pose(self) -> Array:
         """Probability of such a t where the pose is good, (N,)."""
-        return tail(self.t, self.freedom)
+        return tail(self.t, self.freedom, self.denominator)
 
 
 @dataclass(frozen=True)
 class Fitted:
     """Where a fit stands: parameters (n_all,), corrections (k, N) [SI], covariance (n, n) at a
-    variance factor of 1, the factor itself.
+    variance factor of 1, the factor itself with its degrees of freedom, inf where it is known.
 
     alike: number of equations r -> (r, r) by which those of a pose are turned to be independent and
-    alike, where the scale of errors that several targets share comes from the residuals.
+    alike, where the scale of errors that several targets share comes from the residuals; blocks:
+    the equations of all poses of the fit where they are at hand.
     """
 
     parameters: Array
     corrections: Array
     covariance: Array
     factor: float
+    denominator: float = math.inf
     alike: Mapping[int, Array] = field(default_factory=dict)
+    blocks: tuple[PoseEquations, ...] = ()
 
     def equations(self, problem: Problem) -> tuple[PoseEquations, ...]:
         """Of every pose where the fit stands."""
-        blocks = pose_equations(problem.where_closed, self.parameters, self.corrections)
+        if self.blocks:
+            return self.blocks
+        return self.turned(pose_equations(problem.where_closed, self.parameters, self.corrections))
+
+    def turned(self, blocks: Sequence[PoseEquations]) -> tuple[PoseEquations, ...]:
+        """Blocks as they were whitened, with equations that are independent and alike."""
         return tuple(self._turned(block) for block in blocks)
 
     def _turned(self, block: PoseEquations) -> PoseEquations:
@@ -106,10 +117,19 @@ def independent(blocks: Sequence[PoseEquations], kept: NDArray[np.bool_]) -> dic
     return whitenings
 
 
-def tail(t: Array, freedom: NDArray[np.intp]) -> Array:
-    """Probability of a chi-squared above t; 1 without freedom to test, 0 for an infinite t."""
+def tail(t: Array, freedom: NDArray[np.intp], denominator: float = math.inf) -> Array:
+    """Probability of a chi-squared above t; 1 without freedom to test, 0 for an infinite t.
+
+    denominator: degrees of freedom of its scale, where that was learnt: t / freedom follows F.
+    """
     some = freedom > 0
-    p: Array = np.where(some, chi_squared.tail(np.maximum(t, 0.0), np.where(some, freedom, 1)), 1.0)
+    square, size = np.maximum(t, 0.0), np.where(some, freedom, 1)
+    if math.isinf(denominator):
+        p = np.where(some, chi_squared.tail(square, size), 1.0)
+    else:
+        from scipy.special import fdtrc
+
+        p = np.where(some, fdtrc(size, denominator, square / size), 1.0)
     return np.where(np.isfinite(t), p, 0.0)
 
 
@@ -126,7 +146,7 @@ def pose_tests(problem: Problem, fit: Fitted, fitted: NDArray[np.bool_]) -> Pose
             w[:, block.poses], sd[:, block.poses] = tests.w, tests.sd
     hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, w.shape))
     w[hidden] = np.nan
-    return PoseTests(t, freedom, w, sd)
+    return PoseTests(t, freedom, w, sd, fit.denominator)
 
 
 def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> PoseTests:
@@ -180,7 +200,8 @@ def try_rows(
     start = np.where(hidden, fit.corrections, 0.0)[:, index]
     closed = settle(rows, fit.parameters, start)
     none = np.zeros(len(index), dtype=bool)
-    tests = pose_tests(rows, replace(fit, corrections=closed.corrections), none)
+    other = replace(fit, corrections=closed.corrections, blocks=())
+    tests = pose_tests(rows, other, none)
     t = np.where(few | closed.open | ~np.isfinite(tests.t), np.inf, tests.t)
     return Trials(replace(tests, t=t), closed.corrections)
 
@@ -192,7 +213,7 @@ def misfit_of_rows(
     index = np.asarray(poses, dtype=np.intp)
     rows = left_unmeasured(replace(taken(problem, index), readings=readings), without)
     none = np.zeros(len(index), dtype=bool)
-    held = replace(fit, corrections=np.zeros_like(readings))
+    held = replace(fit, corrections=np.zeros_like(readings), blocks=())
     t: Array = pose_tests(rows, held, none).t
     return t
 

@@ -14,7 +14,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
-from loopcal.mechanisms.structure.sag import TOOL
+from loopcal.mechanisms.structure.sag import LOAD, TOOL
 from loopcal.mechanisms.structure.structured import driven_joints
 
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
@@ -200,11 +200,14 @@ def _dimensions(problem: Problem) -> Iterator[Possible]:
 
 
 def _loads(problem: Problem) -> Iterator[Possible]:
-    """What the arm carries, by all that gives way under it."""
+    """What the arm carries: its mass, or all that gives way under it."""
+    if LOAD in problem.mechanism.parameters.names:
+        yield Possible("load", (LOAD,), ramps=False, label="the load")
+        return
     structure = problem.mechanism.structure
     columns = () if structure is None else structure.columns
     if names := tuple(c.parameter for c in columns if c.load == TOOL):
-        yield Possible("load", names, label="the load")
+        yield Possible("load", names, ramps=False, label="the load")
 
 
 def _expansion(problem: Problem) -> Iterator[Possible]:
@@ -217,6 +220,6 @@ def _expansion(problem: Problem) -> Iterator[Possible]:
         yield Possible("expansion", names, parts=(part,), label="the scale of the machine")
 
 
-ALONG_A_RUN: tuple[Cause, ...] = (_targets, _stations, _joints, _readings)
+ALONG_A_RUN: tuple[Cause, ...] = (_targets, _stations, _joints, _readings, _loads)
 BETWEEN_DAYS: tuple[Cause, ...] = (_zeros, _mountings, _loads, _dimensions, _expansion)
 """Of changes that do the same the first speaks: zeros of joints, then mountings."""

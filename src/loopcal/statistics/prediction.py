@@ -7,11 +7,18 @@ The end point y predicted from readings x with the parameters p has two independ
 first order propagation of covariance (JCGM 102:2011, 6.2). C_p is the calibration's, and the same
 however often a pose is repeated; C_x comes with each reading. Poses unlike those of the
 calibration have a C_p that no residual there could show: that is what the alarm is for.
+
+Least squares takes readings as exact, and its residuals hold the errors of all readings. Errors of
+joints come anew with each pose, so C_x is then the residual variance, as large for every output of
+an instrument. It is too large for the true end point by the noise of the instrument, which nothing
+tells apart. Where chi-squared rejects the stated sds, both parts are as large as the residuals.
+
+The answer "valid" and what `verify` expects are the same C_p + C_x (`parts_at`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -48,7 +55,8 @@ class Prediction:
     largest over instruments and units); NaN where that is not known. groups: outputs whose sds
     belong together: those of one unit that one instrument reads. freedom (N, o), denominator (N,):
     degrees of freedom of Student's t of each output, and of the denominator of F of all; inf where
-    the sds are known and none was learnt from the calibration.
+    the sds are known and none was learnt from the calibration. by_residuals: whether the residuals
+    of the fit stand for the noise of the readings.
     """
 
     poses: tuple[str, ...]
@@ -60,6 +68,7 @@ class Prediction:
     groups: tuple[OutputGroup, ...]
     freedom: Array
     denominator: Array
+    by_residuals: bool = False
 
     @property
     def covariance(self) -> Array:
@@ -162,7 +171,8 @@ class Prediction:
         """What was predicted, how sure it is, and the alarm."""
         predicted = np.isfinite(np.array(list(self.outputs.values()))).all(axis=0)
         lines = [f"{int(predicted.sum())} of {len(self.poses)} poses predicted"]
-        parts = [("parameters", self.from_parameters), ("readings", self.from_readings)]
+        further = "what the fit leaves" if self.by_residuals else "readings"
+        parts = [("parameters", self.from_parameters), (further, self.from_readings)]
         for name, covariance in parts:
             if covariance is None:
                 lines.append("sd caused by readings: unknown, because their sds are unknown")
@@ -228,12 +238,64 @@ def predict(
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     machine = calibrated.mechanism.predicting()
     data = with_latest(machine, data)
-    names, unused = machine.tape.quantities, machine.unused
     guessed = _guessed(calibrated, data, stated_noise)
-    also = [q for q in names if q not in data.readings or q in guessed]
-    also = [q for q in also if q not in (*machine.disturbances, *machine.outputs, *unused)]
-    _check_enough(machine, also)
-    solved = replace(machine, outputs=(*machine.outputs, *also))
+    hidden = {q for q in machine.tape.quantities if q not in data.readings or q in guessed}
+    aside = (*machine.disturbances, *machine.outputs, *machine.unused)
+    _check_enough(machine, [q for q in machine.tape.quantities if q in hidden.difference(aside)])
+    at = parts_at(calibrated, data, hidden, noise=stated_noise)
+    total = calibrated.covariance.through(at.slopes)
+    if at.from_readings is not None:
+        total = total.plus(at.from_readings)
+    return Prediction(
+        data.poses,
+        dict(zip(calibrated.units, at.outputs, strict=True)),
+        calibrated.units,
+        at.from_parameters,
+        None if at.from_readings is None else at.from_readings.matrix,
+        _ratio(at.from_parameters, calibrated),
+        output_groups(calibrated.mechanism),
+        total.freedom,
+        total.denominator,
+        at.by_residuals,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Outputs of N poses (o, N) [SI], how the parameters move them (N, o, n), and both parts of
+    their covariance (N, o, o); from_readings None where sds are not known; by_residuals: of what
+    the fit leaves."""
+
+    outputs: Array
+    slopes: Array
+    from_parameters: Array
+    from_readings: LearntCovariance | None
+    by_residuals: bool
+
+    @property
+    def covariance(self) -> Array:
+        """(N, o, o) of both parts together, of the parameters alone where that is all."""
+        if self.from_readings is None:
+            return self.from_parameters
+        total: Array = self.from_parameters + self.from_readings.matrix
+        return total
+
+
+def parts_at(
+    calibrated: Predictor,
+    data: Dataset,
+    hidden: Collection[str] = (),
+    *,
+    noise: Noise | None = None,
+    measured: bool = False,
+) -> Parts:
+    """What is stated of these poses by whoever asks.
+
+    hidden: what no sensor reads: the loops find it with the outputs; noise: sds of the readings,
+    else the calibration's; measured: at poses of the fit.
+    """
+    solved = solving(calibrated.mechanism, hidden)
+    names, unused = solved.tape.quantities, solved.unused
     x = np.array([_readings(q, data, calibrated) for q in names])
     nothing = np.zeros(len(data))
     listed = [nothing if q in unused else data[q] for q in solved.tape.pose_constants]
@@ -243,21 +305,12 @@ def predict(
     x[[names.index(q) for q in solved.outputs]] = y
     S = output_sensitivity(solved, values, calibrated.names, x, constants)
     o = len(calibrated.units)
-    from_parameters = by_parameters(calibrated, S.by_parameter[:, :o])
-    total = calibrated.covariance.through(S.by_parameter[:, :o])
-    readings = _by_readings(calibrated, solved, data, stated_noise, S.by_reading[:, :o])
-    if readings is not None:
-        total = total.plus(readings)
-    return Prediction(
-        data.poses,
-        dict(zip(calibrated.units, y[:o], strict=True)),
-        calibrated.units,
-        from_parameters,
-        None if readings is None else readings.matrix,
-        _ratio(from_parameters, calibrated),
-        output_groups(calibrated.mechanism),
-        total.freedom,
-        total.denominator,
+    slopes = S.by_parameter[:, :o]
+    from_parameters = by_parameters(calibrated, slopes, measured=measured)
+    readings = _by_readings(calibrated, solved, data, noise, S.by_reading[:, :o])
+    left = _left(calibrated, len(data)) if readings is None and noise is None else None
+    return Parts(
+        y[:o], slopes, from_parameters, left if readings is None else readings, left is not None
     )
 
 
@@ -338,6 +391,22 @@ def _by_readings(
     turned = G.transpose(0, 2, 1)
     covariance = G @ turned
     return LearntCovariance(covariance, covariance, (G * slopes[:, None, None, :]) @ turned)
+
+
+def _left(calibrated: Predictor, poses: int) -> LearntCovariance | None:
+    """The residual variance of each output (N, o, o), as unsure as the parameters' that it scales;
+    None where it is not known."""
+    sds = {(one.instrument, one.unit): one.residual for one in calibrated.usual}
+    variance = np.full(len(calibrated.units), np.nan)
+    for group in output_groups(calibrated.mechanism):
+        sd = sds.get((group.instrument, group.unit))
+        variance[list(group.rows)] = np.nan if sd is None else sd**2
+    if not np.isfinite(variance).all():
+        return None
+    matrix = np.broadcast_to(np.diag(variance), (poses, len(variance), len(variance)))
+    C = calibrated.covariance
+    relative = np.einsum("aii->a", C.slopes) / max(float(np.trace(C.plain)), 1e-300)
+    return LearntCovariance(matrix, matrix, np.multiply.outer(relative, matrix))
 
 
 def _marginal(

@@ -15,6 +15,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.noise.learning import joint_covariances
 from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.problem.constants import as_now
 from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
@@ -26,7 +27,12 @@ from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import LearntCovariance
-from loopcal.statistics.calibrated import stored_covariance
+from loopcal.statistics.calibrated import (
+    by_residuals,
+    rejected_by,
+    residual_factor,
+    stored_covariance,
+)
 
 Array = NDArray[np.float64]
 # The 95 % point over 2000 poses is sure to half a per cent of them: sqrt(0.95 x 0.05 / 2000).
@@ -67,6 +73,11 @@ class ReadingNoise:
             frozenset(unmeasured),
         )
 
+    def scaled_by(self, factor: float) -> ReadingNoise:
+        """With all variances multiplied by a number."""
+        sds = {q: math.sqrt(factor) * sd for q, sd in self.sds.items()}
+        return replace(self, sds=sds, joint={q: factor * m for q, m in self.joint.items()})
+
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
@@ -76,7 +87,8 @@ class Predictor:
     parameters, over the directions that are determined; undetermined: (n, d) steps [SI] that
     neither data nor prior limit; readings: what is known of their noise; usual: by instrument, the
     sd that parameters alone cause; typical: quantity -> a reading [SI] to start the search for
-    outputs from; at_poses: (n, n) the covariance for the poses of the fit, None: the same.
+    outputs from; at_poses: (n, n) the covariance for the poses of the fit, None: the same; factor:
+    by which the variances are larger here than the result states them, for its residuals are.
     """
 
     mechanism: Mechanism
@@ -87,6 +99,7 @@ class Predictor:
     usual: tuple[UsualSd, ...] = ()
     typical: Mapping[str, float] = field(default_factory=dict)
     at_poses: Array | None = None
+    factor: float = 1.0
 
     @property
     def units(self) -> dict[str, str]:
@@ -100,7 +113,7 @@ class Predictor:
         return PredictionEntry(
             largest_by_unit(self.usual),
             dict(self.typical),
-            tuple(map(tuple, self.covariance.matrix.tolist())) if loose else None,
+            tuple(map(tuple, (self.covariance.matrix / self.factor).tolist())) if loose else None,
             tuple(map(tuple, self.undetermined.T.tolist())),
             self.usual,
             tuple(sorted(self.readings.unmeasured)),
@@ -133,6 +146,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
     stored, names = document.prediction, document.covariance.names
     if stored is None:
         raise without_outputs(mechanism)
+    rejected = rejected_by(document.chi_squared, document.variance_factor_applied)
     readings = ReadingNoise.of(document.noise, document.noise_covariances, stored.unmeasured)
     if any(q in readings.sds and q not in mechanism.quantities for q in disturbances(mechanism)):
         mechanism = with_model_error(mechanism)
@@ -145,11 +159,12 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
     return Predictor(
         mechanism.with_nominal({p.name: p.value for p in document.parameters}),
         names,
-        stored_covariance(document.covariance, stored.covariance),
+        by_residuals(stored_covariance(document.covariance, stored.covariance), rejected),
         steps,
-        readings,
+        readings.scaled_by(residual_factor(rejected)),
         usual,
         stored.typical,
+        factor=residual_factor(rejected),
     )
 
 
@@ -173,15 +188,35 @@ def predictor(result: FitResult) -> Predictor | None:
     unmeasured = [names[i] for i in frozenset.intersection(*everywhere)] if everywhere else []
     joint = () if result.fit.solver.exact else joint_covariances(problem)
     x = problem.readings + corrections
-    return predictor_at(
+    rejected = rejected_by(result.chi_squared, result.variance_factor_applied)
+    factor, at_poses = residual_factor(rejected), _at_poses(result)
+    made = predictor_at(
         problem,
         result.calibrated,
-        result.learnt_covariance,
+        by_residuals(result.learnt_covariance, rejected),
         result.spectrum,
         x,
-        ReadingNoise.of(result.noise, joint, unmeasured),
-        _at_poses(result),
+        ReadingNoise.of(result.noise, joint, unmeasured).scaled_by(factor),
+        None if at_poses is None else factor * at_poses,
     )
+    groups = {(group.instrument, group.unit): group for group in output_groups(result.mechanism)}
+    usual = tuple(
+        replace(one, residual=_residual_sd(result, groups[one.instrument, one.unit].outputs))
+        for one in made.usual
+    )
+    return replace(made, usual=usual, factor=factor)
+
+
+def _residual_sd(result: FitResult, outputs: Sequence[str]) -> float | None:
+    """Of one of these outputs [SI], by the residuals; None where sds of readings say it."""
+    if result.noise or result.freedom <= 0:
+        return None
+    square = np.square([result.differences_after[q] for q in outputs])
+    square = square[np.isfinite(square)]
+    if not square.size:
+        return None
+    # The parameters take up what the equations exceed the degrees of freedom by.
+    return math.sqrt(float(square.mean()) * result.solution.equations / result.freedom)
 
 
 def _at_poses(result: FitResult) -> Array | None:
@@ -228,6 +263,7 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
     mechanism = bare.mechanism
     values = np.array([p.nominal for p in mechanism.parameters])
     outputs = {mechanism.tape.quantities.index(q) for q in mechanism.outputs}
+    now = as_now(mechanism, problem.pose_constants)
     loops, unused = mechanism.predicting().tape.loops, mechanism.predicting().unused
     gathered = []
     for pattern in problem.patterns:
@@ -236,7 +272,7 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
         solved = outputs | too
         if not poses.size or len(solved) > len(loops):
             continue  # the other readings do not say where the outputs are
-        at, constants = x[:, poses], problem.pose_constants[:, poses]
+        at, constants = x[:, poses], now[:, poses]
         # An output without a reading has no value to linearise at.
         if outputs & set(pattern.absent):
             at = at.copy()

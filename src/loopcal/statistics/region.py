@@ -4,11 +4,9 @@ The working region is a box of joint readings: as the user states it, else the j
 turning joint of an arm without limits turns a quarter turn either way of the middle of its readings
 at least; what has none of these stays within its readings. A machine of which nothing at all is
 known works on the ways between its measured poses: drives of closed loops depend on each other, and
-the corners of their box are poses that nobody uses. The
-sd that the parameters cause (`predictor`) is averaged (rms) over random poses of the box, and over
-the measured ones; what the fit leaves unexplained at its poses adds to both. A ratio far above 1
-says that the data hold the machine near their own poses only, whatever a cross-validation inside
-them says.
+the corners of their box are poses that nobody uses. The sd that `predict` states is averaged (rms)
+over random poses of the box, and over the measured ones. A ratio far above 1 says that the data
+hold the machine near their own poses only, whatever a cross-validation inside them says.
 """
 
 from __future__ import annotations
@@ -20,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import RegionEntry, RegionRange, RegionSd
-from loopcal.estimation.prediction import predict_outputs, solving
+from loopcal.estimation.problem.constants import as_now
 from loopcal.estimation.result import FitResult
-from loopcal.estimation.sensitivity import output_sensitivity
+from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.outputs import OutputGroup, output_groups
-from loopcal.statistics.predictor import Predictor, by_parameters, trace_sd
+from loopcal.mechanisms.outputs import output_groups
+from loopcal.statistics.prediction import Parts, parts_at
+from loopcal.statistics.predictor import Predictor, trace_sd
 
 Array = NDArray[np.float64]
 # If squares vary by as much as their mean, the rms of 400 is sure to 1 / (2 sqrt(400)) = 2.5 %.
@@ -69,22 +68,19 @@ def region_of(
         x[rows] = corrected[rows][:, first]
         # One share for all joints: a point on the straight way between two poses.
         x[rows] += rng.random(_POSES) * (corrected[rows][:, last] - x[rows])
-    constants = problem.pose_constants[
-        :, rng.integers(0, problem.pose_constants.shape[1] or 1, _POSES)
-    ]
+    now = as_now(mechanism, problem.pose_constants)
+    constants = now[:, rng.integers(0, now.shape[1] or 1, _POSES)]
     also = [q for i, q in enumerate(names) if unread[i] and q not in still]
-    region_sds = _sds(calibrated, x, constants, also)
+    region = _parts(calibrated, x, constants, also)
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
-    fit_sds = _sds(
-        calibrated, corrected[:, some], problem.pose_constants[:, some], also, measured=True
-    )
+    fit = _parts(calibrated, corrected[:, some], now[:, some], also, True)
     worst: dict[str, tuple[float, RegionSd]] = {}
-    for i, group in enumerate(output_groups(mechanism)):
-        at, over = fit_sds[i][np.isfinite(fit_sds[i])], region_sds[i][~np.isnan(region_sds[i])]
+    for group in output_groups(mechanism):
+        at, over = (trace_sd(parts.covariance, group) for parts in (fit, region))
+        at, over = at[np.isfinite(at)], over[~np.isnan(over)]
         if not at.size or len(over) < _FEWEST:
             continue
-        left = _unexplained(result, group)
-        mean, far = (math.hypot(np.sqrt(np.square(v).mean()), left) for v in (at, over))
+        mean, far = (float(np.sqrt(np.square(v).mean())) for v in (at, over))
         ratio = far / mean if mean else np.inf
         finite = (far, ratio) if np.isfinite(far) and np.isfinite(ratio) else (None, None)
         if ratio >= worst.get(group.unit, (0.0, None))[0]:
@@ -130,38 +126,20 @@ def sds_in(calibrated: Predictor, ranges: Sequence[RegionRange]) -> list[float]:
     """By group of outputs, the sd that the parameters cause: rms over random poses of a box."""
     x = _poses_in(calibrated, ranges, np.random.default_rng(0))
     constants = np.zeros((len(calibrated.mechanism.tape.pose_constants), _POSES))
-    sds = [sd[~np.isnan(sd)] for sd in _sds(calibrated, x, constants, [])]
+    covariance = _parts(calibrated, x, constants, []).from_parameters
+    sds = [trace_sd(covariance, group) for group in output_groups(calibrated.mechanism)]
+    sds = [sd[~np.isnan(sd)] for sd in sds]
     return [float(np.sqrt(np.square(sd).mean())) if len(sd) >= _FEWEST else 0.0 for sd in sds]
 
 
-def _unexplained(result: FitResult, group: OutputGroup) -> float:
-    """Rms distance that the fit leaves in these outputs; 0 where nothing says it."""
-    left = result.differences_after
-    rows = np.array([left[q] for q in group.outputs if q in left]).reshape(-1, result.problem.count)
-    square = np.square(rows).sum(axis=0)
-    square = square[np.isfinite(square)]
-    return float(np.sqrt(square.mean())) if square.size else 0.0
-
-
-def _sds(
-    calibrated: Predictor, x: Array, constants: Array, also: list[str], *, measured: bool = False
-) -> list[Array]:
-    """By group of outputs, the sd (N,) that the parameters cause; NaN where loops stay open.
+def _parts(
+    calibrated: Predictor, x: Array, constants: Array, also: list[str], measured: bool = False
+) -> Parts:
+    """What is stated at readings x (k, N) [SI]; NaN where loops stay open.
 
     also: what no sensor reads: the loops find it with the outputs; measured: at poses of the fit.
     """
-    solved = solving(calibrated.mechanism, also)
-    names, values = solved.tape.quantities, np.array([p.nominal for p in solved.parameters])
-    x = x.copy()
-    rows = [names.index(q) for q in solved.outputs]
-    x[rows] = predict_outputs(solved, values, np.nan_to_num(x), constants, calibrated.names)
-    good = np.isfinite(x).all(axis=0)
-    S = output_sensitivity(solved, values, calibrated.names, x[:, good], constants[:, good])
-    outputs = S.by_parameter[:, : len(calibrated.mechanism.outputs)]
-    covariance = by_parameters(calibrated, outputs, measured=measured)
-    sds = []
-    for group in output_groups(calibrated.mechanism):
-        sd = np.full(x.shape[1], np.nan)
-        sd[good] = trace_sd(covariance, group)
-        sds.append(sd)
-    return sds
+    tape = calibrated.mechanism.tape
+    columns = dict(zip(tape.quantities, np.nan_to_num(x), strict=True))
+    columns |= dict(zip(tape.pose_constants, constants, strict=True))
+    return parts_at(calibrated, Dataset.from_arrays(columns), also, measured=measured)

@@ -10,6 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+# Half: docs/decisions/0051.
+FOLLOWED = 0.5
+"""Adjusted R^2 above which the joints tell the order."""
+SPARE = 16
+"""Poses beyond the columns of a regression, and as many as these: with fewer the joints of 2 % and
+more of random orders seem to tell it."""
 # Chosen, not derived: more cosines describe more, and take up real steps.
 DESCRIBED = 0.99
 """The share of the variance of every joint that its description leaves nothing of to see."""
@@ -18,16 +24,17 @@ MOST = 3
 """So many poses for each cosine at least: as many cosines as poses describe any order."""
 
 
-def order_by_joints(joints: Array) -> float:
+def order_by_joints(joints: Array, products: bool = True) -> float:
     """How far the joints (N, n), in order, tell the number of the pose.
 
-    The adjusted R^2 of its regression on their products of second order: about 0 in random order,
-    1 along a path. 1 where there are too few poses for the regression.
+    The adjusted R^2 of its regression on them and on their products of second order: about 0 in
+    random order, 1 along a path. 1 where there are too few poses for the regression.
     """
     N = len(joints)
     scaled = _scaled(joints)
     first, second = np.triu_indices(scaled.shape[1])
     columns = np.column_stack([np.ones(N), scaled, scaled[:, first] * scaled[:, second]])
+    columns = columns if products else columns[:, : 1 + scaled.shape[1]]
     time = np.arange(N) - 0.5 * (N - 1)
     spare = N - columns.shape[1]
     if spare < 1:
@@ -35,6 +42,22 @@ def order_by_joints(joints: Array) -> float:
     left = time - columns @ np.linalg.lstsq(columns, time, rcond=None)[0]
     explained: float = 1.0 - float(left @ left) / spare * (N - 1) / float(time @ time)
     return explained
+
+
+def told_by_joints(joints: Array) -> float | None:
+    """`order_by_joints` where the joints (N, n), in order, tell the number of the pose; else None.
+
+    By the joints alone where poses are too few for products; None where nothing can be said.
+    """
+    N, n = joints.shape
+    if not n or not np.isfinite(joints).all():
+        return None
+    # Constant, joints, and their products of second order.
+    for products, columns in ((True, (n + 1) * (n + 2) // 2), (False, n + 1)):
+        if columns + max(columns, SPARE) <= N:
+            share = order_by_joints(joints, products)
+            return share if share > FOLLOWED else None
+    return None
 
 
 def path_cosines(joints: Array) -> int:

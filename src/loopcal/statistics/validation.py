@@ -25,11 +25,13 @@ from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
 from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.fit import Fit, FitOptions
-from loopcal.estimation.leaving_out import leaving_out
+from loopcal.estimation.leaving_out import Beginning, LeavingOut, settled
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Weighting
+from loopcal.estimation.problem.problem import taken as taken_poses
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.steps import begun_near
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import process_cores
 from loopcal.measurements.dataset import Dataset
@@ -47,7 +49,15 @@ from loopcal.statistics.folds import (
     parts_of,
     stated_sds,
 )
-from loopcal.statistics.predictive import LEVEL, Held, Predictive, Run, held_problem, predictive
+from loopcal.statistics.predictive import (
+    LEVEL,
+    Held,
+    Predictive,
+    Run,
+    held_problem,
+    predictive,
+    unmeasured_corrections,
+)
 from loopcal.statistics.replacing import freed
 
 Array = NDArray[np.float64]
@@ -190,13 +200,17 @@ def left_out(
     progress: Progress | None = None,
     *,
     anew: bool = False,
+    stepped: bool = False,
 ) -> list[list[Outcome]]:
     """For each case each part predicted by a fit of all other poses, in their order.
 
     fitted: cases with their calibrations of all poses; executor: by default the cores of this
-    process; anew: whether the readings of the part say where its instrument stands.
+    process; anew: whether the readings of the part say where its instrument stands; stepped:
+    whether two steps from the fit of all will do where they end the fit (record 0061).
     """
-    begun = [replace(_Begun.at(case, whole), anew=anew) for case, whole in fitted]
+    begun = [replace(_Begun.at(case, whole), anew=anew, stepped=stepped) for case, whole in fitted]
+    for one in begun:
+        one.prepare()
     pieces = [(which, index) for which in range(len(begun)) for index in indices]
     made = gathered(executor or process_cores(), _left_out, begun, pieces, progress)
     return [made[i * len(indices) : (i + 1) * len(indices)] for i in range(len(begun))]
@@ -249,7 +263,8 @@ class Predicted:
     measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; fit,
     held: the fit and these poses, None where it states nothing of them; rest: positions of the
     poses of the fit, None where these poses are of another run; regions: what was stated where
-    the instrument was placed by these poses.
+    the instrument was placed by these poses; stepped: whether the fit was two steps from that of
+    all, of which nothing is kept.
     """
 
     index: Index
@@ -259,6 +274,7 @@ class Predicted:
     held: Held | None = None
     rest: Index | None = None
     regions: Predictive | None = None
+    stepped: bool = False
 
     def stated(self, drifting: Drifting | None) -> Predictive | None:
         """What the fit stated of them under the drift of all poses; None where it states nothing.
@@ -267,10 +283,13 @@ class Predicted:
         """
         if self.fit is None or self.held is None:
             return self.regions
+        # What follows from the fit is large, and goes with these copies.
+        estimate = None if self.fit.estimate is None else replace(self.fit.estimate)
+        fit = replace(self.fit, estimate=estimate)
         try:
             with one_blas_thread():
                 run = None if self.rest is None else Run(self.rest, self.index)
-                return predictive(self.fit, self.held, drifting, run)
+                return predictive(fit, self.held, drifting, run)
         except (InputError, NoTrustworthyResult):
             return None
 
@@ -297,14 +316,15 @@ def unread(whole: FitResult) -> dict[str, Array]:
 class _Begun:
     """What the fits of all parts share: the calibration, and where that of all poses ended.
 
-    whole: that of all poses, None where a fit without some of them cannot begin one step from it;
-    anew: whether a part places its instrument.
+    leaving: from that of all poses, None where a fit without some of them cannot begin one step
+    from it; anew: whether a part places its instrument; stepped: whether two steps may do.
     """
 
     case: Case
     near: Case
-    whole: FitResult | None = None
+    leaving: LeavingOut | None = None
     anew: bool = False
+    stepped: bool = False
 
     @classmethod
     def at(cls, case: Case, whole: FitResult) -> _Begun:
@@ -321,25 +341,47 @@ class _Begun:
         same = len(case.data) == whole.problem.count  # no copied rows went
         near = Case(whole.mechanism, case.data, noise, fit, near=unread(whole) if same else {})
         plain = fit.robust_loss is None and fit.solver.weighting is not Weighting.READ
-        return cls(case, near, whole if same and plain else None)
+        return cls(case, near, LeavingOut(whole) if same and plain else None)
 
-    def without(self, index: Index) -> Case:
-        """The case that begins where a fit without these poses will end, nearly."""
-        near, whole = self.near, self.whole
-        begun = None if whole is None else leaving_out(whole, index)
+    def prepare(self) -> None:
+        """Compute what all parts share, ahead of the copies of this process."""
+        if self.leaving is not None:
+            with one_blas_thread():
+                _ = self.leaving.sensors
+
+    def without(self, begun: Beginning | None) -> Case:
+        """The case that begins where a fit without some poses will end, nearly."""
+        near = self.near
         if begun is None:
             return near
-        noise, learnt = near.noise, near.noise and near.noise.begin
-        if learnt:
-            factors = {name: begun.factor * size for name, size in learnt.items()}
-            noise = near.noise and near.noise.begun_at(factors)
+        noise = near.noise
+        if noise and noise.begin:
+            noise = noise.begun_at(begun.factors)
         fit = replace(near.fit, start=dict(begun.values))
-        return replace(near, mechanism=begun.mechanism, noise=noise, fit=fit)
+        return replace(near, mechanism=begun.problem.mechanism, noise=noise, fit=fit)
 
-    def calibrated(self, gone: Index) -> FitResult:
+    def step(self, begun: Beginning, gone: Index) -> Predicted | None:
+        """These poses, predicted two steps from the fit of all; None where that does not do."""
+        if not self.stepped or self.anew or self.leaving is None:
+            return None
+        whole, tolerance = self.leaving.whole, self.near.fit.tolerance
+        assert tolerance is not None
+        end = None
+        if whole.mechanism.outputs:  # else what the fit states of them is compared
+            end = settled(whole, begun, gone, tolerance)
+        if end is None:
+            return None
+        held = replace(taken_poses(whole.problem, gone), first_corrections=None)
+        if near := of_poses(self.near.near, gone):
+            held = begun_near(held, near)
+        held = replace(held, start=end)
+        made = _predicted(whole, Held(held, unmeasured_corrections(held, end)), gone)
+        return replace(made, fit=None, held=None, stepped=True)
+
+    def calibrated(self, gone: Index, begun: Beginning | None) -> FitResult:
         """The calibration without these poses, begun near where it will end."""
         index = np.setdiff1d(np.arange(len(self.case.data)), gone)
-        refit = self.without(gone).calibrated(index)
+        refit = self.without(begun).calibrated(index)
         # An open direction would stay where the poses left out have put it.
         if refit.spectrum.rank < len(refit.estimated) or not refit.status.converged:
             return self.case.calibrated(index)
@@ -356,7 +398,10 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
     index = first if first.size else index
     with one_blas_thread():
         try:
-            refit = begun.calibrated(gone)
+            beginning = None if begun.leaving is None else begun.leaving.begun(gone)
+            if beginning is not None and (made := begun.step(beginning, gone)) is not None:
+                return made
+            refit = begun.calibrated(gone, beginning)
             if not refit.status.converged:
                 return Failed(index, f"the fit did not converge ({refit.status.reason})")
             if begun.anew:

@@ -70,8 +70,7 @@ def verify(
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     check_tolerance(tolerance)
     mechanism = calibrated.mechanism
-    columns = [*mechanism.quantities, *mechanism.pose_constants]
-    copied = copies(data, columns, mechanism.outputs).copied
+    copied = copies(data, mechanism.recorded, mechanism.outputs).copied
     stated = Noise.of(noise)
     if copied.size:
         kept = np.delete(np.arange(len(data)), copied)

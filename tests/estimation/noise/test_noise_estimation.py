@@ -30,7 +30,7 @@ from loopcal.estimation.solve.solver import solve
 from loopcal.mechanisms.model_error import with_model_error
 from tests.refusals import refused
 
-EACH = {"theta_*": "each", "model": "group"}
+WITH_MODEL = {"?P": "group", "phi?": "group", "model": "group"}
 
 
 def planar_poses() -> dict[str, np.ndarray[Any, Any]]:
@@ -43,7 +43,8 @@ def learnt(result: FitResult) -> dict[str, tuple[float, float | None]]:
     return {entry.quantities[0]: (entry.sd, entry.sd_of_sd) for entry in result.noise}
 
 
-def test_the_criterion_s_slope_is_its_score() -> None:
+@pytest.mark.parametrize("spreads", [(), (0.5, math.inf, 2.0)], ids=["flat", "known in part"])
+def test_the_criterion_s_slope_is_its_score(spreads: tuple[float, ...]) -> None:
     arm, poses = lc.planar_two_link(), planar_poses()
     noise = lc.Noise({"?P": 1e-4, "phi?": 1e-3})
     data = lc.simulate(arm, poses, noise=noise, seed=1).dataset
@@ -51,7 +52,7 @@ def test_the_criterion_s_slope_is_its_score() -> None:
     corrections = np.array(list(result.corrections.values()))
     parameters = np.array(list(result.value.values()))
     problem = build_problem(arm, data, noise)
-    model = linear_model(problem, parameters, corrections, [[0, 1], [2], [3]])
+    model = linear_model(problem, parameters, corrections, [[0, 1], [2], [3]], spreads)
     at = np.array([1.3, 0.7, 1.1])
     found = mixed_fit(model, at)
     assert found is not None
@@ -91,7 +92,10 @@ def test_parameters_that_are_hardly_told_apart_cost_the_criterion_no_digits() ->
     changes = []
     for ratios in (at, 1.1 * at):
         found = [
-            mixed_fit(LinearModel((ModelBlock(e, D, none, G, owner),), flat, flat, 2), ratios)
+            mixed_fit(
+                LinearModel((ModelBlock(e, D, none, G, owner),), flat, flat, np.full(2, np.inf)),
+                ratios,
+            )
             for D in (J, J @ A)
         ]
         assert found[0] is not None
@@ -201,7 +205,7 @@ def two_alike(shared: float, stated: float = 1.0) -> LinearModel:
     G[:, :, 1] *= stated
     fixed = np.broadcast_to(0.09 * np.eye(2), (poses, 2, 2))
     block = ModelBlock(e, rng.normal(size=(poses, 2, n)), fixed, G, np.array([0, 1]))
-    return LinearModel((block,), np.zeros(n), np.zeros(n), 2)
+    return LinearModel((block,), np.zeros(n), np.zeros(n), np.full(2, np.inf))
 
 
 @pytest.mark.parametrize("stated", [1.0, 1e-4])
@@ -243,10 +247,27 @@ def test_the_likelihood_ratios_of_the_real_grid_do_not_depend_on_the_sds_stated(
     arm = lc.motoman_ma1400({"x6B": 0.05, "y6B": 0.0, "z6B": -0.45}, before={"rz": math.pi / 2})
     found = []
     for sd in (5e-5, 3e-4):
-        noise = lc.Noise({"theta_*": sd, "xyz": 5e-6, "model": 1e-5}, estimate=EACH)
+        noise = lc.Noise({"theta_*": sd, "xyz": 2e-5}, estimate={"theta_*": "each"})
         result = calibrate(arm, data, noise=noise)
         found.append([e.likelihood_ratio for e in result.noise if e.source == "estimated"])
     assert found[0] == pytest.approx(found[1], rel=1e-3, abs=1e-3)
+
+
+def test_a_stated_sd_parts_a_sensor_from_the_machine_at_the_same_point() -> None:
+    """Both are white at one point, so only their sum shows; what is stated of the sensor decides,
+    to a factor of three, and no sensor vanishes."""
+    arm, poses = lc.planar_two_link(), planar_poses()
+    data = lc.simulate(arm, poses, noise=lc.Noise({"?P": 1e-4, "phi?": 1e-4}), seed=8).dataset
+    sds = []
+    for stated in (1e-5, 1e-4, 1e-3):
+        noise = lc.Noise({"?P": stated, "phi?": 1e-4, "model": 1e-4}, estimate=WITH_MODEL)
+        result = calibrate(arm, data, noise=noise)
+        sensor, model = learnt(result)["xP"][0], learnt(result)["model_xP"][0]
+        assert math.hypot(sensor, model) == pytest.approx(1e-4, rel=0.15)
+        sds.append(sensor)
+    assert 5e-6 < sds[0] < 5e-5
+    assert sds[1] == pytest.approx(1e-4, rel=0.2)
+    assert sds[2] == pytest.approx(1e-4, rel=0.2)  # the sum says that it cannot be more
 
 
 def test_a_search_that_begins_where_another_ended_ends_there() -> None:

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from analyses.gauntlet_kinds import KINDS
 from analyses.gauntlet_truth import SIX
+from analyses.gauntlet_worlds import SAGGING, World
 from loopcal.document.choice import TermEntry, TermPart
 from tests.reference.verdicts import verdict_of
 
 
 @cache
 def sagging() -> tuple[lc.Result, dict[str, np.ndarray]]:
-    trial = KINDS["sag, no sd stated"].world.made(np.random.default_rng(5))
+    trial = replace(SAGGING, stated=None).made(np.random.default_rng(5))
     mechanism = lc.structured(trial.mechanism, harmonics=False)
     result = lc.calibrate(
         mechanism, trial.readings, method="least-squares", model_error="structured"
@@ -48,7 +48,7 @@ def test_a_joint_gives_way_as_the_moment_of_its_weight_says(joint: str) -> None:
 
 def test_a_smooth_discrepancy_depends_on_the_joints_of_its_waves() -> None:
     """1 mm of cos(q1 - q2) upwards, which no length or angle of a SCARA can be."""
-    trial = KINDS["SCARA"].world.made(np.random.default_rng(5))
+    trial = World("scara").made(np.random.default_rng(5))
     readings = dict(trial.readings)
     bent = 1e-3 * np.cos(readings["q1"] - readings["q2"])
     readings["z"] = readings["z"] + bent

@@ -103,16 +103,11 @@ def inverted(q: Array, T: Array) -> dict[str, str]:
     return {"a.csv": written(columns | points_of(turns, ["qw", "qx", "qy", "qz"], 1.0))}
 
 
-def by_columns(q: Array, T: Array) -> dict[str, str]:
-    cells = {f"r{i}{j}": T[:, j, i] for i in range(3) for j in range(3)}
-    return {"a.csv": written(joints_of(q) | points_of(T[:, :3, 3]) | cells)}
-
-
 LAYOUTS: dict[str, Text] = {
     f.__name__: f
     for f in (
-        stations, stations_and_poses, two_files, renamed, comma, shots, total_station, turned,
-        inverted, by_columns,
+        stations, stations_and_poses, two_files, comma, shots, total_station, turned, inverted,
+
     )
 }  # fmt: skip
 

@@ -163,6 +163,18 @@ def test_a_quaternion_with_w_last_is_recognised_by_the_data(tmp_path: Path, came
     assert_gives_the_noise_back(tmp_path / "out")
 
 
+def test_a_quaternion_with_w_first_under_names_that_have_it_last_is_recognised(
+    tmp_path: Path, camera: Any
+) -> None:
+    joints, T = camera
+    turned = np.roll(quaternion(T[:, :3, :3]), 1, axis=1)
+    columns = {**of(joints, NAMES), **of(T[:, :3, 3], "xyz")}
+    columns |= of(turned, ["qx", "qy", "qz", "qw"])
+    made = lc.init(table(tmp_path / "a.csv", columns), dh=dh(tmp_path), out=tmp_path / "out")
+    assert any("qw, qx, qy, qz in the order z, w, x, y" in words for words in made.remarks)
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
 def test_poses_without_a_quaternion_have_no_made_up_orientation(
     camera: Any,
 ) -> None:
@@ -520,6 +532,9 @@ def test_what_does_not_fit_is_explained(tmp_path: Path, arm: Any) -> None:
     moved[30:] += (0.4, -0.2, 0.0)
     with refused("implausible-readings", "moved during the run", "x2"):
         lc.init({**own, **of(moved, "xyz")}, dh=path)
+    still = points * (1.0, 1.0, 0.0) + (0.0, 0.0, 0.5)
+    with refused("implausible-readings", "z reads the same value in every row"):
+        lc.init({**own, **of(still, "xyz")}, dh=path)
     with refused("implausible-readings", "counts of encoders"):
         lc.init({**of(np.round(joints * 2**20 / 2 / np.pi), NAMES), **of(points, "xyz")}, dh=path)
     still = 1e-5 * np.random.default_rng(1).standard_normal((20, 9))

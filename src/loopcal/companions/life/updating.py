@@ -439,7 +439,7 @@ def _model(
         *_rows(Sloped(prior.values, prior.slopes @ of_then)),
         *_rows(Sloped(np.zeros(k), unit)),
     )
-    return LinearModel(blocks, np.zeros(n), np.zeros(n), len(components))
+    return LinearModel(blocks, np.zeros(n), np.zeros(n), np.full(len(components), np.inf))
 
 
 def _rows(prior: Sloped) -> tuple[ModelBlock, ...]:

@@ -9,7 +9,7 @@ the parameters is root C root^T.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,8 @@ from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Accumulator, spectrum
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.outputs import POLAR, cartesian_slopes, seen_outputs
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.outputs import POLAR, Seen, cartesian_slopes, seen_outputs
 
 Array = NDArray[np.float64]
 # Small beside any information that counts, large beside rounding of sums: inverses exist.
@@ -39,7 +40,8 @@ class Information:
     rows: (N, r, k) of the candidates; start: (k, k) of the prior, of poses already measured and
     of the ridge; tests: (T, o, k) how the end point moves at T poses [SI]; root: (n, k) [SI];
     nuisance: (k, s) directions that move no parameter of interest; interest: (n,) which do count;
-    ridge: the part of `start` that is no information.
+    ridge: the part of `start` that is no information; white: rms [SI] by which the model error of
+    single poses moves the end point, which no calibration lowers.
     """
 
     rows: Array
@@ -49,12 +51,26 @@ class Information:
     nuisance: Array
     interest: NDArray[np.bool_]
     ridge: float
+    white: float = 0.0
 
     def of(self, chosen: NDArray[np.intp] | list[int]) -> Array:
         """Information (k, k) of these candidates and the start."""
         some = self.rows[chosen].reshape(-1, self.rows.shape[2])
         total: Array = self.start + some.T @ some
         return total
+
+    def without(self, parameters: NDArray[np.bool_]) -> Information:
+        """The same where these parameters (n,) are known, at the same candidates."""
+        basis = _unmoved(self.root[parameters])
+        root = self.root @ basis
+        return replace(
+            self,
+            rows=self.rows @ basis,
+            start=basis.T @ self.start @ basis,
+            tests=self.tests @ basis,
+            root=root,
+            nuisance=_unmoved(root[self.interest]),
+        )
 
     @cached_property
     def mean_test(self) -> Array:
@@ -98,10 +114,8 @@ def end_point_rows(problem: Problem, parameters: Array, x: Array, pose_constants
     S = output_sensitivity(
         mechanism, parameters, problem.names, x, pose_constants, unread
     ).by_parameter
-    seen = [one for one in seen_outputs(mechanism) if one.position or one.turns]
-    lengths = [one for one in seen if one.position]
     parts = []
-    for one in lengths or seen:
+    for one in _seen(mechanism):
         outputs = [q for q in (one.position or one.turns) if q in mechanism.outputs]
         part = S[:, [mechanism.outputs.index(q) for q in outputs]]
         if one.form in POLAR:
@@ -112,6 +126,25 @@ def end_point_rows(problem: Problem, parameters: Array, x: Array, pose_constants
     rows = np.concatenate(parts, axis=1) / np.sqrt(len(parts))
     finite: Array = rows[np.isfinite(rows).all(axis=(1, 2))]
     return finite
+
+
+def white_error(problem: Problem) -> float:
+    """Rms [SI] by which the model error of single poses moves the end point; 0 without any."""
+    mechanism = problem.mechanism
+    rows = [mechanism.tape.quantities.index(q) for q in mechanism.disturbances]
+    seen = _seen(mechanism)
+    if not rows or not seen:
+        return 0.0
+    sds = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows]
+    # One sd for all coordinates, of which each seen point has so many.
+    count = sum(len(one.position or one.turns) for one in seen) / len(seen)
+    return float(np.sqrt(count * np.square(sds).mean()))
+
+
+def _seen(mechanism: Mechanism) -> list[Seen]:
+    """The points that instruments see, where none sees any the turns."""
+    seen = [one for one in seen_outputs(mechanism) if one.position or one.turns]
+    return [one for one in seen if one.position] or seen
 
 
 def placed_anew(tests: Array, stands: NDArray[np.bool_]) -> Array:
@@ -133,10 +166,15 @@ def placed_anew(tests: Array, stands: NDArray[np.bool_]) -> Array:
 
 
 def information(
-    problem: Problem, rows: Array, measured: Array, tests: Array, counts: NDArray[np.bool_]
+    problem: Problem,
+    rows: Array,
+    measured: Array,
+    tests: Array,
+    counts: NDArray[np.bool_],
+    white: float = 0.0,
 ) -> Information:
     """Everything in z. rows: (N, r, n) of candidates; measured: (E, r, n); tests: (T, o, n);
-    counts: (n,) which parameters are of interest: the others are a nuisance."""
+    counts: (n,) which parameters are of interest: the others are a nuisance; white: as there."""
     n = rows.shape[2]
     data = Accumulator(n, True, problem.units)
     for part in (*_parts(rows), *_parts(measured)):
@@ -149,7 +187,8 @@ def information(
     prior = root / problem.prior_sd[:, None]
     ridge = RIDGE / max(len(rows), 1)
     start = before.T @ before + prior.T @ prior + ridge * np.eye(k)
-    return Information(Z, start, tests @ root, root, _unmoved(root[counts]), counts, ridge)
+    nuisance = _unmoved(root[counts])
+    return Information(Z, start, tests @ root, root, nuisance, counts, ridge, white)
 
 
 def _parts(rows: Array) -> list[Array]:

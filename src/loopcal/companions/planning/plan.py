@@ -45,6 +45,7 @@ from loopcal.companions.planning.information import (
     information,
     placed_anew,
     rows_of,
+    white_error,
 )
 from loopcal.companions.planning.planned import (
     CALIBRATE,
@@ -133,7 +134,8 @@ def plan(
             f"{poses} poses are requested", code="invalid-value", remedy="request at least one"
         )
     how = _criterion(mechanism, criterion)
-    if settings.model_error == "structured" and EFFECT not in mechanism.effects:
+    assumed = settings.model_error == "structured" and EFFECT not in mechanism.effects
+    if assumed:
         count = poses + (0 if existing is None else len(existing))
         mechanism = structured(mechanism, discrepancy=vectors_for(count))
     with one_blas_thread():
@@ -145,7 +147,8 @@ def plan(
             raise too_few(len(pool.driven), pool.considered, pool.refused, poses)
         made = pooled(mechanism, pool, measured, sensor_noise, settings)
         best = choose(made.draws, poses, how, progress=progress)
-        return _planned(mechanism, pool, made, best, existing, how, repeats=settings.repeats)
+        again = settings.repeats
+        return _planned(mechanism, pool, made, best, existing, how, repeats=again, assumed=assumed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,14 +281,15 @@ def _at(
         before = rows_of(
             replace(measured.problem, start=parameters), parameters, measured.corrections
         )
-    T = np.empty((0, 1, rows.shape[2]))
+    T, white = np.empty((0, 1, rows.shape[2])), 0.0
     if mechanism.outputs:
         at = _problem(mechanism, tests, noise, typical)
+        white = white_error(at)
         T = end_point_rows(at, at.start, at.readings, at.pose_constants)
     roles = [mechanism.roles.get(n, "placement") for n in problem.names]
     counts = np.array([role not in ("placement", "model error") for role in roles])
     stands = np.array([role == "placement" for role in roles])
-    made = information(problem, rows, before, placed_anew(T, stands), counts)
+    made = information(problem, rows, before, placed_anew(T, stands), counts, white)
     return _Drawn(made, problem, rows)
 
 
@@ -311,6 +315,7 @@ def _planned(
     how: Criterion,
     *,
     repeats: bool,
+    assumed: bool,
 ) -> Plan:
     draw, names = made.draws[0], made.problem.names
     chosen = list(best.poses)
@@ -333,6 +338,11 @@ def _planned(
     shown = [n for n in names if n in roles and roles[n] != "model error"]
     units = {n: mechanism.parameters[n].unit for n in shown}
     fitted = expected_of(draw, names, draw.of(kept), len(kept))
+    bends = np.array([roles.get(n) == "model error" for n in names])
+    rigid = None
+    if assumed and bends.any():
+        unbent = draw.without(bends)
+        rigid = expected_of(unbent, names, unbent.of(chosen), len(chosen))
     return Plan(
         taken.driven,
         taken.closed,
@@ -352,6 +362,7 @@ def _planned(
         distance_unit(mechanism),
         units,
         _remarks(curve[-1].parameters, units),
+        rigid,
     )
 
 

@@ -37,9 +37,10 @@ VALIDATE, CALIBRATE, REPEAT = "validate", "calibrate", "repeat"
 class Expected:
     """What so many poses promise, those already measured besides.
 
-    end_point: rms over the test poses of the sd of the end point [SI]; largest: the largest of
-    them; None where the poses do not determine all parameters yet, or nothing predicts an end
-    point; parameters: sd by name [SI], None where undetermined.
+    end_point: rms over the test poses of the sd of the end point [SI], with the model error of
+    single poses where one was learnt; largest: the largest of them; None where the poses do not
+    determine all parameters yet, or nothing predicts an end point; parameters: sd by name [SI],
+    None where undetermined.
     """
 
     poses: int
@@ -73,7 +74,8 @@ class Plan:
     curve: by number of poses, the most telling first; fitted: what those marked "calibrate" alone
     promise; random: random choices beside it; travel: length of the way, shortened: over that in
     the order of choice; draws: of the parameters that the criterion is averaged over; unit: of the
-    end point; units: parameter -> SI unit.
+    end point; units: parameter -> SI unit; rigid: what all poses promise of a machine that is as
+    its geometry says, None where nothing beside geometry was assumed, or where it was learnt.
     """
 
     poses: Dataset
@@ -94,6 +96,7 @@ class Plan:
     unit: str
     units: Mapping[str, str]
     remarks: tuple[str, ...] = ()
+    rigid: Expected | None = None
 
     @property
     def count(self) -> int:
@@ -130,6 +133,7 @@ class Plan:
             "units": dict(self.units),
             "expected": plain(self.curve),
             "expected_without_validation": plain(self.fitted),
+            "expected_if_rigid": plain(self.rigid),
             "random": plain(self.random),
             "travel": {"length": self.travel, "over_order_of_choice": self.shortened},
             "draws": self.draws,
@@ -164,6 +168,9 @@ class Plan:
             return []
         rms, most = (with_unit(v, self.unit) for v in (last.end_point, last.largest))
         lines = [f"expected sd of the end point: {rms} rms, {most} at most"]
+        if self.rigid is not None and self.rigid.end_point is not None:
+            stiff = with_unit(self.rigid.end_point, self.unit)
+            lines += [f"of a machine without any model error: {stiff} rms"]
         if self.fitted.end_point is not None:
             without = with_unit(self.fitted.end_point, self.unit)
             lines += [f"without the poses to validate: {without} rms"]
@@ -224,7 +231,7 @@ def expected_of(draw: Information, names: Sequence[str], total: Array, poses: in
     }
     end_point = largest = None
     if len(draw.tests):
-        v = test_variances(draw, C)
+        v = test_variances(draw, C) + draw.white**2
         seen = draw.tests.reshape(-1, draw.tests.shape[2]) @ vectors[:, loose]
         lost = np.square(seen / np.sqrt(values[loose])).sum() / len(v)
         if lost <= 0.5 * v.mean():

@@ -147,15 +147,10 @@ def _budget(
     parts = [Contribution("estimated parameters", poses, from_parameters, True)]
     region = None if document.prediction is None else document.prediction.region
     valid = None if region is None else region.of("m")
-    stated, stated_by = _rms(prediction.covariance, group, usable), "loopcal predict"
+    stated = _rms(prediction.covariance, group, usable)
     if prediction.from_readings is None:
-        left = None
-        if valid is not None:
-            # Without sds of readings, residuals say what positions do beside the parameters.
-            stated, stated_by = max(valid.sd_at_poses, from_parameters), "the answer 'valid'"
-            left = math.sqrt(stated**2 - from_parameters**2)
-        source = "residuals of the fit; sds of the readings are not known"
-        parts.append(Contribution("what the fit leaves", source, left, True))
+        source = "sds of the readings are not known"
+        parts.append(Contribution("readings of a position", source, None, True))
     else:
         readings = prediction.from_readings
         if by_model is not None:
@@ -165,7 +160,9 @@ def _budget(
             parts.append(
                 Contribution("model error of a pose", learnt, _rms(by_model, group, usable), True)
             )
-        exact = not any(predictor.readings.sds.get(q) for q in _driving(predictor))
+        exact = prediction.by_residuals or not any(
+            predictor.readings.sds.get(q) for q in _driving(predictor)
+        )
         name = "what the fit leaves" if exact else "readings of a position"
         source = "residuals; the method takes readings as exact" if exact else _sources(document)
         parts.append(Contribution(name, source, _rms(readings, group, usable), True))
@@ -182,7 +179,7 @@ def _budget(
     outside = math.hypot(*(one.sd or 0.0 for one in parts if not one.inside))
     freedom = prediction.freedom[:, list(group.rows)]
     k = t_quantile(SIGMAS_2, float(freedom.min()))
-    places = [_place("measured poses", stated_by, stated, outside, k)]
+    places = [_place("measured poses", "loopcal predict", stated, outside, k)]
     if valid is not None and valid.sd is not None:
         places.append(_place("working region", "the answer 'valid'", valid.sd, outside, k))
     return Budget(group.instrument, "m", tuple(parts), tuple(places), k, distance)

@@ -20,7 +20,7 @@ from loopcal.document.exported import Exported, ModelAccuracy, Placed, ZeroOffse
 from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.accuracy import Accuracy
 from loopcal.estimation.prediction import predict_outputs
-from loopcal.estimation.problem.constants import constants_by_pose, with_implied
+from loopcal.estimation.problem.constants import as_now, constants_by_pose, with_implied
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.files.machines.further_points import with_points
 from loopcal.measurements.dataset import Dataset
@@ -363,9 +363,7 @@ def after_last_change(machine: Mechanism, poses: Dataset) -> Dataset:
     data = with_implied(machine, poses)
     # Only the difference counts, so what the model does not explain in a reading stays in it.
     then = constants_by_pose(machine, data)
-    now = then.copy()
-    for name in dated:
-        now[machine.tape.pose_constants.index(name)] = machine.latest[name]
+    now = as_now(machine, then)
     values = np.array([p.nominal for p in machine.parameters])
     x = np.array([_read(machine, data, q) for q in machine.tape.quantities])
     moved = predict_outputs(machine, values, x, now) - predict_outputs(machine, values, x, then)

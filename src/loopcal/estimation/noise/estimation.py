@@ -121,6 +121,7 @@ class NoiseEstimate:
             self.solution.parameters,
             self.solution.corrections,
             [component.quantities for component in self.stated],
+            [component.spread for component in self.stated],
         )
 
     @property
@@ -200,7 +201,8 @@ def estimate_noise(
     sds settle in a few rounds; by default the search begins at the sds that the problem states.
     The sds of terms begin at the prior sds of their parameters.
     """
-    search = _Search(problem, [component.quantities for component in components], fit)
+    spreads = np.array([component.spread for component in components])
+    search = _Search(problem, [component.quantities for component in components], spreads, fit)
     if begin is not None:
         best = search.run(
             np.square([begin.get(component.name, 1.0) for component in components]), near=True
@@ -252,6 +254,7 @@ class _Round:
 class _Search:
     stated: Problem
     positions: Sequence[Sequence[int]]
+    spreads: Array
     fit: Fitting
 
     @property
@@ -304,7 +307,8 @@ class _Search:
             corrections = solution.corrections
             failed = 0 if solution.status.converged else failed + 1
             present = replace(present, start=start)
-            lowest = np.zeros(len(ratios)) if vanish else ratios / _SLOWLY
+            # A sensor whose sd is known in part never vanishes.
+            lowest = np.where(vanish & np.isinf(self.spreads), 0.0, ratios / _SLOWLY)
             variances = self._variances(present, solution, ratios, lowest)
             change = _change(ratios, variances.ratios)
             falling = np.zeros(len(ratios), dtype=bool) if vanish else variances.ratios <= lowest
@@ -347,6 +351,7 @@ class _Search:
             solution.parameters,
             solution.corrections,
             self.positions,
+            self.spreads.tolist(),
         )
         end = None if self.as_read else solution
         return in_turn(present, model, ratios, lowest, common=self.common, end=end)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -24,6 +25,10 @@ if TYPE_CHECKING:
     from loopcal.estimation.noise.variance_components import Component
 
 Array = NDArray[np.float64]
+# Two sds are a factor of 9 either way: what separates figures of data sheets from sensors in use.
+# Chosen, not derived.
+SPREAD = math.log(3.0)
+"""Beside a learnt error of the machine, the sd of the logarithm of a learnt over its stated sd."""
 
 
 def with_model(mechanism: Mechanism, data: Dataset, noise: Noise) -> tuple[Mechanism, Dataset]:
@@ -57,8 +62,15 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
             owner.pop(position, None)
     for position in owner:
         _check_start(problem, position)
+    # Only their sum shows where both are white at one target: what is stated of a sensor tells how
+    # much of it is the machine's.
+    spread = SPREAD if MODEL in noise.estimate else math.inf
     learnt_components = [
-        Component(label, tuple(i for i in owner if owner[i] == label))
+        Component(
+            label,
+            tuple(i for i in owner if owner[i] == label),
+            math.inf if label == MODEL else spread,
+        )
         for label in dict.fromkeys(owner.values())
     ]
     for block in problem.uncertainty.blocks:

@@ -60,12 +60,21 @@ class ModelBlock:
 
 @dataclass(frozen=True)
 class LinearModel:
-    """All poses, the prior as precision (n,) and its offset nominal - present value (n,)."""
+    """All poses, the prior as precision (n,) and its offset nominal - present value (n,).
+
+    spreads: (c,) how well the stated sd of each component is known, as the sd of its logarithm;
+    inf: it says nothing.
+    """
 
     blocks: tuple[ModelBlock, ...]
     precision: Array
     offset: Array
-    components: int
+    spreads: Array
+
+    @property
+    def components(self) -> int:
+        """c, how many there are."""
+        return len(self.spreads)
 
 
 @dataclass(frozen=True)
@@ -89,9 +98,11 @@ def linear_model(
     parameters: Array,
     corrections: Array,
     components: Sequence[Sequence[int]],
+    spreads: Sequence[float] = (),
 ) -> LinearModel:
     """The linearised model with one variance component for each list of quantity positions.
 
+    spreads: of the components (see `LinearModel`), by default all inf.
     The reweighted fit has J_p where the readings stand, all others where they were corrected to.
     """
     sweeper = Sweeper(problem)
@@ -124,7 +135,8 @@ def linear_model(
     present = parameters[problem.free]
     precision = 1.0 / np.square(problem.prior_sd)
     offset = problem.nominal - present
-    return LinearModel(tuple(blocks), precision, offset, len(components))
+    by_component = np.array(spreads or [np.inf] * len(components), dtype=float)
+    return LinearModel(tuple(blocks), precision, offset, by_component)
 
 
 @dataclass(frozen=True)
@@ -160,7 +172,8 @@ def mixed_fit(model: LinearModel, joined: Joined, information: Array | None = No
     """The restricted likelihood where the columns are whitened.
 
     -2 log L = sum log|V| + log|H| + residual, H = sum J^T V^-1 J + prior (Patterson and
-    Thompson 1971). With P the projector V^-1 - V^-1 J H^-1 J^T V^-1 and r = e - J dp,
+    Thompson 1971) + sum (log s_j / (2 spread_j))^2. With P the projector
+    V^-1 - V^-1 J H^-1 J^T V^-1 and r = e - J dp, the data's
     score_j = (|G_j^T V^-1 r|^2 - tr G_j^T P G_j) / 2, information_jk = |G_j^T P G_k|^2 / 2.
     information: one from near by that will do, at a third of the cost.
     """
@@ -173,9 +186,21 @@ def mixed_fit(model: LinearModel, joined: Joined, information: Array | None = No
         for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
             squares = np.square(_taken_up(rows, W, solved)).sum(axis=(0, 2))
             taken_up += np.equal.outer(np.arange(model.components), block.owner) @ squares
+    off = _off_stated(model, joined.ratios)
     score = _score(model, joined, solved.root @ solved.along, taken_up)
-    criterion = joined.volume + solved.log_volume + solved.residual
+    score -= 0.5 * off / model.spreads / _above_zero(joined.ratios)
+    criterion = joined.volume + solved.log_volume + solved.residual + float(off @ off)
     return MixedFit(joined.ratios, criterion, score, information, fresh)
+
+
+def _off_stated(model: LinearModel, ratios: Array) -> Array:
+    """(c,) how far the sds are from those stated, in spreads; a component left out is not off."""
+    return np.asarray(0.5 * np.log(_above_zero(ratios)) / model.spreads)
+
+
+def _above_zero(ratios: Array) -> Array:
+    """The ratios (c,), 1 for those of components that are left out."""
+    return np.where(ratios > 0.0, ratios, 1.0)
 
 
 @dataclass(frozen=True)
@@ -310,12 +335,14 @@ def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected
         # |C - Q|^2 = C C - 2 C Q + Q Q; the last part joins all pairs of poses, hence `first`.
         pairs += members @ np.einsum("bkl,bkl->kl", C, C - 2.0 * Q) @ members.T
         for j in range(count):
-            Y_j = Y[:, columns(block.owner, j)]
-            first[j] += np.tensordot(Y_j, Y_j, ((0, 1), (0, 1)))
+            Y_j = Y[:, columns(block.owner, j)].reshape(-1, rank)
+            first[j] += Y_j.T @ Y_j
         every.append(Y)
     flat = first.reshape(count, rank * rank)
     owners = tuple(block.owner for block in model.blocks)
     information = 0.5 * (pairs + flat @ flat.T)
+    # curvature of the prior in the logarithm
+    information += np.diag(np.square(0.5 / model.spreads / _above_zero(joined.ratios)))
     return Projected(root, tuple(every), tuple(joined.W), owners, first, information)
 
 

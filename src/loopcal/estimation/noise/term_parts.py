@@ -11,7 +11,7 @@ out of round. A smooth discrepancy is told by its rms, and by the joints on whic
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.expressions.engine import LoopValues, engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
+from loopcal.mechanisms.effects.drift import RUN_DRIFT, RUN_DRIFT_TURNS
 from loopcal.mechanisms.parameters import BEYOND
 from loopcal.mechanisms.structure.sag import BASE, Column, Sag, Structure
 from loopcal.mechanisms.structure.smooth import Smooth
@@ -38,6 +39,9 @@ Array = NDArray[np.float64]
 # Chosen, not derived: an even function of six joints gives each a sixth.
 _COUNTS = 0.2
 """Share of the variance of a smooth function from which a joint counts among its arguments."""
+# Chosen, not derived.
+_ALIKE = 0.95
+"""Cosine from which two turns are alike: nine tenths of one, by variance, is the other."""
 _NOTHING = 1e-12
 """So little [rad] is what the arithmetic leaves of a turn that is none."""
 _TERMS = {DISCREPANCY: "m", "discrepancy_turns": "rad"}
@@ -73,6 +77,7 @@ def with_parts(
     mechanism = problem.mechanism
     structure = mechanism.structure or Structure()
     read = dict(zip(mechanism.tape.quantities, problem.readings + corrections, strict=True))
+    read |= dict(zip(mechanism.tape.pose_constants, problem.pose_constants, strict=True))
     at = _Fitted(
         dict(zip(mechanism.parameters.names, parameters.tolist(), strict=True)),
         problem.names,
@@ -82,14 +87,16 @@ def with_parts(
     )
     parts_by_term: dict[str, list[TermPart]] = {}
     if structure.sag is not None:
-        for name, about in (("sag", True), ("sag_across", False)):
+        for name in dict.fromkeys(c.term for c in structure.columns):
             parts_by_term[name] = _under_gravity(
-                at, structure.sag, [c for c in structure.columns if c.about_joint == about]
+                at, structure.sag, [c for c in structure.columns if c.term == name]
             )
     parts_by_term["harmonics"] = [_out_of_round(at, joint) for joint in structure.joints]
     if structure.smooth is not None:
         for name, unit in _TERMS.items():
             parts_by_term[name] = _remaining(at, structure.smooth, unit)
+    for name in (RUN_DRIFT, RUN_DRIFT_TURNS):
+        parts_by_term[name] = _drifts(at, mechanism, name)
     return tuple(
         replace(
             term,
@@ -103,6 +110,7 @@ def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[Ter
     """By how much base and joints give way under gravity."""
     joints = [j for j in arm.names if any(c.joint == j for c in columns)]
     read = tuple(dict.fromkeys(step.joint for step in arm.chain if step.joint))
+    read = (*read, arm.payload) if arm.payload else read
     if not joints or not all(q in at.readings for q in read):
         return []
 
@@ -140,9 +148,26 @@ def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[Ter
         who = "the base" if joint == BASE else joint
         way = "about its axis" if columns[0].about_joint else "across its axis"
         way = "" if joint == BASE else f" {way}"
-        words = f"under gravity {who} gives way{way} by up to {_turn(size, sd, at.poses[pose])}"
-        parts.append(TermPart((joint,), "rad", size, sd, at.poses[pose], words))
+        across = not columns[0].about_joint
+        other = _same_way(at, arm, joint, pose, ahead[i, :, i]) if across else ""
+        does = f"{who} gives way{way}"
+        if other:
+            does = f"{who}{way} or {other} about its axis gives way"
+        words = f"under gravity {does} by up to {_turn(size, sd, at.poses[pose])}"
+        owners = (joint, other) if other else (joint,)
+        parts.append(TermPart(owners, "rad", size, sd, at.poses[pose], words))
     return parts
+
+
+def _same_way(at: _Fitted, arm: Sag, joint: str, pose: int, turned: Array) -> str:
+    """The next joint, if the link ahead of it turns (3,) as that joint would by giving way: then
+    these readings hardly tell which of the two does."""
+    x = {q: float(read[pose]) for q, read in at.readings.items()}
+    behind = arm.next_axis(joint, x, at.values)
+    if behind is None:
+        return ""
+    name, axis = behind
+    return name if abs(float(turned @ axis)) > _ALIKE else ""
 
 
 def _evaluated(
@@ -173,6 +198,21 @@ def _out_of_round(at: _Fitted, joint: str) -> TermPart:
     return TermPart((joint,), "rad", size, sd, at.poses[pose], words)
 
 
+def _drifts(at: _Fitted, mechanism: Mechanism, term: str) -> list[TermPart]:
+    """By how much each coordinate of an instrument drifts over the run."""
+    members = {name for one in mechanism.terms if one.name == term for name in one.parameters}
+    parts = []
+    for p in (p for p in mechanism.parameters if p.name in members and p.name in at.names):
+        size = at.values[p.name]
+        words = f"{p.changes} drifts by {_shown(size, p.unit)} over the run"
+        parts.append(TermPart((p.changes,), p.unit, abs(size), at.sd({p.name: 1.0}), None, words))
+    return parts
+
+
+def _shown(size: float, si: str) -> str:
+    return with_unit(size, si, 2) if si == "m" else f"{significant(1e3 * size, 2)} mrad"
+
+
 def _remaining(at: _Fitted, smooth: Smooth, unit: str) -> list[TermPart]:
     """How large a smooth discrepancy is, and on which joints it depends."""
     axes = ("x", "y", "z") if unit == "m" else ("rx", "ry", "rz")
@@ -193,8 +233,7 @@ def _remaining(at: _Fitted, smooth: Smooth, unit: str) -> list[TermPart]:
     sd = at.sd(dict(zip(names, slopes.ravel().tolist(), strict=True)))
     joints = _depends_on(at, smooth, c)
     where = "all joints" if set(joints) == set(smooth.joints) else enumerated(joints)
-    shown = with_unit(size, unit, 2) if unit == "m" else f"{significant(1e3 * size, 2)} mrad"
-    words = f"what remains unexplained: {shown} rms, smooth in {where}"
+    words = f"what remains unexplained: {_shown(size, unit)} rms, smooth in {where}"
     return [TermPart(joints, unit, size, sd, None, words)]
 
 
@@ -261,14 +300,41 @@ def term_entries(mechanism: Mechanism, learnt: TermVariances) -> tuple[TermEntry
     return tuple(entries)
 
 
-def _gain(system: TermSystem, present: TermFit, term: int) -> float:
-    """By how much the criterion is lower with a term than without it.
+def idle(learnt: TermVariances, least: float = 0.0, *, keep: Collection[str] = ()) -> set[str]:
+    """The terms that gain at most so much, taken out one after the other, the idlest first.
+
+    Of two that say the same each gains nothing beside the other: one stays. keep: terms that do.
+    """
+    system, every = learnt.system, np.ones(len(learnt.at.x), dtype=bool)
+    present = searched(system, learnt.at.x, every).at
+    absent: dict[int, str] = {}
+    while True:
+        gains = {
+            i: _gain(system, present, i, [*absent])
+            for i, term in enumerate(system.terms)
+            if term.name not in keep and i not in absent
+        }
+        i = min(gains, key=lambda k: gains[k], default=-1)
+        if i < 0 or gains[i] > least:
+            return {*absent.values()}
+        absent[i] = system.terms[i].name
+        present = _absent(system, present, [*absent])
+
+
+def _absent(system: TermSystem, present: TermFit, terms: Sequence[int]) -> TermFit:
+    """The fit without these terms."""
+    x, others = present.x.copy(), np.ones(len(present.x), dtype=bool)
+    for term in terms:
+        x[1 + term], others[1 + term] = 2.0 * math.log(_ABSENT * system.terms[term].sd), False
+    return searched(system, x, others).at
+
+
+def _gain(system: TermSystem, present: TermFit, term: int, absent: Sequence[int] = ()) -> float:
+    """By how much the criterion is lower with a term than without it, others being absent.
 
     present: with all terms, and all noise free to have a factor. Without a term the other terms and
     that factor make up for it where they can.
     """
-    x, others = present.x.copy(), np.ones(len(present.x), dtype=bool)
-    x[1 + term], others[1 + term] = 2.0 * math.log(_ABSENT * system.terms[term].sd), False
-    without = searched(system, x, others).at
+    without = _absent(system, present, [*absent, term])
     gain = without.criterion - present.criterion
     return gain - float(without.penalties[term] - present.penalties[term])

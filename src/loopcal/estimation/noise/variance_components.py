@@ -38,10 +38,14 @@ ALIKE = 0.95
 
 @dataclass(frozen=True)
 class Component:
-    """A set of quantities whose sds are known up to one common factor, which is estimated."""
+    """A set of quantities whose sds are known up to one common factor, which is estimated.
+
+    spread: sd of the logarithm of this factor, as far as it is known beforehand; inf: not at all.
+    """
 
     name: str
     quantities: tuple[int, ...]
+    spread: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,15 @@ def with_latest(mechanism: Mechanism, data: Dataset) -> Dataset:
     return data.with_readings(absent, units={n: mechanism.pose_constants[n] for n in absent})
 
 
+def as_now(mechanism: Mechanism, constants: Array) -> Array:
+    """Constants (c, N) [SI] of its tape, those that date a change as after the last one."""
+    now = constants.copy()
+    for i, name in enumerate(mechanism.tape.pose_constants):
+        if name in mechanism.latest:
+            now[i] = mechanism.latest[name]
+    return now
+
+
 def constants_by_pose(mechanism: Mechanism, data: Dataset) -> Array:
     """The constants (c, N) [SI] of every pose; where an orientation was not measured, any one.
 

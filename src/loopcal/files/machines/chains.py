@@ -11,7 +11,7 @@ from loopcal.errors import InputError
 from loopcal.files.machines.attached import Instruments
 from loopcal.files.machines.machine_type import ChainTable, MachineType, looked_at
 from loopcal.files.machines.mechanism_writer import SOURCE
-from loopcal.files.machines.urdf import read_urdf
+from loopcal.files.machines.urdf import read_masses, read_urdf
 from loopcal.files.outputs import expanded
 from loopcal.files.toml.place import Place, Scope
 from loopcal.keys import Key
@@ -93,11 +93,11 @@ def urdf(model: Urdf, entry: Any, scope: Scope, place: Place) -> Mechanism:
         )
     if model.joint is not None:
         _refuse_faulty(model.joint, entry, place)
-        joints, name, source = model.joint, model.name or "robot", model.source
+        joints, name, source, masses = model.joint, model.name or "robot", model.source, ()
     else:
-        joints, name = _of_file(model, place)
+        joints, name, masses = _of_file(model, place)
         source = model.file
-    machine = joint_chain(joints, axes=model.axes, name=name)
+    machine = joint_chain(joints, axes=model.axes, name=name, masses=masses)
     if source is not None:
         path = expanded(source, Path(place.file).parent, place.at("source")).absolute()
         machine = replace(machine, description={**machine.description, SOURCE: str(path)})
@@ -117,8 +117,8 @@ def _of_file(model: Urdf, place: Place) -> Any:
     assert model.file is not None
     at = place.at("file")
     path = expanded(model.file, Path(place.file).parent, at)
-    joints = read_urdf(path, str(model.base), str(model.tip))
-    return joints, model.name or path.stem
+    base, tip = str(model.base), str(model.tip)
+    return read_urdf(path, base, tip), model.name or path.stem, read_masses(path, base, tip)
 
 
 def exponential(model: Exponentials, entry: Any, scope: Scope, place: Place) -> Mechanism:

@@ -11,6 +11,7 @@ from loopcal.files.machines.attached import Effects, instruments
 from loopcal.files.machines.parameter_entries import PARAMETERS, StatedParameter, Units
 from loopcal.files.toml.place import Place, Scope
 from loopcal.keys import Key, Made
+from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
@@ -50,6 +51,17 @@ class ArmTable(MachineTable):
     gravity: Annotated[
         tuple[float, float, float] | None,
         Key("Direction in which gravity pulls, in the base of the machine. Default: [0, 0, -1]."),
+    ] = None
+    mass: Annotated[
+        tuple[Load, ...],
+        Key(
+            "What links weigh, in place of a URDF's masses of the same names; joints then yield to "
+            "the moment of what hangs on them."
+        ),
+    ] = ()
+    payload: Annotated[
+        str | None,
+        Key("Name of the known constant [kg] that the tool carries in each pose."),
     ] = None
     station: Annotated[
         str | None,

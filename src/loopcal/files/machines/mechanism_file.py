@@ -18,6 +18,7 @@ from loopcal.files.machines.python_function import Loops
 from loopcal.files.result.pair import refuse_stale
 from loopcal.files.toml.place import Place, Scope
 from loopcal.files.toml.reader import checked_schema, read_toml, shown
+from loopcal.mechanisms.masses import with_masses, with_payload
 from loopcal.mechanisms.mechanism import Mechanism, Placement
 from loopcal.mechanisms.parameters import Parameters
 from loopcal.mechanisms.placement import ChainPlacement
@@ -137,6 +138,12 @@ def mechanism_from_data(
     if isinstance(table, ArmTable) and table.gravity is not None:
         with placed(place.at("gravity")):
             made = made.with_gravity(table.gravity)
+    if isinstance(table, ArmTable) and table.mass:
+        with placed(place.at("mass")):
+            made = with_masses(made, table.mass)
+    if isinstance(table, ArmTable) and table.payload is not None:
+        with placed(place.at("payload")):
+            made = with_payload(made, table.payload)
     if isinstance(table, ChainTable):
         made = replace(made, remarks=table.remarks)
         if table.fix_redundant:

@@ -77,7 +77,7 @@ def source_file(mechanism: Mechanism) -> Path | None:
     return path if path.is_file() else None
 
 
-_BELOW = ("joint", "instrument", "effect", "structure")
+_BELOW = ("joint", "mass", "instrument", "effect", "structure")
 """What stands below the plain values, in this order."""
 _FUNCTION = "The loops are a Python function: name it with --mechanism FILE.py:FUNCTION."
 _PARAMETERS = (

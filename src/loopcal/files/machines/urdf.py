@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed, nearest, unknown_name
 from loopcal.files.machines.safe_xml import at, children, local, read_xml
 from loopcal.files.toml.reader import shown
-from loopcal.mechanisms.chain import fixed_frame, product, refuse_long_chain
+from loopcal.mechanisms.chain import AxisFrame, fixed_frame, product, refuse_long_chain
+from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.origins import KINDS, LinkJoint, Mimic, joint_chain
 
@@ -95,8 +96,8 @@ def urdf_machine(
     Raises InputError with file and line if the file is not a URDF, if a link does not exist, if the
     tip is not below the base, or if a joint cannot be calibrated.
     """
-    joints = read_urdf(path, base, tip)
-    return joint_chain(joints, axes=axes, name=name or Path(path).stem)
+    joints, masses = read_urdf(path, base, tip), read_masses(path, base, tip)
+    return joint_chain(joints, axes=axes, name=name or Path(path).stem, masses=masses)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +130,48 @@ def read_inertials(path: str | Path) -> dict[str, Inertial]:
         for stated in children(link, "inertial")[:1]:
             inertials[name] = robot.inertial(stated)
     return {name: one for name, one in inertials.items() if one.sound}
+
+
+def read_masses(path: str | Path, base: str, tip: str) -> tuple[Load, ...]:
+    """What hangs on each moving joint from `base` to `tip` of a URDF file, as one mass.
+
+    Links that are fixed to one another, or hang on joints beside the chain, these at zero, are one
+    body; its mass acts at the centre. Empty where a joint of the chain moves several axes.
+
+    Raises InputError as `read_urdf` does.
+    """
+    robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
+    chain = robot.chain(base, tip)
+    carried: dict[str, tuple[str, NDArray[np.float64]]] = {base: ("", np.eye(4))}
+    joints = [robot.joint(element) for element in chain]
+    moving = [joint.reads[0] for joint in joints if joint.reads]
+    if len({*moving}) < len(moving):
+        return ()
+    sums: dict[str, NDArray[np.float64]] = {}
+    waiting = [*chain, *(e for e in robot.joints.values() if e not in chain)]
+    # Each round finds the links one joint further on; a link that hangs on none of these is not it.
+    while waiting:
+        ready = [e for e in waiting if robot._link(e, "parent") in carried]
+        if not ready:
+            break
+        for element in ready:
+            owner, T = carried[robot._link(element, "parent")]
+            link = robot._link(element, "child")
+            T = T @ robot.origin(element)
+            if element in chain:
+                joint = joints[chain.index(element)]
+                if joint.reads:
+                    turns = AxisFrame.of(joint.axis, joint.name).turns
+                    owner, T = joint.reads[0], product(turns, {}, {}).T
+            carried.setdefault(link, (owner, T))
+            mass = robot.mass(link) if owner else np.zeros(4)
+            if mass[3] > 0.0:
+                sums[owner] = sums.get(owner, np.zeros(4)) + T @ mass
+        waiting = [e for e in waiting if e not in ready]
+    return tuple(
+        Load(joint, joint, (*(total[:3] / total[3]).tolist(),), float(total[3]))
+        for joint, total in sums.items()
+    )
 
 
 def joint_elements(root: Any, file: str) -> dict[str, Callable[[], tuple[Any, LinkJoint]]]:
@@ -238,13 +281,22 @@ class _Robot:
         refuse_long_chain(len(elements))
         return elements[::-1]
 
-    def joint(self, element: Any) -> LinkJoint:
-        """Read one joint."""
-        name, kind = element.get("name"), self._kind(element)
+    def _placed(self, element: Any) -> tuple[Any, Any]:
+        """xyz [m] and rpy [rad] of the origin of a joint, or of an inertial."""
         xyz = rpy = (0.0, 0.0, 0.0)
         for origin in children(element, "origin")[:1]:
             xyz = self._numbers(origin, "xyz", xyz)
             rpy = self._numbers(origin, "rpy", rpy)
+        return xyz, rpy
+
+    def origin(self, element: Any) -> NDArray[np.float64]:
+        """The origin (4, 4) of a joint, or of an inertial."""
+        return product(fixed_frame(*self._placed(element)), {}, {})
+
+    def joint(self, element: Any) -> LinkJoint:
+        """Read one joint."""
+        name, kind = element.get("name"), self._kind(element)
+        xyz, rpy = self._placed(element)
         axis = (1.0, 0.0, 0.0)  # by the definition of URDF
         for stated in children(element, "axis")[:1]:
             axis = self._numbers(stated, "xyz", axis)
@@ -256,19 +308,24 @@ class _Robot:
         except InputError as error:
             raise error.at(at(element, self.file)) from None
 
+    def mass(self, link: str) -> NDArray[np.float64]:
+        """m x, m y, m z, m of a link in its frame; zeros where the file states none."""
+        for stated in children(self.links[link], "inertial")[:1]:
+            try:
+                one = self.inertial(stated)
+            except InputError:  # only the joints of the chain are validated
+                break
+            return one.mass * one.T[:, 3]
+        return np.zeros(4)
+
     def inertial(self, element: Any) -> Inertial:
         """Read what a link weighs."""
-        xyz = rpy = (0.0, 0.0, 0.0)
-        for origin in children(element, "origin")[:1]:
-            xyz = self._numbers(origin, "xyz", xyz)
-            rpy = self._numbers(origin, "rpy", rpy)
         mass, moments = 0.0, (0.0,) * len(MOMENTS)
         for stated in children(element, "mass")[:1]:
             mass = self._numbers(stated, "value", (0.0,), 1)[0]
         for stated in children(element, "inertia")[:1]:
             moments = tuple(self._numbers(stated, key, (0.0,), 1)[0] for key in MOMENTS)
-        T = product(fixed_frame(xyz, rpy), {}, {})
-        return Inertial(mass, T, moments)
+        return Inertial(mass, self.origin(element), moments)
 
     def _kind(self, element: Any) -> str:
         kind = element.get("type")

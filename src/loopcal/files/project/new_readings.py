@@ -85,7 +85,7 @@ def _is_converted(paths: Sequence[str | Path], spec: DataTable, wanted: Set[str]
     except InputError:  # of a table below titles, which only its source describes
         return False
     assert spec.source is not None
-    joints = [columns[q].column for q in spec.source.joints if q in columns]
+    joints = [columns[q].column for q in spec.source.columns if q in columns]
     return len(paths) == 1 and set(labels) >= set(joints)
 
 
@@ -113,7 +113,7 @@ def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataTable:
 def result_columns(inputs: Mapping[str, Any], mechanism: Mechanism) -> dict[str, Column]:
     """Quantity -> its column and unit in the user's files, or else in the project of a result."""
     spec = _spec(inputs, mechanism)
-    joints = {} if spec.source is None else spec.source.joints
+    joints = {} if spec.source is None else spec.source.columns
     columns = {q: column for part in spec.parts for q, column in part.columns.items()}
     return {**columns, **{q: Column(one.column, one.unit) for q, one in joints.items()}}
 

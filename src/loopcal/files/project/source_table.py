@@ -14,7 +14,7 @@ _COLUMNS = "by header, or by number from 1 through the columns of numbers of all
 
 @dataclass(frozen=True)
 class SourceColumn:
-    """A column of a joint."""
+    """A column of a joint, or of a known constant of each pose."""
 
     column: Annotated[str | int, Key(f"The column, {_COLUMNS}.")]
     unit: Annotated[str, Key("Its unit, where its header states none.", is_unit=True)]
@@ -58,10 +58,10 @@ class SourceInstrument:
 class SourceTable:
     """How files in the layout of the user's first ones become quantities."""
 
-    joints: Annotated[
+    columns: Annotated[
         Mapping[str, SourceColumn],
         Key(
-            "Quantity of a joint = its column, with its unit.",
+            "Quantity of a joint, or known constant = its column, with its unit.",
             names=QUANTITY,
             example={"theta_1": {"column": "J1", "unit": "deg"}},
         ),

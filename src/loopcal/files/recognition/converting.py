@@ -112,7 +112,7 @@ def dataset_of(poses: Sequence[str], readings: Mapping[str, Reading]) -> Dataset
 
 def source_entry(
     fields: Fields,
-    joints: Mapping[str, Reading],
+    columns: Mapping[str, Reading],
     seen: Sequence[tuple[Meaning, Sequence[str]]],
     sheet: str | None,
 ) -> dict[str, Any]:
@@ -139,15 +139,15 @@ def source_entry(
             "sd_unit": m.seen.sds[0].unit if m.seen.sds else None,
         }
         instruments.append({key: value for key, value in stated.items() if value})
-    columns = {
+    stated_columns = {
         name: {"column": _key(fields, r.field), "unit": r.unit}
-        for name, r in joints.items()
+        for name, r in columns.items()
         if r.field is not None
     }
     made: dict[str, Any] = {} if sheet is None else {"sheet": sheet}
     if any(m.seen.station for m, _ in seen):
         made["stations"] = _key(fields, next(f for f in fields.fields if f.stem in STATIONS))
-    return {**made, "joints": columns, "instrument": instruments}
+    return {**made, "columns": stated_columns, "instrument": instruments}
 
 
 def _key(fields: Fields, column: Field) -> str | int:
@@ -186,7 +186,7 @@ def converted(fields: Fields, table: SourceTable, quantities: Set[str]) -> Datas
     Raises InputError for a column that is missing, and for a station that the table has not.
     """
     readings = {}
-    for name, column in table.joints.items():
+    for name, column in table.columns.items():
         if name in quantities:
             field, unit_name = _in_unit(_needed(fields, column.column), column.unit)
             readings[name] = Reading(

@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 _IDS = frozenset(words("columns", "pose"))
 STATIONS = frozenset(words("columns", "station"))
 _TARGETS = frozenset(words("columns", "target"))
+TOOLS = frozenset(words("columns", "tool"))
 TIMES = frozenset(words("columns", "time"))
 
 
@@ -160,7 +161,7 @@ def _in_memory(data: Any, number: int) -> Source:
             fields.append(Field(number, i, header, as_numbers(values, name)))
         except InputError:  # text, dates: no readings
             labels = tuple(map(str, np.asarray(values).tolist()))
-            if header.stem in STATIONS:
+            if header.stem in STATIONS | TOOLS:
                 fields.append(counted(Field(number, i, header, np.empty(0)), labels))
             else:
                 texts[header.stem] = labels
@@ -228,7 +229,7 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     every = every[1 if units else 0 :]
     labels = {i: tuple(column_cells[k] for k in every) for i, column_cells in cells.items()}
     values = {i: table.numbers(i, every) for i in numeric if i != pose}
-    values |= {i: np.empty(0) for i in texts if _stem(headings, i) in STATIONS}
+    values |= {i: np.empty(0) for i in texts if _stem(headings, i) in STATIONS | TOOLS}
     fields = tuple(
         Field(number, i, headings[i] if i < len(headings) else None, values[i])
         for i in sorted(values)

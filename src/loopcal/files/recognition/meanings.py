@@ -28,6 +28,12 @@ _FORMS: tuple[tuple[str, str, tuple[int, int, int]], ...] = (
     ("turns about x, y and z, Rx Ry Rz", "rx ry rz", (0, 1, 2)),
 )
 """In words; the form of an instrument; which of the columns x, y, z are its numbers."""
+_QUATERNIONS = (
+    ((0, 1, 2, 3), "w, x, y, z"),
+    ((3, 0, 1, 2), "x, y, z, w"),
+    ((1, 2, 3, 0), "z, w, x, y"),  # w, x, y, z under headers x, y, z, w
+)
+"""Which of the columns are w, x, y and z; what the columns are, in words."""
 _POLAR_FORMS = (
     ("", ""),
     ("zenith", ", the last counted from the zenith"),
@@ -168,7 +174,7 @@ def _orientations(
                 (f"the matrix {words}",),
             )
     elif seen.form == "quaternion":
-        for order, words in (((0, 1, 2, 3), "w, x, y, z"), ((3, 0, 1, 2), "x, y, z, w")):
+        for order, words in _QUATERNIONS:
             R = rotations(seen, "rad", "quaternion", order)
             form_words = (f"the quaternion {names_of(seen.turned)} in the order {words}",)
             yield "rad", "quaternion", order, R, form_words

@@ -15,7 +15,6 @@ from loopcal.errors import InputError
 from loopcal.keys import Key
 from loopcal.mechanisms.effects.effect import Name, joints
 from loopcal.mechanisms.effects.gravity import (
-    ACCELERATION,
     Load,
     acting,
     carries,
@@ -97,7 +96,7 @@ class Compliance:
         """One for each joint or parameter that yields, lumped: for each load on it as well."""
         made: dict[str, Parameter] = {}
         for load in self.loads:
-            refuse_beyond(mechanism, load)
+            refuse_beyond(mechanism.chain, mechanism.parameters, load)
         for name in self._yielding(mechanism):
             si = self._unit(mechanism, name)
             loads = [load for load in self.loads if carries(mechanism.chain, name, load)]
@@ -121,10 +120,8 @@ class Compliance:
         for load in self.loads:
             on = [name for name in yielding if carries(chain, name, load)]
             for name, force in unit_forces(chain, on, load, down, x, p).items():
-                # Unknown masses: c m g is one parameter, and the force is a lever alone.
-                weight = 1.0 if load.mass is None else load.mass * ACCELERATION
                 (parameter,) = self._names(name, [load])
-                new[name] = new[name] + p[parameter] * (weight * force)
+                new[name] = new[name] + p[parameter] * (load.weight * force)
         return new
 
     def _names(self, name: str, loads: list[Load]) -> list[str]:

@@ -10,7 +10,7 @@ several.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -19,7 +19,7 @@ from loopcal.expressions.vectors import cross, rotate, vector
 from loopcal.keys import Key
 from loopcal.mechanisms.chain import Step, apply
 from loopcal.mechanisms.frame import Values, Vector
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameter
 
 ACCELERATION = 9.80665
 """Standard gravity [m/s^2], 3rd CGPM (1901); the Earth's own differs by up to 0.3 %."""
@@ -57,6 +57,11 @@ class Load:
                 remedy="give a positive number, or none if unknown",
             )
 
+    @property
+    def weight(self) -> float:
+        """m g [N]; 1 where the mass is unknown: force and compliance are then one parameter."""
+        return 1.0 if self.mass is None else self.mass * ACCELERATION
+
 
 def acting(chain: Sequence[Step], name: str) -> list[int]:
     """Positions of the steps that a joint or parameter moves."""
@@ -78,15 +83,15 @@ def end_of(chain: Sequence[Step], load: Load) -> int:
     return carrying[-1] + 1
 
 
-def refuse_beyond(mechanism: Mechanism, load: Load) -> None:
+def refuse_beyond(chain: Sequence[Step], parameters: Iterable[Parameter], load: Load) -> None:
     """Raise InputError for a load farther from its joint than the whole chain is long.
 
     The length is the sum of the chain's nominal lengths; a chain that slides has none.
     """
-    lengths = [step for step in mechanism.chain if step.motion[0] == "t"]
+    lengths = [step for step in chain if step.motion[0] == "t"]
     if any(step.joint for step in lengths):
         return
-    nominal = {p.name: p.nominal for p in mechanism.parameters}
+    nominal = {p.name: p.nominal for p in parameters}
     size = sum(abs(step.amount({}, nominal)) for step in lengths)
     away = math.hypot(*load.point)
     if 0.0 < size < away:

@@ -11,6 +11,14 @@ g the unit vector of gravity; w turns the body and d shifts its origin b. The ba
 about its own axes. The points: the elbow (origin of the middle joint), the wrist (of the last
 joint but one) and the tool (the first point that is looked at). Each loads what stands before it.
 All is computed from the geometry as it is without giving way.
+
+Where masses m_k at points r_k are known, each turning joint also yields about its axis e to the
+moment of all that stand behind it, with a compliance c [rad/(N m)]:
+
+    w = c e (e . sum_k m_k g_0 (r_k - o_j) x g),    g_0 standard gravity.
+
+What the tool carries is estimated where the masses of the links are known, and may be known to
+differ by pose.
 """
 
 from __future__ import annotations
@@ -26,6 +34,7 @@ from loopcal.expressions.engine import engine_for
 from loopcal.expressions.trace import trace
 from loopcal.expressions.vectors import cross, dot, norm, rotate, vector
 from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.effects.gravity import ACCELERATION, Load, end_of
 from loopcal.mechanisms.frame import Direction, Values, Vector
 from loopcal.mechanisms.structure.smooth import Smooth
 
@@ -34,8 +43,14 @@ BASE = "base"
 GRAVITY = "gravity"
 TOOL = "tool"
 """Begins the names of the two parameters that tilt gravity against the base."""
+LOAD = "load_mass"
+"""The mass [kg] at the tool beyond those that are known: a gripper that a URDF leaves out."""
+MASSES = "masses"
+"""Stands for all known masses behind a joint, where others name the point of a weight."""
 # Random poses show which columns act; columns equal to nine digits in all of them are one.
 _POSES, _ALIKE = 24, 1e-9
+_PAYLOADS = (1.0, 5.0)
+"""Masses [kg] that a tool carries in these poses."""
 _NEXT = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
 
 
@@ -52,6 +67,13 @@ class Column:
     load: str
     about_joint: bool
 
+    @property
+    def term(self) -> str:
+        """Name of the term that it belongs to."""
+        if self.load == MASSES:
+            return "compliance"
+        return "sag" if self.about_joint else "sag_across"
+
 
 @dataclass(frozen=True)
 class _Link:
@@ -66,18 +88,26 @@ class Sag:
     """An arm that may give way under gravity.
 
     chain: its steps; ahead: how many of them only place it, in whose last frame gravity is stated;
-    target: the coordinates of the tool in the body's frame; gravity: its nominal direction.
+    target: the coordinates of the tool in the body's frame; gravity: its nominal direction; masses:
+    those that are known; payload: the known constant [kg] that the tool carries.
     """
 
     chain: tuple[Step, ...]
     ahead: int
     target: tuple[str, ...]
     gravity: tuple[float, float, float]
+    masses: tuple[Load, ...] = ()
+    payload: str | None = None
 
     @property
     def down(self) -> Direction:
         """The direction of gravity, and the two parameters that tilt it."""
         return Direction.near(self.gravity, name=GRAVITY, what="gravity")
+
+    @property
+    def carried(self) -> tuple[str, ...]:
+        """The parameter of what the tool carries, where the masses of the links show it."""
+        return (LOAD,) if self.masses else ()
 
     @property
     def joints(self) -> dict[str, int]:
@@ -111,6 +141,9 @@ class Sag:
                 for load in loads:
                     about_joint = motion == f"r{axis}"
                     yield Column(f"{joint}_sag_{axis}_{load}", joint, axis, load, about_joint)
+        for joint, i in self.joints.items() if self.masses or self.payload else ():
+            if self.chain[i].motion[0] == "r":
+                yield Column(f"{joint}_yield", joint, self.chain[i].motion[1], MASSES, True)
 
     def columns(self, nominal: Mapping[str, float]) -> tuple[Column, ...]:
         """The columns that do something, each once.
@@ -121,20 +154,24 @@ class Sag:
         candidates = list(self.candidates())
         units = {step.joint: step.unit for step in self.chain if step.joint}
         names = [column.parameter for column in candidates]
+        payload = () if self.payload is None else (self.payload,)
         p = {**nominal, **dict.fromkeys(names, 0.0), **dict.fromkeys(self.down.tilts, 0.1)}
+        p |= dict.fromkeys(self.carried, 0.0)
         tape = trace(
             lambda x, p: [
                 *np.concatenate(self.displacement(candidates, cast("Any", x), cast("Any", p)))
             ],
             quantities=tuple(units),
+            pose_constants=payload,
             parameters=tuple(p),
         )
         engine = engine_for(tape, tuple(names), _POSES, ())
         rng = np.random.default_rng(0)
+        carried = rng.uniform(*_PAYLOADS, (len(payload), _POSES))
         # Within most joints' limits: readings outside would show columns that no pose can.
         spans = [(-2.5, 2.5) if unit == "rad" else (0.0, 0.7) for unit in units.values()]
         x = np.array([rng.uniform(*span, _POSES) for span in spans])
-        each = engine.evaluate(np.array(list(p.values())), x, np.empty((0, _POSES))).by_parameter
+        each = engine.evaluate(np.array(list(p.values())), x, carried).by_parameter
         kept: list[int] = []
         for i, change in enumerate(each):
             size = float(np.linalg.norm(change))
@@ -146,9 +183,9 @@ class Sag:
         self, columns: Sequence[Column], x: Values, p: Values
     ) -> tuple[Vector, Vector]:
         """Shift d and turn w of the body (3,) each, in the first frame of the chain."""
-        links, body = self._links(x, p)
+        links, body, masses = self._links(x, p)
         shift, turn = vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)
-        for number, bend in self._link_turns(links, body, columns, x, p).items():
+        for number, bend in self._link_turns(links, body, masses, columns, x, p).items():
             turn = turn + bend
             shift = shift + cross(bend, body.origin - links[number].origin)
         return shift, turn
@@ -156,12 +193,26 @@ class Sag:
     def link_turns(self, columns: Sequence[Column], x: Values, p: Values) -> dict[str, Vector]:
         """By base and joint, the small turn (3,) by which it gives way, in the first frame of the
         chain."""
-        links, body = self._links(x, p)
-        turns = self._link_turns(links, body, columns, x, p)
+        links, body, masses = self._links(x, p)
+        turns = self._link_turns(links, body, masses, columns, x, p)
         return {self.names[number]: turn for number, turn in turns.items()}
 
+    def next_axis(self, joint: str, x: Values, p: Values) -> tuple[str, Vector] | None:
+        """The next joint behind the base or a joint, and its axis (3,) in the first frame; None
+        where it does not turn."""
+        at = self.names.index(joint) + 1
+        behind = self.names[at] if at < len(self.names) else ""
+        motion = self.chain[self.joints[behind]].motion if behind else "t"
+        return (behind, self._links(x, p)[0][at].axes[motion[1]]) if motion[0] == "r" else None
+
     def _link_turns(
-        self, links: list[_Link], body: _Link, columns: Sequence[Column], x: Values, p: Values
+        self,
+        links: list[_Link],
+        body: _Link,
+        masses: list[Vector],
+        columns: Sequence[Column],
+        x: Values,
+        p: Values,
     ) -> dict[int, Vector]:
         tool = body.origin
         for letter, name in zip("xyz", self.target, strict=False):
@@ -169,6 +220,8 @@ class Sag:
         behind = [link.origin for link in links]
         points = {load: tool if at is None else behind[at] for load, at in self.loads.items()}
         g = self._pull(x, p)
+        weighed = any(column.load == MASSES for column in columns)
+        behind_each = self._weights(masses, tool, x, p) if weighed else []
         turns = {}
         for number, link in enumerate(links):
             on_link = [column for column in columns if column.joint == self.names[number]]
@@ -177,7 +230,11 @@ class Sag:
             moments = {
                 load: cross(points[load] - link.origin, g)
                 for load in dict.fromkeys(c.load for c in on_link)
+                if load != MASSES
             }
+            if behind_each:
+                weight, moment = behind_each[number]
+                moments[MASSES] = cross(moment - link.origin * weight, g)
             turn = vector(0.0, 0.0, 0.0)
             for axis in "xyz":
                 e = link.axes[axis]
@@ -189,6 +246,22 @@ class Sag:
             turns[number] = turn
         return turns
 
+    def _weights(
+        self, masses: Sequence[Vector], tool: Vector, x: Values, p: Values
+    ) -> list[tuple[Any, Vector]]:
+        """Of the known masses behind base and each joint, sum m g_0 [N] and sum m g_0 r (3,)."""
+        carried: Any = p[LOAD] if self.masses else 0.0
+        weight = (carried if self.payload is None else carried + x[self.payload]) * ACCELERATION
+        moment = tool * weight
+        sums: list[tuple[Any, Vector]] = []
+        for joint in reversed(range(1 + len(self.joints))):
+            for mass, point in zip(self.masses, masses, strict=True):
+                if joint and end_of(self.chain, mass) - 1 == [*self.joints.values()][joint - 1]:
+                    weight = weight + mass.weight
+                    moment = moment + point * mass.weight
+            sums.append((weight, moment))
+        return sums[::-1]
+
     def _pull(self, x: Values, p: Values) -> Vector:
         """Gravity in the first frame of the chain."""
         pull = self.down.vector(p)
@@ -197,12 +270,14 @@ class Sag:
                 pull = rotate(step.motion[1], step.amount(x, p), pull)
         return pull
 
-    def _links(self, x: Values, p: Values) -> tuple[list[_Link], _Link]:
-        """The frames of base and joints, behind each joint's motion, and that of the body."""
+    def _links(self, x: Values, p: Values) -> tuple[list[_Link], _Link, list[Vector]]:
+        """The frames of base and joints, behind each joint's motion, that of the body, and where
+        the known masses are."""
         origin = vector(0.0, 0.0, 0.0)
         axes = dict(zip("xyz", np.eye(3), strict=True))
         moved = set(self.joints.values())
         links: list[_Link] = []
+        masses: list[Vector] = [origin] * len(self.masses)
         for i, step in enumerate(self.chain):
             if i == self.ahead:
                 links.append(_Link(origin, axes))
@@ -216,7 +291,11 @@ class Sag:
                 axes = axes | {a: axes[a] * c + axes[b] * s, b: axes[b] * c - axes[a] * s}
             if i in moved:
                 links.append(_Link(origin, axes))
-        return self._standing(links), _Link(origin, axes)
+            for k, mass in enumerate(self.masses):
+                if end_of(self.chain, mass) == i + 1:
+                    shift = zip("xyz", mass.point, strict=True)
+                    masses[k] = sum((axes[a] * v for a, v in shift if v), origin)
+        return self._standing(links), _Link(origin, axes), masses
 
     def _standing(self, links: list[_Link]) -> list[_Link]:
         """The links, where the arm's own steps place it: there is no base in such a chain.

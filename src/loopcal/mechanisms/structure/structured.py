@@ -15,6 +15,7 @@ from typing import Annotated, Any, TypeVar
 from loopcal.errors import InputError
 from loopcal.expressions.rewriting import substituted
 from loopcal.keys import Key, described
+from loopcal.mechanisms.effects.compliance import YIELD_SD
 from loopcal.mechanisms.effects.effect import Effect, with_effects
 from loopcal.mechanisms.effects.harmonics import Harmonics
 from loopcal.mechanisms.effects.scale import Scale
@@ -32,6 +33,10 @@ MOUNTED = {"m": 5e-3, "rad": 50e-3}
 TILTED = math.radians(5.0)
 """Prior sd of each tilt of gravity against the machine's base."""
 GRAVITY_TILT = "tilt of gravity against the base"
+CARRIED = 0.2
+"""Prior sd of the mass at the tool, as a share of the known masses: from a tenth to a third of its
+own weight is what an arm is rated to carry."""
+LOAD_MASS = "mass at the tool beyond the known ones"
 EFFECT = "structure"
 """Name of all that is added, among the effects of a mechanism."""
 DISCREPANCY = "discrepancy"
@@ -55,6 +60,7 @@ STRUCTURE_TERMS = (
     *(name for name, _, _ in GEOMETRY_TERMS.values()),
     "sag",
     "sag_across",
+    "compliance",
     DISCREPANCY,
     "discrepancy_turns",
     *DRIVES,
@@ -93,6 +99,8 @@ def structured(
     - sag, of serial arms: JOINT_sag_AXIS_LOAD [rad/m] about the joints' axes (median 0.5 mrad per
       metre) and across them (0.2), and two tilts of gravity, known to 5 degrees (see `Sag`).
       Gravity pulls along `Mechanism.gravity`;
+    - compliance, where masses or a payload are known: JOINT_yield [rad/(N m)] of each turning joint
+      (median 1e-5, a stiffness of 1e5 N m/rad), to the moment of all known masses behind it;
     - harmonics: JOINT_cos1 ... JOINT_sin2 [rad] of turning joints (median 0.1 mrad), and
       JOINT_scale of slides (median 1e-4);
     - discrepancy: smooth functions of the joints that shift the body (median 0.3 mm), and turn it
@@ -208,7 +216,8 @@ def _in_space(mechanism: Mechanism) -> Sag | None:
     lengths = {p.name for p in mechanism.parameters if p.unit == "m"}
     # the coordinates of the first thing that is mounted on the body
     at = [n for n in mechanism.parameters.of_role("mounting") if n in lengths][:3]
-    return Sag(chain, ahead, tuple(at), mechanism.gravity or DOWN)
+    down = mechanism.gravity or DOWN
+    return Sag(chain, ahead, tuple(at), down, mechanism.masses, mechanism.payload)
 
 
 def _columns(
@@ -264,22 +273,34 @@ def _displaced(
     added: list[Parameter] = []
     terms: list[Term] = []
     if arm is not None:
-        added += [Parameter(c.parameter, 0.0, "rad/m") for c in columns]
+        added += [
+            Parameter(c.parameter, 0.0, "rad/(N m)" if c.term == "compliance" else "rad/m")
+            for c in columns
+        ]
         added += [Parameter(n, 0.0, "rad", TILTED, meaning=GRAVITY_TILT) for n in arm.down.tilts]
+        if any(c.term == "compliance" for c in columns):
+            weighing = CARRIED * sum(load.mass or 0.0 for load in arm.masses)
+            added += [Parameter(n, 0.0, "kg", weighing, meaning=LOAD_MASS) for n in arm.carried]
         terms += [
             *_term(
                 "sag",
                 # Gears yield more than bearings and links: 0.5 and 0.2 mrad per metre of lever
                 # (record 0046).
-                [c.parameter for c in columns if c.about_joint],
+                [c.parameter for c in columns if c.term == "sag"],
                 0.5e-3,
                 "joints give way about their axes under gravity by {scale}",
             ),
             *_term(
                 "sag_across",
-                [c.parameter for c in columns if not c.about_joint],
+                [c.parameter for c in columns if c.term == "sag_across"],
                 0.2e-3,
                 "links and bearings give way across the joints' axes under gravity by {scale}",
+            ),
+            *_term(
+                "compliance",
+                [c.parameter for c in columns if c.term == "compliance"],
+                YIELD_SD["rad"][1],
+                "joints yield about their axes to known weights by {scale}",
             ),
         ]
     shifts, turns = _coefficients(mechanism, smooth)

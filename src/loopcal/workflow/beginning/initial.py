@@ -21,6 +21,7 @@ from loopcal.files.atomic import write_files
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
+from loopcal.files.recognition.conditions import apart
 from loopcal.files.recognition.converting import dataset_of
 from loopcal.files.recognition.fields import Source, sources_of
 from loopcal.files.recognition.joins import Fields, joined
@@ -30,6 +31,7 @@ from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.masses import in_space
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, output_groups
 from loopcal.presentation.shown import columns as in_columns
@@ -38,7 +40,7 @@ from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
 from loopcal.workflow.beginning.searching import PLAUSIBLE, Machine
-from loopcal.workflow.beginning.stating import READINGS, Statement, stated
+from loopcal.workflow.beginning.stating import READINGS, First, Statement, stated
 from loopcal.workflow.beginning.understanding import Ask, understood
 
 Array = NDArray[np.float64]
@@ -191,8 +193,10 @@ def initial_project(
     fields = joined(sources)
     made = _robot(robot, fields, folder)
     machine = _machine(made, fields, folder)
+    every = fields
+    fields, conditions = apart(fields, made.names, arm=in_space(machine.mechanism))
     way = understood(machine, _layouts(made, fields), fields, ask)
-    statement = stated(made, machine, fields, way, folder, sheet)
+    statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
     project = _read(statement, folder)
     dataset = dataset_of(fields.poses, statement.readings)
     odd = (*_odd(project, dataset), *_far_off(statement.fits))

@@ -267,6 +267,15 @@ def _nothing(case: Case) -> Explanation:
             "measure poses that differ in every joint; loopcal noise gives the sds of sensors from "
             "repeated readings",
         )
+    read = [field for one in best.layout.seen for field in (*one.position, *one.turned)]
+    if still := [f for f in read if np.nanmin(f.values) == np.nanmax(f.values)]:
+        verb = "reads" if len(still) == 1 else "read"
+        return Explanation(
+            best.share,
+            "implausible-readings",
+            f"{names_of(still)} {verb} the same value in every row, although the machine moves",
+            "correct the file, or name the column that has the readings",
+        )
     remedy = (
         "check the robot (URDF, Denavit-Hartenberg table and its convention), the signs and zeros "
         "of the joints, and that joints and instrument are of the same poses"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import NEAR, TURNED, Bodies, Mounted, see_points
 from loopcal.files.outputs import relative
+from loopcal.files.recognition.conditions import Conditions
 from loopcal.files.recognition.converting import Reading, as_vector, readings_of, source_entry
 from loopcal.files.recognition.fields import column_key, names_of
 from loopcal.files.recognition.joins import Fields
@@ -24,7 +25,7 @@ from loopcal.files.toml.writer import document
 from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
 from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.shown import significant, with_unit
-from loopcal.units import from_si, unit
+from loopcal.units import from_si, to_si, unit
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
 
 Array = NDArray[np.float64]
@@ -39,6 +40,14 @@ _TRACKER = "leica-at500"
 _POINTS = ("point", "spherical")
 _SAME = 5e-3
 """Points of a body that lie so near [m] each other, found from the nominal machine, are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class First:
+    """The first files: their columns, and the sheet that was named."""
+
+    fields: Fields
+    sheet: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +82,18 @@ def stated(
     fields: Fields,
     understood: Understood,
     folder: Path,
-    sheet: str | None = None,
+    conditions: Conditions,
+    first: First,
 ) -> Statement:
     """The project of what was understood.
 
-    folder: where it will lie, for its paths; sheet: of workbooks, if one was named.
+    folder: where it will lie, for its paths; conditions: what is known of the poses beside the
+    readings; first: the files as they are, for those of later days.
     """
     readings = {
         name: Reading(understood.joints[name], si, f, f.unit or understood.units[si])
         for name, f, si in zip(machine.joints, understood.layout.joints, machine.units, strict=True)
     }
-    joints = dict(readings)
     looking: list[dict[str, Any]] = []
     seen: list[tuple[Meaning, tuple[str, ...]]] = []
     parameters: dict[str, Any] = {}
@@ -118,6 +128,11 @@ def stated(
         table = {**apart.table, "instrument": looking}
         lengths = {n: {"value": 1e3 * v, "unit": "mm"} for n, v in apart.lengths.items()}
         parameters = {**lengths, **parameters}
+    table |= conditions.table
+    readings |= {
+        name: Reading(to_si(field.values, of_column), unit(of_column).si, field, of_column)
+        for name, (field, of_column) in conditions.columns.items()
+    }
     converted = (
         any(r.field is None for r in readings.values())
         or any(source.path is None for source in fields.sources)
@@ -125,9 +140,10 @@ def stated(
     )
     data = _data(fields, readings, converted, folder)
     source = {}
+    columns = {n: readings[n] for n in (*machine.joints, *conditions.columns)}
     # A table in memory comes again as one, and a single file is read as it stands.
     if (converted or data[1:]) and all(s.path or s.label for s in fields.sources):
-        source = {"source": source_entry(fields, joints, seen, sheet)}
+        source = {"source": source_entry(first.fields, columns, seen, first.sheet)}
     remarks = {
         "mechanism": robot.remarks,
         "mechanism.parameters": (
@@ -137,12 +153,13 @@ def stated(
         ),
         "data": (
             *(*fields.remarks, *_inferred(understood), *understood.remarks, *_left_out(understood)),
+            *conditions.remarks,
             *((f"Several instruments: {'; '.join(stands)}.",) if several else ()),
         ),
         "noise": tuple(guesses),
     }
-    first = next((s.path.stem for s in fields.sources if s.path), "readings")
-    title = f"{Path(str(table.get('file', table['type']))).stem}, {first}"
+    beginning = next((s.path.stem for s in fields.sources if s.path), "readings")
+    title = f"{Path(str(table.get('file', table['type']))).stem}, {beginning}"
     tables = {
         "schema": SCHEMA,
         "title": title,
