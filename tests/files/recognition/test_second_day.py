@@ -107,7 +107,6 @@ LAYOUTS: dict[str, Text] = {
     f.__name__: f
     for f in (
         stations, stations_and_poses, two_files, comma, shots, total_station, turned, inverted,
-
     )
 }  # fmt: skip
 
