@@ -66,7 +66,8 @@ def test_two_steps_end_where_a_fit_of_the_rest_does() -> None:
 def test_sds_of_sensors_are_learnt_of_the_rest() -> None:
     """One step from those of all poses, by sums over poses: nearer than those are."""
     stated = {"xP": 2e-4, "yP": 2e-4, "phi2": 1e-3, "phi3": 1e-3}
-    noise = lc.Noise(stated, estimate={"?P": "group"})
+    learnt: dict[tuple[str, ...], str] = {("xP", "yP"): "group"}
+    noise = lc.Noise(stated, estimate=learnt)
     whole = lc.calibrate(ARM.truth, DATA, noise=noise, method="implicit-loop")
     gone = np.arange(12)
     begun = LeavingOut(whole).begun(gone)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import FitResult
+from loopcal.estimation.solve.merit import Evaluation
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum, spectrum
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
@@ -215,7 +216,7 @@ class _Learnt:
 
 def settled(whole: FitResult, begun: Beginning, index: Index, tolerance: float) -> Array | None:
     """Parameters (n_all,) where the fit of the rest ends, a second step on; None where a third
-    would move them by more than so many sds, or would show more of what is learnt.
+    would move any combination of them by more than so many of its sds, or what is learnt.
 
     index: positions of the poses that are left out.
     """
@@ -232,10 +233,28 @@ def settled(whole: FitResult, begun: Beginning, index: Index, tolerance: float) 
         system = spectrum(at.data, unknowns.offset(begun.parameters), unknowns.prior_sd)
         if not system.well_conditioned and system.rank < len(problem.free):
             return None  # an open direction would rest where all poses have put it
-        # As `loopcal.estimation.solve.solver` ends: convergence is linear.
+        # Convergence is linear, as in `loopcal.estimation.solve.solver`. That allows so many sds in
+        # each of n directions; a single prediction may depend on one of them.
         n, merit = len(problem.free), at.cost + unknowns.prior_square(begun.parameters)
         rate = min(system.decrement / max(begun.decrement, 1e-300), 1.0)
         variance = merit / max(at.equations - n, 1)
-        if not rate * system.decrement <= tolerance**2 * n * variance:
+        if not rate * system.decrement <= tolerance**2 * variance:
+            return None
+        if problem.mechanism.learnt_terms and not _terms_stay(whole, begun, at):
             return None
         return unknowns.moved(begun.parameters, system.step())
+
+
+def _terms_stay(whole: FitResult, begun: Beginning, at: Evaluation[Array]) -> bool:
+    """Whether the rest, linearised where its fit begins, says the same of its terms as before."""
+    from loopcal.estimation.noise.estimation import NEARBY
+    from loopcal.estimation.noise.term_scales import Sums
+    from loopcal.estimation.noise.variances import all_learnt, learnt_terms, scales_of
+
+    assert whole.estimate is not None
+    problem, sums = begun.problem, Sums(at.data.total, False, at.equations)
+    common = all_learnt(problem, [component.quantities for component in whole.estimate.stated])
+    offset = problem.unknowns.offset(begun.parameters)
+    scales = learnt_terms(problem, sums, offset, common=common).scales
+    # As the last round of a fit that begins near.
+    return 2.0 * float(np.abs(np.log(scales / scales_of(problem))).max(initial=0.0)) <= NEARBY
