@@ -83,8 +83,8 @@ def main() -> None:
         (name, i) for i in draws for name in names if KINDS[name].happens(KINDS[name].machine(i))
     ]
     done = complete(chosen.keep, wanted, run, chosen.processes, code)
-    first, last = draws[0], draws[-1]
-    text = f"{tables(done)}\n\ndraws {first} to {last} of each kind; stamp of the code: {code}"
+    counted = f"{len(done)} of {len(wanted)} draws, from {draws[0]} to {draws[-1]}"
+    text = f"{tables(done)}\n\n{counted}; stamp of the code: {code}"
     print(text)
     if chosen.write:
         write_block(PAGE, "gauntlet", text)

@@ -26,7 +26,7 @@ LOAD = LOAD_ONLY + "|gravity"
 ROWS, COPIES = r"\brows?\b", r"cop(y|ies|ied)|duplicat|same row|repeated row|twice"
 UNIT, SIGN = r"\bunits?\b|\binch|25\.4|\bin in\b", r"\bsign|revers|other way"
 EXCHANGED, HANDED = "exchang|swap", "exchang|swap|handed|mirror|revers"
-SCALE, OFF = r"scale|expan|temperature", r"outlier|not fit|poses? \d"
+SCALE, OFF = r"scale|expan|temperature", "outlier|not fit"
 TOOL, SLIP = r"\btool|target|reflector|mount(ed|ing)", r"slip|from pose|since pose"
 NEAR = r"near-poses-only|near the measured poses|outside"
 DRAWING = r"off the drawing|(off|from) (its|the) (nominal|drawing)|does not describe"
@@ -134,7 +134,12 @@ FIRST = (
     _file("a constant column", "constant|same value|never changes", days.constant_column),
     _file("a pose off by 20 mm", OFF, days.poses_off(0.0, 0.02)),
     _file("a quarter of the poses bad", OFF, days.poses_off(0.25, 1e-3)),
-    _fault("a length 50 mm off", "a_2|" + DRAWING, misled=_long_link, fixed={"described": "dh"}),
+    _fault(
+        "a length 50 mm off",
+        r"\ba_2\b[^.]*\boff\b|" + DRAWING,
+        misled=_long_link,
+        fixed={"described": "dh"},
+    ),
     _fault("another robot", DRAWING, misled=_another_robot, fixed=_SIX | {"described": "dh"}),
     _fault("joints in steps of 0.1 degree", "coarse|in steps of", fixed={"rounded": 0.1 * DEGREE}),
     _fault("12 poses", f"few|more poses|{NEAR}", fixed={"poses": 12}),

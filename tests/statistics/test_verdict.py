@@ -28,8 +28,8 @@ from loopcal.document.change_points import (
     Likeness,
 )
 from loopcal.document.choice import Candidate, Chosen, TermEntry
-from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, Undetermined
-from loopcal.document.fit import ChiSquared
+from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, ScaleEntry, Undetermined
+from loopcal.document.fit import ChiSquared, ParameterEntry
 from loopcal.document.result_document import CoarseReadings, ResultDocument
 from loopcal.document.verdict import UNASKED, Fact, Row
 from loopcal.mechanisms.limits import joint_limits
@@ -87,6 +87,8 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
         ChangePoints((replace(SLIP, modelled=True),), 0.01, 120, ""),
         None,
     ),
+    "scales-unlike": ("scales", (ScaleEntry(("point_2",), 1e-4, 1e-5, 1e-9, 1e-3),), None),
+    "scale-off-the-drawing": ("scales", (ScaleEntry((), 1e-4, 1e-5, 1e-9, 1e-3),), None),
     "sds-not-converged": ("sds_settled", False, None),
     "mounting-unstated": ("mechanism.unstated", (("x6B", "y6B", "z6B"),), None),
     "model-incomplete": ("dependence", depends(1.0, 1e-9), False),
@@ -465,12 +467,22 @@ def flat(document: ResultDocument) -> ResultDocument:
     return replace(document, parameters=own, terms=())
 
 
+def _off(p: ParameterEntry) -> float:
+    return abs(p.value - p.nominal)
+
+
 def test_a_dimension_that_is_off_the_drawing_alone_is_named() -> None:
     near = (3e-4, -2e-4, 1e-4, -3e-4, 2e-4)
     found = verdict_of(with_lengths(clean(), *near, -0.05)).sound
     assert (found.code, found.passed) == ("off-the-drawing", None)
     assert "a_6 is off the drawing by -50.0 mm" in found.words
     assert verdict_of(flat(with_lengths(clean(), *near, -0.05))).sound.words == found.words
+    # what the poses leave open stays where it is drawn, with the sd that this one has made large
+    loose = with_lengths(clean(), *near, -0.05, 0.0, 0.0)
+    loose = replace(
+        loose, parameters=tuple(replace(p, sd=2e-2) if not _off(p) else p for p in loose.parameters)
+    )
+    assert "the other lengths are within 0.23 mm" in verdict_of(loose).sound.words
     # all of them are off, or one not far enough to stand out of five others
     for off in ((0.05, -0.04, 0.03, 0.05, -0.06, 0.05), (*near, 1e-3)):
         for document in (with_lengths(clean(), *off), flat(with_lengths(clean(), *off))):
@@ -498,6 +510,19 @@ def test_a_tool_far_from_its_place_is_named_without_a_prior() -> None:
     unknown = changed(document, "mechanism.unstated", (("tool_x",),))
     own = (*document.parameters, replace(tool, value=0.21))
     assert verdict_of(replace(unknown, parameters=own)).sound.code == "mounting-unstated"
+
+
+def test_scales_are_named_by_their_significance_and_their_size() -> None:
+    one = ScaleEntry(("point_2",), 1e-4, 1e-5, 1e-9, 1e-3)
+    found = verdict_of(changed(clean(), "scales", (one,))).sound
+    assert "'point_2' differs by 100 ppm (sd 10 ppm) from that of the first station" in found.words
+    for entries in ((replace(one, p_value=6e-4), one), (one,)):
+        assert verdict_of(changed(clean(), "scales", entries)).sound.code == "scales-unlike"
+    unsure = (replace(one, p_value=6e-4), replace(one, instruments=(), p_value=0.5))
+    assert verdict_of(changed(clean(), "scales", unsure)).sound.passed
+    little = verdict_of(changed(clean(), "scales", (replace(one, moves=1e-9),))).sound
+    assert little.passed
+    assert "scale-little-off" in little.codes
 
 
 def test_sds_that_a_learnt_error_makes_good_are_named_on_a_sound_result() -> None:

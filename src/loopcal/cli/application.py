@@ -66,8 +66,12 @@ def _named(option: typer.CallbackParam, value: str | None) -> str | None:
 
 
 ReadingsArgument = Annotated[
-    str,
-    argument("FILE", "Readings of another day in the columns of the project, or another result."),
+    list[str],
+    argument(
+        "FILE...",
+        "Readings of another day in the columns of the project or the layout of its first files, "
+        "or another result.",
+    ),
 ]
 RemountedOption = Annotated[
     bool,

@@ -157,7 +157,10 @@ def check(
 @app.command()
 def predict(
     result: ResultArgument,
-    file: Annotated[str, argument("FILE", "Readings in the columns of the project.")],
+    file: Annotated[
+        list[str],
+        argument("FILE...", "Readings in the columns of the project or its first files' layout."),
+    ],
     out: Annotated[
         str | None,
         out_option(

@@ -229,6 +229,20 @@ _ROWS = (
         shared="off-the-drawing",
     ),
     _sound_open(
+        "scales-unlike",
+        "The scale of {subject} differs by {ppm:2} ppm (sd {sd:2} ppm) from that of {other}.",
+        "Check temperature, pressure and units of the instrument at both stations.",
+        _REPORT,
+        detail="That moves the points by {moves:2} (rms).",
+    ),
+    _sound_open(
+        "scale-off-the-drawing",
+        "The scale of {subject} differs by {ppm:2} ppm (sd {sd:2} ppm) from that of {other}.",
+        "Check the temperature of the machine, the certificate of the instrument, and the drawing.",
+        _REPORT,
+        detail="That moves the points by {moves:2} (rms).",
+    ),
+    _sound_open(
         "sds-contradicted",
         "{contradicted}.",
         "Check the units of the stated sds, or leave them out.",
@@ -302,6 +316,11 @@ _ROWS = (
     ),
     _sound("sound", "The fit converged; sensors, poses and machine model are consistent."),
     _sound("model-learnt", "The model has learnt: {effects}."),
+    _sound(
+        "scale-little-off",
+        "The scale of {subject} differs by {ppm:2} ppm (sd {sd:2} ppm) from that of {other}, which "
+        "moves the points by {moves:2} (rms), less than half their predicted sd.",
+    ),
     _sound(
         "sds-made-good",
         "The readings err {times:2} times as much as the stated sds allow, which a learnt error "

@@ -121,6 +121,20 @@ class Identifiability:
 
 
 @dataclass(frozen=True)
+class ScaleEntry:
+    """By how much one scale differs from another, relative to it."""
+
+    instruments: tuple[str, ...]
+    """Those of a station, beside the first station; none: all of them beside the drawing."""
+    size: float
+    sd: Size
+    p_value: Probability
+    """Of a difference at least so large where there is none."""
+    moves: Size
+    """Rms distance [m] by which it moves the measured points about their mean."""
+
+
+@dataclass(frozen=True)
 class Observability:
     """The observability indices of N poses, without unit; larger is better.
 

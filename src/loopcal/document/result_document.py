@@ -19,6 +19,7 @@ from loopcal.document.findings import (
     Outlier,
     OutlierTests,
     PredictionEntry,
+    ScaleEntry,
 )
 from loopcal.document.fit import (
     ChiSquared,
@@ -240,6 +241,7 @@ class ResultDocument:
     """Columns exchanged, reversed or in another unit, rows displaced, another machine; where there
     are any, single poses are not tested."""
     other_optima: tuple[OtherOptimum, ...] | None = None
+    scales: tuple[ScaleEntry, ...] | None = None
     """Optima that fit about as well; null: not sought."""
     data: DataEntry
     warnings: tuple[str, ...]

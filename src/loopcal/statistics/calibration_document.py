@@ -67,4 +67,5 @@ def with_findings(document: ResultDocument, findings: Findings) -> ResultDocumen
         reliability=None if reliability is None else reliability.entry,
         column_faults=findings.outliers.columns,
         other_optima=findings.optima,
+        scales=findings.shifts.scales or None,
     )

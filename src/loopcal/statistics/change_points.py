@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.change_points import Change, ChangePoint, Moved
+from loopcal.document.findings import ScaleEntry
 from loopcal.errors import InputError
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.result import FitResult
@@ -33,6 +34,7 @@ from loopcal.statistics.estimated import log_tail
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
 from loopcal.statistics.possible_changes import ALONG_A_RUN, Possible, possible, unit_of
 from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines
+from loopcal.statistics.scales import scales
 
 Array = NDArray[np.float64]
 # Chosen, not derived: time and memory of the search.
@@ -69,7 +71,8 @@ class Shifts:
     that fit once the shifts are modelled, empty where none was found; unsure: steps without a sharp
     edge, which slow changes over the run explain as well; told_apart: those found that an error of
     the machine model cannot imitate: steps with an edge sharper than the path of the joints, and
-    drifts of an instrument in an order that the joints do not follow.
+    drifts of an instrument in an order that the joints do not follow; scales: of the instruments,
+    beside what was found.
     """
 
     found: tuple[ChangePoint, ...]
@@ -78,6 +81,7 @@ class Shifts:
     explained: frozenset[str] = frozenset()
     unsure: tuple[ChangePoint, ...] = ()
     told_apart: tuple[ChangePoint, ...] = ()
+    scales: tuple[ScaleEntry, ...] = ()
 
     def __len__(self) -> int:
         return len(self.found)
@@ -144,7 +148,8 @@ def find_shifts(result: FitResult, *, level: float = 0.01, most: int = MOST) -> 
     if result.all_poses is not None or not searchable(count):
         return replace(NOT_SEARCHED, level=level)
     with one_blas_thread():
-        return Search(ordered_system(result), level).run(most)[0]
+        shifts, fit = Search(ordered_system(result), level).run(most)
+        return replace(shifts, scales=scales(fit))
 
 
 def searchable(poses: int) -> bool:

@@ -100,22 +100,31 @@ def _one_off(dimensions: Sequence[list[ParameterEntry]]) -> Fact | None:
     """One that is far off, compared with the root mean square of the others of its kind."""
     for alike in dimensions:
         worst, unit = max(alike, key=_off), alike[0].unit
-        others = len(alike) - 1
+        rest = [p for p in alike if p is not worst]
+        others = sum(map(_determined, rest))
         if others < _FEWEST or not worst.sd:
             continue
-        # what the poses hardly determine stays at the drawing: its sd counts as well
-        squares = [_off(p) ** 2 + (p.sd or 0.0) ** 2 for p in alike if p is not worst]
+        # without a prior the sds of the poses are in the distances, however rough: they count twice
+        squares = [_off(p) ** 2 + (0.0 if p.prior_sd else (p.sd or 0.0) ** 2) for p in rest]
         usual = math.sqrt(sum(squares) / others)
         if _off(worst) < _CLEAR * max(usual, worst.sd):
             continue
         # One square over the mean of the others is F(1, others); all share the level (Bonferroni).
-        freedom = np.array(float(others))
+        freedom = np.array(others)
         if _off(worst) > math.sqrt(f_limit(1.0 - RARE / len(alike), 1, freedom)) * usual:
             numbers = {"difference": Figure(worst.value - worst.nominal, unit)}
             kind = GEOMETRY_TERMS[worst.role, unit][0].replace("_", " ")
             within = with_unit(usual, unit, 2)
             return fact("off-the-drawing", _of(worst), numbers, kind=kind, usual=within)
     return None
+
+
+def _determined(p: ParameterEntry) -> float:
+    """The share of a parameter that the poses determine, 1 - sd^2 / prior sd^2 (MacKay 1992).
+
+    What they leave open stays at the drawing and says nothing of its size; the learnt sd, which
+    the one that is off has made large, says nothing either."""
+    return 1.0 - min((p.sd or 0.0) / p.prior_sd, 1.0) ** 2 if p.prior_sd else 1.0
 
 
 def _all_off(document: ResultDocument, dimensions: Sequence[list[ParameterEntry]]) -> Fact | None:

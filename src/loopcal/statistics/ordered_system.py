@@ -282,12 +282,12 @@ class Fitted:
         gains = np.where(kept, np.square(along) / np.where(kept, values, 1.0), 0.0).sum(axis=1)
         return gains, kept.sum(axis=1)
 
-    def step(self, columns: Array) -> Estimated:
-        """What these columns (N, R, d) explain."""
+    def step(self, columns: Array, absorbed: float = _ABSORBED) -> Estimated:
+        """What these columns (N, R, d) explain; absorbed: share that all else must leave."""
         C, scale = self._alike(columns)
         flat = C.reshape(-1, C.shape[2])
         Q, W = flat.T @ flat, (flat.T @ self.scaled.reshape(len(flat), -1)) @ self._factor.root
-        least = _ABSORBED * max(float(np.trace(Q)), 1e-300)
+        least = absorbed * max(float(np.trace(Q)), 1e-300)
         return Estimated.of(flat.T @ self.left.ravel(), Q - W @ W.T, scale, least)
 
     @cached_property

@@ -224,6 +224,29 @@ def _unsettled(document: ResultDocument) -> Fact | None:
     return None if document.sds_settled is not False else fact("sds-not-converged")
 
 
+def _scales(document: ResultDocument) -> Fact | None:
+    """Of stations beside the first, or of what measures beside the drawing."""
+    entries = document.scales or ()
+    # They share the level (Bonferroni).
+    sure = [one for one in entries if one.p_value * len(entries) < RARE]
+    if not sure:
+        return None
+    worst = min(sure, key=lambda one: (not one.instruments, one.p_value))
+    numbers = {"ppm": Figure(1e6 * worst.size), "sd": Figure(1e6 * worst.sd)}
+    numbers["moves"] = Figure(worst.moves, "m")
+    region = None if document.prediction is None else document.prediction.region
+    stated = None if region is None else region.of("m")
+    sd = 0.0 if stated is None else stated.sd_at_poses or 0.0
+    little = worst.moves < SMALL * sd
+    code, other = "scales-unlike", "the first station"
+    subject = ", ".join(map(repr, worst.instruments))
+    if not subject:
+        code, subject, other = "scale-off-the-drawing", "the instrument", "the drawing"
+    return fact(
+        "scale-little-off" if little else code, numbers=numbers, subject=subject, other=other
+    )
+
+
 def _optima(document: ResultDocument) -> Fact | None:
     others = document.other_optima or ()
     if not others:
@@ -269,6 +292,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _overfitted,
     _model_error,
     off_the_drawing,
+    _scales,
     sds_overruled,
     size_unsure,
     _unsettled,

@@ -17,6 +17,7 @@ from loopcal.measurements.noise import Noise
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.prediction import Prediction, predict
 from loopcal.workflow.projects import named_project, project_files
+from loopcal.workflow.readings import Files
 from loopcal.workflow.saved_result import read_result
 
 
@@ -58,7 +59,7 @@ def run_check(project: str | Path, *, function: str | None = None) -> Checked:
 
 
 def run_prediction(
-    result: str | Path, readings: str | Path, *, out: str | Path | None, function: str | None = None
+    result: str | Path, readings: Files, *, out: str | Path | None, function: str | None = None
 ) -> Prediction:
     """Predict outputs from a result on the disk and readings in the columns of its project.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,8 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import matching
 
 Units = Mapping[str, str] | None
+Files = str | Path | Sequence[str | Path]
+"""A file of readings, or several of one measurement."""
 POSE = "pose"
 """The column of pose ids of a table or file that no project describes."""
 
@@ -55,8 +57,14 @@ def readings(data: Any, mechanism: Mechanism, units: Units = None) -> Dataset:
     return dataset
 
 
+def first_of(files: Files) -> str | Path:
+    """The file by which messages and pages call several."""
+    return files if isinstance(files, str | Path) else files[0]
+
+
 def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
-    """Further readings for a result; a path is read in the columns of its project.
+    """Further readings for a result; a path is read in the columns of its project, several in the
+    layout of its first files.
 
     whole: with the outputs. A folder of a result stands for the readings it was calibrated with.
     """
@@ -66,6 +74,10 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
     folder = getattr(data, "path", None)
     if isinstance(folder, Path):  # of a result
         data = folder
+    if isinstance(data, list | tuple) and all(isinstance(one, str | Path) for one in data):
+        if len(data) > 1:
+            return read_new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
+        data = first_of(data)
     if not isinstance(data, str | Path):
         return readings(data, mechanism, units)
     poses = poses_of_result(data, mechanism)

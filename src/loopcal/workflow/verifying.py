@@ -13,13 +13,13 @@ from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verification import check_tolerance, verify
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.keeping import Keeper, Writer
-from loopcal.workflow.readings import later_readings
+from loopcal.workflow.readings import Files, first_of, later_readings
 from loopcal.workflow.saved_result import read_result
 
 
 def run_verification(
     result: str | Path,
-    readings: str | Path,
+    readings: Files,
     *,
     remounted: bool = False,
     anew: Sequence[str] = (),
@@ -30,6 +30,7 @@ def run_verification(
 ) -> Verification:
     """Check a result against readings in the columns of its project, or those of another result.
 
+    readings: one file, or several in the layout of the project's first ones;
     remounted: everything that instruments look at; anew: further instruments, targets or
     parameters; tolerance: [m]; out: file of a page with figures; keeper: keeps this too.
     Raises InputError for what cannot be used.
@@ -49,25 +50,25 @@ def run_verification(
         )
     changed = (*mounted(read.mechanism, remounted), *anew)
     freed(read.mechanism, changed)  # raises for a name that is not there
-    data = later_readings(read, readings, None, whole=True)
+    data, first = later_readings(read, readings, None, whole=True), first_of(readings)
     try:
         verification = verify(read.calibrated, data, remounted=changed, tolerance=tolerance)
     except InputError as error:
-        raise error.at(str(readings)) from None
-    verification = replace(verification, files={"result": str(result), "readings": str(readings)})
+        raise error.at(str(first)) from None
+    verification = replace(verification, files={"result": str(result), "readings": str(first)})
     files: dict[Path, Data] = {}
     if out is not None:
         from loopcal.report.verification_page import verification_html
 
-        names = f"{read.path.parent.name}, {Path(readings).name}"
+        names = f"{read.path.parent.name}, {Path(first).name}"
         files[Path(out)] = verification_html(verification, read.mechanism.name, names)
     write: Writer = write_all
     if keeper is not None:
-        write = keeper.of_verification(verification, result, readings, data.source.measured)
+        write = keeper.of_verification(verification, result, first, data.source.measured)
     write(files)
     if keeper is not None:
         keeper.note(result)
-    name = Path(readings)
+    name = Path(first)
     document = {"readings": name.name, **verification.document()}
     note_deployed(read.path, VERIFICATION, name.stem, document)
     return verification

@@ -15,6 +15,7 @@ from loopcal.files.project.noise_table import StatedNoise
 from loopcal.files.project.plan_table import PlanTable, VerdictTable, sight, span
 from loopcal.files.project.project_schema import ModelTable, ProjectTables, RecordTable
 from loopcal.files.project.simulation_table import SimulationTable, driven_range
+from loopcal.files.project.source_table import SourceInstrument, SourceTable
 from loopcal.keys import arguments
 from loopcal.measurements.datasheet import Tracker, encoder_sd
 from tests.key_tables import REFERENCE, assert_stated, named
@@ -23,6 +24,8 @@ MAKERS: dict[str, dict[str, Callable[..., Any]]] = {
     "project-file.md": {
         "data": DataTable,
         "column": DataColumn,
+        "source": SourceTable,
+        "source-instrument": SourceInstrument,
         "noise": StatedNoise,
         "tracker": Tracker.of,
         "encoder": encoder_sd,

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 import loopcal as lc
 from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.files.recognition import meanings
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.robots import dh_robot
-from loopcal.workflow.beginning import meanings
 from loopcal.workflow.beginning.initial import RobotFile, initial_project
 from tests.reference import dh_arm
 from tests.refusals import refused

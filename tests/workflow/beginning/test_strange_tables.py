@@ -66,8 +66,8 @@ def test_a_column_of_stations_gives_each_a_place_and_all_one_reflector(
     table = text(["pose", "sta", *NAMES, "x", "y", "z"], [IDS, where, *DEGREES.T, *points.T])
     made = begun(tmp_path, table, out=True)
     assert any(
-        "x_1, y_1, z_1: target tool, station base; x_2, y_2, z_2: target tool, station station_2"
-        in words
+        f"x_1, y_1, z_1: target tool, station base ({names[0]}); "
+        f"x_2, y_2, z_2: target tool, station station_2 ({names[1]})" in words
         for words in made.remarks
     )
     assert fitted(made) == pytest.approx(8e-5, rel=0.3)

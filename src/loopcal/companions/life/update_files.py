@@ -22,6 +22,7 @@ from loopcal.files.result.result_poses import poses_of_result
 from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verdict import refuses
 from loopcal.units import difference_to_si
+from loopcal.workflow.readings import Files, first_of
 from loopcal.workflow.result import Result, save_result
 from loopcal.workflow.saved_result import read_result
 
@@ -54,7 +55,7 @@ class Mounted:
 
 def run_update(
     result: str | Path,
-    readings: str | Path,
+    readings: Files,
     *,
     out: str | Path | None = None,
     mounting: Mounted = Mounted(),
@@ -88,14 +89,15 @@ def run_update(
     refuse_foreign(*(target / name for name in (*NAMES, "report.html")))
     anew = (*mounted(read.mechanism, mounting.remounted), *mounting.anew)
     freed(read.mechanism, anew)  # raises for a name that is not there
-    data, inputs = poses_of_result(readings, read.mechanism), _undated(read.inputs)
+    first, inputs = first_of(readings), _undated(read.inputs)
+    data = poses_of_result(first, read.mechanism)
     if data is None:
-        inputs = _with_file(inputs, readings)
+        inputs = _with_file(inputs, first)
         data = read_new_readings(readings, read.inputs, read.mechanism, whole=True)
     try:
         done = updated(read.calibrated, data, Since(mounting.moved, anew, allowed), None)
     except InputError as error:
-        raise error.at(str(readings)) from None
+        raise error.at(str(first)) from None
     title = read.document.title
     updated_result = Result.of(done.result)
     written = save_result(

@@ -161,7 +161,7 @@ def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[Ter
 
 def _same_way(at: _Fitted, arm: Sag, joint: str, pose: int, turned: Array) -> str:
     """The next joint, if the link ahead of it turns (3,) as that joint would by giving way: then
-    these readings hardly tell which of the two does."""
+    these readings hardly show which of the two does."""
     x = {q: float(read[pose]) for q, read in at.readings.items()}
     behind = arm.next_axis(joint, x, at.values)
     if behind is None:

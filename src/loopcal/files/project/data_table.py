@@ -11,6 +11,7 @@ from loopcal.errors import InputError, listed, nearest
 from loopcal.files.machines.parameter_entries import Units, by_dimension, in_si
 from loopcal.files.project.names import QUANTITY
 from loopcal.files.project.noise_table import Noises
+from loopcal.files.project.source_table import SourceTable
 from loopcal.files.tables.columns import Column
 from loopcal.files.tables.reader import Layout
 from loopcal.files.toml.place import Place
@@ -110,6 +111,10 @@ class DataTable(FileTable):
     join: Annotated[
         tuple[JoinTable, ...], Key("Further files with readings of the same poses.")
     ] = ()
+    source: Annotated[
+        SourceTable | None,
+        Key("How files in the layout of the user's first ones are read on later days."),
+    ] = None
 
     @property
     def parts(self) -> tuple[FileTable, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,20 +20,37 @@ from loopcal.mechanisms.mechanism import Mechanism
 
 
 def read_new_readings(
-    path: str | Path, inputs: Mapping[str, Any], mechanism: Mechanism, *, whole: bool = False
+    path: str | Path | Sequence[str | Path],
+    inputs: Mapping[str, Any],
+    mechanism: Mechanism,
+    *,
+    whole: bool = False,
 ) -> Dataset:
     """Readings of what predicts the outputs, SI, under the columns and units of a project.
 
-    inputs: the project as result.json holds it; without one, columns are named as quantities, in
-    SI; whole: read the outputs too. The pose ids and sds of readings are read where the file has
-    their columns. Raises InputError as `read_dataset` does.
+    path: a file in the columns of the project, or files in the layout that its [data.source]
+    states; inputs: the project as result.json holds it; without one, columns are named as
+    quantities, in SI; whole: read the outputs too. The pose ids and sds of readings are read where
+    the file has their columns. Raises InputError as `read_dataset` does.
     """
     spec = _spec(inputs, mechanism)
-    source = read_once(path, **spec.keywords)
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    needless = set() if whole else {*mechanism.outputs, *mechanism.predicting().unused}
+    paths = (path,) if isinstance(path, str | Path) else tuple(path)
+    if spec.source is not None and not _is_converted(paths, spec, units.keys() - needless):
+        from loopcal.files.recognition.converting import converted, source_fields
+
+        return converted(source_fields(paths, spec.source), spec.source, units.keys() - needless)
+    if len(paths) > 1:
+        raise InputError(
+            f"{len(paths)} files are named, and the calibration is of one",
+            code="conflicting-keys",
+            remedy="name one file with all columns of the project",
+        )
+    source = read_once(paths[0], **spec.keywords)
     labels = column_labels(source)
     stated = {q for part in spec.parts for q in part.columns}
     parts = [named_columns(p, labels, mechanism, stated) for p in spec.parts]
-    needless = set() if whole else {*mechanism.outputs, *mechanism.predicting().unused}
     columns = {
         quantity: _without_absent_sd(column, labels)
         for part in parts
@@ -44,7 +61,6 @@ def read_new_readings(
     }
     pose_column = spec.pose if spec.pose in labels or isinstance(spec.pose, int) else None
     dataset = read_dataset(source, columns, pose=pose_column, **spec.keywords)
-    units = {**mechanism.quantities, **mechanism.pose_constants}
     for quantity in [q for q, column in columns.items() if column.unit is None]:
         try:
             refuse_implausible(dataset, {quantity: units[quantity]})
@@ -59,6 +75,18 @@ def read_new_readings(
                 f'{{"{quantity}": ...}} in Python, or calibrate again from readings with units',
             ) from None
     return dataset
+
+
+def _is_converted(paths: Sequence[str | Path], spec: DataTable, wanted: Set[str]) -> bool:
+    """Whether a file has the columns that the project reads, and so not those of its source."""
+    columns = {q: c for part in spec.parts for q, c in part.columns.items() if q in wanted}
+    try:
+        labels = column_labels(read_once(paths[0], **spec.keywords))
+    except InputError:  # of a table below titles, which only its source describes
+        return False
+    assert spec.source is not None
+    joints = [columns[q].column for q in spec.source.columns if q in columns]
+    return len(paths) == 1 and set(labels) >= set(joints)
 
 
 def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataTable:
@@ -83,9 +111,11 @@ def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataTable:
 
 
 def result_columns(inputs: Mapping[str, Any], mechanism: Mechanism) -> dict[str, Column]:
-    """Quantity -> its column and unit in the project of a result; see `read_new_readings`."""
+    """Quantity -> its column and unit in the user's files, or else in the project of a result."""
     spec = _spec(inputs, mechanism)
-    return {q: column for part in spec.parts for q, column in part.columns.items()}
+    joints = {} if spec.source is None else spec.source.columns
+    columns = {q: column for part in spec.parts for q, column in part.columns.items()}
+    return {**columns, **{q: Column(one.column, one.unit) for q, one in joints.items()}}
 
 
 def result_pose_column(inputs: Mapping[str, Any], mechanism: Mechanism) -> str | int:

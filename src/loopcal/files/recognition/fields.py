@@ -52,13 +52,14 @@ class Field:
     """A column of numbers, its rows those of the joined poses.
 
     table: number of its table; position: where it stands there, from 0; heading: None where the
-    table has no header.
+    table has no header; labels: what its numbers 1, 2, ... stand for where it holds words.
     """
 
     table: int
     position: int
     heading: Heading | None
     values: Array
+    labels: tuple[str, ...] = ()
 
     @property
     def stem(self) -> str:
@@ -74,6 +75,12 @@ class Field:
     def label(self) -> str:
         """How the reader knows it: its header, or its number."""
         return self.heading.text if self.heading else f"column {self.position + 1}"
+
+    def words(self, value: float) -> str:
+        """A value as the file has it; empty for NaN."""
+        if np.isnan(value):
+            return ""
+        return self.labels[round(value) - 1] if self.labels else f"{value:g}"
 
     @property
     def span(self) -> float:
@@ -155,7 +162,7 @@ def _in_memory(data: Any, number: int) -> Source:
         except InputError:  # text, dates: no readings
             labels = tuple(map(str, np.asarray(values).tolist()))
             if header.stem in STATIONS | TOOLS:
-                fields.append(Field(number, i, header, _counted(labels)))
+                fields.append(counted(Field(number, i, header, np.empty(0)), labels))
             else:
                 texts[header.stem] = labels
     return _with_ids(Source(None, None, tuple(fields), ids, pose), texts)
@@ -222,11 +229,12 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     every = every[1 if units else 0 :]
     labels = {i: tuple(column_cells[k] for k in every) for i, column_cells in cells.items()}
     values = {i: table.numbers(i, every) for i in numeric if i != pose}
-    values |= {i: _counted(labels[i]) for i in texts if _stem(headings, i) in STATIONS | TOOLS}
+    values |= {i: np.empty(0) for i in texts if _stem(headings, i) in STATIONS | TOOLS}
     fields = tuple(
         Field(number, i, headings[i] if i < len(headings) else None, values[i])
         for i in sorted(values)
     )
+    fields = tuple(counted(f, labels[f.position]) if f.position in texts else f for f in fields)
     ids = None if pose is None else labels[pose]
     sheet = table.sheet or sheet
     named = None if pose is None else column_key(names, pose)
@@ -237,10 +245,11 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     return _with_ids(source, {_stem(headings, i): labels[i] for i in texts if i not in values})
 
 
-def _counted(names: Sequence[str]) -> Array:
-    """(N,) numbers from 1 for names, in the order in which they occur; NaN for an empty cell."""
-    order = list(dict.fromkeys(name for name in names if name))
-    return np.array([1.0 + order.index(name) if name else np.nan for name in names])
+def counted(field: Field, names: Sequence[str]) -> Field:
+    """A column of names, numbered from 1 as they occur; NaN for an empty cell."""
+    order = tuple(dict.fromkeys(name for name in names if name))
+    numbers = np.array([1.0 + order.index(name) if name else np.nan for name in names])
+    return replace(field, values=numbers, labels=order)
 
 
 def _sheets(path: Path) -> list[tuple[Table, str]]:
@@ -279,7 +288,9 @@ def _with_ids(source: Source, texts: Mapping[str, tuple[str, ...]]) -> Source:
     checked = _checked(source)
     ids = checked.ids
     numbers = {
-        f.stem: tuple(map(str, f.values)) for f in checked.fields if f.stem in _TARGETS | STATIONS
+        f.stem: tuple(map(f.words, f.values))
+        for f in checked.fields
+        if f.stem in _TARGETS | STATIONS
     }
     labels = {**texts, **numbers}
     targets = [w for w in labels if w in _TARGETS and 1 < len({*labels[w]}) <= _MOST_TARGETS]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.fields import Field, Source
+from loopcal.files.recognition.fields import Field, Source, counted
 
 ROUNDED = 1e-6
 """Readings that two tables share differ by no more than this share of their span."""
@@ -65,7 +65,7 @@ def _by_ids(sources: Sequence[Source], common: Sequence[str]) -> Fields:
     for source in sources:
         where = {pose: i for i, pose in enumerate(source.ids or ())}
         rows = np.array([where[pose] for pose in common], dtype=np.intp)
-        fields += [Field(f.table, f.position, f.heading, f.values[rows]) for f in source.fields]
+        fields += [replace(f, values=f.values[rows]) for f in source.fields]
     remarks = [f"the files are joined by pose ids: {len(common)} poses are in all of them"]
     for source in sources:
         if len(source) > len(common):
@@ -83,11 +83,8 @@ def _stacked(sources: Sequence[Source]) -> Fields | None:
     named = len(columns[0]) == len(first.fields) and all(f.stem for f in first.fields)
     if not named or any(quantities != columns[0] for quantities in columns):
         return None
-    by_stem = [{f.stem: f.values for f in s.fields} for s in sources]
-    fields = tuple(
-        replace(f, values=np.concatenate([values[f.stem] for values in by_stem]))
-        for f in first.fields
-    )
+    by_stem = [{f.stem: f for f in s.fields} for s in sources]
+    fields = tuple(_below([of[f.stem] for of in by_stem]) for f in first.fields)
     ids = [i for s in sources for i in (s.ids or tuple(f"{s.name} {k + 1}" for k in range(len(s))))]
     if len(set(ids)) < len(ids):
         # Files may use the same ids for other poses.
@@ -96,6 +93,13 @@ def _stacked(sources: Sequence[Source]) -> Fields | None:
     remark = f"{names} have the same columns: their {len(ids)} poses are taken together"
     one = Source(None, None, fields, tuple(ids), "pose")
     return Fields((one,), tuple(ids), fields, False, (remark,))
+
+
+def _below(parts: Sequence[Field]) -> Field:
+    """A column whose rows are those of several tables."""
+    if any(part.labels for part in parts):
+        return counted(parts[0], [part.words(v) for part in parts for v in part.values])
+    return replace(parts[0], values=np.concatenate([part.values for part in parts]))
 
 
 def _without_doubles(sources: Sequence[Source], fields: Sequence[Field]) -> tuple[Field, ...]:

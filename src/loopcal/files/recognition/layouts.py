@@ -37,7 +37,7 @@ class Seen:
     kind: "point", "pose", "length" or "spherical"; position: its coordinates, its length, or
     range, azimuth and elevation; turned: the numbers of an orientation, whose form is
     "quaternion", "turns" or "matrix" (nine, row by row); sds: those of the position, if there;
-    station: where it stood, of a column that says so.
+    station: where it stood, as the column of stations says.
     """
 
     kind: str
@@ -137,17 +137,21 @@ def _by_station(layout: Layout, station: Field) -> Layout:
     least = min(places, key=lambda place: counts[place])
     if counts[least] < FEWEST:
         raise InputError(
-            f"station {least:g} in the column {station.label!r} has {counts[least]} rows, and "
-            f"{FEWEST} are needed to place an instrument",
+            f"station {station.words(least)} in the column {station.label!r} has "
+            f"{counts[least]} rows, and {FEWEST} are needed to place an instrument",
             code="too-few-poses",
             remedy="measure more poses from there, remove its rows, or rename the column",
         )
-    seen = [_at(s, station.values == place, f"{place:g}") for place in places for s in layout.seen]
+    seen = [
+        at_station(s, station.values == place, station.words(place))
+        for place in places
+        for s in layout.seen
+    ]
     return replace(layout, seen=tuple(seen))
 
 
-def _at(seen: Seen, rows: NDArray[np.bool_], station: str) -> Seen:
-    """The instrument at one station."""
+def at_station(seen: Seen, rows: NDArray[np.bool_], station: str) -> Seen:
+    """The instrument at one station, whose rows are these."""
 
     def only(fields: tuple[Field, ...]) -> tuple[Field, ...]:
         return tuple(replace(f, values=np.where(rows, f.values, np.nan)) for f in fields)

@@ -9,7 +9,9 @@ from typing import Any
 WIDTH = 98
 """Characters of a line of comments."""
 _OF_A_MECHANISM = ("joint", "instrument", "effect", "structure", "parameters")
-SECTIONS = frozenset(("mechanism", *_OF_A_MECHANISM, "prior", "data", "join", "columns", "noise"))
+SECTIONS = frozenset(
+    ("mechanism", *_OF_A_MECHANISM, "prior", "data", "join", "source", "columns", "noise")
+)
 """Tables, and lists of tables, with lines of their own; others stand within a line."""
 NO_REMARKS: Mapping[str, Sequence[str]] = {}
 

@@ -22,6 +22,7 @@ from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import apart
+from loopcal.files.recognition.converting import dataset_of
 from loopcal.files.recognition.fields import Source, sources_of
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import layouts
@@ -29,7 +30,6 @@ from loopcal.files.recognition.robots import Robot, dh_robot, typed_robot, urdf_
 from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.datasheet import rounding_sd
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.masses import in_space
 from loopcal.mechanisms.mechanism import Mechanism
@@ -39,9 +39,8 @@ from loopcal.presentation.shown import in_unit, unit_shown, with_unit
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
-from loopcal.units import unit
 from loopcal.workflow.beginning.searching import PLAUSIBLE, Machine
-from loopcal.workflow.beginning.stating import READINGS, Reading, Statement, stated
+from loopcal.workflow.beginning.stating import READINGS, First, Statement, stated
 from loopcal.workflow.beginning.understanding import Ask, understood
 
 Array = NDArray[np.float64]
@@ -194,11 +193,12 @@ def initial_project(
     fields = joined(sources)
     made = _robot(robot, fields, folder)
     machine = _machine(made, fields, folder)
+    every = fields
     fields, conditions = apart(fields, made.names, arm=in_space(machine.mechanism))
     way = understood(machine, _layouts(made, fields), fields, ask)
-    statement = stated(made, machine, fields, way, folder, conditions)
+    statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
     project = _read(statement, folder)
-    dataset = _dataset(fields, statement)
+    dataset = dataset_of(fields.poses, statement.readings)
     odd = (*_odd(project, dataset), *_far_off(statement.fits))
     # Where the machine fits, no fault of a whole file is left to be found.
     if way.share > PLAUSIBLE:
@@ -250,32 +250,14 @@ def _layouts(robot: Robot, fields: Fields) -> Any:
 
 def _table(fields: Fields, statement: Statement) -> bytes:
     """The readings in SI units, for the file beside the project."""
-    return table_bytes(
-        {"pose": fields.poses, **{n: r.values for n, r in statement.readings.items()}}
-    )
+    columns = statement.tables["data"]["columns"]
+    values = {columns[n]["column"]: r.values for n, r in statement.readings.items()}
+    return table_bytes({"pose": fields.poses, **values})
 
 
 def _read(statement: Statement, folder: Path) -> Project:
     """The project as `calibrate` will read it."""
     return read_project(folder / PROJECT, text=statement.text)
-
-
-def _dataset(fields: Fields, statement: Statement) -> Dataset:
-    """The readings as values."""
-
-    def sds(reading: Reading) -> Array:
-        assert reading.sds is not None
-        factor = unit(reading.sds.unit or reading.unit).factor
-        # An sd that was rounded to 0 would make the reading exact.
-        step = rounding_sd(reading.sds.resolution())
-        return factor * np.fmax(reading.sds.values, step)
-
-    return Dataset.from_arrays(
-        {name: r.values for name, r in statement.readings.items()},
-        units={name: r.si for name, r in statement.readings.items()},
-        poses=fields.poses,
-        sds={name: sds(r) for name, r in statement.readings.items() if r.sds is not None},
-    )
 
 
 def _odd(project: Project, dataset: Dataset) -> tuple[str, ...]:

@@ -14,9 +14,9 @@ from loopcal.estimation.mounted import Bodies
 from loopcal.files.recognition.fields import names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import Layout, Seen
+from loopcal.files.recognition.meanings import LENGTHS, Meaning
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.units import unit
-from loopcal.workflow.beginning.meanings import LENGTHS, Meaning
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from loopcal.estimation.mounted import Bodies, bodies_of
 from loopcal.files.recognition.fields import names_of
 from loopcal.files.recognition.layouts import Layout
+from loopcal.files.recognition.meanings import Meaning, joint_units, meanings
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.units import to_si
-from loopcal.workflow.beginning.meanings import Meaning, joint_units, meanings
 
 Array = NDArray[np.float64]
 PLAUSIBLE = 0.1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,10 @@ from loopcal.errors import InputError
 from loopcal.estimation.mounted import NEAR, TURNED, Bodies, Mounted, see_points
 from loopcal.files.outputs import relative
 from loopcal.files.recognition.conditions import Conditions
-from loopcal.files.recognition.fields import Field, column_key, names_of
+from loopcal.files.recognition.converting import Reading, as_vector, readings_of, source_entry
+from loopcal.files.recognition.fields import column_key, names_of
 from loopcal.files.recognition.joins import Fields
+from loopcal.files.recognition.meanings import Meaning
 from loopcal.files.recognition.robots import Robot
 from loopcal.files.tables.registry import reader_of
 from loopcal.files.toml.reader import SCHEMA
@@ -24,7 +26,6 @@ from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
 from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.units import from_si, to_si, unit
-from loopcal.workflow.beginning.meanings import Meaning, polar
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
 
 Array = NDArray[np.float64]
@@ -42,18 +43,11 @@ _SAME = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """A quantity of the project: its column, or converted values.
+class First:
+    """The first files: their columns, and the sheet that was named."""
 
-    values: (N,) [SI]; si: their SI unit; field: its column, None where it was converted; unit: of
-    that column; sds: the column of its sds.
-    """
-
-    values: Array
-    si: str
-    field: Field | None
-    unit: str
-    sds: Field | None = None
+    fields: Fields
+    sheet: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,14 +83,19 @@ def stated(
     understood: Understood,
     folder: Path,
     conditions: Conditions,
+    first: First,
 ) -> Statement:
-    """The project of what was understood. folder: where it will lie, for its paths; conditions:
-    what is known of the poses beside the readings."""
+    """The project of what was understood.
+
+    folder: where it will lie, for its paths; conditions: what is known of the poses beside the
+    readings; first: the files as they are, for those of later days.
+    """
     readings = {
         name: Reading(understood.joints[name], si, f, f.unit or understood.units[si])
         for name, f, si in zip(machine.joints, understood.layout.joints, machine.units, strict=True)
     }
     looking: list[dict[str, Any]] = []
+    seen: list[tuple[Meaning, tuple[str, ...]]] = []
     parameters: dict[str, Any] = {}
     fits: dict[str, Mounted] = {}
     noise: dict[str, Any] = {}
@@ -112,7 +111,11 @@ def stated(
         fits[instrument.name] = meaning.fit or place.mounted
         parameters |= instrument.parameters(place.mounted, place.at)
         columns = instrument.readings()
-        stands.append(f"{', '.join(columns)}: target {place.target}, station {place.station}")
+        seen.append((meaning, tuple(columns)))
+        label = f" ({meaning.seen.station})" if meaning.seen.station else ""
+        stands.append(
+            f"{', '.join(columns)}: target {place.target}, station {place.station}{label}"
+        )
         readings |= columns
         instrument.noise(columns, noise, guesses)
     point_of_robot = bool(robot.point) and [m.seen.kind for m in understood.seen] == ["point"]
@@ -136,6 +139,11 @@ def stated(
         or any(meaning.seen.station for meaning in understood.seen)
     )
     data = _data(fields, readings, converted, folder)
+    source = {}
+    columns = {n: readings[n] for n in (*machine.joints, *conditions.columns)}
+    # A table in memory comes again as one, and a single file is read as it stands.
+    if (converted or data[1:]) and all(s.path or s.label for s in fields.sources):
+        source = {"source": source_entry(first.fields, columns, seen, first.sheet)}
     remarks = {
         "mechanism": robot.remarks,
         "mechanism.parameters": (
@@ -150,13 +158,13 @@ def stated(
         ),
         "noise": tuple(guesses),
     }
-    first = next((s.path.stem for s in fields.sources if s.path), "readings")
-    title = f"{Path(str(table.get('file', table['type']))).stem}, {first}"
+    beginning = next((s.path.stem for s in fields.sources if s.path), "readings")
+    title = f"{Path(str(table.get('file', table['type']))).stem}, {beginning}"
     tables = {
         "schema": SCHEMA,
         "title": title,
         "mechanism": {**table, "parameters": parameters},
-        "data": {**data[0], **({"join": data[1:]} if data[1:] else {})},
+        "data": {**data[0], **({"join": data[1:]} if data[1:] else {}), **source},
         "noise": noise,
     }
     return Statement(tables, remarks, readings, converted, fits)
@@ -285,16 +293,11 @@ class _Instrument:
                 return tuple(f"{self.name}_{w}" for w in ("range", "azimuth", "elevation"))
         return tuple(f"{axis}{self.end}" for axis in "xyz")
 
-    @property
-    def as_vector(self) -> bool:
-        """Whether its columns are a rotation vector as they stand."""
-        return self.meaning.form == "rotation-vector" and not self.meaning.inverted
-
     def numbers(self) -> tuple[str, ...]:
         """Names of the numbers of an orientation."""
         if self.kind != "pose":
             return ()
-        usual = ("rvx", "rvy", "rvz") if self.as_vector else ("qw", "qx", "qy", "qz")
+        usual = ("rvx", "rvy", "rvz") if as_vector(self.meaning) else ("qw", "qx", "qy", "qz")
         return tuple(f"{name}{self.end}" for name in usual)
 
     def entry(self) -> dict[str, Any]:
@@ -305,7 +308,7 @@ class _Instrument:
         if self.kind == "spherical":
             made["station"] = self.station
         if self.kind == "pose":
-            made["orientation"] = "rotation-vector" if self.as_vector else "quaternion"
+            made["orientation"] = "rotation-vector" if as_vector(self.meaning) else "quaternion"
             made["columns"] = list(self.numbers())
         return made
 
@@ -335,32 +338,7 @@ class _Instrument:
 
     def readings(self) -> dict[str, Reading]:
         """Quantity -> its column, or converted values."""
-        m = self.meaning
-        position = m.position[:, None] if m.position.ndim == 1 else m.position
-        made = {}
-        for i, name in enumerate(self.names()):
-            field = m.seen.position[i]
-            si = "rad" if self.kind == "spherical" and i else "m"
-            unit_name = field.unit or (m.angle if si == "rad" else m.length)
-            if self.kind == "spherical":
-                values, as_written = polar(m)[i], not m.form
-            else:
-                values, as_written = position[:, i], not m.inverted
-            sds = m.seen.sds[i] if m.seen.sds and not m.inverted else None
-            made[name] = Reading(values, si, field if as_written else None, unit_name, sds)
-        if self.kind != "pose" or m.turns is None:
-            return made
-        if self.as_vector:
-            for name, column in zip(self.numbers(), m.order, strict=True):
-                field = m.seen.turned[column]
-                values = unit(m.angle).factor * field.values
-                made[name] = Reading(values, "rad", field, m.angle)
-            return made
-        as_written = m.form == "quaternion" and not m.inverted
-        for i, (name, values) in enumerate(zip(self.numbers(), _quaternions(m.turns), strict=True)):
-            turn_field = m.seen.turned[m.order[i]] if as_written else None
-            made[name] = Reading(turn_field.values if turn_field else values, "1", turn_field, "1")
-        return made
+        return readings_of(self.meaning, (*self.names(), *self.numbers()))
 
     def noise(
         self, columns: Mapping[str, Reading], noise: dict[str, Any], guesses: list[str]
@@ -404,17 +382,6 @@ class _Instrument:
         )
 
 
-def _quaternions(R: Array) -> Array:
-    """(4, N) w first, of rotations (N, 3, 3); NaN where the rotation is unknown."""
-    from scipy.spatial.transform import Rotation
-
-    finite = np.isfinite(R).all(axis=(1, 2))
-    out = np.full((4, len(R)), np.nan)
-    # SciPy has w last.
-    out[:, finite] = Rotation.from_matrix(R[finite]).as_quat()[:, [3, 0, 1, 2]].T
-    return out
-
-
 def _joint_noise(
     readings: Mapping[str, Reading], noise: dict[str, Any], guesses: list[str]
 ) -> None:
@@ -447,12 +414,21 @@ def _entry(sd: float, si: str, readings: list[Reading], shown: str) -> dict[str,
     }
 
 
+def converted_name(quantity: str, si: str, labels: Collection[str]) -> str:
+    """A column of the converted file; labels: of the user's, whose names mean other numbers."""
+    return f"{quantity} [{si}]" if quantity in labels else quantity
+
+
 def _data(
     fields: Fields, readings: Mapping[str, Reading], converted: bool, folder: Path
 ) -> list[dict[str, Any]]:
     """A table for each file that holds readings."""
     if converted:
-        columns = {n: {"column": n, "unit": r.si} for n, r in readings.items()}
+        labels = {f.label for f in fields.fields}
+        columns = {
+            n: {"column": converted_name(n, r.si, labels), "unit": r.si}
+            for n, r in readings.items()
+        }
         return [{"file": READINGS, "pose": "pose", "columns": columns}]
     made = []
     used = {r.field.table for r in readings.values() if r.field}

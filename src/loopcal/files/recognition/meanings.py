@@ -97,23 +97,44 @@ class Meaning:
 def meanings(seen: Seen, *, as_stated: bool = True) -> Iterator[Meaning]:
     """Every meaning of the columns of an instrument; as_stated: in the units of their headers."""
     for length in _units(_lengths_of(seen), LENGTHS, as_stated):
-        factor = unit(length).factor
         for angle, form, order, R, words in _orientations(seen, as_stated):
             reading_words = (f"{names_of(_lengths_of(seen))} in {length}", *words)
-            if seen.kind == "spherical":
-                position = _cartesian(_polar(seen, length, angle, form))
-            elif seen.kind == "length":
-                position = factor * seen.position[0].values
-            else:
-                position = factor * np.array([f.values for f in seen.position]).T
-            made = Meaning(seen, length, angle, form, order, False, position, R, reading_words)
+            made = Meaning(
+                seen,
+                length,
+                angle,
+                form,
+                order,
+                False,
+                positions(seen, length, angle, form),
+                R,
+                reading_words,
+            )
             yield made
             if R is not None:
-                # the inverse of the motion x -> R x + p is x -> R^T x - R^T p
-                back = np.swapaxes(R, 1, 2)
-                moved = -np.einsum("nij,nj->ni", back, position)
                 words = (*reading_words, "the pose is that of the station seen from the target")
-                yield replace(made, inverted=True, position=moved, turns=back, words=words)
+                yield replace(inverse(made), words=words)
+
+
+def positions(seen: Seen, length: str, angle: str, form: str) -> Array:
+    """(N, 3) points, or (N,) lengths [m], of columns in these units."""
+    if seen.kind == "spherical":
+        return _cartesian(_polar(seen, length, angle, form))
+    factor = unit(length).factor
+    if seen.kind == "length":
+        lengths: Array = factor * seen.position[0].values
+        return lengths
+    points: Array = factor * np.array([f.values for f in seen.position]).T
+    return points
+
+
+def inverse(meaning: Meaning) -> Meaning:
+    """The columns as the pose of the station, seen from the target."""
+    assert meaning.turns is not None
+    # the inverse of the motion x -> R x + p is x -> R^T x - R^T p
+    back = np.swapaxes(meaning.turns, 1, 2)
+    moved = -np.einsum("nij,nj->ni", back, meaning.position)
+    return replace(meaning, inverted=True, position=moved, turns=back)
 
 
 def _lengths_of(seen: Seen) -> Sequence[Field]:
@@ -132,8 +153,6 @@ def _orientations(
     seen: Seen, as_stated: bool
 ) -> Iterator[tuple[str, str, tuple[int, ...], Array | None, tuple[str, ...]]]:
     """Unit of angles, form, order of the columns, rotations (N, 3, 3), and words."""
-    from scipy.spatial.transform import Rotation
-
     if seen.kind == "spherical":
         for angle in _units(seen.position[1:], ANGLES, as_stated):
             polar_words = f"{names_of(seen.position[1:])} in {angle}"
@@ -143,34 +162,54 @@ def _orientations(
     if not seen.turned:
         yield "rad", "", (), None, ()
         return
-    values = np.array([f.values for f in seen.turned]).T
     if seen.form == "matrix":
-        by_rows = values.reshape(-1, 3, 3)
-        by_columns = np.swapaxes(by_rows, 1, 2)
-        for R, words in ((by_rows, "row by row"), (by_columns, "column by column")):
-            yield "rad", "matrix", tuple(range(9)), R, (f"the matrix {words}",)
+        by_rows = np.arange(9).reshape(3, 3)
+        for numbers, words in ((by_rows, "row by row"), (by_rows.T, "column by column")):
+            order = tuple(map(int, numbers.ravel()))
+            yield (
+                "rad",
+                "matrix",
+                order,
+                rotations(seen, "rad", "matrix", order),
+                (f"the matrix {words}",),
+            )
     elif seen.form == "quaternion":
         for order, words in _QUATERNIONS:
-            w_last = values[:, [order[1], order[2], order[3], order[0]]]
-            # SciPy refuses NaN: a unit quaternion stands in until the matrix can be NaN.
-            R = Rotation.from_quat(np.nan_to_num(w_last, nan=0.5)).as_matrix()
-            R[np.isnan(w_last).any(axis=1)] = np.nan
+            R = rotations(seen, "rad", "quaternion", order)
             form_words = (f"the quaternion {names_of(seen.turned)} in the order {words}",)
             yield "rad", "quaternion", order, R, form_words
     else:
         names = tuple(f.stem for f in seen.turned)
         forms = _FORMS_BY_NAME.get(names, _FORMS)
         for angle in _units(seen.turned, ANGLES, as_stated):
-            for words, form, (i, j, k) in forms:
-                turned = to_si(values[:, [i, j, k]], angle)
-                if form == "rotation-vector":
-                    R = Rotation.from_rotvec(turned).as_matrix()
-                else:
-                    # Capital letters: SciPy then turns about the moving axes, as Rz Ry Rx does.
-                    letters = "".join(t[1] for t in form.split()).upper()
-                    R = Rotation.from_euler(letters, turned).as_matrix()
+            for words, form, order in forms:
+                R = rotations(seen, angle, form, order)
                 form_words = (f"{names_of(seen.turned)} in {angle}, {words}",)
-                yield angle, form, (i, j, k), R, form_words
+                yield angle, form, order, R, form_words
+
+
+def rotations(seen: Seen, angle: str, form: str, order: Sequence[int]) -> Array:
+    """(N, 3, 3) of the numbers of an orientation; order: their columns, in the order of the form.
+
+    NaN where a number of a quaternion is missing.
+    """
+    from scipy.spatial.transform import Rotation
+
+    values = np.array([seen.turned[i].values for i in order]).T
+    if form == "matrix":
+        return values.reshape(-1, 3, 3)
+    if form == "quaternion":
+        w_last = values[:, [1, 2, 3, 0]]
+        # SciPy refuses NaN: a unit quaternion stands in until the matrix can be NaN.
+        R = Rotation.from_quat(np.nan_to_num(w_last, nan=0.5)).as_matrix()
+        R[np.isnan(w_last).any(axis=1)] = np.nan
+        return np.asarray(R)
+    turned = to_si(values, angle)
+    if form == "rotation-vector":
+        return np.asarray(Rotation.from_rotvec(turned).as_matrix())
+    # Capital letters: SciPy then turns about the moving axes, as Rz Ry Rx does.
+    letters = "".join(t[1] for t in form.split()).upper()
+    return np.asarray(Rotation.from_euler(letters, turned).as_matrix())
 
 
 def polar(meaning: Meaning) -> Array:

@@ -1,0 +1,103 @@
+"""The scales of what was measured: of stations beside the first, of all beside the drawing.
+
+A station whose lengths are 1 + s times too long reads (1 + s) p instead of p. Its column in the
+whitened equations, sum_q p_q C_q of its readings q, stands beside those of all parameters:
+
+    s = (u^T W u)^-1 u^T W e,   sd(s) = (u^T W u)^-1/2,   W = Q - U H^-1 U^T,
+
+e the equations, H with the priors of the parameters. Stations are compared with the first. A scale
+of all of them is that of the machine's lengths, and shows only beside the sds by which these keep
+to the drawing; where those are learnt from k lengths, (s / sd)^2 is F(1, k - 1), else chi-squared.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.findings import ScaleEntry
+from loopcal.estimation.dependence.seen import instruments
+from loopcal.estimation.problem.problem import Problem
+from loopcal.mechanisms.mechanism import Family
+from loopcal.small_samples import f_tail
+from loopcal.statistics.ordered_system import Fitted, OrderedSystem
+
+Array = NDArray[np.float64]
+_FORMS = {"point": 3, "pose": 3, "spherical": 1, "polar": 1}
+"""What reads lengths from where it stands, and how many of its readings are lengths."""
+# The columns stand at the readings, whose noise is 1e-4 of them at most, 1e-8 in the square.
+_ABSORBED = 1e-6
+"""A scale that all else takes up but for this share is not determined."""
+
+
+def scales(fit: Fitted) -> tuple[ScaleEntry, ...]:
+    """The scales of a calibration, each with its sd and the p-value of one that is not there."""
+    system = fit.system
+    stations = scale_columns(system)
+    spreads = [_spread(system.problem, families) for families, _ in stations]
+    freedom = _learnt_lengths(system.problem) - 1.0
+    entries = [
+        _entry(fit, column, [f.name for f in families], math.inf, spread)
+        for (families, column), spread in zip(stations[1:], spreads[1:], strict=True)
+    ]
+    if stations and freedom > 0.0:
+        every = np.sum([column for _, column in stations], axis=0)
+        entries.append(_entry(fit, every, [], freedom, max(spreads)))
+    return tuple(one for one in entries if one is not None)
+
+
+def scale_columns(system: OrderedSystem) -> list[tuple[list[Family], Array]]:
+    """The instruments of each station, and the column (N, R, 1) of their scale."""
+    return [(families, _column(system, families)) for families in _by_station(system.problem)]
+
+
+def _by_station(problem: Problem) -> list[list[Family]]:
+    """The instruments that read lengths, by where they stand."""
+    groups: dict[tuple[str, ...], list[Family]] = {}
+    for family in instruments(problem):
+        if family.form in _FORMS and family.name in {f.name for f in problem.mechanism.families}:
+            groups.setdefault(tuple(family.standing), []).append(family)
+    return list(groups.values())
+
+
+def _column(system: OrderedSystem, families: list[Family]) -> Array:
+    """(N, R, 1) of a scale that is larger by one."""
+    problem = system.problem
+    names = [q for f in families for q in f.readings[: _FORMS[f.form]]]
+    rows = [problem.mechanism.tape.quantities.index(q) for q in names]
+    read = np.nan_to_num(problem.readings[rows][:, system.order].T)
+    return np.asarray(np.einsum("nrq,nq->nr", system.columns(names), read)[:, :, None])
+
+
+def _learnt_lengths(problem: Problem) -> float:
+    """How many lengths share a learnt sd; infinite where sds are stated, 0 without any."""
+    free = {p.name: p for p in problem.mechanism.parameters if p.name in problem.names}
+    lengths = {n for n, p in free.items() if p.role == "length" and p.dimension == "length"}
+    for term in problem.mechanism.learnt_terms:
+        if members := lengths & {*term.parameters}:
+            return float(len(members))
+    at = [problem.names.index(n) for n in lengths if free[n].nominal]
+    return math.inf if at and (problem.precision[at] > 0.0).all() else 0.0
+
+
+def _spread(problem: Problem, families: list[Family]) -> float:
+    """Rms distance [m] of the points from their mean; of ranges, from theirs."""
+    squares = []
+    for family in families:
+        names = family.readings[: _FORMS[family.form]]
+        rows = [problem.mechanism.tape.quantities.index(q) for q in names]
+        squares.append(float(np.nansum(np.nanvar(problem.readings[rows], axis=1))))
+    return math.sqrt(max(squares))
+
+
+def _entry(
+    fit: Fitted, column: Array, names: list[str], freedom: float, spread: float
+) -> ScaleEntry | None:
+    found = fit.step(column, _ABSORBED)
+    if not found.rank:
+        return None
+    (size,), (sd,) = found.size.tolist(), found.sds.tolist()
+    p_value = f_tail(found.before(fit.spare), 1, freedom)
+    return ScaleEntry(tuple(names), size, sd, p_value, abs(size) * spread)

@@ -1,0 +1,230 @@
+"""A file of another day, written as the first one was, is read by what `init` stated of that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.project.project_file import read_project
+from loopcal.workflow.beginning.initial import RobotFile, initial_project
+from tests.reference import dh_arm
+from tests.refusals import refused
+
+Array = np.ndarray
+NAMES = [f"J{i}" for i in range(1, 7)]
+NORTH = np.array([1.0, 0.3, 0.2])
+"""Where a second station sees the origin of the first [m]."""
+Text = Callable[[Array, Array], dict[str, str]]
+"""Joints (N, 6) [rad] and T_station_target (N, 4, 4) [m] as files: name -> text."""
+
+
+def written(columns: Mapping[str, Any], separator: str = ",") -> str:
+    rows = [separator.join(columns)]
+    for row in zip(*columns.values(), strict=True):
+        cells = [c if isinstance(c, str) else f"{c:.9f}" for c in row]
+        rows.append(separator.join(c.replace(".", ",") if separator == ";" else c for c in cells))
+    return "\n".join(rows) + "\n"
+
+
+def joints_of(q: Array, names: list[str] = NAMES, factor: float = 180 / np.pi) -> dict[str, Array]:
+    return dict(zip(names, factor * q.T, strict=True))
+
+
+def points_of(p: Array, names: str | list[str] = "xyz", factor: float = 1e3) -> dict[str, Array]:
+    return dict(zip(names, factor * p.T, strict=True))
+
+
+def ids(q: Array) -> list[str]:
+    return [f"p{i}" for i in range(len(q))]
+
+
+def stations(q: Array, T: Array) -> dict[str, str]:
+    at = ["north" if i % 2 else "south" for i in range(len(q))]
+    p = np.where(np.array(at)[:, None] == "north", T[:, :3, 3] + NORTH, T[:, :3, 3])
+    return {"a.csv": written({"station": at, **joints_of(q), **points_of(p)})}
+
+
+def stations_and_poses(q: Array, T: Array) -> dict[str, str]:
+    p = T[:, :3, 3]
+    both = np.concatenate([p, p + NORTH])
+    at = ["south"] * len(q) + ["north"] * len(q)
+    columns = {"pose": 2 * ids(q), "station": at, **joints_of(np.concatenate([q, q]))}
+    return {"a.csv": written({**columns, **points_of(both)})}
+
+
+def two_files(q: Array, T: Array) -> dict[str, str]:
+    joints = written({"pose": ids(q), **joints_of(q)})
+    backwards = slice(None, None, -1)
+    points = {"pose": ids(q)[backwards], **points_of(T[backwards, :3, 3])}
+    return {"joints.csv": joints, "points.csv": written(points)}
+
+
+def renamed(q: Array, T: Array) -> dict[str, str]:
+    names = [f"Achse {i} [deg]" for i in range(1, 7)]
+    columns = joints_of(q, names) | points_of(T[:, :3, 3], ["X (mm)", "Y (mm)", "Z (mm)"])
+    return {"a.csv": "Messung 7\n" + written(columns)}
+
+
+def comma(q: Array, T: Array) -> dict[str, str]:
+    return {"a.csv": "Halle 3; Tracker\n" + written(joints_of(q) | points_of(T[:, :3, 3]), ";")}
+
+
+def shots(q: Array, T: Array) -> dict[str, str]:
+    off = np.array([-0.01, 0.0, 0.01]) * 1e-3
+    p = (T[:, None, :3, 3] + off[:, None]).reshape(-1, 3)
+    columns = joints_of(np.repeat(q, 3, axis=0), [f"theta_{i}" for i in range(1, 7)])
+    return {"a.csv": written({"pose": np.repeat(ids(q), 3).tolist(), **columns, **points_of(p)})}
+
+
+def total_station(q: Array, T: Array) -> dict[str, str]:
+    x, y, z = T[:, :3, 3].T
+    r = np.sqrt(x**2 + y**2 + z**2)
+    columns = {"range": r, "azimuth": -np.arctan2(y, x), "zenith": np.arccos(z / r)}
+    gon = {name: v * (1.0 if name == "range" else 200 / np.pi) for name, v in columns.items()}
+    gon["elevation"] = gon.pop("zenith")
+    return {"a.csv": written({**joints_of(q), **gon})}
+
+
+def turned(q: Array, T: Array) -> dict[str, str]:
+    turns = Rotation.from_matrix(T[:, :3, :3]).as_euler("ZYX", degrees=True)
+    return {"a.csv": written(joints_of(q) | points_of(T[:, :3, 3]) | points_of(turns, "abc", 1.0))}
+
+
+def inverted(q: Array, T: Array) -> dict[str, str]:
+    back = np.linalg.inv(T)
+    turns = Rotation.from_matrix(back[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    columns = joints_of(q) | points_of(back[:, :3, 3])
+    return {"a.csv": written(columns | points_of(turns, ["qw", "qx", "qy", "qz"], 1.0))}
+
+
+LAYOUTS: dict[str, Text] = {
+    f.__name__: f
+    for f in (
+        stations, stations_and_poses, two_files, comma, shots, total_station, turned, inverted,
+    )
+}  # fmt: skip
+
+
+def kept(folder: Path, files: Mapping[str, str]) -> list[Path]:
+    folder.mkdir()
+    for name, text in files.items():
+        (folder / name).write_text(text, "utf-8")
+    return [folder / name for name in files]
+
+
+def begun(tmp_path: Path, paths: list[Path]) -> Any:
+    (tmp_path / "dh.csv").write_text(dh_arm.dh_table(), "utf-8")
+    robot = RobotFile(dh=tmp_path / "dh.csv")
+    initial_project(paths, robot, out=tmp_path / "calibration")
+    return read_project(tmp_path / "calibration" / "project.toml")
+
+
+def day(rows: slice) -> tuple[Array, Array]:
+    q = dh_arm.poses()
+    return q[rows], dh_arm.seen(q, sd=5e-5, turned=2e-4)[rows]
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_file_of_another_day_is_read_as_the_first_was(layout: str, tmp_path: Path) -> None:
+    first, second = day(slice(0, 40)), day(slice(60, 80))
+    files = kept(tmp_path / "first", LAYOUTS[layout](*first))
+    project = begun(tmp_path, files)
+    _agrees_with_converted(files, project)
+    paths = kept(tmp_path / "second", LAYOUTS[layout](*second))
+    read = read_new_readings(paths, project.inputs, project.mechanism, whole=True)
+    q, T = second
+    assert read.readings.keys() == _read(project)
+    for i, name in enumerate(list(read.readings)[:6]):
+        np.testing.assert_allclose(read[name], q[:, i], atol=1e-9)
+    if layout == "total_station":
+        polar = np.array([read[n] for n in ("tracker_range", "tracker_azimuth")])
+        expected = [np.linalg.norm(T[:, :3, 3], axis=1), np.arctan2(T[:, 1, 3], T[:, 0, 3])]
+        np.testing.assert_allclose(polar, expected, atol=1e-8)
+        return
+    two = layout.startswith("stations")
+    names = [f"{a}_{k}" for k in (1, 2) for a in "xyz"] if two else [*"xyz"]
+    points = np.array([read[n] for n in names]).T
+    south = T[:, :3, 3]
+    if layout == "stations":  # the first label that occurs is that of the first instrument
+        odd = np.arange(len(q)) % 2 == 1
+        assert np.isnan(points[odd, :3]).all()
+        assert np.isnan(points[~odd, 3:]).all()
+        np.testing.assert_allclose(points[odd, 3:], south[odd] + NORTH, atol=1e-9)
+        np.testing.assert_allclose(points[~odd, :3], south[~odd], atol=1e-9)
+    else:
+        np.testing.assert_allclose(points[:, :3], south, atol=1e-9)
+    if "qw" in read.readings:
+        turns = np.array([read[n] for n in ("qx", "qy", "qz", "qw")]).T
+        R = Rotation.from_quat(turns).as_matrix()
+        np.testing.assert_allclose(R, T[:, :3, :3], atol=1e-6)
+
+
+def _read(project: Any) -> set[str]:
+    parts = (project.inputs["data"], *project.inputs["data"].get("join", ()))
+    return {quantity for part in parts for quantity in part["columns"]}
+
+
+def _agrees_with_converted(files: list[Path], project: Any) -> None:
+    """The first files are what the file beside the project holds."""
+    converted = project.folder / "readings.csv"
+    if not converted.exists():  # two files are read where they are
+        return
+    read, source = (
+        read_new_readings(path, project.inputs, project.mechanism, whole=True)
+        for path in (converted, files)
+    )
+    for name, values in source.readings.items():
+        np.testing.assert_allclose(read[name], values, atol=1e-12)
+
+
+def test_stations_are_told_by_their_labels(tmp_path: Path) -> None:
+    project = begun(tmp_path, kept(tmp_path / "first", stations(*day(slice(0, 40)))))
+    _, T = day(slice(61, 81))  # the other station comes first
+    text = stations(*day(slice(60, 81)))["a.csv"].splitlines(keepends=True)
+    (tmp_path / "b.csv").write_text("".join([text[0], *text[2:]]), "utf-8")
+    read = read_new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
+    assert np.isnan(read["x_1"][0])
+    assert not np.isnan(read["x_2"][0])
+    np.testing.assert_allclose(read["x_1"][1], T[1, 0, 3], atol=1e-9)
+    (tmp_path / "c.csv").write_text("".join(text).replace("north", "west"), "utf-8")
+    with refused("unknown-name", "west", "north"):
+        read_new_readings(tmp_path / "c.csv", project.inputs, project.mechanism, whole=True)
+
+
+def test_a_day_from_one_station_alone_has_no_readings_of_the_other(tmp_path: Path) -> None:
+    for number, layout in enumerate((stations, stations_and_poses)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        project = begun(folder, kept(folder / "first", layout(*day(slice(0, 40)))))
+        text = layout(*day(slice(60, 80)))["a.csv"].splitlines(keepends=True)
+        (folder / "b.csv").write_text("".join(t for t in text if "south" not in t), "utf-8")
+        read = read_new_readings(folder / "b.csv", project.inputs, project.mechanism, whole=True)
+        south = read.readings.get("x_1", np.array([np.nan]))
+        assert np.isnan(south).all()
+        assert not np.isnan(read["x_2"]).any()
+
+
+def test_a_header_that_states_another_unit_is_believed(tmp_path: Path) -> None:
+    first, (q, T) = day(slice(0, 40)), day(slice(60, 80))
+    project = begun(tmp_path, kept(tmp_path / "first", renamed(*first)))
+    names = [f"Achse {i} [rad]" for i in range(1, 7)]
+    columns = joints_of(q, names, 1.0) | points_of(T[:, :3, 3], ["X (m)", "Y (m)", "Z (m)"], 1.0)
+    (tmp_path / "b.csv").write_text(written(columns), "utf-8")
+    read = read_new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
+    np.testing.assert_allclose(read["J1"], q[:, 0], atol=1e-8)
+    np.testing.assert_allclose(read["x"], T[:, 0, 3], atol=1e-8)
+
+
+def test_a_missing_column_of_the_instrument_is_named(tmp_path: Path) -> None:
+    first, (q, T) = day(slice(0, 40)), day(slice(60, 80))
+    project = begun(tmp_path, kept(tmp_path / "first", comma(*first)))
+    (tmp_path / "b.csv").write_text(written(joints_of(q) | points_of(T[:, :2, 3], "xy")), "utf-8")
+    with refused("missing-column", "z"):
+        read_new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
+    assert len(read_new_readings(tmp_path / "b.csv", project.inputs, project.mechanism)) == 20

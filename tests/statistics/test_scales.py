@@ -1,0 +1,34 @@
+"""The scale of a station is found in readings that have it; `analyses/scales.py` at full size."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from analyses.scales import begun, within
+from loopcal.statistics.ordered_system import OrderedSystem
+from loopcal.statistics.scales import scales
+
+PLANTED = 1e-4
+
+
+@cache
+def two_stations() -> OrderedSystem:
+    """An arm seen from two places, the second of which measures too long."""
+    return begun(0, 2, PLANTED)
+
+
+def test_the_scale_of_a_second_station_has_its_size_and_sign() -> None:
+    station, drawing = scales(two_stations().fitted())
+    assert station.instruments == ("point_2",)
+    assert abs(station.size - PLANTED) < 4.0 * station.sd
+    assert station.sd < 0.2 * PLANTED
+    assert station.p_value < 1e-9
+    # 0.1 mm at a metre; and the drawing of this arm is no such scale.
+    assert 5e-5 < station.moves < 5e-4
+    assert (drawing.instruments, drawing.p_value > 1e-3) == ((), True)
+
+
+def test_the_scale_of_all_readings_shows_beside_a_drawing_that_is_kept_to() -> None:
+    for length, shows in ((5e-6, True), (1e-3, False)):
+        system = within(two_stations(), length)
+        assert (scales(system.fitted())[-1].sd < 1e-4) is shows
