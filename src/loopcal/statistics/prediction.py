@@ -10,8 +10,8 @@ calibration have a C_p that no residual there could show: that is what the alarm
 
 Least squares takes readings as exact, and its residuals hold the errors of all readings. Errors of
 joints come anew with each pose, so C_x is then the residual variance, as large for every output of
-an instrument. It is too large for the true end point by the noise of the instrument, which nothing
-tells apart. Where chi-squared rejects the stated sds, both parts are as large as the residuals.
+an instrument. It is too large for the true end point by the noise of the instrument, which cannot
+be separated. Where chi-squared rejects the stated sds, both parts are as large as the residuals.
 
 The answer "valid" and what `verify` expects are the same C_p + C_x (`parts_at`).
 """
