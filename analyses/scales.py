@@ -41,12 +41,11 @@ def begun(number: int, stations: int, scale: float = 0.0) -> OrderedSystem:
     with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         folder, rng = Path(name), np.random.default_rng([44, number])
-        q, conditions = user.posed(POSES, rng), user.conditions(POSES)
-        joints, points = user.measured(q, conditions, rng, stations)
+        q = user.posed(POSES, rng)
+        conditions = user.placed(user.conditions(POSES), rng, stations)
+        joints, points = user.measured(q, conditions, rng)
         points[POSES // 2 :] *= 1.0 + scale
-        write_readings(
-            folder / "a.csv", user.joints, joints, points, user.columns(conditions, stations)
-        )
+        write_readings(folder / "a.csv", user, joints, points, user.columns(conditions))
         user.description(folder)
         made = lc.init(folder / "a.csv", dh=folder / "dh.csv")
         fit = lc.Fit(method="implicit-loop", model_error="structured")
