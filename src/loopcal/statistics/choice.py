@@ -285,7 +285,7 @@ def _refitted(
     judged: Sequence[Judged], plan: Plan, poses: int, executor: Executor | None
 ) -> list[Judged]:
     """With every part of what would be taken fitted; where that changes what would be taken, of
-    that as well. Steps from the fit of all only tell who loses (record 0061)."""
+    that as well. Steps from the fit of all only show who loses (record 0061)."""
     judged = list(judged)
     for _ in judged:
         made = [one for one in judged if one.made]
