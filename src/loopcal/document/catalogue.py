@@ -172,7 +172,7 @@ _ROWS = (
     ),
     _sound_open(
         "drift-or-machine",
-        "Drift or machine: the joints tell the order of the poses, and a drift of the instrument "
+        "Drift or machine: the joints show the order of the poses, and a drift of the instrument "
         "over the run is uncertain by {sd:2} (sd), beside a stated sd of {stated:2}.",
         "Measure some poses again at the end, or all in random order.",
         "loopcal plan {project}",
