@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,9 @@ from loopcal.estimation.solve.reduction import Accumulator, Spectrum, spectrum
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.lazy import cached_property
+
+if TYPE_CHECKING:
+    from loopcal.estimation.noise.estimation import NoiseEstimate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -160,7 +164,7 @@ class LeavingOut:
             system = spectrum(rest, offset, problem.unknowns.prior_sd)
             return _Learnt(problem, system, np.zeros(0), 0.0)
         from loopcal.estimation.noise.estimation import scaled
-        from loopcal.estimation.noise.linear_model import MixedFit
+        from loopcal.estimation.noise.linear_model import MixedFit, stated_score
         from loopcal.estimation.noise.search import Bounds, scoring_step
         from loopcal.estimation.noise.term_scales import Sums
         from loopcal.estimation.noise.variances import (
@@ -188,6 +192,8 @@ class LeavingOut:
             # That of all poses will do: it does not say where the score is zero.
             information = equations / end.equations * estimate.sensor_estimate.at.information
             score = sensors.score(system.root, system.step())
+            spreads = np.array([component.spread for component in estimate.stated])
+            score += stated_score(spreads, ratios)
             present = MixedFit(ratios, 0.0, score, information)
             bounds = Bounds(np.zeros(len(ratios)), np.ones(len(ratios), dtype=bool))
             stepped = ratios + scoring_step(present, bounds)
@@ -240,20 +246,20 @@ def settled(whole: FitResult, begun: Beginning, index: Index, tolerance: float) 
         variance = merit / max(at.equations - n, 1)
         if not rate * system.decrement <= tolerance**2 * variance:
             return None
-        if problem.mechanism.learnt_terms and not _terms_stay(whole, begun, at):
+        estimate = whole.estimate if problem.mechanism.learnt_terms else None
+        if estimate is not None and not _terms_stay(estimate, begun, at):
             return None
         return unknowns.moved(begun.parameters, system.step())
 
 
-def _terms_stay(whole: FitResult, begun: Beginning, at: Evaluation[Array]) -> bool:
+def _terms_stay(estimate: NoiseEstimate, begun: Beginning, at: Evaluation[Array]) -> bool:
     """Whether the rest, linearised where its fit begins, says the same of its terms as before."""
     from loopcal.estimation.noise.estimation import NEARBY
     from loopcal.estimation.noise.term_scales import Sums
     from loopcal.estimation.noise.variances import all_learnt, learnt_terms, scales_of
 
-    assert whole.estimate is not None
     problem, sums = begun.problem, Sums(at.data.total, False, at.equations)
-    common = all_learnt(problem, [component.quantities for component in whole.estimate.stated])
+    common = all_learnt(problem, [component.quantities for component in estimate.stated])
     offset = problem.unknowns.offset(begun.parameters)
     scales = learnt_terms(problem, sums, offset, common=common).scales
     # As the last round of a fit that begins near.

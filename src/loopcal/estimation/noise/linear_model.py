@@ -186,16 +186,21 @@ def mixed_fit(model: LinearModel, joined: Joined, information: Array | None = No
         for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
             squares = np.square(_taken_up(rows, W, solved)).sum(axis=(0, 2))
             taken_up += np.equal.outer(np.arange(model.components), block.owner) @ squares
-    off = _off_stated(model, joined.ratios)
+    off = _off_stated(model.spreads, joined.ratios)
     score = _score(model, joined, solved.root @ solved.along, taken_up)
-    score -= 0.5 * off / model.spreads / _above_zero(joined.ratios)
+    score += stated_score(model.spreads, joined.ratios)
     criterion = joined.volume + solved.log_volume + solved.residual + float(off @ off)
     return MixedFit(joined.ratios, criterion, score, information, fresh)
 
 
-def _off_stated(model: LinearModel, ratios: Array) -> Array:
+def stated_score(spreads: Array, ratios: Array) -> Array:
+    """(c,) what the stated sds add to the score by the ratios."""
+    return np.asarray(-0.5 * _off_stated(spreads, ratios) / spreads / _above_zero(ratios))
+
+
+def _off_stated(spreads: Array, ratios: Array) -> Array:
     """(c,) how far the sds are from those stated, in spreads; a component left out is not off."""
-    return np.asarray(0.5 * np.log(_above_zero(ratios)) / model.spreads)
+    return np.asarray(0.5 * np.log(_above_zero(ratios)) / spreads)
 
 
 def _above_zero(ratios: Array) -> Array:
