@@ -27,7 +27,7 @@ from loopcal.lazy import cached_property
 from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
-from loopcal.mechanisms.effects.drift import RUN_DRIFT
+from loopcal.mechanisms.effects.effect import RUN_DRIFT
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import mounted, without
 

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.mechanisms.effects.drift import RUN_DRIFT, RUN_DRIFT_TURNS, Drift
-from loopcal.mechanisms.effects.effect import with_effects
+from loopcal.mechanisms.effects.drift import Drift
+from loopcal.mechanisms.effects.effect import RUN_DRIFT, RUN_DRIFT_TURNS, with_effects
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import driven_joints
 from loopcal.mechanisms.terms import Term

@@ -17,6 +17,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.presentation.shown import percent
+from loopcal.statistics.calibrated import rejected_by, residual_factor
 from loopcal.statistics.judged_machine import far_from_nominal, off_the_drawing, prior_tension
 from loopcal.statistics.judged_readings import (
     LOOSE,
@@ -67,12 +68,16 @@ def _moved(document: ResultDocument) -> Fact | None:
 
 
 def _beside(document: ResultDocument, point: ChangePoint) -> float:
-    """By how many predicted sds, at the measured poses, a change moves the end point."""
+    """By how many predicted sds, at the measured poses, a change moves the end point.
+
+    The sds are as stated: what residuals add to them may be the change itself.
+    """
     region = None if document.prediction is None else document.prediction.region
     stated = None if region is None else region.of(point.unit)
     if stated is None or point.moves is None or not stated.sd_at_poses:
         return math.inf
-    return point.moves / stated.sd_at_poses
+    rejected = rejected_by(document.chi_squared, document.variance_factor_applied)
+    return point.moves * math.sqrt(residual_factor(rejected)) / stated.sd_at_poses
 
 
 def _modelled_changes(document: ResultDocument) -> Fact | None:

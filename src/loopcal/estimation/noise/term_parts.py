@@ -24,7 +24,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.expressions.engine import LoopValues, engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
-from loopcal.mechanisms.effects.drift import RUN_DRIFT, RUN_DRIFT_TURNS
+from loopcal.mechanisms.effects.effect import RUN_DRIFT, RUN_DRIFT_TURNS
 from loopcal.mechanisms.parameters import BEYOND
 from loopcal.mechanisms.structure.sag import BASE, Column, Sag, Structure
 from loopcal.mechanisms.structure.smooth import Smooth

@@ -19,9 +19,6 @@ from loopcal.units import difference_to_si, to_si, unit
 
 DRIFT_SD = 1e-3
 """Prior sd [m or rad]: 1 mm or 1 mrad over a drift's span."""
-RUN_DRIFT, RUN_DRIFT_TURNS = "run_drift", "run_drift_turns"
-"""Names of the effect, and of its terms, of a drift that is there because the joints tell the order
-of the poses (`statistics.run_drift`)."""
 _SHIFT_SD = {"rad": 0.1}
 """Prior sd of a shift by unit, else 0.01: 10 mm, and 6 degrees, for what slips may turn far."""
 
