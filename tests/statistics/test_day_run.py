@@ -25,12 +25,17 @@ def calibrated(world: World) -> lc.Result:
     return lc.calibrate(trial.mechanism, trial.readings, noise=trial.noise, **method)
 
 
-def later(world: World, seed: int = 5, **happened: Any) -> lc.Verification:
-    """The same machine on another day, on which something happened."""
+def later(
+    world: World, seed: int = 5, tamper: Callable[..., Any] | None = None, **happened: Any
+) -> lc.Verification:
+    """The same machine on another day, on which something happened; tamper: to the file."""
     made = replace(world, poses=30, **happened).made(
         np.random.default_rng(0), np.random.default_rng(seed)
     )
-    return lc.verify(calibrated(world), made.readings)
+    readings = made.readings
+    if tamper is not None:
+        readings = tamper(readings, np.random.default_rng(seed))
+    return lc.verify(calibrated(world), readings)
 
 
 def slipped(run: Run, rng: Rng) -> None:

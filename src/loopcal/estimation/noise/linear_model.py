@@ -340,7 +340,8 @@ def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected
         # |C - Q|^2 = C C - 2 C Q + Q Q; the last part joins all pairs of poses, hence `first`.
         pairs += members @ np.einsum("bkl,bkl->kl", C, C - 2.0 * Q) @ members.T
         for j in range(count):
-            Y_j = Y[:, columns(block.owner, j)].reshape(-1, rank)
+            part = Y[:, columns(block.owner, j)]
+            Y_j = part.reshape(part.shape[0] * part.shape[1], rank)
             first[j] += Y_j.T @ Y_j
         every.append(Y)
     flat = first.reshape(count, rank * rank)
