@@ -272,8 +272,8 @@ def test_readings_of_their_own_sd_are_judged_by_the_sd_that_was_learnt():
 
 
 def test_components_that_nothing_tells_apart_are_sure_together() -> None:
-    """White noise of the instrument and of the model: which of them it is stays open, how large
-    their sum is does not."""
+    """White noise of the instrument and of the model: stated sds part them, and how large their
+    sum is is known no less than where there is one of them."""
     arm = planar_arm(40)
     outputs = tuple(arm.truth.outputs)
     learnt: dict[str | tuple[str, ...], str] = {outputs: "group"}
@@ -285,4 +285,4 @@ def test_components_that_nothing_tells_apart_are_sure_together() -> None:
     for noise in (both, alone):
         result = lc.calibrate(arm.truth, data, noise=noise, start="nominal", method="implicit-loop")
         freedoms.append(lc.verify(result, day).innovation.learnt_freedom)
-    assert freedoms[0] == pytest.approx(freedoms[1], rel=0.05)
+    assert freedoms[0] > 0.95 * freedoms[1]

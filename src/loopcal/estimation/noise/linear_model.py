@@ -83,7 +83,7 @@ class MixedFit:
 
     criterion: -2 log of it, up to a constant; score: (c,) derivatives of its logarithm by x;
     information: (c, c) expected negative second derivatives; fresh: whether these are of this x,
-    not of one near by.
+    not of one near by; parted: whether stated sds part what only shows in a sum.
     """
 
     x: Array
@@ -91,6 +91,7 @@ class MixedFit:
     score: Array
     information: Array
     fresh: bool = True
+    parted: bool = False
 
 
 def linear_model(
@@ -190,7 +191,8 @@ def mixed_fit(model: LinearModel, joined: Joined, information: Array | None = No
     score = _score(model, joined, solved.root @ solved.along, taken_up)
     score += stated_score(model.spreads, joined.ratios)
     criterion = joined.volume + solved.log_volume + solved.residual + float(off @ off)
-    return MixedFit(joined.ratios, criterion, score, information, fresh)
+    parted = bool(np.isfinite(model.spreads).any())
+    return MixedFit(joined.ratios, criterion, score, information, fresh, parted)
 
 
 def stated_score(spreads: Array, ratios: Array) -> Array:

@@ -200,8 +200,9 @@ def evaluate(system: TermSystem, x: Array, _information: Array | None = None) ->
     if len(x) > 1:
         T = np.where(owner >= 0, np.exp(0.5 * x[1:])[owner], T)
     m = len(T)
-    K = system.S * (T / phi)
-    K *= T[:, None]
+    with np.errstate(over="ignore", invalid="ignore"):  # where the loops have no finite slope
+        K = system.S * (T / phi)
+        K *= T[:, None]
     K.reshape(-1)[:: m + 1] += 1.0
     factor = _root(K) if m else K
     log_K = 2.0 * float(np.log(np.diag(factor)).sum())

@@ -85,7 +85,8 @@ class Estimate:
         """Ratios at zero that the likelihood lets rise at the cost of another's."""
         everything = self._inverse(np.diag(self.at.information) > 0.0)
         pull = np.square(self.at.score) * np.diag(everything)
-        flat: NDArray[np.bool_] = (self.ratios == 0.0) & (pull < _NO_PULL)
+        chance = (pull < _NO_PULL) & (not self.at.parted)
+        flat: NDArray[np.bool_] = (self.ratios == 0.0) & chance
         return flat & _correlated(everything).any(axis=1)
 
     def _inverse(self, which: NDArray[np.bool_]) -> Array:
