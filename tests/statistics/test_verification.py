@@ -215,7 +215,7 @@ def test_a_nominal_machine_that_cannot_be_placed_leaves_the_rest() -> None:
         {"c": (0.5, "m")},
         outputs=("y",),
     )
-    q = np.linspace(0.3, 1.0, 20)
+    q = np.random.default_rng(1).permutation(np.linspace(0.3, 1.0, 20))
     noise = lc.Noise({"q": 1e-4, "y": 1e-4})
     result = lc.calibrate(machine, {"q": q, "y": np.sqrt(q + 0.5)}, noise=noise)
     known = replace(Calibrated.of(result, "A"), nominal=np.array([-0.9]))
