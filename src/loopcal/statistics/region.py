@@ -4,7 +4,7 @@ The working region is a box of joint readings: as the user states it, else the j
 turning joint of an arm without limits turns a quarter turn either way of the middle of its readings
 at least; what has none of these stays within its readings. A machine of which nothing at all is
 known works on the ways between its measured poses: drives of closed loops depend on each other, and
-the corners of their box are poses that nobody uses. The sd that `predict` states is averaged (rms)
+the corners of their box are poses out of use. The sd that `predict` states is averaged (rms)
 over random poses of the box, and over the measured ones. A ratio far above 1 says that the data
 hold the machine near their own poses only, whatever a cross-validation inside them says.
 """
