@@ -283,8 +283,8 @@ def _determined(problem: Problem, said: WhatDataSay, loose: set[str]) -> Fact:
 
 
 def _order(problem: Problem, groups: NDArray[np.intp]) -> Iterator[Fact]:
-    """Whether, before any reading, a drift could be distinguished from an error of the machine: by the
-    order of the poses, or by one that was measured again half a run later.
+    """Whether a drift could be distinguished from an error of the machine before any reading: by
+    the order of the poses, or by one that was measured again half a run later.
 
     groups: (N,) equal where a pose was repeated.
     """

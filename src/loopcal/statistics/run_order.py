@@ -47,7 +47,7 @@ def order_by_joints(joints: Array, products: bool = True) -> float:
 def told_by_joints(joints: Array) -> float | None:
     """`order_by_joints` where the joints (N, n), in order, tell the number of the pose; else None.
 
-    By the joints alone where poses are too few for products; None where the poses are too few for both.
+    By the joints alone where poses are too few for products; None where they are too few for both.
     """
     N, n = joints.shape
     if not n or not np.isfinite(joints).all():
