@@ -1,9 +1,9 @@
 """A fit that goes on from where an earlier calibration of the machine ended.
 
 The method "auto" fits every candidate anew, validates and compares them. Here only the candidate
-that it took last is fitted again: with what it took as changed during the run, and without the
-poses that it discarded, from the parameters and the learnt sizes of the model error with which it
-ended. Learnt sds are learnt again.
+that it took last is fitted again: with the terms that it kept and what it took as changed during
+the run, without the poses that it discarded, from the parameters and the learnt sizes of the model
+error with which it ended. Learnt sds are learnt again.
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ from loopcal.document.change_points import ChangePoint
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
+from loopcal.mechanisms.effects.effect import RUN_DRIFT, RUN_DRIFT_TURNS
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.case import Case, Entrant, entrants
+from loopcal.statistics.case import Case, Entrant, entrants, without_terms
 from loopcal.statistics.changes import NUMBER, with_shifts
+from loopcal.statistics.run_drift import with_run_drift
 from loopcal.statistics.validation import NEARLY
 
 
@@ -29,7 +31,8 @@ class Ending:
 
     method: the candidate that "auto" took, empty for a named method; label: of its fit; poses:
     ids of those used; values, nominal, sds: of the parameters [SI], sds of the prior, where it has
-    one; changes: what it modelled as changed during the run; outliers: poses that it discarded.
+    one; terms: names of those that "auto" kept; changes: what it modelled as changed during the
+    run; outliers: poses that it discarded.
     """
 
     method: str
@@ -38,6 +41,7 @@ class Ending:
     values: Mapping[str, float]
     nominal: Mapping[str, float]
     sds: Mapping[str, float]
+    terms: tuple[str, ...] = ()
     changes: tuple[ChangePoint, ...] = ()
     outliers: tuple[str, ...] = ()
 
@@ -52,6 +56,7 @@ class Ending:
             {p.name: p.value for p in document.parameters},
             {p.name: p.nominal for p in document.parameters},
             {p.name: p.prior_sd for p in document.parameters if p.prior_sd},
+            () if document.chosen is None else document.chosen.terms,
             () if changes is None else tuple(p for p in changes.found if p.modelled),
             tuple(o.pose for o in document.outliers or () if o.pose not in used),
         )
@@ -65,7 +70,7 @@ def continued(case: Case, ending: Ending) -> FitResult:
     cannot be calibrated.
     """
     if case.fit.method.choice:
-        case = _chosen(_as_modelled(case, ending), ending.method).case
+        case = _chosen(_as_modelled(case, ending), ending).case
     machine = case.fit.with_prior(case.mechanism)
     beyond = {name for names in machine.effects.values() for name in names}
     new = [n for n in machine.parameters.names if n not in ending.values and n not in beyond]
@@ -84,10 +89,16 @@ def continued(case: Case, ending: Ending) -> FitResult:
     return begun.calibrated()
 
 
-def _chosen(case: Case, name: str) -> Entrant:
-    """The candidate of this name, else the first."""
+def _chosen(case: Case, ending: Ending) -> Entrant:
+    """The candidate that was taken, with the terms that it kept; else the first."""
+    if not {RUN_DRIFT, RUN_DRIFT_TURNS}.isdisjoint(ending.terms):
+        case = with_run_drift(case)
     able = [one for one in entrants(case) if not one.drawn]
-    return next((one for one in able if one.name == name), able[0])
+    taken = next((one for one in able if one.name == ending.method), None)
+    if taken is None:
+        return able[0]
+    left = {term.name for term in taken.case.mechanism.terms} - set(ending.terms)
+    return without_terms(case, taken, left) or taken
 
 
 def _as_it_ended(machine: Mechanism, ending: Ending, *, learnt: bool) -> Mechanism:
