@@ -388,8 +388,8 @@ def _widened(
     low = [np.nan_to_num(cells, nan=np.inf).min(axis=1) for cells in wide]
     high = [np.nan_to_num(cells, nan=-np.inf).max(axis=1) for cells in wide]
     apart = [
-        bool(((h - l)[h >= l] > STILL * field.span).any())
-        for h, l, field in zip(high, low, fields, strict=True)
+        bool(((most - least)[most >= least] > STILL * field.span).any())
+        for least, most, field in zip(low, high, fields, strict=True)
     ]
     differing = [field.stem for field, differs in zip(fields, apart, strict=True) if differs]
     columns: list[Field] = []

@@ -3,7 +3,7 @@
 No order and no placement of an instrument changes the distances between points. The place of the
 target on the body that makes those of the nominal machine most like the measured ones is where the
 search begins. Then points and poses are assigned to each other (Kuhn 1955) and placement and target
-fitted, in turn (Besl and McKay 1992), from each way to lay the main axes of both sets on each other.
+fitted, in turn (Besl and McKay 1992), from each way to lay the main axes of both sets together.
 """
 
 from __future__ import annotations
