@@ -69,13 +69,13 @@ def _target(bodies: Bodies, points: Array) -> Array | None:
     few = np.unique(np.linspace(0, len(points) - 1, _FEW).astype(np.intp))
     some = Bodies(bodies.rotations[few], bodies.origins[few])
     stated = _distances(points[few])
-    found = minimize(
+    nearest = minimize(
         lambda u: np.abs(_distances(some.at(u)) - stated).max() / stated.max(),
         np.zeros(3),
         method="Nelder-Mead",
         options={"maxfev": _TRIALS, "initial_simplex": _AROUND * np.eye(4, 3, -1)},
     )
-    return np.asarray(found.x) if found.fun < _SAME else None
+    return np.asarray(nearest.x) if nearest.fun < _SAME else None
 
 
 def _distances(points: Array) -> Array:
