@@ -81,7 +81,8 @@ def _target(bodies: Bodies, points: Array) -> Array | None:
 def _distances(points: Array) -> Array:
     """Quantiles of the distances between the points."""
     first, second = np.triu_indices(len(points), 1)
-    return np.quantile(np.linalg.norm(points[first] - points[second], axis=1), _QUANTILES)
+    distances = np.linalg.norm(points[first] - points[second], axis=1)
+    return np.asarray(np.quantile(distances, _QUANTILES))
 
 
 def _laid(points: Array, onto: Array) -> list[Array]:
