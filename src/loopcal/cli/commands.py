@@ -138,7 +138,7 @@ def calibrate(
             ),
         )
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
-    typed = done.typed
+    typed, full = done.typed, full or bool(truth or profile or compare)  # what was asked is shown
     text = f"{typed.title}\n{typed}\n\n{done.result.findings.words()}"
     print_done(done.written.document, as_json, text=text, where=where, full=full)
     if done.objection is not None:
@@ -336,6 +336,20 @@ def new(
     made = new_project(name, mechanism)
     lines = ["", "To simulate readings and calibrate:", *(f"  {line}" for line in made.commands)]
     print_out("\n".join([f"written: {', '.join(map(str, made.files))}", *lines]))
+
+
+@app.command()
+def demo(
+    out: Annotated[str, out_option("DIR", "Write the project to this folder.")] = "loopcal-demo",
+    force: ForceOption = False,
+) -> None:
+    """Calibrate a simulated arm without any file, and open the report."""
+    from loopcal.cli.asking import open_page
+    from loopcal.workflow.demonstration import run_demonstration
+
+    done = run_demonstration(out)
+    print_out(str(done))
+    open_page(done.report)
 
 
 @app.command()

@@ -273,13 +273,16 @@ class ResultDocument:
         return "no pose has readings of outputs and of all that predicts them"
 
     def __str__(self) -> str:
-        """The summary: the verdict, then accuracy, state, sensors, parameters, warnings."""
+        """The summary: the verdict, then accuracy, warnings, state, sensors, parameters."""
         loss = "" if self.loss == "gaussian" else f", loss {self.loss}"
         name = self.mechanism.name if self.mechanism else self.title
         lines = [f"{name}: {self.method_label or self.method}{loss}", ""]
         if self.verdict is not None:
             lines += [*self.verdict.lines(), ""]
-        lines += [*_accuracy(self), "", *_state(self)]
+        lines += _accuracy(self)
+        for warning in self.warnings:
+            lines += ["", *wrapped(warning, "WARNING  ", "         ")]
+        lines += ["", *_state(self)]
         p_value = 1.0 if self.chi_squared is None else self.chi_squared.p_value
         rejected = p_value is not None and p_value < 0.01
         if rejected or any(entry.source == "estimated" for entry in self.noise):
@@ -300,8 +303,6 @@ class ResultDocument:
             unit = self.accuracy.unit if self.accuracy else ""
             scheme = self.validation.words if self.validation else ""
             lines += ["", *model_table(self.models, unit, scheme)]
-        for warning in self.warnings:
-            lines += ["", *wrapped(warning, "WARNING  ", "         ")]
         return "\n".join(lines)
 
 

@@ -61,11 +61,11 @@ class Answer:
         if not every:
             return cls(None, UNASKED, None, "No tolerance is stated.", "State a tolerance.")
         first, shown = every[0], [one for one in every if one.severity != "info"] or every
-        step = first.next
+        step = first.next or NextStep("")
         # All else on the question follows from a file at fault: only that is named (record 0054).
         words = " ".join(one.words for one in (every[:1] if first.code == _ALONE else shown))
-        codes, remedy = tuple(one.code for one in every), step and step.words
-        passed, command = answered(every), step and step.command
+        codes, remedy = tuple(one.code for one in every), step.words or None
+        passed, command = answered(every), step.command
         return cls(passed, first.code, first.number, words, remedy, codes, command)
 
 

@@ -102,12 +102,6 @@ def refuse_tolerance(mechanism: Mechanism, tolerance: float | None) -> None:
         )
 
 
-def project_beside(folder: Path) -> dict[str, str]:
-    """The project NAME.toml beside its result NAME-result, for command lines; empty elsewhere."""
-    project = folder.with_name(f"{folder.name.removesuffix('-result')}.toml")
-    return {"project": str(project)} if project.is_file() else {}
-
-
 def stored_files(project: Project, function: str | None, folder: Path) -> dict[str, str]:
     """The same with the result's folder, as they are typed in the project's folder.
 

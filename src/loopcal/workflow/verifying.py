@@ -8,12 +8,12 @@ from pathlib import Path
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import Data, write_all
-from loopcal.files.result.deployed import VERIFICATION, note_deployed
+from loopcal.files.result.deployed import VERIFICATION, note_deployed, project_beside
 from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verification import verify
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.keeping import Keeper, Writer
-from loopcal.workflow.projects import project_beside, refuse_tolerance
+from loopcal.workflow.projects import refuse_tolerance
 from loopcal.workflow.readings import Files, first_of, later_readings
 from loopcal.workflow.saved_result import read_result
 
@@ -47,8 +47,8 @@ def run_verification(
         verification = verify(read.calibrated, data, remounted=changed, tolerance=tolerance)
     except InputError as error:
         raise error.at(str(first)) from None
-    names = {"result": str(result), "readings": str(first), **project_beside(read.path.parent)}
-    verification = replace(verification, files=names)
+    typed = {"result": str(result), "readings": str(first), **project_beside(read.path.parent)}
+    verification = replace(verification, files=typed)
     files: dict[Path, Data] = {}
     if out is not None:
         from loopcal.report.verification_page import verification_html

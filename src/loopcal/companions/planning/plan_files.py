@@ -180,7 +180,7 @@ def basis_of(project: Project, existing: Any = None) -> PlanningBasis:
 def _usual_noise(project: Project) -> Noise:
     """The stated noise; readings that come with sds of their own will have them again (median)."""
     noise = project.noise.noise()
-    columns = project.data.columns.values()
+    columns = () if project.data is None else project.data.columns.values()
     if all(column.sd_column is None for column in columns):
         return noise
     with suppress(InputError):
