@@ -279,7 +279,7 @@ class ResultDocument:
         lines = [f"{name}: {self.method_label or self.method}{loss}", ""]
         if self.verdict is not None:
             lines += [*self.verdict.lines(), ""]
-        lines += _accuracy(self)
+        lines += [*_ended(self), "", *_accuracy(self)]
         for warning in self.warnings:
             lines += ["", *wrapped(warning, "WARNING  ", "         ")]
         lines += ["", *_state(self)]
@@ -315,7 +315,7 @@ class WrittenResult:
     document: ResultDocument
 
 
-def _state(document: ResultDocument) -> list[str]:
+def _ended(document: ResultDocument) -> list[str]:
     status, data = document.status, document.data
     head = "converged" if status.converged else f"NOT CONVERGED ({status.reason})"
     steps = f"{status.iterations} iteration{'s' if status.iterations != 1 else ''}"
@@ -324,10 +324,13 @@ def _state(document: ResultDocument) -> list[str]:
     )
     lines = [f"FILE AT FAULT  {fault}" for fault in document.column_faults or ()]
     lines.append(f"{head} in {steps} on {poses}")
+    return lines if status.converged else [*lines, f"  {status.message}"]
+
+
+def _state(document: ResultDocument) -> list[str]:
+    lines = list[str]()
     if document.chosen is not None:
         lines += wrapped(document.chosen.words, "chosen: ", "        ")
-    if not status.converged:
-        lines.append(f"  {status.message}")
     chi = document.chi_squared
     if chi is not None and chi.variance_factor is not None:
         probability = (

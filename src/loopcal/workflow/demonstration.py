@@ -8,6 +8,7 @@ from shlex import quote
 
 import numpy as np
 
+from loopcal.files.project.new_project import has_project
 from loopcal.presentation.shown import with_unit
 from loopcal.simulation.simulate import Simulation, simulate
 from loopcal.statistics.prediction import predict
@@ -63,7 +64,7 @@ def run_demonstration(folder: str | Path) -> Demonstration:
     """Write a project, simulate its readings, and calibrate. Raises InputError where files are in
     the way."""
     project = Path(folder) / "project.toml"
-    if not project.exists():
+    if not has_project(str(folder)):
         new_project(str(folder), "serial")
     made = run_simulation(project, out=project.with_name("poses.csv"), seed=1).simulation
     done = run_calibration(project, Request(report=True))
