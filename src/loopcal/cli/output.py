@@ -58,11 +58,12 @@ def screen(text: str) -> str:
         needed = part.count("\n") + 2
         if needed > room:
             head = part.split("\n")[0]
-            left.append(head.split("  ")[0] if "  " in head else head.split(" ")[0])
+            name = head.split("  ")[0] if "  " in head else head.split(" ")[0].rstrip(":")
+            left.append("warnings" if name == "WARNING" else name)
             continue
         kept.append(part)
         room -= needed
-    return "\n\n".join([*kept, f"(not shown: {', '.join(left)}; all: --full)"])
+    return "\n\n".join([*kept, f"(not shown: {', '.join(dict.fromkeys(left))}; all: --full)"])
 
 
 def print_data(text: str) -> None:
