@@ -737,6 +737,8 @@ def judged(name: str, seed: int, folder: Path) -> tuple[str, str]:
     arguments = [*case.files, *robot_file, *case.options]
     code, text = begin([*arguments, "--out", "mine"], folder)
     by_next = ""
+    if "Traceback" in text:
+        return "fault", text
     if code:
         command = next_command(text)
         if not command:

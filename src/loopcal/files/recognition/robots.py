@@ -13,7 +13,7 @@ from loopcal.files.machines.urdf import Branch, branches
 from loopcal.files.recognition.dh_table import Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
 from loopcal.files.recognition.headers import words
-from loopcal.files.recognition.layouts import named_joints, usual_joints
+from loopcal.files.recognition.joint_sets import affixed_joints, named_joints, usual_joints
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.rest import roll_pitch_yaw
@@ -54,10 +54,13 @@ def urdf_robot(
         reads = dict.fromkeys(j.reads[0] for j in read_urdf(path, base, tip) if j.reads)
         return Robot(_urdf_table(relative, base, tip), len(reads), tuple(reads))
     every = [b for b in branches(path) if (base in (None, b.base)) and (tip in (None, b.tip))]
-    named = named_joints(fields, {name for b in every for name in b.joints})
+    named = {*named_joints(fields, {name for b in every for name in b.joints})}
+    if not named:
+        affixed = [b.joints for b in every if any(affixed_joints(fields, b.joints))]
+        named = {*max(affixed, key=len, default=())}
     usual = len(usual_joints(fields)) if not named else 0
     if named:
-        fitting = [b for b in every if set(b.joints) == set(named)]
+        fitting = [b for b in every if set(b.joints) == named]
         why = "its moving joints are the columns' names"
     else:
         moves = len(moving(usual_joints(fields)))

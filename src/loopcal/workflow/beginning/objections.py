@@ -19,6 +19,7 @@ from loopcal.presentation.shown import significant, with_unit
 from loopcal.units import unit
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
+    NOTHING,
     PLAUSIBLE,
     Array,
     Machine,
@@ -26,8 +27,6 @@ from loopcal.workflow.beginning.searching import (
     every_way,
 )
 
-NOTHING = 0.3
-"""A misfit of this share of the spread of the readings, or more: the machine explains nothing."""
 SURE = 0.01
 """An explanation that leaves less needs no rivals."""
 ONE_POSE = 5e-3

@@ -23,6 +23,8 @@ PLAUSIBLE = 0.1
 # Wrong units are wrong by factors of 10 to 1000 (docs/decisions/0056).
 CLEARLY = 3.0
 """A meaning is decided if every other one leaves so many times its misfit."""
+NOTHING = 0.3
+"""A misfit of this share of the spread of the readings, or more: the machine explains nothing."""
 FAR = 10.0
 """A meaning that fits so many times worse on a few poses is not tried on more."""
 # Few poses drop what is wrong by factors; more decide among the rest.
@@ -33,14 +35,13 @@ _SAMPLE, _FEW = 120, 40
 class Understood:
     """The columns with their meaning.
 
-    joints: quantity -> readings [SI]; kinds: SI unit of each; units: SI unit -> unit of the joint
-    columns; seen: the instruments; remarks: what the data decided, in words.
+    joints: quantity -> readings [SI]; kinds, units: SI unit of each, and that of its column; seen: the instruments; remarks: what the data decided, in words.
     """
 
     layout: Layout
     joints: dict[str, Array]
     kinds: tuple[str, ...]
-    units: dict[str, str]
+    units: tuple[str, ...]
     seen: tuple[Meaning, ...]
     bodies: Bodies
     remarks: tuple[str, ...] = ()
@@ -59,12 +60,10 @@ class Understood:
     def joint_words(self) -> str:
         """The units of the joints, those that slide in units of length."""
         clauses = []
-        for si, what in (("rad", "joints"), ("m", "slides")):
-            fields = [
-                f for f, kind in zip(self.layout.joints, self.kinds, strict=True) if kind == si
-            ]
-            if fields:
-                clauses.append(f"the {what} {names_of(fields)} in {self.units[si]}")
+        columns = list(zip(self.layout.joints, self.kinds, self.units, strict=True))
+        for kind, of in dict.fromkeys((kind, of) for _, kind, of in columns):
+            some = [f for f, *others in columns if others == [kind, of]]
+            clauses.append(f"the {'joints' if kind == 'rad' else 'slides'} {names_of(some)} in {of}")
         return "; ".join(clauses)
 
 
@@ -92,18 +91,19 @@ def every_way(
     layouts: Sequence[Layout],
     *,
     as_stated: bool = True,
+    mixed: bool = False,
     turned_round: Collection[str] = (),
     zeros: Mapping[str, float] = MappingProxyType({}),
 ) -> list[Understood]:
     """All combinations of meanings, judged on some of the poses; of each instrument the best and
-    those that fit about as well. turned_round: joints that are read with the other sign; zeros:
+    those that fit about as well. mixed: turning joints may be in units of their own; turned_round: joints that are read with the other sign; zeros:
     what is added to readings of joints [rad]."""
     ways = []
     for layout in layouts:
-        for units in joint_units(layout.joints, machine.units, as_stated=as_stated):
+        for units in joint_units(layout.joints, machine.units, as_stated=as_stated, mixed=mixed):
             joints = {
-                name: to_si(f.values, f.unit if f.unit and as_stated else units[si])
-                for name, f, si in zip(machine.joints, layout.joints, machine.units, strict=True)
+                name: to_si(f.values, of)
+                for name, f, of in zip(machine.joints, layout.joints, units, strict=True)
             }
             moved = {
                 n: (-q if n in turned_round else q) + zeros.get(n, 0.0) for n, q in joints.items()
@@ -119,14 +119,30 @@ def every_way(
                 options.append([m for m in tried if m.share < CLEARLY * tried[0].share + 1e-12])
             if not all(options):
                 continue
+            options, fitting = _belonging(options, layout)
             best = tuple(o[0] for o in options)
-            first = Understood(layout, joints, machine.units, units, best, bodies)
+            first = Understood(fitting, joints, machine.units, units, best, bodies)
             ways.append(first)
             for i, tied in enumerate(options):
                 for other in tied[1:]:
                     seen_so = (*first.seen[:i], other, *first.seen[i + 1 :])
                     ways.append(replace(first, seen=seen_so))
     return ways
+
+
+def _belonging(
+    options: list[list[Meaning]], layout: Layout
+) -> tuple[list[list[Meaning]], Layout]:
+    """Without what the machine does not move at all, where it explains another instrument: these
+    columns are velocities, forces or of another body. A station's columns are no such."""
+    least = min(o[0].share for o in options)
+    kept = [o for o in options if o[0].share < NOTHING or o[0].seen.station]
+    if least > PLAUSIBLE or len(kept) == len(options):
+        return options, layout
+    gone = [o[0].seen for o in options if o not in kept]
+    columns = tuple(f for s in gone for f in (*s.position, *s.turned, *s.sds))
+    seen = tuple(o[0].seen for o in kept)
+    return kept, replace(layout, seen=seen, ignored=(*layout.ignored, *columns))
 
 
 def _spread(positions: NDArray[np.intp], most: int) -> NDArray[np.intp]:
