@@ -52,7 +52,8 @@ class Field:
     """A column of numbers, its rows those of the joined poses.
 
     table: number of its table; position: where it stands there, from 0; heading: None where the
-    table has no header; labels: what its numbers 1, 2, ... stand for where it holds words.
+    table has no header; labels: what its numbers 1, 2, ... stand for where it holds words;
+    computed: whether it was computed from columns, as its header says.
     """
 
     table: int
@@ -60,6 +61,7 @@ class Field:
     heading: Heading | None
     values: Array
     labels: tuple[str, ...] = ()
+    computed: bool = False
 
     @property
     def stem(self) -> str:

@@ -69,17 +69,22 @@ class Layout:
     how: str
 
 
-def layouts(fields: Sequence[Field], count: int, names: Sequence[str] = ()) -> tuple[Layout, ...]:
+def layouts(
+    fields: Sequence[Field],
+    count: int,
+    names: Sequence[str] = (),
+    joints: tuple[Field, ...] = (),
+) -> tuple[Layout, ...]:
     """Every way to find `count` joints and an instrument in the columns, by names where possible.
 
-    names: of the machine's joints. Of an instrument that stood in several places, as a column of
+    names: of the machine's joints; joints: their columns, where they are stated. Of an instrument that stood in several places, as a column of
     stations says, the columns are taken once for each place. Raises InputError listing the columns
     where there is none.
     """
     stations = [f for f in fields if f.stem in STATIONS]
     if not stations:
-        return _single_station(fields, count, names)
-    every = _single_station([f for f in fields if f.stem not in STATIONS], count, names)
+        return _single_station(fields, count, names, joints)
+    every = _single_station([f for f in fields if f.stem not in STATIONS], count, names, joints)
     return tuple(_by_station(one, stations[0]) for one in every)
 
 
@@ -126,15 +131,23 @@ def at_station(seen: Seen, rows: NDArray[np.bool_], station: str) -> Seen:
 
 
 def _single_station(
-    fields: Sequence[Field], count: int, names: Sequence[str]
+    fields: Sequence[Field], count: int, names: Sequence[str], joints: tuple[Field, ...]
 ) -> tuple[Layout, ...]:
-    sets = joint_sets(fields, count, names)
+    if joints and len(joints) != count:
+        raise InputError(
+            f"{len(joints)} columns are stated as joints, and the machine has {count}",
+            code="missing-column",
+            place="--joints",
+            remedy="state a column for each joint, in the order of the machine",
+        )
+    sets = [(joints, "as stated")] if joints else joint_sets(fields, count, names)
     if sets:
-        taken = {id(f) for joints, _ in sets for f in joints}
-        if sets[0][0] and not instruments([f for f in fields if id(f) not in taken]):
+        taken = {id(f) for some, _ in sets for f in some}
+        taken |= _read_by(fields, joints)
+        if not instruments([f for f in fields if id(f) not in taken]):
             taken = set()  # sets of joints that leave no instrument exclude each other
         return tuple(
-            layout for joints, how in sets for layout in _with_joints(fields, joints, how, taken)
+            layout for some, how in sets for layout in _with_joints(fields, some, how, taken)
         )
     usual = usual_joints(fields)
     if usual:
@@ -146,6 +159,12 @@ def _single_station(
             remedy=f"name its other links (--base, --tip), or rename the column of {more}",
         )
     return _by_order(fields, count)
+
+
+def _read_by(fields: Sequence[Field], joints: Sequence[Field]) -> set[int]:
+    """Columns whose place in their table is that of a joint that was computed from them."""
+    places = {(f.table, f.position) for f in joints}
+    return {id(f) for f in fields if (f.table, f.position) in places}
 
 
 def _with_joints(

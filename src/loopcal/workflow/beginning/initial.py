@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import RegionRange
-from loopcal.errors import InputError, UsageError
+from loopcal.errors import InputError, UsageError, nearest
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
@@ -23,6 +24,7 @@ from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import apart
 from loopcal.files.recognition.converting import dataset_of
+from loopcal.files.recognition.expressions import joint_columns
 from loopcal.files.recognition.fields import Source, sources_of
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import layouts
@@ -60,7 +62,8 @@ _ROWS, _WORST = 5, 5
 class RobotFile:
     """What describes the robot: a URDF, a table of Denavit-Hartenberg parameters, or a type.
 
-    base, tip: links of the URDF.
+    base, tip: links of the URDF; joints: the columns of its joints, or expressions of them, divided
+    by commas; leave_out: names of columns that take no part, with * for any letters.
     """
 
     urdf: str | Path | None = None
@@ -68,6 +71,8 @@ class RobotFile:
     machine: str | None = None
     base: str | None = None
     tip: str | None = None
+    joints: str | None = None
+    leave_out: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +159,8 @@ def init(
     tip: str | None = None,
     out: str | Path | None = None,
     sheet: str | None = None,
+    joints: str | None = None,
+    leave_out: str | None = None,
 ) -> InitialProject:
     """Recognise readings and a robot, and make a finished project of them.
 
@@ -162,12 +169,14 @@ def init(
     describes the robot; base, tip: links of the URDF, by default the only ones that fit. Units,
     orders and directions that no header states are those with which the placed nominal machine
     fits clearly best. out: the folder to write into, by default none; sheet: of a workbook, or the
-    variable of a MATLAB file, by default the one with by far the most numbers.
+    variable of a MATLAB file, by default the one with by far the most numbers. joints: the columns of
+    the joints in the machine's order, as "J1,-J2,J3+J2,J4*0.001" where they count otherwise;
+    leave_out: columns that take no part, as "*_soll,v*".
 
     Raises InputError where something remains open, with what is possible, and where files are in
     the way.
     """
-    robot = RobotFile(urdf, dh, machine, base, tip)
+    robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out)
     return initial_project(readings, robot, out=out, sheet=sheet)
 
 
@@ -190,12 +199,13 @@ def initial_project(
     sources: list[Source] = []
     for entry in readings:
         sources += sources_of(entry, len(sources), sheet)
-    fields = joined(sources)
-    made = _robot(robot, fields, folder)
+    every = joined(sources)
+    fields = _without(every, robot.leave_out)
+    columns = joint_columns(fields.fields, robot.joints) if robot.joints else ()
+    made = _robot(robot, replace(fields, fields=columns or fields.fields), folder)
     machine = _machine(made, fields, folder)
-    every = fields
     fields, conditions = apart(fields, made.names, arm=in_space(machine.mechanism))
-    way = understood(machine, _layouts(made, fields), fields, ask)
+    way = understood(machine, layouts(fields.fields, made.joints, made.names, columns), fields, ask)
     statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
     project = _read(statement, folder)
     dataset = dataset_of(fields.poses, statement.readings)
@@ -244,8 +254,20 @@ def _machine(robot: Robot, fields: Fields, folder: Path) -> Machine:
     return Machine(mechanism, joints)
 
 
-def _layouts(robot: Robot, fields: Fields) -> Any:
-    return layouts(fields.fields, robot.joints, robot.names)
+def _without(fields: Fields, names: str | None) -> Fields:
+    """Without the columns that these names, divided by commas, have."""
+    kept = list(fields.fields)
+    for name in [part.strip() for part in (names or "").split(",") if part.strip()]:
+        gone = [f for f in kept if fnmatchcase(f.label, name)]
+        if not gone:
+            raise InputError(
+                f"{name!r} is no column",
+                code="unknown-name",
+                place="--leave-out",
+                remedy=nearest(name, [f.label for f in kept]),
+            )
+        kept = [f for f in kept if f not in gone]
+    return replace(fields, fields=tuple(kept))
 
 
 def _table(fields: Fields, statement: Statement) -> bytes:

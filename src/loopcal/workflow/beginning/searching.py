@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -67,6 +67,16 @@ class Understood:
         return "; ".join(clauses)
 
 
+@dataclass(frozen=True)
+class Counting:
+    """How a joint is counted: sign * reading + zero [rad] + factor * reading of another joint."""
+
+    sign: int = 1
+    zero: float = 0.0
+    other: str = ""
+    factor: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class Machine:
     """The nominal machine as far as its joints move it: a mechanism with a chain."""
@@ -92,12 +102,11 @@ def every_way(
     *,
     as_stated: bool = True,
     mixed: bool = False,
-    turned_round: Collection[str] = (),
-    zeros: Mapping[str, float] = MappingProxyType({}),
+    counting: Mapping[str, Counting] = MappingProxyType({}),
 ) -> list[Understood]:
     """All combinations of meanings, judged on some of the poses; of each instrument the best and
-    those that fit about as well. mixed: turning joints may be in units of their own; turned_round: joints that are read with the other sign; zeros:
-    what is added to readings of joints [rad]."""
+    those that fit about as well. mixed: turning joints may be in units of their own; counting: of joints that do not count
+    as the machine does."""
     ways = []
     for layout in layouts:
         for units in joint_units(layout.joints, machine.units, as_stated=as_stated, mixed=mixed):
@@ -105,9 +114,11 @@ def every_way(
                 name: to_si(f.values, of)
                 for name, f, of in zip(machine.joints, layout.joints, units, strict=True)
             }
-            moved = {
-                n: (-q if n in turned_round else q) + zeros.get(n, 0.0) for n, q in joints.items()
-            }
+            moved = dict(joints)
+            for name, one in counting.items():
+                moved[name] = one.sign * joints[name] + one.zero
+                if one.other:
+                    moved[name] = moved[name] + one.factor * joints[one.other]
             bodies = machine.bodies(moved)
             options = []
             for seen in layout.seen:

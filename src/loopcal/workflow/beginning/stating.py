@@ -136,7 +136,7 @@ def stated(
         for name, (field, of_column) in conditions.columns.items()
     }
     converted = (
-        any(r.field is None for r in readings.values())
+        any(r.field is None or r.field.computed for r in readings.values())
         or any(source.path is None for source in fields.sources)
         or any(meaning.seen.station for meaning in understood.seen)
     )
