@@ -99,7 +99,7 @@ def _with_further(
     if not 1 <= lacking <= _FURTHER or len(members) < 2:
         return
     family = {id(f) for f in members}
-    others = [f for f in fields if id(f) not in family and f.span > 0.0]
+    others = [f for f in fields if id(f) not in family and f.span > 0.0 and not f.is_time]
     for i in range(len(others) - lacking + 1):
         some = tuple(others[i : i + lacking])
         yield (*some, *members)
@@ -120,8 +120,7 @@ def _families(fields: Sequence[Field]) -> Iterator[tuple[str, tuple[Field, ...]]
             families.setdefault(key, []).append((int(match["number"]), field))
     for (word, rest), members in families.items():
         if len(members) > 1:
-            shown = word or rest.strip("_")
-            yield shown, tuple(f for _, f in sorted(members, key=lambda m: m[0]))
+            yield f"{word}{rest}", tuple(f for _, f in sorted(members, key=lambda m: m[0]))
 
 
 def _is_joint_word(word: str) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.fields import STATIONS, TIMES, Field, moving, unnamed
+from loopcal.files.recognition.fields import STATIONS, Field, moving, unnamed
 from loopcal.files.recognition.headers import words
 from loopcal.files.recognition.joint_sets import (
     NUMBERED,
@@ -178,7 +178,7 @@ def _with_joints(
         return (_layout(joints, seen, fields, how), *_trackers(joints, seen, rest, fields, how))
     in_order = tuple(
         _layout(joints, (instrument,), fields, how)
-        for instrument in _read_in_order([f for f in rest if f.stem not in TIMES])
+        for instrument in _read_in_order([f for f in rest if not f.is_time])
     )
     if in_order:
         return in_order
@@ -201,7 +201,7 @@ def _trackers(
 ) -> Iterator[Layout]:
     """A length beside two columns of no other use: it may be a range, and they its angles."""
     used = {id(f) for s in seen for f in (*s.position, *s.turned, *s.sds)}
-    free = [f for f in rest if id(f) not in used and f.span > 0.0 and f.stem not in TIMES]
+    free = [f for f in rest if id(f) not in used and f.span > 0.0 and not f.is_time]
     for length in [s for s in seen if s.kind == "length"] if len(free) <= _ANGLES else ():
         others = tuple(s for s in seen if s is not length)
         for pair in permutations(free, 2):
@@ -214,6 +214,7 @@ def _layout(
 ) -> Layout:
     used = {id(f) for f in joints}
     used |= {id(f) for s in seen for f in (*s.position, *s.turned, *s.sds)}
+    used |= _read_by(fields, [f for f in joints if f.computed])
     return Layout(joints, seen, tuple(f for f in fields if id(f) not in used), how)
 
 
@@ -221,13 +222,13 @@ def _by_order(fields: Sequence[Field], count: int) -> tuple[Layout, ...]:
     """Joints where nothing is named: the first columns, or those that are no instrument's."""
     seen = instruments(fields)
     taken = {id(f) for s in seen for f in (*s.position, *s.turned, *s.sds)}
-    rest = [f for f in fields if id(f) not in taken and f.stem not in TIMES]
+    rest = [f for f in fields if id(f) not in taken and not f.is_time]
     if seen:
         for some in (rest, moving(rest)):
             if len(some) == count:
                 return (_layout(tuple(some), seen, fields, "by the order of the columns"),)
     candidates: list[Layout] = []
-    usable = [f for f in fields if f.stem not in TIMES]
+    usable = [f for f in fields if not f.is_time]
     for some in (usable, moving(usable)):
         for joints, others in ((some[:count], some[count:]), (some[-count:], some[:-count])):
             if len(joints) == count:
