@@ -129,14 +129,13 @@ class World:
 class Case:
     """A layout on the disk: files, options beside the robot's, and what differs of its readings.
 
-    rows: poses that can be used; reads: joints of the machine -> as the file has them [SI]; stated:
-    columns of the instrument for the file by hand, x, y, z in mm where None.
+    rows: poses that can be used; stated: columns of the instrument for the file by hand, x, y, z in
+    mm where None.
     """
 
     files: list[str]
     options: list[str] = field(default_factory=list)
     rows: Any = field(default_factory=lambda: slice(None))
-    reads: Callable[[Array], Array] = lambda q: q
     stated: dict[str, Any] | None = None
 
 
@@ -518,7 +517,6 @@ def _(w: World, p: Path) -> Case:
         return q + np.eye(6)[2] * q[:, [1]]
 
     case = plain(p, joints(w, values=coupled(w.read)), xyz("{}", w.points))
-    case.reads = coupled
     return case
 
 
@@ -542,7 +540,6 @@ def _(w: World, p: Path) -> Case:
         return sign * q + np.array([0, 0, np.pi / 2, 0, 0, 0])
 
     case = plain(p, joints(w, values=read(w.read)), xyz("{}", w.points))
-    case.reads = read
     return case
 
 
@@ -550,7 +547,6 @@ def _(w: World, p: Path) -> Case:
 def _(w: World, p: Path) -> Case:
     sign = np.array([1, 1, 1, -1, 1, 1])
     case = plain(p, joints(w, values=sign * w.read), xyz("{}", w.points))
-    case.reads = lambda q: sign * q
     return case
 
 
@@ -558,7 +554,6 @@ def _(w: World, p: Path) -> Case:
 def _(w: World, p: Path) -> Case:
     zero = np.array([0, np.pi / 2, 0, 0, 0, 0, 0])
     case = plain(p, joints(w, values=w.read + zero), xyz("{}", w.points))
-    case.reads = lambda q: q + zero
     return case
 
 
@@ -684,7 +679,7 @@ def described(w: World, folder: Path) -> None:
 # The judgement
 
 
-def error(w: World, folder: Path, reads: Callable[[Array], Array]) -> float:
+def error(w: World, folder: Path) -> float:
     """Rms true error [m] at fresh poses of the project's calibrated machine, placed rigidly."""
     import loopcal as lc
     from loopcal.estimation.mounted import bodies_of
@@ -695,8 +690,7 @@ def error(w: World, folder: Path, reads: Callable[[Array], Array]) -> float:
     result = lc.calibrate(machine, lc.load_dataset(project).dataset, noise=project.noise.noise(), method="implicit-loop")
     values = {p.name: p.nominal for p in machine.parameters} | dict(result.value)
     names = list(dict.fromkeys(step.joint for step in machine.chain if step.joint))
-    q = reads(w.fresh)
-    bodies = bodies_of(ChainFrame(machine.chain, dict(zip(names, q.T, strict=True)), values), FRESH)
+    bodies = bodies_of(ChainFrame(machine.chain, dict(zip(names, w.fresh.T, strict=True)), values), FRESH)
     ends = {n[:-2] for n in values if n.endswith("_x") and n.startswith("tool")}
     return min(_off(bodies.at(np.array([values[f"{t}_{a}"] for a in "xyz"])), w.target(w.fresh)) for t in ends)
 
@@ -765,8 +759,8 @@ def judged(name: str, seed: int, folder: Path) -> tuple[str, str]:
         (hand / "data.csv").write_text((hand / "data.csv").read_text().replace("J", "panda_joint"))
     failed, why = begin(["data.csv", *robot_file, "--out", "."], hand)
     assert not failed, why
-    mine = error(w, folder / "mine", case.reads)
-    ratio = mine / error(w, hand, lambda q: q)
+    mine = error(w, folder / "mine")
+    ratio = mine / error(w, hand)
     words = f"true error {1e3 * mine:.3f} mm, {ratio:.2f} of that by hand"
     if ratio <= RIGHT:
         return f"right{by_next}", f"{words}\n{text}"

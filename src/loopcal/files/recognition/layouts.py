@@ -229,7 +229,9 @@ def _by_order(fields: Sequence[Field], count: int) -> tuple[Layout, ...]:
                 return (_layout(tuple(some), seen, fields, "by the order of the columns"),)
     candidates: list[Layout] = []
     usable = [f for f in fields if not f.is_time]
-    for some in (usable, moving(usable)):
+    # A column that only rises is a clock or a counter.
+    ordered = [f for f in usable if not (np.diff(f.values) > 0.0).all()]
+    for some in (usable, moving(usable), ordered):
         for joints, others in ((some[:count], some[count:]), (some[-count:], some[:-count])):
             if len(joints) == count:
                 how = "by the order of the columns"

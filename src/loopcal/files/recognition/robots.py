@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import degrees, pi, radians
 from pathlib import Path
 from typing import Any
 
 from loopcal.errors import InputError
 from loopcal.files.machines.urdf import Branch, branches
-from loopcal.files.recognition.dh_table import Row, chain_rows, joint_names, read_dh
+from loopcal.files.recognition.dh_table import DhTable, Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
 from loopcal.files.recognition.headers import words
 from loopcal.files.recognition.joint_sets import affixed_joints, named_joints, usual_joints
@@ -30,7 +30,8 @@ class Robot:
     """table: the [mechanism] of a project without instruments; joints: how many are read; names:
     of them, empty where the columns name them; remarks: what was chosen, and why; point: the
     parameters of the one point that its type measures by itself; apart: the same machine for other
-    instruments, where it has such a point; lengths: nominal values [m] beside the table."""
+    instruments, where it has such a point; lengths: nominal values [m] beside the table; otherwise:
+    the machine of the same file in the other convention, where the file states none."""
 
     table: Mapping[str, Any]
     joints: int
@@ -39,6 +40,7 @@ class Robot:
     point: tuple[str, ...] = ()
     apart: Robot | None = None
     lengths: Mapping[str, float] = field(default_factory=dict)
+    otherwise: Robot | None = None
 
 
 def urdf_robot(
@@ -121,6 +123,14 @@ def dh_robot(path: Path, fields: Sequence[Field]) -> Robot:
     could not be determined. Raises InputError for a table that cannot be read.
     """
     table = read_dh(path)
+    robot = _of_table(path, table, fields)
+    if table.stated:
+        return robot
+    other = _of_table(path, replace(table, modified=True), fields)
+    return replace(robot, otherwise=other)
+
+
+def _of_table(path: Path, table: DhTable, fields: Sequence[Field]) -> Robot:
     before, rows = chain_rows(table)
     count = table.moving
     if not count:

@@ -25,7 +25,7 @@ from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import apart
 from loopcal.files.recognition.converting import dataset_of
 from loopcal.files.recognition.expressions import joint_columns
-from loopcal.files.recognition.fields import Source, sources_of
+from loopcal.files.recognition.fields import Field, Source, sources_of
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import layouts
 from loopcal.files.recognition.robots import Robot, dh_robot, typed_robot, urdf_robot
@@ -37,12 +37,13 @@ from loopcal.mechanisms.masses import in_space
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, output_groups
 from loopcal.presentation.shown import columns as in_columns
-from loopcal.presentation.shown import in_unit, unit_shown, with_unit
+from loopcal.presentation.shown import in_unit, significant, unit_shown, with_unit
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
-from loopcal.workflow.beginning.searching import PLAUSIBLE, Machine
+from loopcal.workflow.beginning.searching import CLEARLY, PLAUSIBLE, Machine, every_way
 from loopcal.workflow.beginning.stating import READINGS, First, Statement, stated
+from loopcal.workflow.beginning.understanding import USUAL as NEAR_ENOUGH
 from loopcal.workflow.beginning.understanding import Ask, understood
 
 Array = NDArray[np.float64]
@@ -203,7 +204,7 @@ def initial_project(
     fields = _without(every, robot.leave_out)
     columns = joint_columns(fields.fields, robot.joints) if robot.joints else ()
     made = _robot(robot, replace(fields, fields=columns or fields.fields), folder)
-    machine = _machine(made, fields, folder)
+    made, machine = _in_convention(made, fields, columns, folder)
     fields, conditions = apart(fields, made.names, arm=in_space(machine.mechanism))
     way = understood(machine, layouts(fields.fields, made.joints, made.names, columns), fields, ask)
     statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
@@ -252,6 +253,34 @@ def _machine(robot: Robot, fields: Fields, folder: Path) -> Machine:
     mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
     joints = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
     return Machine(mechanism, joints)
+
+
+def _in_convention(
+    robot: Robot, fields: Fields, columns: tuple[Field, ...], folder: Path
+) -> tuple[Robot, Machine]:
+    """The machine in the convention of its table that the readings fit clearly better."""
+    machine = _machine(robot, fields, folder)
+    if robot.otherwise is None:
+        return robot, machine
+
+    def share(one: Robot, of: Machine) -> float:
+        kept, _ = apart(fields, one.names, arm=in_space(of.mechanism))
+        ways = every_way(of, layouts(kept.fields, one.joints, one.names, columns))
+        return min((way.share for way in ways), default=np.inf)
+
+    least = share(robot, machine)
+    if least <= NEAR_ENOUGH:
+        return robot, machine
+    other = _machine(robot.otherwise, fields, folder)
+    misfit = share(robot.otherwise, other)
+    if CLEARLY * misfit < least:
+        words = (
+            "The table states no convention. In the modified one the nominal machine misses the "
+            f"readings by {significant(100 * misfit, 2)} % of their spread, in the classical one by "
+            f"{significant(100 * least, 2)} %."
+        )
+        return replace(robot.otherwise, remarks=(*robot.otherwise.remarks, words)), other
+    return robot, machine
 
 
 def _without(fields: Fields, names: str | None) -> Fields:

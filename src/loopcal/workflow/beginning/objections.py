@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice, permutations
+from itertools import combinations, islice, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -268,11 +268,11 @@ def _displaced_zeros(case: Case, sign: int) -> Iterator[Explanation]:
 
 
 def _coupled(case: Case) -> Iterator[Explanation]:
-    """One joint whose reading holds that of another too, as where the forearm keeps its angle to
+    """One joint whose reading holds that of a neighbour too, as where the forearm keeps its angle to
     the floor while the upper arm moves."""
     machine = case.machine
     turning = [n for n, si in zip(machine.joints, machine.units, strict=True) if si == "rad"]
-    for name, other in permutations(turning, 2):
+    for name, other in [*pairwise(turning), *pairwise(turning[::-1])]:
         for factor, words in ((1, "less"), (-1, "plus")):
             share, options = _counted(case, {name: Counting(other=other, factor=factor)})
             yield Explanation(

@@ -29,6 +29,8 @@ FAR = 10.0
 """A meaning that fits so many times worse on a few poses is not tried on more."""
 # Few poses drop what is wrong by factors; more decide among the rest.
 _SAMPLE, _FEW = 120, 40
+_AS_LARGE = 8.0
+"""Between mm and cm lies a factor of 10."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +125,12 @@ def every_way(
             options = []
             for seen in layout.seen:
                 some, few = _spread(seen.rows, _SAMPLE), _spread(seen.rows, _FEW)
-                tried = _fitting(meanings(seen, as_stated=as_stated), bodies, few, 1)
+                some_meanings = meanings(seen, as_stated=as_stated)
+                if counting:  # one of many trials, for a likely cause alone
+                    some_meanings = (m for m in some_meanings if _as_large(m, bodies))
+                    options.append(_fitting(some_meanings, bodies, few, 1)[:1])
+                    continue
+                tried = _fitting(some_meanings, bodies, few, 1)
                 # 1e-12 keeps all meanings of readings that the machine fits exactly.
                 near = [m for m in tried if m.share < FAR * tried[0].share + 1e-12]
                 tried = _fitting(near, bodies, some, 4)
@@ -139,6 +146,14 @@ def every_way(
                     seen_so = (*first.seen[:i], other, *first.seen[i + 1 :])
                     ways.append(replace(first, seen=seen_so))
     return ways
+
+
+def _as_large(meaning: Meaning, bodies: Bodies) -> bool:
+    """Whether the readings move about as far as the body does; units differ by larger factors."""
+    if meaning.position.ndim != 2:
+        return True
+    read, moved = (float(np.nanstd(p, axis=0).max()) for p in (meaning.position, bodies.origins))
+    return moved < _AS_LARGE * read and read < _AS_LARGE * moved
 
 
 def _belonging(
