@@ -170,7 +170,9 @@ def written(
         for c in row:
             number = isinstance(c, float | np.floating)
             blank = number and np.isnan(c)
-            cells.append(("" if blank else f"{c:.{digits}f}".replace(".", decimal)) if number else str(c))
+            cells.append(
+                ("" if blank else f"{c:.{digits}f}".replace(".", decimal)) if number else str(c)
+            )
         lines.append(sep.join(cells))
     path.write_bytes(("\n".join(lines) + "\n").encode(encoding))
     return path.name
@@ -181,10 +183,15 @@ def of(names: Iterable[str], values: Array) -> dict[str, Array]:
     return dict(zip(names, np.asarray(values, float).T, strict=True))
 
 
-def joints(w: World, form: str = "J{}", values: Array | None = None, start: int = 1) -> dict[str, Array]:
+def joints(
+    w: World, form: str = "J{}", values: Array | None = None, start: int = 1
+) -> dict[str, Array]:
     """Joint columns in deg and mm."""
     n = w.q.shape[1]
-    return of((form.format(i) for i in range(start, n + start)), w.shown(w.read if values is None else values))
+    return of(
+        (form.format(i) for i in range(start, n + start)),
+        w.shown(w.read if values is None else values),
+    )
 
 
 def xyz(form: str, points: Array, letters: str = "xyz") -> dict[str, Array]:
@@ -211,6 +218,7 @@ def plain(path: Path, *columns: dict[str, Any], **how: Any) -> Case:
 
 # Commanded, computed and other columns beside what was measured
 
+
 @layout("J_cmd, J_act")
 def _(w: World, p: Path) -> Case:
     return plain(p, joints(w, "J{}_cmd", w.command), joints(w, "J{}_act"), xyz("{}", w.points))
@@ -230,7 +238,10 @@ def _(w: World, p: Path) -> Case:
         of((f"target_q_{i}" for i in n), w.command),
         of((f"actual_q_{i}" for i in n), w.read),
         of((f"actual_qd_{i}" for i in n), w.rng.normal(0, 1e-3, w.q.shape)),
-        of((f"actual_TCP_pose_{i}" for i in n), np.hstack([w.tcp, Rotation.from_matrix(w.tcp_turns).as_rotvec()])),
+        of(
+            (f"actual_TCP_pose_{i}" for i in n),
+            np.hstack([w.tcp, Rotation.from_matrix(w.tcp_turns).as_rotvec()]),
+        ),
         of(("tracker_x", "tracker_y", "tracker_z"), w.points),
         sep=" ",
         digits=8,
@@ -239,17 +250,28 @@ def _(w: World, p: Path) -> Case:
 
 @layout("Soll and Ist of joints", "iiwa")
 def _(w: World, p: Path) -> Case:
-    return plain(p, joints(w, "A{} Soll [°]", w.command), joints(w, "A{} Ist [°]"), xyz("{} [mm]", w.points, "XYZ"), sep=";", decimal=",")
+    return plain(
+        p,
+        joints(w, "A{} Soll [°]", w.command),
+        joints(w, "A{} Ist [°]"),
+        xyz("{} [mm]", w.points, "XYZ"),
+        sep=";",
+        decimal=",",
+    )
 
 
 @layout("X_soll, X_ist")
 def _(w: World, p: Path) -> Case:
-    return plain(p, joints(w, "A{}"), xyz("{}_soll", w.commanded, "XYZ"), xyz("{}_ist", w.points, "XYZ"))
+    return plain(
+        p, joints(w, "A{}"), xyz("{}_soll", w.commanded, "XYZ"), xyz("{}_ist", w.points, "XYZ")
+    )
 
 
 @layout("X_ist, X_soll")
 def _(w: World, p: Path) -> Case:
-    return plain(p, joints(w, "A{}"), xyz("{}_ist", w.points, "XYZ"), xyz("{}_soll", w.commanded, "XYZ"))
+    return plain(
+        p, joints(w, "A{}"), xyz("{}_ist", w.points, "XYZ"), xyz("{}_soll", w.commanded, "XYZ")
+    )
 
 
 @layout("controller's TCP beside a tracker", "ur")
@@ -260,7 +282,14 @@ def _(w: World, p: Path) -> Case:
 @layout("controller's X Y Z A B C beside a tracker")
 def _(w: World, p: Path) -> Case:
     abc = of("ABC", Rotation.from_matrix(w.tcp_turns).as_euler("ZYX", degrees=True))
-    return plain(p, joints(w, "A{}"), xyz("{}", w.tcp, "XYZ"), abc, xyz("Tracker {}", w.points, "XYZ"), digits=3)
+    return plain(
+        p,
+        joints(w, "A{}"),
+        xyz("{}", w.tcp, "XYZ"),
+        abc,
+        xyz("Tracker {}", w.points, "XYZ"),
+        digits=3,
+    )
 
 
 @layout("nominal beside measured")
@@ -276,54 +305,110 @@ def _(w: World, p: Path) -> Case:
 @layout("PolyWorks: X Nom, X Meas, X Dev")
 def _(w: World, p: Path) -> Case:
     near = w.points + w.rng.normal(0, 1e-3, w.points.shape)
-    return plain(p, {"Name": ids(w)}, joints(w), xyz("{} Nom", near, "XYZ"), xyz("{} Meas", w.points, "XYZ"), xyz("{} Dev", w.points - near, "XYZ"))
+    return plain(
+        p,
+        {"Name": ids(w)},
+        joints(w),
+        xyz("{} Nom", near, "XYZ"),
+        xyz("{} Meas", w.points, "XYZ"),
+        xyz("{} Dev", w.points - near, "XYZ"),
+    )
 
 
 @layout("SpatialAnalyzer: X Y Z, dX dY dZ, dMag, u")
 def _(w: World, p: Path) -> Case:
     off = w.rng.normal(0, 1e-3, w.points.shape)
-    return plain(p, {"Point Name": ids(w)}, joints(w), xyz("{} (mm)", w.points, "XYZ"), xyz("d{} (mm)", off, "XYZ"), {"dMag (mm)": 1e3 * np.linalg.norm(off, axis=1)}, of((f"u{a} (mm)" for a in "XYZ"), np.full((POSES, 3), 0.03)))
+    return plain(
+        p,
+        {"Point Name": ids(w)},
+        joints(w),
+        xyz("{} (mm)", w.points, "XYZ"),
+        xyz("d{} (mm)", off, "XYZ"),
+        {"dMag (mm)": 1e3 * np.linalg.norm(off, axis=1)},
+        of((f"u{a} (mm)" for a in "XYZ"), np.full((POSES, 3), 0.03)),
+    )
 
 
 @layout("J_vel before J_pos")
 def _(w: World, p: Path) -> Case:
-    return plain(p, joints(w, "J{}_vel", w.rng.normal(0, 0.1, w.q.shape)), joints(w, "J{}_pos"), xyz("{}", w.points))
+    return plain(
+        p,
+        joints(w, "J{}_vel", w.rng.normal(0, 0.1, w.q.shape)),
+        joints(w, "J{}_pos"),
+        xyz("{}", w.points),
+    )
 
 
 @layout("degrees beside radians, stated")
 def _(w: World, p: Path) -> Case:
     a, b = w.shown(w.read)[:, :3], w.read[:, 3:]
-    return plain(p, of((f"J{i} [deg]" for i in (1, 2, 3)), a), of((f"J{i} [rad]" for i in (4, 5, 6)), b), xyz("{} [mm]", w.points))
+    return plain(
+        p,
+        of((f"J{i} [deg]" for i in (1, 2, 3)), a),
+        of((f"J{i} [rad]" for i in (4, 5, 6)), b),
+        xyz("{} [mm]", w.points),
+    )
 
 
 @layout("degrees beside radians, unstated")
 def _(w: World, p: Path) -> Case:
     a, b = w.shown(w.read)[:, :3], w.read[:, 3:]
-    return plain(p, of((f"J{i}" for i in (1, 2, 3)), a), of((f"J{i}" for i in (4, 5, 6)), b), xyz("{}", w.points))
+    return plain(
+        p,
+        of((f"J{i}" for i in (1, 2, 3)), a),
+        of((f"J{i}" for i in (4, 5, 6)), b),
+        xyz("{}", w.points),
+    )
 
 
 @layout("torques and currents with their numbers", "ur")
 def _(w: World, p: Path) -> Case:
-    return plain(p, joints(w, "axis{}_torque", w.rng.normal(0, 0.5, w.q.shape)), joints(w, "axis{}_current", w.rng.normal(0, 0.5, w.q.shape)), joints(w, "axis{}_angle"), xyz("{}", w.points))
+    return plain(
+        p,
+        joints(w, "axis{}_torque", w.rng.normal(0, 0.5, w.q.shape)),
+        joints(w, "axis{}_current", w.rng.normal(0, 0.5, w.q.shape)),
+        joints(w, "axis{}_angle"),
+        xyz("{}", w.points),
+    )
 
 
 @layout("joint_1.position, velocity, effort by URDF", "iiwa")
 def _(w: World, p: Path) -> Case:
     n = w.q.shape[1]
     name = "joint_a{}.{}".format
-    return Case([written(p / "data.csv", {
-        **of((name(i, "position") for i in range(1, n + 1)), w.read),
-        **of((name(i, "velocity") for i in range(1, n + 1)), w.rng.normal(0, 1e-3, w.q.shape)),
-        **of((name(i, "effort") for i in range(1, n + 1)), w.rng.normal(0, 1.0, w.q.shape)),
-        **of(("smr.x", "smr.y", "smr.z"), w.points),
-    }, digits=8)], ["--urdf", "robot.urdf"])
+    return Case(
+        [
+            written(
+                p / "data.csv",
+                {
+                    **of((name(i, "position") for i in range(1, n + 1)), w.read),
+                    **of(
+                        (name(i, "velocity") for i in range(1, n + 1)),
+                        w.rng.normal(0, 1e-3, w.q.shape),
+                    ),
+                    **of(
+                        (name(i, "effort") for i in range(1, n + 1)),
+                        w.rng.normal(0, 1.0, w.q.shape),
+                    ),
+                    **of(("smr.x", "smr.y", "smr.z"), w.points),
+                },
+                digits=8,
+            )
+        ],
+        ["--urdf", "robot.urdf"],
+    )
 
 
 # Instruments and conditions
 
+
 @layout("Distance, Azimut, Élévation")
 def _(w: World, p: Path) -> Case:
-    case = plain(p, joints(w, "Axe {} (deg)"), of(("Distance (mm)", "Azimut (deg)", "Élévation (deg)"), polar(w.points)))
+    case = plain(
+        p,
+        joints(w, "Axe {} (deg)"),
+        of(("Distance (mm)", "Azimut (deg)", "Élévation (deg)"), polar(w.points)),
+    )
     case.stated = of(("range [mm]", "azimuth [deg]", "elevation [deg]"), polar(w.points))
     return case
 
@@ -331,7 +416,13 @@ def _(w: World, p: Path) -> Case:
 @layout("Strecke, Hz, V in gon from the zenith", "iiwa")
 def _(w: World, p: Path) -> Case:
     r, a, e = polar(w.points, 10 / 9).T
-    case = plain(p, joints(w, "A{} [°]"), of(("Schrägstrecke [mm]", "Hz [gon]", "V [gon]"), np.column_stack([r, -a % 400, 100 - e])), sep=";", decimal=",")
+    case = plain(
+        p,
+        joints(w, "A{} [°]"),
+        of(("Schrägstrecke [mm]", "Hz [gon]", "V [gon]"), np.column_stack([r, -a % 400, 100 - e])),
+        sep=";",
+        decimal=",",
+    )
     case.stated = of(("range [mm]", "azimuth [deg]", "elevation [deg]"), polar(w.points))
     return case
 
@@ -354,12 +445,33 @@ def _(w: World, p: Path) -> Case:
 
 @layout("load, temperature, time, speed, tool")
 def _(w: World, p: Path) -> Case:
-    return plain(p, {"Zeit": np.arange(POSES) * 60.0}, joints(w, "A{}"), xyz("{}", w.points, "XYZ"), {"Last [kg]": np.full(POSES, 5.0), "Temperatur": 20.0 + 0.01 * np.arange(POSES), "Geschwindigkeit [%]": np.full(POSES, 10.0), "Werkzeug": ["T1"] * POSES})
+    return plain(
+        p,
+        {"Zeit": np.arange(POSES) * 60.0},
+        joints(w, "A{}"),
+        xyz("{}", w.points, "XYZ"),
+        {
+            "Last [kg]": np.full(POSES, 5.0),
+            "Temperatur": 20.0 + 0.01 * np.arange(POSES),
+            "Geschwindigkeit [%]": np.full(POSES, 10.0),
+            "Werkzeug": ["T1"] * POSES,
+        },
+    )
 
 
 @layout("date, operator, rms, quality, comment")
 def _(w: World, p: Path) -> Case:
-    return plain(p, {"Date": ["2024-05-03"] * POSES, "Operator": ["ab"] * POSES}, joints(w), xyz("{}", w.points), {"RMS": w.rng.uniform(0.01, 0.03, POSES), "Quality": np.full(POSES, 99.0), "Comment": ["ok"] * POSES})
+    return plain(
+        p,
+        {"Date": ["2024-05-03"] * POSES, "Operator": ["ab"] * POSES},
+        joints(w),
+        xyz("{}", w.points),
+        {
+            "RMS": w.rng.uniform(0.01, 0.03, POSES),
+            "Quality": np.full(POSES, 99.0),
+            "Comment": ["ok"] * POSES,
+        },
+    )
 
 
 @layout("x y z with u_x u_y u_z", "scara")
@@ -377,23 +489,44 @@ def _(w: World, p: Path) -> Case:
 @layout("two stations x1, x2 with blanks", "iiwa")
 def _(w: World, p: Path) -> Case:
     even = (np.arange(POSES) % 2 == 0)[:, None]
-    case = plain(p, joints(w), xyz("{}1", np.where(even, w.points, np.nan)), xyz("{}2", np.where(even, np.nan, w.elsewhere)))
-    case.stated = xyz("{}1 [mm]", np.where(even, w.points, np.nan)) | xyz("{}2 [mm]", np.where(even, np.nan, w.elsewhere))
+    case = plain(
+        p,
+        joints(w),
+        xyz("{}1", np.where(even, w.points, np.nan)),
+        xyz("{}2", np.where(even, np.nan, w.elsewhere)),
+    )
+    case.stated = xyz("{}1 [mm]", np.where(even, w.points, np.nan)) | xyz(
+        "{}2 [mm]", np.where(even, np.nan, w.elsewhere)
+    )
     return case
 
 
 @layout("a column of stations")
 def _(w: World, p: Path) -> Case:
     even = np.arange(POSES) % 2 == 0
-    case = plain(p, {"Station": ["S1" if e else "S2" for e in even]}, joints(w), xyz("{}", np.where(even[:, None], w.points, w.elsewhere)))
-    case.stated = xyz("{}1 [mm]", np.where(even[:, None], w.points, np.nan)) | xyz("{}2 [mm]", np.where(even[:, None], np.nan, w.elsewhere))
+    case = plain(
+        p,
+        {"Station": ["S1" if e else "S2" for e in even]},
+        joints(w),
+        xyz("{}", np.where(even[:, None], w.points, w.elsewhere)),
+    )
+    case.stated = xyz("{}1 [mm]", np.where(even[:, None], w.points, np.nan)) | xyz(
+        "{}2 [mm]", np.where(even[:, None], np.nan, w.elsewhere)
+    )
     return case
 
 
 @layout("a camera's quaternion, w last", "ur")
 def _(w: World, p: Path) -> Case:
-    case = plain(p, joints(w, "q{}"), of(("tx", "ty", "tz"), w.points), of(("qx", "qy", "qz", "qw"), Rotation.from_matrix(w.turns).as_quat()))
-    case.stated = xyz("{} [mm]", w.points) | of(("qw", "qx", "qy", "qz"), Rotation.from_matrix(w.turns).as_quat()[:, [3, 0, 1, 2]])
+    case = plain(
+        p,
+        joints(w, "q{}"),
+        of(("tx", "ty", "tz"), w.points),
+        of(("qx", "qy", "qz", "qw"), Rotation.from_matrix(w.turns).as_quat()),
+    )
+    case.stated = xyz("{} [mm]", w.points) | of(
+        ("qw", "qx", "qy", "qz"), Rotation.from_matrix(w.turns).as_quat()[:, [3, 0, 1, 2]]
+    )
     return case
 
 
@@ -401,8 +534,15 @@ def _(w: World, p: Path) -> Case:
 def _(w: World, p: Path) -> Case:
     T = np.tile(np.eye(4), (POSES, 1, 1))
     T[:, :3, :3], T[:, :3, 3] = w.turns, 1e3 * w.points
-    case = plain(p, joints(w), of((f"T{i}{k}" for i in range(1, 5) for k in range(1, 5)), T.reshape(-1, 16)), digits=8)
-    case.stated = xyz("{} [mm]", w.points) | of(("qw", "qx", "qy", "qz"), Rotation.from_matrix(w.turns).as_quat()[:, [3, 0, 1, 2]])
+    case = plain(
+        p,
+        joints(w),
+        of((f"T{i}{k}" for i in range(1, 5) for k in range(1, 5)), T.reshape(-1, 16)),
+        digits=8,
+    )
+    case.stated = xyz("{} [mm]", w.points) | of(
+        ("qw", "qx", "qy", "qz"), Rotation.from_matrix(w.turns).as_quat()[:, [3, 0, 1, 2]]
+    )
     return case
 
 
@@ -421,12 +561,15 @@ def _(w: World, p: Path) -> Case:
 
 # Joins
 
+
 @layout("two files by id, each lacks rows")
 def _(w: World, p: Path) -> Case:
     a, b = np.arange(POSES) % 11 != 3, np.arange(POSES) % 7 != 5
     name = np.array(ids(w))
     one = written(p / "joints.csv", {"pose": name[a], **{k: v[a] for k, v in joints(w).items()}})
-    two = written(p / "tracker.csv", {"Point": name[b], **{k: v[b] for k, v in xyz("{}", w.points).items()}})
+    two = written(
+        p / "tracker.csv", {"Point": name[b], **{k: v[b] for k, v in xyz("{}", w.points).items()}}
+    )
     return Case([one, two], rows=a & b)
 
 
@@ -435,7 +578,9 @@ def _(w: World, p: Path) -> Case:
     t = 1000.0 + 12.0 * np.arange(POSES) + w.rng.uniform(0, 2, POSES)
     b = np.arange(POSES) % 7 != 5
     one = written(p / "robot.csv", {"time": t, **joints(w)})
-    two = written(p / "tracker.csv", {"time": t[b] + 0.3, **{k: v[b] for k, v in xyz("{}", w.points).items()}})
+    two = written(
+        p / "tracker.csv", {"time": t[b] + 0.3, **{k: v[b] for k, v in xyz("{}", w.points).items()}}
+    )
     return Case([one, two], rows=b)
 
 
@@ -445,7 +590,13 @@ def _(w: World, p: Path) -> Case:
     b = np.arange(POSES) % 8 != 5
     one = written(p / "robot.csv", {"Timestamp": [str(t) for t in at], **joints(w)})
     late = at + np.timedelta64(2, "s")
-    two = written(p / "tracker.csv", {"Timestamp": [str(t) for t in late[b]], **{k: v[b] for k, v in xyz("{}", w.points).items()}})
+    two = written(
+        p / "tracker.csv",
+        {
+            "Timestamp": [str(t) for t in late[b]],
+            **{k: v[b] for k, v in xyz("{}", w.points).items()},
+        },
+    )
     return Case([one, two], rows=b)
 
 
@@ -460,7 +611,12 @@ def _(w: World, p: Path) -> Case:
 @layout("two files without ids, shuffled")
 def _(w: World, p: Path) -> Case:
     order = w.rng.permutation(POSES)
-    return Case([written(p / "joints.csv", joints(w)), written(p / "tracker.csv", xyz("{}", w.points[order]))])
+    return Case(
+        [
+            written(p / "joints.csv", joints(w)),
+            written(p / "tracker.csv", xyz("{}", w.points[order])),
+        ]
+    )
 
 
 @layout("numeric ids, three shots each in the tracker's file", "iiwa")
@@ -477,14 +633,24 @@ def _(w: World, p: Path) -> Case:
     number = [*range(1, POSES + 1), 3, 17, 20]
     rows = np.array(number) - 1
     one = written(p / "joints.csv", {"No": number[:POSES], **joints(w)})
-    return Case([one, written(p / "tracker.csv", {"No": number, **{k: v[rows] for k, v in xyz("{}", w.points).items()}})])
+    return Case(
+        [
+            one,
+            written(
+                p / "tracker.csv",
+                {"No": number, **{k: v[rows] for k, v in xyz("{}", w.points).items()}},
+            ),
+        ]
+    )
 
 
 @layout("three shots in a row, no ids")
 def _(w: World, p: Path) -> Case:
     off = w.rng.normal(0, TRACKER, (3, POSES, 3))
     shots = (w.points + off - off.mean(axis=0)).transpose(1, 0, 2).reshape(-1, 3)
-    return Case([written(p / "joints.csv", joints(w)), written(p / "tracker.csv", xyz("{}", shots))])
+    return Case(
+        [written(p / "joints.csv", joints(w)), written(p / "tracker.csv", xyz("{}", shots))]
+    )
 
 
 @layout("two sheets")
@@ -502,13 +668,20 @@ def _(w: World, p: Path) -> Case:
 
 @layout("A1 ... A6 and E1 at rest")
 def _(w: World, p: Path) -> Case:
-    return plain(p, joints(w, "A{}"), {"E1": np.zeros(POSES), "E2": np.zeros(POSES)}, xyz("{}", w.points))
+    return plain(
+        p, joints(w, "A{}"), {"E1": np.zeros(POSES), "E2": np.zeros(POSES)}, xyz("{}", w.points)
+    )
 
 
 @layout("E1 moves a rail", "rail")
 def _(w: World, p: Path) -> Case:
     columns = [*joints(w, "{}").values()]
-    return plain(p, dict(zip([f"A{i}" for i in range(1, 7)], columns[1:], strict=True)), {"E1": columns[0]}, xyz("{}", w.points))
+    return plain(
+        p,
+        dict(zip([f"A{i}" for i in range(1, 7)], columns[1:], strict=True)),
+        {"E1": columns[0]},
+        xyz("{}", w.points),
+    )
 
 
 @layout("J3 counts from the horizon (Fanuc)")
@@ -559,35 +732,74 @@ def _(w: World, p: Path) -> Case:
 
 # Languages, encodings and headers
 
+
 @layout("German, cp1252, decimal comma")
 def _(w: World, p: Path) -> Case:
-    return plain(p, {"Messpunkt": ids(w)}, joints(w, "Gelenkwinkel {} [°]"), xyz("{}-Koordinate [mm]", w.points, "XYZ"), sep=";", decimal=",", encoding="cp1252")
+    return plain(
+        p,
+        {"Messpunkt": ids(w)},
+        joints(w, "Gelenkwinkel {} [°]"),
+        xyz("{}-Koordinate [mm]", w.points, "XYZ"),
+        sep=";",
+        decimal=",",
+        encoding="cp1252",
+    )
 
 
 @layout("French", "ur")
 def _(w: World, p: Path) -> Case:
-    return plain(p, {"Repère": ids(w)}, joints(w, "Articulation n°{} (degrés)"), xyz("Coordonnée {} (mm)", w.points, "XYZ"), sep=";", decimal=",", encoding="utf-8-sig")
+    return plain(
+        p,
+        {"Repère": ids(w)},
+        joints(w, "Articulation n°{} (degrés)"),
+        xyz("Coordonnée {} (mm)", w.points, "XYZ"),
+        sep=";",
+        decimal=",",
+        encoding="utf-8-sig",
+    )
 
 
 @layout("Spanish", "scara")
 def _(w: World, p: Path) -> Case:
-    return plain(p, {"Posición": ids(w)}, joints(w, "Ángulo eje {}"), xyz("Coordenada {} (milímetros)", w.points, "XYZ"), sep=";", decimal=",", encoding="cp1252")
+    return plain(
+        p,
+        {"Posición": ids(w)},
+        joints(w, "Ángulo eje {}"),
+        xyz("Coordenada {} (milímetros)", w.points, "XYZ"),
+        sep=";",
+        decimal=",",
+        encoding="cp1252",
+    )
 
 
 @layout("Chinese, GB 18030")
 def _(w: World, p: Path) -> Case:
-    return plain(p, {"点号": ids(w)}, joints(w, "第{}轴角度(度)"), xyz("{}坐标(毫米)", w.points, "XYZ"), encoding="gb18030")
+    return plain(
+        p,
+        {"点号": ids(w)},
+        joints(w, "第{}轴角度(度)"),
+        xyz("{}坐标(毫米)", w.points, "XYZ"),
+        encoding="gb18030",
+    )
 
 
 @layout("Japanese, Shift-JIS")
 def _(w: World, p: Path) -> Case:
-    return plain(p, {"測定点": ids(w)}, joints(w, "第{}軸[度]"), xyz("{}座標[mm]", w.points, "XYZ"), encoding="shift-jis")
+    return plain(
+        p,
+        {"測定点": ids(w)},
+        joints(w, "第{}軸[度]"),
+        xyz("{}座標[mm]", w.points, "XYZ"),
+        encoding="shift-jis",
+    )
 
 
 @layout("Japanese, S軸 L軸 ...", "six")
 def _(w: World, p: Path) -> Case:
     names = [f"{a}軸" for a in "SLURBT"]
-    return plain(p, of(names, w.shown(w.read)), xyz("{}座標", w.points, "XYZ"), encoding="shift-jis")
+    return plain(
+        p, of(names, w.shown(w.read)), xyz("{}座標", w.points, "XYZ"), encoding="shift-jis"
+    )
 
 
 @layout("a header behind %")
@@ -599,12 +811,30 @@ def _(w: World, p: Path) -> Case:
 def _(w: World, p: Path) -> Case:
     t = [1_700_000_000_000_000_000 + 3_000_000_000 * i for i in range(POSES)]
     n = range(7)
-    one = {"%time": t, "field.header.seq": list(range(POSES)), "field.header.stamp": t, "field.header.frame_id": ["base"] * POSES}
+    one = {
+        "%time": t,
+        "field.header.seq": list(range(POSES)),
+        "field.header.stamp": t,
+        "field.header.frame_id": ["base"] * POSES,
+    }
     one |= {f"field.name{i}": [f"panda_joint{i + 1}"] * POSES for i in n}
-    one |= of((f"field.position{i}" for i in n), w.read) | of((f"field.velocity{i}" for i in n), w.rng.normal(0, 1e-3, w.q.shape)) | of((f"field.effort{i}" for i in n), w.rng.normal(0, 1, w.q.shape))
+    one |= (
+        of((f"field.position{i}" for i in n), w.read)
+        | of((f"field.velocity{i}" for i in n), w.rng.normal(0, 1e-3, w.q.shape))
+        | of((f"field.effort{i}" for i in n), w.rng.normal(0, 1, w.q.shape))
+    )
     late = [x + 40_000_000 for x in t]
-    two = {"%time": late, "field.header.seq": list(range(POSES)), "field.header.stamp": late, "field.header.frame_id": ["tracker"] * POSES, **of((f"field.point.{a}" for a in "xyz"), w.points)}
-    return Case([written(p / "joints.csv", one, digits=9), written(p / "points.csv", two, digits=9)], ["--urdf", "robot.urdf"])
+    two = {
+        "%time": late,
+        "field.header.seq": list(range(POSES)),
+        "field.header.stamp": late,
+        "field.header.frame_id": ["tracker"] * POSES,
+        **of((f"field.point.{a}" for a in "xyz"), w.points),
+    }
+    return Case(
+        [written(p / "joints.csv", one, digits=9), written(p / "points.csv", two, digits=9)],
+        ["--urdf", "robot.urdf"],
+    )
 
 
 @layout("thousands in quotes")
@@ -615,13 +845,23 @@ def _(w: World, p: Path) -> Case:
 
 @layout("thousands with points, decimal comma", "iiwa")
 def _(w: World, p: Path) -> Case:
-    text = {k: [f"{v:,.4f}".translate(str.maketrans(",.", ".,")) for v in c] for k, c in xyz("{} [mm]", w.points, "XYZ").items()}
+    text = {
+        k: [f"{v:,.4f}".translate(str.maketrans(",.", ".,")) for v in c]
+        for k, c in xyz("{} [mm]", w.points, "XYZ").items()
+    }
     return plain(p, joints(w, "A{} [°]"), text, sep=";", decimal=",")
 
 
 @layout("no header, a number and a time first")
 def _(w: World, p: Path) -> Case:
-    return plain(p, {"n": list(range(1, POSES + 1)), "t": 0.5 + 7.3 * np.arange(POSES)}, joints(w), xyz("{}", w.points), header=False, sep=" ")
+    return plain(
+        p,
+        {"n": list(range(1, POSES + 1)), "t": 0.5 + 7.3 * np.arange(POSES)},
+        joints(w),
+        xyz("{}", w.points),
+        header=False,
+        sep=" ",
+    )
 
 
 @layout("Base, Shoulder, Elbow, Wrist 1 ...", "ur")
@@ -633,12 +873,18 @@ def _(w: World, p: Path) -> Case:
 @layout("gantry: X_axis beside x", "gantry")
 def _(w: World, p: Path) -> Case:
     values = w.shown(w.read)
-    return plain(p, of(("X_axis", "Y_axis", "Z_axis", "C_axis", "A_axis", "B_axis"), values), xyz("{}", w.points))
+    return plain(
+        p,
+        of(("X_axis", "Y_axis", "Z_axis", "C_axis", "A_axis", "B_axis"), values),
+        xyz("{}", w.points),
+    )
 
 
 @layout("three linear actuators of a delta")
 def _(w: World, p: Path) -> Case:
-    case = plain(p, of(("h1", "h2", "h3"), w.rng.uniform(100, 300, (POSES, 3))), xyz("{}", w.points))
+    case = plain(
+        p, of(("h1", "h2", "h3"), w.rng.uniform(100, 300, (POSES, 3))), xyz("{}", w.points)
+    )
     case.options = ["--machine", "linear-delta"]
     return case
 
@@ -650,7 +896,10 @@ def described(w: World, folder: Path) -> None:
     """dh.csv and robot.urdf of the drawing."""
     head = ["a [mm]", "alpha [deg]", "d [mm]", "theta [deg]", "type"]
     lines = [",".join(head)]
-    lines += [f"{a},{al},{d},{th},{kind}" for a, d, al, th, kind in (PANDA if w.modified else ROBOTS[w.robot])]
+    lines += [
+        f"{a},{al},{d},{th},{kind}"
+        for a, d, al, th, kind in (PANDA if w.modified else ROBOTS[w.robot])
+    ]
     (folder / "dh.csv").write_text("\n".join(lines) + "\n")
     before, body = np.eye(4), []
     prefix = "panda_joint" if w.modified else "joint_a"
@@ -671,7 +920,9 @@ def described(w: World, folder: Path) -> None:
     n = len(w.drawn)
     r, q, y = Rotation.from_matrix(before[:3, :3]).as_euler("xyz")
     where = " ".join(f"{v:.12g}" for v in before[:3, 3])
-    body.append(f'<joint name="tip" type="fixed"><parent link="l{n}"/><child link="tool0"/><origin xyz="{where}" rpy="{r:.12g} {q:.12g} {y:.12g}"/></joint>')
+    body.append(
+        f'<joint name="tip" type="fixed"><parent link="l{n}"/><child link="tool0"/><origin xyz="{where}" rpy="{r:.12g} {q:.12g} {y:.12g}"/></joint>'
+    )
     links = "".join(f'<link name="l{i}"/>' for i in range(n + 1)) + '<link name="tool0"/>'
     (folder / "robot.urdf").write_text(f'<robot name="r">{links}{"".join(body)}</robot>')
 
@@ -687,12 +938,22 @@ def error(w: World, folder: Path) -> float:
 
     project = lc.read_project(folder / "project.toml")
     machine = project.mechanism
-    result = lc.calibrate(machine, lc.load_dataset(project).dataset, noise=project.noise.noise(), method="implicit-loop")
+    result = lc.calibrate(
+        machine,
+        lc.load_dataset(project).dataset,
+        noise=project.noise.noise(),
+        method="implicit-loop",
+    )
     values = {p.name: p.nominal for p in machine.parameters} | dict(result.value)
     names = list(dict.fromkeys(step.joint for step in machine.chain if step.joint))
-    bodies = bodies_of(ChainFrame(machine.chain, dict(zip(names, w.fresh.T, strict=True)), values), FRESH)
+    bodies = bodies_of(
+        ChainFrame(machine.chain, dict(zip(names, w.fresh.T, strict=True)), values), FRESH
+    )
     ends = {n[:-2] for n in values if n.endswith("_x") and n.startswith("tool")}
-    return min(_off(bodies.at(np.array([values[f"{t}_{a}"] for a in "xyz"])), w.target(w.fresh)) for t in ends)
+    return min(
+        _off(bodies.at(np.array([values[f"{t}_{a}"] for a in "xyz"])), w.target(w.fresh))
+        for t in ends
+    )
 
 
 def _off(p: Array, true: Array) -> float:
@@ -749,7 +1010,16 @@ def judged(name: str, seed: int, folder: Path) -> tuple[str, str]:
     seen = xyz("{} [mm]", w.points) if case.stated is None else case.stated
     sane = {**joints(w, "J{} [deg]"), **seen}
     if any(w.slides):
-        sane = dict(zip((k.replace("deg", "mm") if s else k for k, s in zip(sane, [*w.slides, *[0] * len(seen)], strict=True)), sane.values(), strict=True))
+        sane = dict(
+            zip(
+                (
+                    k.replace("deg", "mm") if s else k
+                    for k, s in zip(sane, [*w.slides, *[0] * len(seen)], strict=True)
+                ),
+                sane.values(),
+                strict=True,
+            )
+        )
     sane = {k: np.asarray(v)[case.rows] for k, v in sane.items()}
     hand = folder / "hand"
     hand.mkdir()

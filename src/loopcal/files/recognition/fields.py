@@ -302,7 +302,8 @@ def _named_by_texts(
     for f in fields:
         match = _NUMBER_LAST.fullmatch(f.stem)
         said = match and next(
-            (n for (b, k), n in names.items() if k == match["number"] and f.stem.startswith(b)), None
+            (n for (b, k), n in names.items() if k == match["number"] and f.stem.startswith(b)),
+            None,
         )
         if f.heading and match and said:
             f = replace(f, heading=replace(f.heading, stem=f"{said}_{match['word']}"))

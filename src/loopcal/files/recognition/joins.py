@@ -81,7 +81,13 @@ def _by_time(sources: Sequence[Source]) -> Fields | None:
         for other in (f for f in sources[1].fields if f.is_time):
             pairs = _nearest(first.values, other.values)
             if pairs is not None:
-                return _paired(sources, (first, other), pairs)
+                late = other.values[pairs[1]] - first.values[pairs[0]]
+                remark = (
+                    f"the files are joined by time, {first.label!r} and {other.label!r}: "
+                    f"{len(late)} rows, the second file late by {np.median(late):.3g} "
+                    f"({late.min():.3g} to {late.max():.3g})"
+                )
+                return paired(sources, pairs, remark)
     return None
 
 
@@ -102,28 +108,19 @@ def _nearest(first: Array, other: Array) -> tuple[Rows, Rows] | None:
     return rows, there[rows]
 
 
-def _paired(
-    sources: Sequence[Source], times: tuple[Field, Field], pairs: tuple[Rows, Rows]
-) -> Fields:
+def paired(sources: Sequence[Source], pairs: tuple[Rows, Rows], remark: str) -> Fields:
     """Two tables side by side, in these rows of each; the times of the second are left out."""
     ids = sources[0].ids or tuple(str(i) for i in range(1, len(sources[0]) + 1))
     fields = [
         replace(f, values=f.values[rows])
         for source, rows in zip(sources, pairs, strict=True)
         for f in source.fields
-        if not (f.is_time and source is sources[1])
     ]
-    late = times[1].values[pairs[1]] - times[0].values[pairs[0]]
-    remarks = [
-        f"the files are joined by time, {times[0].label!r} and {times[1].label!r}: {len(late)} rows, "
-        f"the second file late by {np.median(late):.3g}, {late.min():.3g} to {late.max():.3g}"
-    ]
+    remarks = [remark]
     for source in sources:
-        if len(source) > len(late):
-            remarks.append(
-                f"{source.name}: {len(source) - len(late)} rows have no partner in time"
-            )
-    # rows were chosen, so the files as they stand are no longer the readings
+        if len(source) > len(pairs[0]):
+            remarks.append(f"{source.name}: {len(source) - len(pairs[0])} rows take no part")
+    # Rows were chosen, so the files as they stand are no longer the readings.
     chosen = tuple(replace(s, path=None, label=s.name) for s in sources)
     poses = tuple(ids[i] for i in pairs[0])
     return Fields(chosen, poses, _without_doubles(sources, fields), False, tuple(remarks))

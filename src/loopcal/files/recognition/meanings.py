@@ -74,6 +74,11 @@ class Meaning:
         """The misfit of the nominal machine, as a share of the spread of the readings."""
         return self.fit.share if self.fit else float("inf")
 
+    @property
+    def read_in(self) -> tuple[str, str, str]:
+        """Length, angle and form, as `positions` takes them."""
+        return self.length, self.angle, self.form
+
     def fitted(
         self, bodies: Bodies, index: NDArray[np.intp] | slice = slice(None), rounds: int = 4
     ) -> Meaning:

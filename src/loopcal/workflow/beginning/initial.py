@@ -27,7 +27,7 @@ from loopcal.files.recognition.converting import dataset_of
 from loopcal.files.recognition.expressions import joint_columns
 from loopcal.files.recognition.fields import Field, Source, sources_of
 from loopcal.files.recognition.joins import Fields, joined
-from loopcal.files.recognition.layouts import layouts
+from loopcal.files.recognition.layouts import Layout, layouts
 from loopcal.files.recognition.robots import Robot, dh_robot, typed_robot, urdf_robot
 from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset
@@ -41,6 +41,7 @@ from loopcal.presentation.shown import in_unit, significant, unit_shown, with_un
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
+from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.searching import CLEARLY, PLAUSIBLE, Machine, every_way
 from loopcal.workflow.beginning.stating import READINGS, First, Statement, stated
 from loopcal.workflow.beginning.understanding import USUAL as NEAR_ENOUGH
@@ -200,7 +201,7 @@ def initial_project(
     sources: list[Source] = []
     for entry in readings:
         sources += sources_of(entry, len(sources), sheet)
-    every = joined(sources)
+    every = _joined(sources, robot, folder)
     fields = _without(every, robot.leave_out)
     columns = joint_columns(fields.fields, robot.joints) if robot.joints else ()
     made = _robot(robot, replace(fields, fields=columns or fields.fields), folder)
@@ -253,6 +254,27 @@ def _machine(robot: Robot, fields: Fields, folder: Path) -> Machine:
     mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
     joints = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
     return Machine(mechanism, joints)
+
+
+def _joined(sources: Sequence[Source], robot: RobotFile, folder: Path) -> Fields:
+    """The tables as one; where nothing else joins them, as the nominal machine shows."""
+    try:
+        return joined(sources)
+    except InputError as error:
+        if error.code != "mismatched-poses":
+            raise
+
+        def read(fields: Fields) -> tuple[Machine, Sequence[Layout]]:
+            kept = _without(fields, robot.leave_out)
+            columns = joint_columns(kept.fields, robot.joints) if robot.joints else ()
+            made = _robot(robot, kept, folder)
+            some = layouts(kept.fields, made.joints, made.names, columns)
+            return _machine(made, kept, folder), some
+
+        by_machine = aligned(sources, read)
+        if by_machine is None:
+            raise
+        return by_machine
 
 
 def _in_convention(

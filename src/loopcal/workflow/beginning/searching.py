@@ -65,7 +65,9 @@ class Understood:
         columns = list(zip(self.layout.joints, self.kinds, self.units, strict=True))
         for kind, of in dict.fromkeys((kind, of) for _, kind, of in columns):
             some = [f for f, *others in columns if others == [kind, of]]
-            clauses.append(f"the {'joints' if kind == 'rad' else 'slides'} {names_of(some)} in {of}")
+            clauses.append(
+                f"the {'joints' if kind == 'rad' else 'slides'} {names_of(some)} in {of}"
+            )
         return "; ".join(clauses)
 
 
@@ -156,9 +158,7 @@ def _as_large(meaning: Meaning, bodies: Bodies) -> bool:
     return moved < _AS_LARGE * read and read < _AS_LARGE * moved
 
 
-def _belonging(
-    options: list[list[Meaning]], layout: Layout
-) -> tuple[list[list[Meaning]], Layout]:
+def _belonging(options: list[list[Meaning]], layout: Layout) -> tuple[list[list[Meaning]], Layout]:
     """Without what the machine does not move at all, where it explains another instrument: these
     columns are velocities, forces or of another body. A station's columns are no such."""
     least = min(o[0].share for o in options)

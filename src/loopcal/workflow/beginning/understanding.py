@@ -28,7 +28,9 @@ USUAL = 0.02
 """A nominal machine misses its readings by a smaller share of their spread; units that a header
 states and that leave more are doubted."""
 _ATTAINED = frozenset(words("performance", "measured"))
-_COMMANDED = frozenset(words("performance", "commanded")) | frozenset(words("columns", "unmeasured"))
+_COMMANDED = frozenset(words("performance", "commanded")) | frozenset(
+    words("columns", "unmeasured")
+)
 
 Ask = Callable[[str, Sequence[str]], int]
 """Asks which answer is right and returns its number, counted from 0."""

@@ -177,7 +177,11 @@ def measured_only(
     bad = {
         i
         for i, other in enumerate(kept)
-        if any(_commanded(best, m, fits[id(m)], other, fits[id(other)]) for m in kept if m is not other and id(m) in fits)
+        if any(
+            _commanded(best, m, fits[id(m)], other, fits[id(other)])
+            for m in kept
+            if m is not other and id(m) in fits
+        )
     }
     for i in sorted(bad):
         remarks.append(
