@@ -17,6 +17,7 @@ from loopcal.files.recognition.headers import (
     Heading,
     below_titles,
     heading,
+    own_words,
     readings_of,
     stem,
     words,
@@ -222,7 +223,8 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     titled = bool(remark)
     numeric = table.numeric()
     names = [table.names[i] if i < len(table.names) else "" for i in range(_width(table))]
-    headings = [heading(name) if name else None for name in names]
+    spoken = own_words(path.parent)
+    headings = [heading(name, spoken) if name else None for name in names]
     units = _row_of_units(table, numeric)
     for i, symbol in units.items():
         headings[i] = replace(headings[i] or Heading("", ""), unit=symbol or None)

@@ -8,7 +8,7 @@ from math import degrees, pi, radians
 from pathlib import Path
 from typing import Any
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, listed
 from loopcal.files.machines.urdf import Branch, branches
 from loopcal.files.recognition.dh_table import DhTable, Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
@@ -79,6 +79,9 @@ def urdf_robot(
         raise _which_chain(path, every, fitting)
     best = _best_tip(fitting)
     remark = f"base {best.base!r} and tip {best.tip!r} of {path.name}: {why}"
+    others = [b.tip for b in every if b.tip != best.tip]
+    if others:
+        remark += f"; other tips: {listed(list(dict.fromkeys(others)))}"
     table = _urdf_table(relative, best.base, best.tip)
     return Robot(table, len(best.joints), best.joints, (remark,))
 

@@ -37,7 +37,9 @@ _AS_LARGE = 8.0
 class Understood:
     """The columns with their meaning.
 
-    joints: quantity -> readings [SI]; kinds, units: SI unit of each, and that of its column; seen: the instruments; remarks: what the data decided, in words.
+    joints: quantity -> readings [SI]; kinds, units: SI unit of each, and that of its column;
+    seen: the instruments; remarks: what the data decided, in words; others: the meanings that fit
+    next best, of instruments that have several.
     """
 
     layout: Layout
@@ -47,6 +49,7 @@ class Understood:
     seen: tuple[Meaning, ...]
     bodies: Bodies
     remarks: tuple[str, ...] = ()
+    others: tuple[Meaning, ...] = ()
 
     @property
     def share(self) -> float:
@@ -124,7 +127,7 @@ def every_way(
                 if one.other:
                     moved[name] = moved[name] + one.factor * joints[one.other]
             bodies = machine.bodies(moved)
-            options = []
+            options, others = [], list[Meaning]()
             for seen in layout.seen:
                 some, few = _spread(seen.rows, _SAMPLE), _spread(seen.rows, _FEW)
                 some_meanings = meanings(seen, as_stated=as_stated)
@@ -133,6 +136,7 @@ def every_way(
                     options.append(_fitting(some_meanings, bodies, few, 1)[:1])
                     continue
                 tried = _fitting(some_meanings, bodies, few, 1)
+                others += tried[1:2]
                 # 1e-12 keeps all meanings of readings that the machine fits exactly.
                 near = [m for m in tried if m.share < FAR * tried[0].share + 1e-12]
                 tried = _fitting(near, bodies, some, 4)
@@ -141,7 +145,9 @@ def every_way(
                 continue
             options, fitting = _belonging(options, layout)
             best = tuple(o[0] for o in options)
-            first = Understood(fitting, joints, machine.units, units, best, bodies)
+            first = Understood(
+                fitting, joints, machine.units, units, best, bodies, others=tuple(others)
+            )
             ways.append(first)
             for i, tied in enumerate(options):
                 for other in tied[1:]:

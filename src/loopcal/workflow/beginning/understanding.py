@@ -105,7 +105,24 @@ def understood(
         best = _asked([best, *rivals], ask)
     best = replace(best, seen=tuple(m.fitted(best.bodies) for m in best.seen))
     best, further = measured_only(machine, [best, *near], best)
-    return replace(best, remarks=(*remarks, *further))
+    return replace(best, remarks=(*remarks, *_alternatives(best, ways), *further))
+
+
+def _alternatives(best: Understood, ways: Sequence[Understood]) -> tuple[str, ...]:
+    """What was inferred could also be, and how badly that fits: a sentence for each inference."""
+    others = [u for u in ways if u.layout.joints == best.layout.joints and u.units != best.units]
+    next_best = min(others, key=lambda u: u.share, default=None)
+    likely = [(next_best.joint_words, next_best.share)] if next_best else []
+    for meaning in best.seen:
+        for other in best.others:
+            if other.seen is meaning.seen:
+                words = "; ".join(w for w in other.words if w not in meaning.words)
+                likely.append((words, other.share))
+    return tuple(
+        f"Alternative, next best: {words}: misfit {significant(100.0 * share, 2)} %."
+        for words, share in likely
+        if words
+    )
 
 
 def _joints_chosen(
