@@ -13,7 +13,6 @@ import argparse
 import contextlib
 import io
 import shlex
-import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -661,7 +660,7 @@ def _(w: World, p: Path) -> Case:
     for name, columns in (("Robot", joints(w)), ("Tracker", xyz("{} [mm]", w.points))):
         sheet = book.add_worksheet(name)
         for i, (head, values) in enumerate({"Pose": ids(w), **columns}.items()):
-            sheet.write_column(0, i, [head, *values])
+            sheet.write_column(0, i, [head, *list(values)])
     book.close()
     return Case(["data.xlsx"])
 
@@ -687,7 +686,8 @@ def _(w: World, p: Path) -> Case:
 @layout("J3 counts from the horizon (Fanuc)")
 def _(w: World, p: Path) -> Case:
     def coupled(q: Array) -> Array:
-        return q + np.eye(6)[2] * q[:, [1]]
+        both: Array = q + np.eye(6)[2] * q[:, [1]]
+        return both
 
     case = plain(p, joints(w, values=coupled(w.read)), xyz("{}", w.points))
     return case
@@ -710,7 +710,8 @@ def _(w: World, p: Path) -> Case:
     sign = np.array([1, 1, -1, 1, 1, 1])
 
     def read(q: Array) -> Array:
-        return sign * q + np.array([0, 0, np.pi / 2, 0, 0, 0])
+        moved: Array = sign * q + np.array([0, 0, np.pi / 2, 0, 0, 0])
+        return moved
 
     case = plain(p, joints(w, values=read(w.read)), xyz("{}", w.points))
     return case
@@ -921,7 +922,8 @@ def described(w: World, folder: Path) -> None:
     r, q, y = Rotation.from_matrix(before[:3, :3]).as_euler("xyz")
     where = " ".join(f"{v:.12g}" for v in before[:3, 3])
     body.append(
-        f'<joint name="tip" type="fixed"><parent link="l{n}"/><child link="tool0"/><origin xyz="{where}" rpy="{r:.12g} {q:.12g} {y:.12g}"/></joint>'
+        f'<joint name="tip" type="fixed"><parent link="l{n}"/><child link="tool0"/>'
+        f'<origin xyz="{where}" rpy="{r:.12g} {q:.12g} {y:.12g}"/></joint>'
     )
     links = "".join(f'<link name="l{i}"/>' for i in range(n + 1)) + '<link name="tool0"/>'
     (folder / "robot.urdf").write_text(f'<robot name="r">{links}{"".join(body)}</robot>')
@@ -1052,7 +1054,7 @@ def main() -> None:
             warnings.simplefilter("ignore")
             try:
                 kind, text = judged(name, given.seed, Path(folder))
-            except Exception as fault:  # noqa: BLE001: a fault of ours is a class of its own
+            except Exception as fault:
                 kind, text = "fault", f"{type(fault).__name__}: {fault}"
                 if given.show:
                     raise
@@ -1065,4 +1067,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

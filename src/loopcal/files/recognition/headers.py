@@ -107,10 +107,11 @@ def heading(text: str, spoken: Mapping[str, str] = MappingProxyType({})) -> Head
     name, unit = unicodedata.normalize("NFKC", text).strip(), None
     for word, meaning in spoken.items():
         word = unicodedata.normalize("NFKC", word)
-        name = re.sub(re.escape(word), lambda _, m=meaning: m, name, flags=re.IGNORECASE)
+        parts = re.split(re.escape(word), name, flags=re.IGNORECASE)
+        name = meaning.join(parts)
     for name_part, stated in (_in_brackets(name), _after_slash(name)):
-        if (spoken := _unit(stated)) is not None:
-            return Heading(text, stem(name_part), spoken)
+        if (symbol := _unit(stated)) is not None:
+            return Heading(text, stem(name_part), symbol)
         if stated.strip().casefold() in words("open", "angle"):
             return Heading(text, stem(name_part))
     parts = stem(name).split("_")

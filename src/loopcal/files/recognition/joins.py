@@ -1,4 +1,4 @@
-"""Several tables as one: side by side, by pose ids, by time or by row order; or one below the other.
+"""Several tables as one: side by side by pose ids, time or row order; or one below the other.
 
 Times join where each is the only near one: of the rows that have a partner the nearest in time is
 mutual, and nearer than a quarter of the time between two rows.

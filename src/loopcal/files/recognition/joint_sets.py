@@ -1,4 +1,4 @@
-"""Every set of columns that may be the joints: by the machine's names, by usual names, by number."""
+"""Every set of columns that may be the joints: by names of the machine, usual names or numbers."""
 
 from __future__ import annotations
 

@@ -77,9 +77,9 @@ def layouts(
 ) -> tuple[Layout, ...]:
     """Every way to find `count` joints and an instrument in the columns, by names where possible.
 
-    names: of the machine's joints; joints: their columns, where they are stated. Of an instrument that stood in several places, as a column of
-    stations says, the columns are taken once for each place. Raises InputError listing the columns
-    where there is none.
+    names: of the machine's joints; joints: their columns, where they are stated. Of an instrument
+    that stood in several places, as a column of stations says, the columns are taken once for each
+    place. Raises InputError listing the columns where there is none.
     """
     stations = [f for f in fields if f.stem in STATIONS]
     if not stations:

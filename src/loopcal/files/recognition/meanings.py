@@ -254,7 +254,7 @@ def joint_units(
     angles = _units(turning, ANGLES, as_stated) if turning else ("rad",)
     lengths = _units(sliding, LENGTHS, as_stated) if sliding else ("m",)
     for angle, length in product(angles if not mixed else ("",), lengths):
-        choices = []
+        choices = list[tuple[str, ...]]()
         for f, si in zip(fields, kinds, strict=True):
             if f.unit and as_stated:
                 choices.append((f.unit,))

@@ -234,14 +234,14 @@ def typed_robot(kind: str) -> Robot:
             remedy=f"name --urdf or --dh, or begin with loopcal new NAME --mechanism {kind}",
         ) from None
     if not mechanism.chain:
-        error = InputError(
+        no_chain = InputError(
             f"a machine of the type {kind!r} is no chain of joints",
             code="unsupported",
             place="--machine",
             remedy=f"begin with loopcal new NAME --mechanism {kind}, and name your columns in it",
         )
-        error.command = f"loopcal new my-{kind} --mechanism {kind}"
-        raise error
+        no_chain.command = f"loopcal new my-{kind} --mechanism {kind}"
+        raise no_chain
     driven = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
     row = machine_type(kind)
     if row.joints is None:

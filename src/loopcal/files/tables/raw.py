@@ -289,8 +289,8 @@ def _chinese(data: bytes) -> bool:
 
 
 def _japanese(data: bytes) -> bool:
-    """Whether characters beyond ASCII are Shift-JIS: pairs that begin with its signs, kana and most
-    common characters. Other encodings of pairs begin higher, and letters of the west stand alone."""
+    """Whether characters beyond ASCII are Shift-JIS: pairs that begin as its signs, kana and common
+    kanji do. Other encodings of pairs begin higher, and accented letters stand alone."""
     try:
         text = data.decode("cp932")
     except UnicodeDecodeError:

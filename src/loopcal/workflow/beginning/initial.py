@@ -30,7 +30,7 @@ from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import Layout, layouts
 from loopcal.files.recognition.robots import Robot, dh_robot, typed_robot, urdf_robot
 from loopcal.files.tables.writer import table_bytes
-from loopcal.measurements.checks import check_dataset
+from loopcal.measurements.checks import check_dataset, refuse_lost
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.masses import in_space
@@ -171,8 +171,8 @@ def init(
     describes the robot; base, tip: links of the URDF, by default the only ones that fit. Units,
     orders and directions that no header states are those with which the placed nominal machine
     fits clearly best. out: the folder to write into, by default none; sheet: of a workbook, or the
-    variable of a MATLAB file, by default the one with by far the most numbers. joints: the columns of
-    the joints in the machine's order, as "J1,-J2,J3+J2,J4*0.001" where they count otherwise;
+    variable of a MATLAB file, by default the one with by far the most numbers. joints: the columns
+    of the joints in the machine's order, as "J1,-J2,J3+J2,J4*0.001" where they count otherwise;
     leave_out: columns that take no part, as "*_soll,v*".
 
     Raises InputError where something remains open, with what is possible, and where files are in
@@ -207,7 +207,9 @@ def initial_project(
     made = _robot(robot, replace(fields, fields=columns or fields.fields), folder)
     made, machine = _in_convention(made, fields, columns, folder)
     fields, conditions = apart(fields, made.names, arm=in_space(machine.mechanism))
-    way = understood(machine, layouts(fields.fields, made.joints, made.names, columns), fields, ask)
+    every_layout = layouts(fields.fields, made.joints, made.names, columns)
+    _refuse_zeros(every_layout, fields)
+    way = understood(machine, every_layout, fields, ask)
     statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
     project = _read(statement, folder)
     dataset = dataset_of(fields.poses, statement.readings)
@@ -298,8 +300,8 @@ def _in_convention(
     if CLEARLY * misfit < least:
         words = (
             "The table states no convention. In the modified one the nominal machine misses the "
-            f"readings by {significant(100 * misfit, 2)} % of their spread, in the classical one by "
-            f"{significant(100 * least, 2)} %."
+            f"readings by {significant(100 * misfit, 2)} % of their spread, in the classical one "
+            f"by {significant(100 * least, 2)} %."
         )
         return replace(robot.otherwise, remarks=(*robot.otherwise.remarks, words)), other
     return robot, machine
@@ -331,6 +333,17 @@ def _table(fields: Fields, statement: Statement) -> bytes:
 def _read(statement: Statement, folder: Path) -> Project:
     """The project as `calibrate` will read it."""
     return read_project(folder / PROJECT, text=statement.text)
+
+
+def _refuse_zeros(some: Sequence[Layout], fields: Fields) -> None:
+    """Raise InputError for points of an instrument that read 0, 0, 0 in some rows."""
+    for seen in {id(s): s for layout in some for s in layout.seen}.values():
+        if len(seen.position) == 3:
+            readings = {f.label: f.values for f in seen.position}
+            lost = np.all([f.values == 0.0 for f in seen.position], axis=0)
+            if not lost.all() and len(readings) == 3:
+                dataset = Dataset.from_arrays(readings, poses=fields.poses)
+                refuse_lost(dataset, list(readings), lost, "or remove these rows")
 
 
 def _odd(project: Project, dataset: Dataset) -> tuple[str, ...]:

@@ -268,8 +268,8 @@ def _displaced_zeros(case: Case, sign: int) -> Iterator[Explanation]:
 
 
 def _coupled(case: Case) -> Iterator[Explanation]:
-    """One joint whose reading holds that of a neighbour too, as where the forearm keeps its angle to
-    the floor while the upper arm moves."""
+    """One joint whose reading holds that of a neighbour too, as where the forearm keeps its angle
+    to the floor while the upper arm moves."""
     machine = case.machine
     turning = [n for n, si in zip(machine.joints, machine.units, strict=True) if si == "rad"]
     for name, other in [*pairwise(turning), *pairwise(turning[::-1])]:

@@ -112,8 +112,8 @@ def every_way(
     counting: Mapping[str, Counting] = MappingProxyType({}),
 ) -> list[Understood]:
     """All combinations of meanings, judged on some of the poses; of each instrument the best and
-    those that fit about as well. mixed: turning joints may be in units of their own; counting: of joints that do not count
-    as the machine does."""
+    those that fit about as well. mixed: turning joints may be in units of their own; counting: of
+    joints that do not count as the machine does."""
     ways = []
     for layout in layouts:
         for units in joint_units(layout.joints, machine.units, as_stated=as_stated, mixed=mixed):

@@ -189,6 +189,6 @@ def _asked(rivals: Sequence[Understood], ask: Ask | None) -> Understood:
     raise InputError(
         f"the readings fit in {len(rivals)} ways: {' -- or -- '.join(answers[:4])}",
         code="unknown-unit",
-        remedy='state units in the headers ("x [mm]", "J1 [deg]"), or name the columns of the joints '
-        "with --joints, or name columns that take no part with --leave-out",
+        remedy='state units in the headers ("x [mm]", "J1 [deg]"), or name the columns of the '
+        "joints with --joints, or columns that take no part with --leave-out",
     ).offering("--joints", ",".join(f.label for f in rivals[0].layout.joints))

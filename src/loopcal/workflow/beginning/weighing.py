@@ -164,8 +164,8 @@ def measured_only(
             kept.append(meaning)
             continue
         remarks.append(
-            f"{names_of(meaning.seen.position)} equal the nominal machine to {with_unit(off, 'm', 2)}: "
-            "computed from joints, not measured; they take no part"
+            f"{names_of(meaning.seen.position)} equal the nominal machine to "
+            f"{with_unit(off, 'm', 2)}: computed, not measured; they take no part"
         )
     if not kept:
         raise InputError(
@@ -185,8 +185,8 @@ def measured_only(
     }
     for i in sorted(bad):
         remarks.append(
-            f"{names_of(kept[i].seen.position)} follow the drawing, not the machine that other columns "
-            "measured: commanded or computed, and they take no part"
+            f"{names_of(kept[i].seen.position)} follow the drawing, not the machine that other "
+            "columns measured: commanded or computed, and they take no part"
         )
     kept = [m for i, m in enumerate(kept) if i not in bad]
     gone = [f for m in best.seen if m not in kept for f in (*m.seen.position, *m.seen.turned)]
