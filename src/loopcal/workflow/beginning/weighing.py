@@ -36,6 +36,11 @@ IMMATERIAL = 0.1
 """Sets of joints whose end points differ by a smaller share of what remains are the same."""
 MICROMETRES = 3e-6
 """Points that lie so near [m] what joints give were computed: no instrument on a robot does."""
+AS_DRAWN = 5e-5
+"""No robot follows its drawing to so little [m]; the best miss it by a tenth of a mm."""
+COMPUTED = 0.02
+"""Points in the machine's own base and on its own origin are off by a smaller share of the spread.
+"""
 _ROUNDING = 1.5
 """Computed points may leave so many times what rounding allows."""
 _POSES, _ROUNDS = 120, 4
@@ -122,28 +127,37 @@ def _aligned(bodies: Bodies, measured: Array, target: Array) -> tuple[Array, Arr
     return left.reshape(-1), J.reshape(-1, 9)
 
 
-def computed(ways: Sequence[Understood], meaning: Meaning) -> float | None:
+def computed(ways: Sequence[Understood], meaning: Meaning) -> tuple[float, bool] | None:
     """How near [m] points lie to what the joints of one of these ways give on the nominal machine,
-    where no instrument reads so well; else None."""
+    where they were computed from them; else None. The second says whether this is beyond doubt.
+
+    Points in the machine's own base that lie on its own last origin are a controller's, though an
+    instrument may have been set up so. Wherever it stands, none sees a machine as drawn.
+    """
     if meaning.position.ndim != 2:
         return None
+    doubtful = None
     for way in ways:
         fit = meaning.fitted(way.bodies).fit
-        if fit is not None and fit.rms <= _allowed(way, meaning):
-            return min(fit.rms, origin_rms(way.bodies, meaning.position))
-    return None
+        if fit is None:
+            continue
+        if fit.rms <= _allowed(way, meaning):
+            return fit.rms, True
+        off = origin_rms(way.bodies, meaning.position)
+        if off < COMPUTED * fit.spread:
+            doubtful = off, False
+    return doubtful
 
 
 def _allowed(way: Understood, meaning: Meaning) -> float:
     """What computed points may leave [m]: micrometres, or the rounding of both sides."""
     steps = [f.resolution() * unit(f.unit or meaning.length).factor for f in meaning.seen.position]
     lever = float(np.nanmax(np.linalg.norm(_about(way.bodies.origins), axis=1)))
-    turned = 0.0
     for f, kind, of in zip(way.layout.joints, way.kinds, way.units, strict=True):
-        turned += (f.resolution() * unit(of).factor * (lever if kind == "rad" else 1.0)) ** 2
+        steps.append(f.resolution() * unit(of).factor * (lever if kind == "rad" else 1.0))
     # A rounded number is off by its step over the root of 12.
-    rounding = float(np.sqrt((sum(s * s for s in steps) + turned) / 12.0))
-    return max(MICROMETRES, _ROUNDING * rounding)
+    rounding = float(np.sqrt(np.square(steps).sum() / 12.0))
+    return max(MICROMETRES, min(_ROUNDING * rounding, AS_DRAWN))
 
 
 def _about(points: Array) -> Array:
@@ -159,17 +173,17 @@ def measured_only(
         return best, ()
     remarks, kept = [], []
     for meaning in best.seen:
-        off = computed(ways, meaning)
-        if off is None:
+        near = computed(ways, meaning)
+        if near is not None:
+            remarks.append(
+                f"{names_of(meaning.seen.position)} equal the nominal machine to "
+                f"{with_unit(near[0], 'm', 2)}: computed by the controller, not measured"
+            )
+        if near is None or (len(best.seen) == 1 and not near[1]):
             kept.append(meaning)
-            continue
-        remarks.append(
-            f"{names_of(meaning.seen.position)} equal the nominal machine to "
-            f"{with_unit(off, 'm', 2)}: computed, not measured; they take no part"
-        )
     if not kept:
         raise InputError(
-            f"no instrument has measured: {remarks[0].removesuffix('; they take no part')}",
+            f"no instrument has measured: {remarks[0]}",
             code="implausible-readings",
             remedy="name the file with the readings of an instrument too",
         )
@@ -186,7 +200,7 @@ def measured_only(
     for i in sorted(bad):
         remarks.append(
             f"{names_of(kept[i].seen.position)} follow the drawing, not the machine that other "
-            "columns measured: commanded or computed, and they take no part"
+            "columns measured: commanded or computed"
         )
     kept = [m for i, m in enumerate(kept) if i not in bad]
     gone = [f for m in best.seen if m not in kept for f in (*m.seen.position, *m.seen.turned)]
@@ -197,16 +211,16 @@ def measured_only(
 
 
 def _commanded(
-    way: Understood, meaning: Meaning, fit: Refined | None, other: Meaning, its: Refined | None
+    way: Understood, meaning: Meaning, fit: Refined | None, other: Meaning, exact: Refined | None
 ) -> bool:
     """Whether other points follow the drawing (or another model) where this instrument shows that
     the machine does not."""
-    if fit is None or its is None:
+    if fit is None or exact is None:
         return False
     drawn, drawn_other = (_rms(m.fitted(way.bodies).fit) for m in (meaning, other))
     if drawn < CLEARLY * fit.rms:
         return False  # this instrument shows no deviation from the drawing
-    if its.rms <= _allowed(way, other) < fit.rms:
+    if exact.rms <= _allowed(way, other) < fit.rms:
         return True  # exact, on constants of a controller
     on_it = _rms(other.fitted(fit.bodies).fit)
     return CLEARLY * drawn_other < on_it
