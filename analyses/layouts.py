@@ -893,6 +893,15 @@ def _(w: World, p: Path) -> Case:
 # The robot's description
 
 
+def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
+    """Of R = Rz(yaw) Ry(pitch) Rx(roll); yaw is 0 where only its sum with roll is determined."""
+    flat = float(np.hypot(R[0, 0], R[1, 0]))
+    pitch = float(np.arctan2(-R[2, 0], flat))
+    if flat < 1e-9:
+        return float(np.arctan2(-R[1, 2], R[1, 1])), pitch, 0.0
+    return float(np.arctan2(R[2, 1], R[2, 2])), pitch, float(np.arctan2(R[1, 0], R[0, 0]))
+
+
 def described(w: World, folder: Path) -> None:
     """dh.csv and robot.urdf of the drawing."""
     head = ["a [mm]", "alpha [deg]", "d [mm]", "theta [deg]", "type"]
@@ -910,7 +919,7 @@ def described(w: World, folder: Path) -> None:
         twist[:3, :3], twist[0, 3] = Rotation.from_euler("x", alpha).as_matrix(), a
         T = before @ twist @ turn if w.modified else before @ turn
         before = np.eye(4) if w.modified else twist
-        r, q, y = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
+        r, q, y = roll_pitch_yaw(T[:3, :3])
         where = " ".join(f"{v:.12g}" for v in T[:3, 3])
         body.append(
             f'<joint name="{prefix}{i}" type="{"prismatic" if slide else "revolute"}">'
@@ -919,7 +928,7 @@ def described(w: World, folder: Path) -> None:
             '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
         )
     n = len(w.drawn)
-    r, q, y = Rotation.from_matrix(before[:3, :3]).as_euler("xyz")
+    r, q, y = roll_pitch_yaw(before[:3, :3])
     where = " ".join(f"{v:.12g}" for v in before[:3, 3])
     body.append(
         f'<joint name="tip" type="fixed"><parent link="l{n}"/><child link="tool0"/>'
