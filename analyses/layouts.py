@@ -660,7 +660,9 @@ def _(w: World, p: Path) -> Case:
     for name, columns in (("Robot", joints(w)), ("Tracker", xyz("{} [mm]", w.points))):
         sheet = book.add_worksheet(name)
         for i, (head, values) in enumerate({"Pose": ids(w), **columns}.items()):
-            sheet.write_column(0, i, [head, *list(values)])
+            cells: list[Any] = [head]
+            cells.extend(values)
+            sheet.write_column(0, i, cells)
     book.close()
     return Case(["data.xlsx"])
 

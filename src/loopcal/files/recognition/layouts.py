@@ -146,9 +146,17 @@ def _single_station(
         taken |= _read_by(fields, joints)
         if not instruments([f for f in fields if id(f) not in taken]):
             taken = set()  # sets of joints that leave no instrument exclude each other
-        return tuple(
-            layout for some, how in sets for layout in _with_joints(fields, some, how, taken)
-        )
+            named = [one for one in sets if instruments([f for f in fields if f not in one[0]])]
+            sets = named or sets
+        made, refusals = list[Layout](), list[InputError]()
+        for some, how in sets:
+            try:
+                made += _with_joints(fields, some, how, taken)
+            except InputError as error:
+                refusals.append(error)
+        if not made:
+            raise refusals[0]
+        return tuple(made)
     usual = usual_joints(fields)
     if usual:
         more = "E1 or another axis" if len(usual) > count else "a joint"

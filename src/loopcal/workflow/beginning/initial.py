@@ -22,7 +22,7 @@ from loopcal.files.atomic import write_files
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
-from loopcal.files.recognition.conditions import apart
+from loopcal.files.recognition.conditions import Conditions, apart
 from loopcal.files.recognition.converting import dataset_of
 from loopcal.files.recognition.expressions import joint_columns
 from loopcal.files.recognition.fields import Field, Source, sources_of
@@ -42,7 +42,13 @@ from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
 from loopcal.workflow.beginning.aligning import aligned
-from loopcal.workflow.beginning.searching import CLEARLY, PLAUSIBLE, Machine, every_way
+from loopcal.workflow.beginning.searching import (
+    CLEARLY,
+    PLAUSIBLE,
+    Machine,
+    Understood,
+    every_way,
+)
 from loopcal.workflow.beginning.stating import READINGS, First, Statement, stated
 from loopcal.workflow.beginning.understanding import USUAL as NEAR_ENOUGH
 from loopcal.workflow.beginning.understanding import Ask, understood
@@ -205,11 +211,13 @@ def initial_project(
     fields = _without(every, robot.leave_out)
     columns = joint_columns(fields.fields, robot.joints) if robot.joints else ()
     made = _robot(robot, replace(fields, fields=columns or fields.fields), folder)
-    made, machine = _in_convention(made, fields, columns, folder)
-    fields, conditions = apart(fields, made.names, arm=in_space(machine.mechanism))
-    every_layout = layouts(fields.fields, made.joints, made.names, columns)
-    _refuse_zeros(every_layout, fields)
-    way = understood(machine, every_layout, fields, ask)
+    one = _readable(made, fields, columns, folder)
+    if made.otherwise is not None and not one.share <= NEAR_ENOUGH:
+        other = _readable(made.otherwise, fields, columns, folder)
+        if CLEARLY * other.share < one.share:
+            one = other.better_than(one)
+    made, machine, fields, conditions = one.robot, one.machine, one.fields, one.conditions
+    way = understood(machine, one.layouts, fields, ask, one.ways)
     statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
     project = _read(statement, folder)
     dataset = dataset_of(fields.poses, statement.readings)
@@ -279,32 +287,39 @@ def _joined(sources: Sequence[Source], robot: RobotFile, folder: Path) -> Fields
         return by_machine
 
 
-def _in_convention(
-    robot: Robot, fields: Fields, columns: tuple[Field, ...], folder: Path
-) -> tuple[Robot, Machine]:
-    """The machine in the convention of its table that the readings fit clearly better."""
-    machine = _machine(robot, fields, folder)
-    if robot.otherwise is None:
-        return robot, machine
+@dataclass(frozen=True, eq=False)
+class _Readable:
+    """A robot with every way to read the columns on it, the best first."""
 
-    def share(one: Robot, of: Machine) -> float:
-        kept, _ = apart(fields, one.names, arm=in_space(of.mechanism))
-        ways = every_way(of, layouts(kept.fields, one.joints, one.names, columns))
-        return min((way.share for way in ways), default=np.inf)
+    robot: Robot
+    machine: Machine
+    fields: Fields
+    conditions: Conditions
+    layouts: Sequence[Layout]
+    ways: list[Understood]
 
-    least = share(robot, machine)
-    if least <= NEAR_ENOUGH:
-        return robot, machine
-    other = _machine(robot.otherwise, fields, folder)
-    misfit = share(robot.otherwise, other)
-    if CLEARLY * misfit < least:
+    @property
+    def share(self) -> float:
+        return self.ways[0].share if self.ways else np.inf
+
+    def better_than(self, classical: _Readable) -> _Readable:
+        """With a sentence on why the table is read in this convention."""
         words = (
             "The table states no convention. In the modified one the nominal machine misses the "
-            f"readings by {significant(100 * misfit, 2)} % of their spread, in the classical one "
-            f"by {significant(100 * least, 2)} %."
+            f"readings by {significant(100 * self.share, 2)} % of their spread, in the classical "
+            f"one by {significant(100 * classical.share, 2)} %."
         )
-        return replace(robot.otherwise, remarks=(*robot.otherwise.remarks, words)), other
-    return robot, machine
+        robot = replace(self.robot, remarks=(*self.robot.remarks, words))
+        return replace(self, robot=robot)
+
+
+def _readable(robot: Robot, fields: Fields, columns: tuple[Field, ...], folder: Path) -> _Readable:
+    machine = _machine(robot, fields, folder)
+    fields, conditions = apart(fields, robot.names, arm=in_space(machine.mechanism))
+    every_layout = layouts(fields.fields, robot.joints, robot.names, columns)
+    _refuse_zeros(every_layout, fields)
+    ways = sorted(every_way(machine, every_layout), key=lambda u: u.share)
+    return _Readable(robot, machine, fields, conditions, every_layout, ways)
 
 
 def _without(fields: Fields, names: str | None) -> Fields:

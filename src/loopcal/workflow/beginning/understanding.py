@@ -64,14 +64,19 @@ def undetermined(machine: Machine, layouts: Sequence[Layout]) -> InputError:
 
 
 def understood(
-    machine: Machine, layouts: Sequence[Layout], fields: Fields, ask: Ask | None
+    machine: Machine,
+    layouts: Sequence[Layout],
+    fields: Fields,
+    ask: Ask | None,
+    ways: Sequence[Understood],
 ) -> Understood:
     """The meaning of the columns that the placed nominal machine fits clearly best.
 
-    ask: asks where several fit; None refuses. Raises InputError where none fits, several do, a
-    stated unit contradicts the readings, or rows do not belong together.
+    ask: asks where several fit; None refuses; ways: to read the columns, the best first.
+    Raises InputError where none fits, several do, a stated unit contradicts the readings, or rows
+    do not belong together.
     """
-    ways = sorted(every_way(machine, layouts), key=lambda u: u.share)
+    ways = list(ways)
     if not ways or not ways[0].share <= USUAL:
         ways += every_way(machine, layouts, mixed=True)
         ways.sort(key=lambda u: u.share)
