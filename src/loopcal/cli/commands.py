@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from shlex import quote
+from shlex import join, quote
 from typing import Annotated
 
 from loopcal.cli.application import (
@@ -388,14 +388,35 @@ def init(
             "[default: the sheet with by far the most numbers].",
         ),
     ] = None,
+    joints: Annotated[
+        str | None,
+        option(
+            "COLUMNS",
+            "Columns of the joints in the machine's order, such as J1,-J2,J3+J2 "
+            "[default: those with which the nominal machine fits clearly best].",
+        ),
+    ] = None,
+    leave_out: Annotated[
+        str | None,
+        option("COLUMNS", "Columns that take no part, such as '*_soll,v*' [default: none]."),
+    ] = None,
     run: Annotated[bool, flag("--run", "Calibrate at once and open the report.")] = False,
 ) -> None:
     """Recognise readings and a robot; write a finished project."""
     from loopcal.cli.asking import ask_on_terminal, open_page
     from loopcal.workflow.beginning.initial import RobotFile, initial_project
 
-    robot = RobotFile(urdf, dh, machine, base, tip)
-    done = initial_project(files, robot, out=out, sheet=sheet, ask=ask_on_terminal())
+    robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out)
+    try:
+        done = initial_project(files, robot, out=out, sheet=sheet, ask=ask_on_terminal())
+    except InputError as error:
+        stated = {"--urdf": urdf, "--dh": dh, "--machine": machine, "--base": base, "--tip": tip}
+        stated |= {"--sheet": sheet, "--joints": joints, "--leave-out": leave_out}
+        stated |= {"--out": None if out == "calibration" else out}
+        stated |= dict(zip(error.options[::2], error.options[1::2], strict=True))
+        words = [word for key, value in stated.items() if value for word in (key, value)]
+        error.command = error.command or join(["loopcal", "init", *files, *words])
+        raise
     print_out(str(done))
     if run:
         try:
