@@ -263,6 +263,12 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     # what is not one table below its header is written into a file of its own
     header = tuple(names)
     place = path if len(every) == count and not titled else None
+    used = {f.position for f in fields}
+    idle = [names[i] for i in texts if i not in used and _stem(headings, i) not in _TARGETS]
+    if idle := [name for name in idle if name and not _NAMED.fullmatch(stem(name))]:
+        remark = (
+            f"{remark} Columns of text in {table.name} take no part: {', '.join(idle)}.".strip()
+        )
     source = Source(place, sheet, fields, ids, named, header, path.name, remark)
     return _with_ids(source, {_stem(headings, i): labels[i] for i in texts if i not in values})
 
