@@ -463,16 +463,21 @@ def _widened(
         return None
     place = {pose: i for i, pose in enumerate(poses)}
     rows = np.array([place[i] for i in ids]), np.array([kinds.index(k) for k in labels])
-    columns: list[Field] = []
-    for field in fields:
-        cells = np.full((len(poses), len(kinds)), np.nan)
+    wide = [np.full((len(poses), len(kinds)), np.nan) for _ in fields]
+    for cells, field in zip(wide, fields, strict=True):
         cells[rows] = field.values
-        # nanmin would warn of poses without any reading.
-        low = np.nan_to_num(cells, nan=np.inf).min(axis=1)
-        high = np.nan_to_num(cells, nan=-np.inf).max(axis=1)
-        read = high >= low
-        if ((high - low)[read] <= STILL * field.span).all():
-            columns.append(replace(field, values=np.where(read, low, np.nan)))
+    # nanmin would warn of poses without any reading.
+    low = [np.nan_to_num(cells, nan=np.inf).min(axis=1) for cells in wide]
+    high = [np.nan_to_num(cells, nan=-np.inf).max(axis=1) for cells in wide]
+    apart = [
+        bool(((most - least)[most >= least] > STILL * field.span).any())
+        for least, most, field in zip(low, high, fields, strict=True)
+    ]
+    differing = [field.stem for field, differs in zip(fields, apart, strict=True) if differs]
+    columns: list[Field] = []
+    for field, cells, least, most, differs in zip(fields, wide, low, high, apart, strict=True):
+        if not (differs or any(_of_one_point(field.stem, other) for other in differing)):
+            columns.append(replace(field, values=np.where(most >= least, least, np.nan)))
             continue
         header = field.heading or Heading("", f"column_{field.position + 1}")
         for k, kind in enumerate(kinds):
@@ -481,6 +486,12 @@ def _widened(
             )
             columns.append(Field(field.table, field.position, named, cells[:, k]))
     return tuple(columns)
+
+
+def _of_one_point(stem: str, other: str) -> bool:
+    """Whether these are names of two coordinates of one point, as `x_sd` and `y_sd`."""
+    letters = [{a, b} for a, b in zip(stem, other, strict=False) if a != b]
+    return len(stem) == len(other) and len(letters) == 1 and letters[0] < {*"xyz"}
 
 
 def _row_of_units(table: Table, numeric: Sequence[int]) -> dict[int, str]:
