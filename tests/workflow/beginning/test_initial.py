@@ -269,11 +269,16 @@ def test_rows_joined_by_order_are_said_and_a_shift_is_refused(tmp_path: Path, ar
         lc.init(a, late, dh=path)
 
 
-def test_files_of_unequal_length_without_ids_are_refused(tmp_path: Path, arm: Any) -> None:
+def test_files_of_unequal_length_without_ids_are_joined_only_with_proof(
+    tmp_path: Path, arm: Any
+) -> None:
     joints, points = arm
     path = dh(tmp_path)
+    made = lc.init(of(joints, NAMES), of(points[1:], "xyz"), dh=path)
+    assert np.allclose(made.dataset["J2"], joints[1:, 1])
+    order = np.random.default_rng(0).permutation(len(points))[1:]
     with refused("mismatched-poses"):
-        lc.init(of(joints, NAMES), of(points[1:], "xyz"), dh=path)
+        lc.init(of(joints, NAMES), of(points[order], "xyz"), dh=path)
 
 
 def test_a_wrong_stated_unit_never_converges_silently(tmp_path: Path, arm: Any) -> None:

@@ -152,7 +152,7 @@ def _joints_chosen(
     others = listed([names_of(w.layout.joints) for _, w in compared[1:]])
     if near:
         best = _measured_by_name([best, *near]) or _asked([best, *near], ask)
-        words = "by their names: the readings do not tell them from others"
+        words = "by their names: the readings do not distinguish them"
     else:
         words = "with the others the machine fits clearly worse, also once it is calibrated"
     chosen = next(w for w in sets.values() if w.layout.joints == best.layout.joints)
