@@ -32,6 +32,9 @@ _COMMANDED = frozenset(words("performance", "commanded")) | frozenset(
     words("columns", "unmeasured")
 )
 
+_MIXED = 4
+"""Ways with joints in units of their own that are looked at closely."""
+
 Ask = Callable[[str, Sequence[str]], int]
 """Asks which answer is right and returns its number, counted from 0."""
 
@@ -78,7 +81,8 @@ def understood(
     """
     ways = list(ways)
     if not ways or not ways[0].share <= USUAL:
-        ways += every_way(machine, layouts, mixed=True)
+        mixed = sorted(every_way(machine, layouts, mixed=True), key=lambda u: u.share)[:_MIXED]
+        ways += [replace(u, seen=tuple(m.fitted(u.bodies) for m in u.seen)) for u in mixed]
         ways.sort(key=lambda u: u.share)
     case = Case(machine, layouts, fields, ways)
     if not ways or not ways[0].share <= USUAL:
