@@ -81,7 +81,9 @@ def _target(bodies: Bodies, points: Array) -> Array | None:
 def _distances(points: Array) -> Array:
     """Quantiles of the distances between the points."""
     first, second = np.triu_indices(len(points), 1)
-    return np.quantile(np.linalg.norm(points[first] - points[second], axis=1), _QUANTILES)
+    apart = np.linalg.norm(points[first] - points[second], axis=1)
+    quantiles: Array = np.quantile(apart, _QUANTILES)
+    return quantiles
 
 
 def _laid(points: Array, onto: Array) -> list[Array]:
