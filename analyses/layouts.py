@@ -1,4 +1,4 @@
-"""Sixty layouts of real files through `loopcal init`: right, refused, or silently wrong.
+"""Seventy layouts of real files through `loopcal init`: right, refused, or silently wrong.
 
 Robots and readings are simulated here in plain NumPy. A layout is right if the machine that its
 project calibrates predicts fresh poses within 1.1 of that calibrated from a plain file of the same
@@ -398,6 +398,62 @@ def _(w: World, p: Path) -> Case:
     )
 
 
+@layout("X Y Z of the controller and X Y Z of the tracker, two files")
+def _(w: World, p: Path) -> Case:
+    abc = of("ABC", Rotation.from_matrix(w.tcp_turns).as_euler("ZYX", degrees=True))
+    robot = {"Point": ids(w), **joints(w, "A{}"), **xyz("{}", w.tcp, "XYZ"), **abc}
+    one = written(p / "robot.csv", robot, digits=4)
+    two = written(p / "tracker.csv", {"Point": ids(w), **xyz("{}", w.points, "XYZ")})
+    return Case([one, two])
+
+
+@layout("X Y Z beside x y z", "ur")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w), xyz("{}", w.tcp, "XYZ"), xyz("{}", w.points))
+
+
+@layout("the TCP of a controller that knows its own constants", "ur")
+def _(w: World, p: Path) -> Case:
+    near = w.true + w.rng.normal(0.0, [2e-4, 2e-4, 3e-4, 3e-4], w.true.shape)
+    T = frames(near, w.slides, w.read)
+    return plain(p, joints(w), xyz("{}", T[:, :3, 3]), xyz("smr_{}", w.points))
+
+
+@layout("two robots in one file")
+def _(w: World, p: Path) -> Case:
+    other = joints(w, "R1_J{}", w.rng.uniform(-1, 1, w.q.shape))
+    return plain(p, other, joints(w, "R2_J{}"), xyz("{}", w.points))
+
+
+@layout("temperatures of six motors, forces", "ur")
+def _(w: World, p: Path) -> Case:
+    heat = of((f"motor_temp_{i}" for i in range(6)), w.rng.uniform(30, 40, w.q.shape))
+    force = of(("Fx", "Fy", "Fz"), w.rng.normal(0, 5, (POSES, 3)))
+    return plain(p, heat, joints(w, "joint_{}", start=0), xyz("{}", w.points), force)
+
+
+@layout("means and sds of shots", "iiwa")
+def _(w: World, p: Path) -> Case:
+    spread = xyz("{}_std", w.rng.uniform(1e-5, 5e-5, (POSES, 3)))
+    return plain(p, joints(w), xyz("{}_mean", w.points), spread)
+
+
+@layout("raw and corrected joints that differ by constants")
+def _(w: World, p: Path) -> Case:
+    off = w.read + np.radians([0.1, -0.2, 0.05, 0.0, 0.3, 0.1])
+    return plain(p, joints(w, "raw_J{}", off), joints(w, "J{}"), xyz("{}", w.points))
+
+
+@layout("joints, two trackers, three files")
+def _(w: World, p: Path) -> Case:
+    one = written(p / "joints.csv", {"id": ids(w), **joints(w)})
+    a = written(p / "at960.csv", {"id": ids(w), **xyz("{}", w.points)})
+    b = written(p / "at402.csv", {"id": ids(w), **xyz("{}", w.elsewhere)})
+    case = Case([one, a, b])
+    case.stated = xyz("{}1 [mm]", w.points) | xyz("{}2 [mm]", w.elsewhere)
+    return case
+
+
 # Instruments and conditions
 
 
@@ -661,7 +717,7 @@ def _(w: World, p: Path) -> Case:
         sheet = book.add_worksheet(name)
         for i, (head, values) in enumerate({"Pose": ids(w), **columns}.items()):
             cells: list[Any] = [head]
-            cells.extend(values)
+            cells.extend(np.asarray(values).tolist())
             sheet.write_column(0, i, cells)
     book.close()
     return Case(["data.xlsx"])

@@ -415,6 +415,8 @@ def init(
         stated |= {"--out": None if out == "calibration" else out}
         stated |= dict(zip(error.options[::2], error.options[1::2], strict=True))
         words = [word for key, value in stated.items() if value for word in (key, value)]
+        if error.code == "unwritable-file":
+            words.append("--force")
         error.command = error.command or join(["loopcal", "init", *files, *words])
         raise
     print_out(str(done))

@@ -256,15 +256,32 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
         counted(f, labels[f.position]) if f.position in texts and not f.is_time else f
         for f in fields
     )
-    fields = _named_by_texts(fields, headings, {i: labels[i] for i in texts})
+    fields = _distinct(_named_by_texts(fields, headings, {i: labels[i] for i in texts}))
     ids = None if pose is None else labels[pose]
     sheet = table.sheet or sheet
     named = None if pose is None else column_key(names, pose)
     # what is not one table below its header is written into a file of its own
     header = tuple(names)
     place = path if len(every) == count and not titled else None
+    used = {f.position for f in fields}
+    idle = [names[i] for i in texts if i not in used and _stem(headings, i) not in _TARGETS]
+    if idle := [name for name in idle if name and not _NAMED.fullmatch(stem(name))]:
+        remark = (
+            f"{remark} Columns of text in {table.name} take no part: {', '.join(idle)}.".strip()
+        )
     source = Source(place, sheet, fields, ids, named, header, path.name, remark)
     return _with_ids(source, {_stem(headings, i): labels[i] for i in texts if i not in values})
+
+
+def _distinct(fields: Sequence[Field]) -> tuple[Field, ...]:
+    """With a number behind the name of a column that an earlier one has too, as X beside x."""
+    made, met = list[Field](), dict[str, int]()
+    for f in fields:
+        met[f.stem] = met.get(f.stem, 0) + 1
+        if f.heading and f.stem and met[f.stem] > 1:
+            f = replace(f, heading=replace(f.heading, stem=f"{f.stem}_{met[f.stem]}"))
+        made.append(f)
+    return tuple(made)
 
 
 def _seconds(cells: Sequence[str]) -> Array | None:

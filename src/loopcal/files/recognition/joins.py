@@ -42,7 +42,7 @@ def joined(sources: Sequence[Source]) -> Fields:
     """The tables side by side: by pose ids where all have them, else by time where all state it,
     else by row order. Tables with the same columns stand one below the other.
 
-    Raises InputError where none of this is possible, and where tables contradict each other.
+    Raises InputError where none of this is possible, or where tables have rows of unlike poses.
     """
     first = sources[0]
     if len(sources) == 1:
@@ -68,7 +68,7 @@ def joined(sources: Sequence[Source]) -> Fields:
             remedy='give each file a column "pose" with the same ids',
         )
     poses = tuple(str(i) for i in range(1, len(first) + 1))
-    fields = _without_doubles(sources, [f for s in sources for f in s.fields])
+    fields = _without_doubles([f for s in sources for f in s.fields])
     remark = f"{' and '.join(lengths)} share no pose ids: their rows are joined by order"
     return Fields(tuple(sources), poses, fields, True, (remark,))
 
@@ -123,7 +123,7 @@ def paired(sources: Sequence[Source], pairs: tuple[Rows, Rows], remark: str) -> 
     # Rows were chosen, so the files as they stand are no longer the readings.
     chosen = tuple(replace(s, path=None, label=s.name) for s in sources)
     poses = tuple(ids[i] for i in pairs[0])
-    return Fields(chosen, poses, _without_doubles(sources, fields), False, tuple(remarks))
+    return Fields(chosen, poses, _without_doubles(fields), False, tuple(remarks))
 
 
 def _one_row_per_pose(sources: Sequence[Source]) -> Sequence[Source]:
@@ -156,7 +156,7 @@ def _by_ids(sources: Sequence[Source], common: Sequence[str]) -> Fields:
             remarks.append(
                 f"{source.name}: {len(source) - len(common)} poses are not in every file"
             )
-    kept = _without_doubles(sources, fields)
+    kept = _without_doubles(fields)
     return Fields(tuple(sources), tuple(common), kept, False, tuple(remarks))
 
 
@@ -186,25 +186,24 @@ def _below(parts: Sequence[Field]) -> Field:
     return replace(parts[0], values=np.concatenate([part.values for part in parts]))
 
 
-def _without_doubles(sources: Sequence[Source], fields: Sequence[Field]) -> tuple[Field, ...]:
+def _without_doubles(fields: Sequence[Field]) -> tuple[Field, ...]:
     """Without the columns that an earlier table has with the same values, and without later times.
 
-    Raises InputError where two tables have other values under one name.
+    What two tables have with other values under one name is kept twice, and named by its file:
+    points of a robot's controller beside those of a tracker.
     """
     kept: list[Field] = []
     for field_ in fields:
         same = [k for k in kept if k.stem and k.stem == field_.stem and k.table != field_.table]
-        if not same:
-            kept.append(field_)
+        if same and field_.is_time:
             continue
-        if field_.is_time:
-            continue
-        apart = np.abs(same[0].values - field_.values)
-        if np.nanmax(apart, initial=0.0) > ROUNDED * max(field_.span, 1e-12):
-            names = [sources[f.table].name for f in (same[0], field_)]
-            raise InputError(
-                f"{field_.label!r} stands in {names[0]} and in {names[1]} with other values",
-                code="duplicate-column",
-                remedy="rename the column in one of the files, or remove it",
-            )
+        if same and field_.heading:
+            apart = np.abs(same[0].values - field_.values)
+            if np.nanmax(apart, initial=0.0) <= ROUNDED * max(field_.span, 1e-12):
+                continue
+            number = field_.table + 1
+            words = f"{field_.label} (file {number})"
+            named = replace(field_.heading, text=words, stem=f"{field_.stem}_{number}")
+            field_ = replace(field_, heading=named)
+        kept.append(field_)
     return tuple(kept)

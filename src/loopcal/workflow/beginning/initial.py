@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from shlex import quote
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,15 @@ class RobotFile:
     tip: str | None = None
     joints: str | None = None
     leave_out: str | None = None
+
+
+class InitOptions(TypedDict, total=False):
+    """What `init` is given beside the files: `RobotFile` says what each means."""
+
+    base: str | None
+    tip: str | None
+    joints: str | None
+    leave_out: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,12 +172,9 @@ def init(
     urdf: str | Path | None = None,
     dh: str | Path | None = None,
     machine: str | None = None,
-    base: str | None = None,
-    tip: str | None = None,
     out: str | Path | None = None,
     sheet: str | None = None,
-    joints: str | None = None,
-    leave_out: str | None = None,
+    **options: Unpack[InitOptions],
 ) -> InitialProject:
     """Recognise readings and a robot, and make a finished project of them.
 
@@ -184,7 +190,7 @@ def init(
     Raises InputError where something remains open, with what is possible, and where files are in
     the way.
     """
-    robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out)
+    robot = RobotFile(urdf, dh, machine, **options)
     return initial_project(readings, robot, out=out, sheet=sheet)
 
 

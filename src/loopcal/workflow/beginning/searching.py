@@ -66,7 +66,8 @@ class Understood:
         """The units of the joints, those that slide in units of length."""
         clauses = []
         columns = list(zip(self.layout.joints, self.kinds, self.units, strict=True))
-        for kind, of in dict.fromkeys((kind, of) for _, kind, of in columns):
+        kinds = dict.fromkeys((kind, of) for _, kind, of in columns)
+        for kind, of in sorted(kinds, key=lambda one: one[0] != "rad"):  # what turns comes first
             some = [f for f, *others in columns if others == [kind, of]]
             clauses.append(
                 f"the {'joints' if kind == 'rad' else 'slides'} {names_of(some)} in {of}"
@@ -131,7 +132,7 @@ def every_way(
             for seen in layout.seen:
                 some, few = _spread(seen.rows, _SAMPLE), _spread(seen.rows, _FEW)
                 some_meanings = meanings(seen, as_stated=as_stated)
-                if counting:  # one of many trials, for a likely cause alone
+                if counting or mixed:  # one of many trials
                     some_meanings = (m for m in some_meanings if _as_large(m, bodies))
                     options.append(_fitting(some_meanings, bodies, few, 1)[:1])
                     continue

@@ -32,6 +32,9 @@ _COMMANDED = frozenset(words("performance", "commanded")) | frozenset(
     words("columns", "unmeasured")
 )
 
+_MIXED = 4
+"""Ways with joints in units of their own that are looked at closely."""
+
 Ask = Callable[[str, Sequence[str]], int]
 """Asks which answer is right and returns its number, counted from 0."""
 
@@ -78,7 +81,8 @@ def understood(
     """
     ways = list(ways)
     if not ways or not ways[0].share <= USUAL:
-        ways += every_way(machine, layouts, mixed=True)
+        mixed = sorted(every_way(machine, layouts, mixed=True), key=lambda u: u.share)[:_MIXED]
+        ways += [replace(u, seen=tuple(m.fitted(u.bodies) for m in u.seen)) for u in mixed]
         ways.sort(key=lambda u: u.share)
     case = Case(machine, layouts, fields, ways)
     if not ways or not ways[0].share <= USUAL:
@@ -152,7 +156,7 @@ def _joints_chosen(
     others = listed([names_of(w.layout.joints) for _, w in compared[1:]])
     if near:
         best = _measured_by_name([best, *near]) or _asked([best, *near], ask)
-        words = "by their names: the readings do not tell them from others"
+        words = "by their names: the readings do not distinguish them"
     else:
         words = "with the others the machine fits clearly worse, also once it is calibrated"
     chosen = next(w for w in sets.values() if w.layout.joints == best.layout.joints)

@@ -94,8 +94,8 @@ def refined(machine: Machine, way: Understood, meaning: Meaning) -> Refined | No
             columns = [placement]
             for k in range(len(in_chain)):
                 ahead = offsets + _STEP * np.eye(len(offsets))[k]
-                there = bodies(ahead, joints, len(rows))
-                shifted, _ = _aligned(there, measured, placed.targets[0])
+                moved_bodies = bodies(ahead, joints, len(rows))
+                shifted, _ = _aligned(moved_bodies, measured, placed.targets[0])
                 columns.append(((shifted - left) / _STEP)[:, None])
             J = np.hstack(columns)
             prior = np.hstack([np.zeros((len(offsets), placement.shape[1])), np.diag(weight)])
