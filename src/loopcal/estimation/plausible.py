@@ -116,7 +116,7 @@ def refuse_contradiction(problem: Problem, data: Dataset) -> None:
     if not exact.any():
         return
     sweeper = Sweeper(problem)
-    failed = sweeper.sweep(problem.start, start_corrections(sweeper, problem.start)).singular
+    failed = sweeper.singular(problem.start, start_corrections(sweeper, problem.start))
     if not failed:
         return
     tape = problem.mechanism.tape

@@ -127,8 +127,7 @@ class Sweeper:
                 data.add_total(reduced.total)
             elif reduced.rows is not None:
                 data.add(reduced.rows)
-            if reduced.singular.any():
-                singular.append(block.positions(np.flatnonzero(reduced.singular)))
+            singular.append(block.positions(np.flatnonzero(reduced.singular)))
             if start is not None and start.failed:
                 late.append(block.positions(np.flatnonzero(start.open)))
             if self.corrects:
@@ -152,6 +151,15 @@ class Sweeper:
             self._failed(late),
             surplus,
         )
+
+    @overflowing
+    def singular(self, parameters: Array, corrections: Array) -> Failed:
+        """The poses in which the noise of the readings cannot close some loop."""
+        singular = []
+        for pattern, block in self.blocks(parameters, corrections, self._block):
+            reduced = self.kernel(pattern).corrected(block)
+            singular.append(block.positions(np.flatnonzero(reduced.singular)))
+        return self._failed(singular)
 
     @overflowing
     def close(
@@ -231,9 +239,9 @@ class Sweeper:
 
     def _failed(self, positions: list[NDArray[np.intp]]) -> Failed:
         """Poses by the positions that some blocks have found."""
-        if not positions:
+        some = np.concatenate([np.empty(0, dtype=np.intp), *positions])
+        if not some.size:
             return NONE_FAILED
-        some = np.concatenate(positions)
         return Failed(some.size, tuple(self.problem.pose(int(i)) for i in some[:NAMED]))
 
     def _made(self, engine: Engine) -> BlockKernel:
