@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -159,8 +158,8 @@ def _key(fields: Fields, column: Field) -> str | int:
     return 1 + at.index((column.table, column.position, column.label))
 
 
-def source_fields(paths: Sequence[str | Path], table: SourceTable) -> Fields:
-    """The columns of files in the layout of a source."""
+def source_fields(paths: Sequence[Any], table: SourceTable) -> Fields:
+    """The columns of files or tables in the layout of a source."""
     sources: list[Source] = []
     for path in paths:
         sources += sources_of(path, len(sources), table.sheet)

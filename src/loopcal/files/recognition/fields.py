@@ -148,9 +148,14 @@ def _in_memory(data: Any, number: int) -> Source:
             header = Heading(f"{quantity} sd", f"{stem(quantity)}_sd", data.units.get(quantity))
             fields.append(Field(number, len(fields), header, sds))
         return _checked(Source(None, None, tuple(fields), data.poses, "pose"))
-    fields, ids, pose, texts = [], None, None, dict[str, tuple[str, ...]]()
+    if isinstance(data, list | np.ndarray):
+        return _checked(Source(None, None, tuple(_unnamed(data, number, 0)), None, None))
+    fields, ids, pose, texts = list[Field](), None, None, dict[str, tuple[str, ...]]()
     for i, name in enumerate(column_names(data)):
         values = column(data, name)
+        if np.ndim(values) == 2:  # several columns under one name
+            fields += _unnamed(values, number, 100 * i)
+            continue
         header = heading(name)
         if header.stem in _IDS:
             pose_ids = tuple(map(pose_id, np.asarray(values).tolist()))
@@ -166,6 +171,21 @@ def _in_memory(data: Any, number: int) -> Source:
             else:
                 texts[header.stem] = labels
     return _with_ids(Source(None, None, tuple(fields), ids, pose), texts)
+
+
+def _unnamed(data: Any, number: int, first: int) -> list[Field]:
+    """The columns of an array (N, k)."""
+    rows = np.asarray(data)
+    if rows.ndim != 2:
+        raise InputError(
+            f"an array of readings has the shape {rows.shape}",
+            code="wrong-shape",
+            remedy="give (N, k) numbers, a row per pose: joints (N, 6) and points (N, 3)",
+        )
+    return [
+        Field(number, first + i, None, as_numbers(column, f"column {i + 1}"))
+        for i, column in enumerate(rows.T)
+    ]
 
 
 def _of_file(path: Path, number: int, sheet: str | None) -> tuple[Source, ...]:

@@ -101,7 +101,9 @@ def _which_chain(path: Path, every: Sequence[Branch], fitting: Sequence[Branch])
     for branch in fitting or every:
         ends.setdefault(branch.joints, branch)
     longest = sorted(ends.values(), key=lambda b: -len(b.joints))[:8]
-    shown = "; ".join(f"--base {b.base} --tip {b.tip} ({len(b.joints)} joints)" for b in longest)
+    shown = "; ".join(
+        f"--base {b.base!r} --tip {b.tip!r} ({len(b.joints)} joints)" for b in longest
+    )
     what = "several chains fit" if fitting else "no chain fits"
     return InputError(
         f"{what} the joint columns of the readings",

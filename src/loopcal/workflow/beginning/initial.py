@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -34,6 +35,7 @@ from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.masses import in_space
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, output_groups
+from loopcal.presentation.html import table
 from loopcal.presentation.shown import columns as in_columns
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
 from loopcal.small_samples import LearntCovariance
@@ -74,15 +76,16 @@ class RobotFile:
 class InitialProject:
     """A project as it was understood from files, ready to be calibrated.
 
-    mechanism, dataset, noise: for `calibrate`; text: of the project file; tables: further files
-    beside it; fits: what the nominal machine misses, by instrument; remarks: what was inferred,
-    and why; written: the files on the disk, empty where none were asked for.
+    mechanism, dataset, noise: for `calibrate`; text: of the project file, inputs: the same as data;
+    tables: further files beside it; fits: what the nominal machine misses, by instrument; remarks:
+    what was inferred, and why; written: the files on the disk, empty where none were asked for.
     """
 
     mechanism: Mechanism
     dataset: Dataset
     noise: Noise
     text: str
+    inputs: Mapping[str, Any]
     tables: Mapping[str, bytes]
     fits: Mapping[str, Mounted]
     remarks: tuple[str, ...]
@@ -125,6 +128,15 @@ class InitialProject:
             parts += ["next:", f"  {self.command}"]
         return "\n".join(parts)
 
+    def __repr__(self) -> str:
+        miss = ", ".join(f"{name} {with_unit(f.rms, 'm')}" for name, f in self.fits.items())
+        return f"<InitialProject: {len(self.dataset)} poses, nominal machine misses {miss}>"
+
+    def _repr_html_(self) -> str:
+        head, *rows = self._rows()
+        remarks = "".join(f"<li>{escape(words)}</li>" for words in self.remarks)
+        return f"{table(head, rows)}<ul>{remarks}</ul><p>{escape(repr(self)[1:-1])}</p>"
+
     def _rows(self) -> list[list[str]]:
         units = {**self.mechanism.quantities, **self.mechanism.pose_constants}
         names = list(self.dataset.readings)
@@ -157,11 +169,11 @@ def init(
 ) -> InitialProject:
     """Recognise readings and a robot, and make a finished project of them.
 
-    readings: paths, or Datasets, dicts of arrays and DataFrames, joined by pose ids or by row
-    order. One of urdf, dh (a table a, d, alpha, theta) and machine (a type with nominal values)
-    describes the robot; base, tip: links of the URDF, by default the only ones that fit. Units,
-    orders and directions that no header states are those with which the placed nominal machine
-    fits clearly best. out: the folder to write into, by default none; sheet: of a workbook, or the
+    readings: paths, or Datasets, dicts of arrays, DataFrames and arrays (N, k), joined by pose ids
+    or by row order. One of urdf, dh (a table a, d, alpha, theta) and machine (a type with nominal
+    values) describes the robot; base, tip: links of the URDF, by default the only ones that fit.
+    Units, orders and directions that no header states are those with which the placed nominal
+    machine fits clearly best. out: the folder to write into, by default none; sheet: of a workbook, or the
     variable of a MATLAB file, by default the one with by far the most numbers.
 
     Raises InputError where something remains open, with what is possible, and where files are in
@@ -212,7 +224,14 @@ def initial_project(
     remarks += tuple(row for rows in statement.remarks.values() for row in rows) + odd
     text = statement.text
     done = InitialProject(
-        project.mechanism, dataset, project.noise.noise(), text, tables, statement.fits, remarks
+        project.mechanism,
+        dataset,
+        project.noise.noise(),
+        text,
+        project.inputs,
+        tables,
+        statement.fits,
+        remarks,
     )
     if out is None:
         return done
