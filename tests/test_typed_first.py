@@ -38,7 +38,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     pl.DataFrame({axis: table[axis] for axis in "xyz"}).write_csv(folder / "tracker.csv")
     df = pd.DataFrame(table)
     urdf = folder / "robot" / "robot.urdf"
-    result = lc.calibrate(df, urdf=urdf, **FAST)
+    result: Any = lc.calibrate(df, urdf=urdf, **FAST)
     result.save(folder / "result")
     return SimpleNamespace(
         folder=folder,

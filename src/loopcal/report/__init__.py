@@ -6,12 +6,10 @@ from typing import Any
 
 
 class _Callable(ModuleType):
-    """Importing this package binds it in `loopcal` under the name of `loopcal.report(result)`."""
+    """Python binds this package as `loopcal.report` once it is loaded, in place of the function."""
 
-    def __call__(self, *given: Any, **options: Any) -> Any:
-        from loopcal.report.writing import report
-
-        return report(*given, **options)
+    def __call__(self, *results: Any, **options: Any) -> Any:
+        return sys.modules["loopcal"].__getattr__("report")(*results, **options)
 
 
 sys.modules[__name__].__class__ = _Callable

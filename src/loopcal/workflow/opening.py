@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.files.machines.urdf import urdf_machine
-from loopcal.files.recognition.robots import urdf_robot
+from loopcal.files.recognition.robots import robot_link, urdf_robot
 from loopcal.mechanisms.machine import Machine
 from loopcal.workflow.resolved import described, result_of
 from loopcal.workflow.saved_result import read_result
@@ -28,9 +28,11 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
     """The machine of a URDF: `fk(q)` says where it is; `assemble` and `calibrate(readings, urdf=
     path)` calibrate it.
 
-    base, tip: links, by default of the chain with the most moving joints. Raises InputError where
+    base, tip: links, by default the one named as those that tools are mounted on (tool0, flange),
+    else of the chain with the most moving joints. Raises InputError where
     several chains have as many, with their links, and for what is no URDF.
     """
+    tip = robot_link(Path(path)) if base is None and tip is None else tip
     table = urdf_robot(Path(path), str(path), (), base, tip).table
     return urdf_machine(path, table["base"], table["tip"])
 

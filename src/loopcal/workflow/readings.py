@@ -106,7 +106,7 @@ def _of_table(result: Any, data: Any, units: Units, *, whole: bool) -> Dataset:
         table = dict(zip(names, joint_rows(np.atleast_2d(columns), names).T, strict=True))
         return readings(table, mechanism, units or in_source)
     if units is None and source is not None and not isinstance(data, Dataset):
-        known = {str(one["column"]) for one in source["columns"].values()}
-        if known <= {*column_names(data)}:
+        labels = {str(one["column"]) for one in source["columns"].values()}
+        if labels <= {*column_names(data)}:
             return read_new_readings((data,), inputs, mechanism, whole=whole)
     return readings(data, mechanism, units)

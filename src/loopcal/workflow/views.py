@@ -17,8 +17,6 @@ from loopcal.errors import InputError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from loopcal.companions.robot.correction import Correction
-    from loopcal.companions.robot.export_files import Export
     from loopcal.document.parameter_table import ParameterTable
     from loopcal.figures.figure import Figure
     from loopcal.report.source import Source
@@ -120,12 +118,11 @@ class Views:
         """The same as `fk`."""
         return self.fk(q, units=units)
 
-    def export(self, to: str, **options: Any) -> Export:
+    def export(self, to: str, **options: Any) -> Any:
         """`loopcal.export` of this result."""
         from loopcal.companions import called
 
-        exported: Export = called("export")(self, to, **options)
-        return exported
+        return called("export")(self, to, **options)
 
     def to_urdf(self, out: str | Path, **options: Any) -> Path:
         """Write the calibrated URDF, and return its path; options: of `loopcal.export`."""
@@ -137,12 +134,11 @@ class Views:
         write_atomic(Path(out), next(text for name, text in files.items() if name.endswith("urdf")))
         return Path(out)
 
-    def correct(self, targets: Any, **options: Any) -> Correction:
+    def correct(self, targets: Any, **options: Any) -> Any:
         """`loopcal.correct` of targets by this result."""
         from loopcal.companions import called
 
-        corrected: Correction = called("correct")(self, targets, **options)
-        return corrected
+        return called("correct")(self, targets, **options)
 
     def report(self, out: str | Path = "report.html") -> Path:
         """`loopcal.report` of this result."""

@@ -88,12 +88,26 @@ def _best_tip(fitting: Iterable[Branch]) -> Branch:
     Which of them matters little: where the target sits on it is estimated.
     """
     links = sorted(fitting, key=lambda b: b.beyond)
-    for word in words("links", "tip"):
-        for link in links:
-            if link.tip == word or link.tip.endswith(f"_{word}"):
-                return link
+    if tips := _named_tips(links):
+        return tips[0]
     leaves = [link for link in links if link.leaf]
     return leaves[0] if len(leaves) == 1 else links[0]
+
+
+def _named_tips(links: Sequence[Branch]) -> list[Branch]:
+    """Links named as what tools are mounted on, in the order of these words."""
+    return [
+        link
+        for word in words("links", "tip")
+        for link in links
+        if link.tip == word or link.tip.endswith(f"_{word}")
+    ]
+
+
+def robot_link(path: Path) -> str | None:
+    """The link of a URDF that tools are mounted on, by its name; None where none or several are."""
+    tips = _named_tips(branches(path))
+    return tips[0].tip if len({b.joints for b in tips}) == 1 else None
 
 
 def _which_chain(path: Path, every: Sequence[Branch], fitting: Sequence[Branch]) -> InputError:

@@ -173,8 +173,8 @@ def init(
     or by row order. One of urdf, dh (a table a, d, alpha, theta) and machine (a type with nominal
     values) describes the robot; base, tip: links of the URDF, by default the only ones that fit.
     Units, orders and directions that no header states are those with which the placed nominal
-    machine fits clearly best. out: the folder to write into, by default none; sheet: of a workbook, or the
-    variable of a MATLAB file, by default the one with by far the most numbers.
+    machine fits clearly best. out: the folder to write into, by default none; sheet: of a workbook,
+    or the variable of a MATLAB file, by default the one with by far the most numbers.
 
     Raises InputError where something remains open, with what is possible, and where files are in
     the way.
