@@ -65,7 +65,7 @@ CALLS: dict[str, Call] = {
         lc.calibrate(
             str(m.folder / "joints.csv"), m.folder / "tracker.csv", urdf=m.urdf, **FAST
         ).rms
-        < 1e-4
+        == pytest.approx(m.result.rms, rel=1e-6)
     ),
     "lc.init(polars)": lambda m: same(m, pl.DataFrame(m.table)),
     "lc.init(dict of arrays)": lambda m: same(m, m.table),
@@ -105,7 +105,7 @@ CALLS: dict[str, Call] = {
     "result.correct(df)": lambda m: "joint" in str(m.result.correct(m.df.iloc[:2])),
     "result.to_dataframe()": lambda m: "sd" in m.result.to_dataframe().columns,
     "result.params.to_dataframe()": lambda m: len(m.result.params.to_dataframe()) > 6,
-    "result.rms": lambda m: m.result.rms == m.saved.rms < 1e-4,
+    "result.rms": lambda m: m.result.rms == m.saved.rms,
     "result.outliers": lambda m: isinstance(m.result.outliers, tuple),
     "result.plot()": lambda m: m.result.plot().data,
     "result.plot.residuals()": lambda m: m.result.plot.residuals().data,

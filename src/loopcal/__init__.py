@@ -74,7 +74,9 @@ if TYPE_CHECKING:
     from loopcal.files.machines.mechanism_file import read_mechanism
     from loopcal.files.project.project_data import LoadedData
     from loopcal.files.project.project_file import Project, read_project
+    from loopcal.files.tables.bag import read_bag
     from loopcal.files.tables.readers import read_dataset
+    from loopcal.files.tables.recording import Recording
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
@@ -151,7 +153,9 @@ _HOME = {
         *("cross", "dot", "norm", "rot_x", "rot_y", "rot_z", "rotate", "vector"),
     ),
     "companions.record.record_file": ("RecordCheck",),
+    "files.tables.bag": ("read_bag",),
     "files.tables.readers": ("read_dataset",),
+    "files.tables.recording": ("Recording",),
     "files.machines.mechanism_file": ("read_mechanism",),
     "files.project.project_data": ("LoadedData",),
     "files.project.project_file": ("Project", "read_project"),
@@ -274,6 +278,7 @@ __all__ = [
     "ReadingReliability",
     "Record",
     "RecordCheck",
+    "Recording",
     "Repeats",
     "Result",
     "ResultDocument",
@@ -329,6 +334,7 @@ __all__ = [
     "plot",
     "predict",
     "random_poses",
+    "read_bag",
     "read_dataset",
     "read_mechanism",
     "read_project",

@@ -151,7 +151,6 @@ def test_names_of_other_libraries_mean_the_same_here(
         "chisqr": result.chi_squared and result.chi_squared.value,
         "redchi": result.chi_squared and result.chi_squared.variance_factor,
         "best_fit": None,
-        "rms": result.accuracy_after and result.accuracy_after.rms,
         # statsmodels
         "cov": result.covariance,
         "bse": result.sd,
@@ -160,7 +159,7 @@ def test_names_of_other_libraries_mean_the_same_here(
         "fittedvalues": {n: result.dataset[n] + d for n, d in result.differences_after.items()},
     }
     called = {"fit_report", "cov_params", "conf_int", "to_pandas", "to_polars"}
-    called |= {"to_dataframe", "outliers"}
+    called |= {"to_dataframe"}
     assert set(ALIASES) == {*guesses, *called}
     assert len(ALIASES) >= 20
     every: list[Any] = [result, saved]

@@ -38,8 +38,6 @@ ALIASES: Mapping[str, Callable[[Any], Any]] = {
     "fittedvalues": lambda r: r.fitted_outputs,
     "nobs": lambda r: r.unjudged.data.used,
     "conf_int": lambda r: lambda alpha=0.05: confidence(r, alpha),
-    "rms": lambda r: r.unjudged.accuracy and r.unjudged.accuracy.after.rms,
-    "outliers": lambda r: r.document.outliers,
     # DataFrames and files
     "to_dataframe": lambda r: r.params.to_dataframe,
     "to_pandas": lambda r: r.params.to_pandas,

@@ -17,6 +17,7 @@ from loopcal.errors import InputError
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from loopcal.document.findings import Outlier
     from loopcal.document.parameter_table import ParameterTable
     from loopcal.figures.figure import Figure
     from loopcal.report.source import Source
@@ -68,6 +69,17 @@ class Views:
         from loopcal.document.parameter_table import ParameterTable
 
         return ParameterTable(self.unjudged.parameters)
+
+    @property
+    def rms(self) -> float | None:
+        """Of computed minus measured outputs at the poses used [m]; None: not known."""
+        accuracy = self.unjudged.accuracy
+        return None if accuracy is None or accuracy.after is None else accuracy.after.rms
+
+    @property
+    def outliers(self) -> tuple[Outlier, ...] | None:
+        """What does not fit, worst first; None: no reading was tested."""
+        return self.document.outliers
 
     @property
     def plot(self) -> Plots:

@@ -18,6 +18,7 @@ from loopcal.files.project.source_table import SourceInstrument, SourceTable
 from loopcal.files.recognition.fields import STATIONS, Field, Source, sources_of, unnamed
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import Seen, at_station
+from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.meanings import Meaning, inverse, polar, positions, rotations
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
@@ -163,7 +164,7 @@ def source_fields(paths: Sequence[Any], table: SourceTable) -> Fields:
     sources: list[Source] = []
     for path in paths:
         sources += sources_of(path, len(sources), table.sheet)
-    fields = joined(sources)
+    fields = joined(at_rest(sources, [str(c.column) for c in table.columns.values()])[0])
     standing = [f for f in fields.fields if f.stem in STATIONS and len(f.labels) == 1]
     if table.stations is not None or not standing:
         return fields

@@ -21,6 +21,8 @@ from loopcal.files.recognition.headers import (
     stem,
     words,
 )
+from loopcal.files.tables import bag
+from loopcal.files.tables.recording import Recording
 from loopcal.files.tables.registry import reader_of
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Dataset
@@ -104,7 +106,8 @@ class Source:
     path: of its file, None for a table in memory; sheet: of a workbook, or the variable of a MATLAB
     file that was asked for; ids: one per row, None where no column holds them; pose: that column's
     name or number; fields: its columns of numbers; names: its header; label: how messages call it
-    without a path; remark: what was decided in reading it.
+    without a path; remark: what was decided in reading it; recording: by time, of which it has the
+    poses at rest.
     """
 
     path: Path | None
@@ -115,6 +118,7 @@ class Source:
     names: tuple[str, ...] = ()
     label: str = ""
     remark: str = ""
+    recording: Recording | None = None
 
     @property
     def name(self) -> str:
@@ -133,6 +137,10 @@ def sources_of(data: Any, number: int, sheet: str | None = None) -> tuple[Source
     workbooks, or the variable of MATLAB files. Raises InputError for a table without a column of
     numbers, and for a workbook of which several sheets may hold the readings.
     """
+    if isinstance(data, str | Path) and reader_of(data) is bag.READER:
+        return (_of_recording(bag.read_bag(data, sheet), number, Path(data), sheet),)
+    if isinstance(data, Recording):
+        return (_of_recording(data, number),)
     if isinstance(data, str | Path):
         return _of_file(Path(data), number, sheet if reader_of(data).part else None)
     return (_in_memory(data, number),)
@@ -186,6 +194,23 @@ def _unnamed(data: Any, number: int, first: int) -> list[Field]:
         Field(number, first + i, None, as_numbers(column, f"column {i + 1}"))
         for i, column in enumerate(rows.T)
     ]
+
+
+def _of_recording(
+    recording: Recording, number: int, path: Path | None = None, topic: str | None = None
+) -> Source:
+    """The poses at rest of a bag, or of what `read_bag` made of it."""
+    remark = " ".join(recording.words())
+    label = "" if path is None else path.name
+    return replace(
+        _in_memory(recording, number),
+        path=path,
+        sheet=topic,
+        names=recording.columns,
+        label=label,
+        remark=f"{label}: {remark}",
+        recording=recording,
+    )
 
 
 def _of_file(path: Path, number: int, sheet: str | None) -> tuple[Source, ...]:

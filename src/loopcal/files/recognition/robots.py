@@ -104,6 +104,11 @@ def _named_tips(links: Sequence[Branch]) -> list[Branch]:
     ]
 
 
+def joints_of(urdf: str | Path | None) -> set[str]:
+    """Names of all joints of a URDF that move; none without one."""
+    return set() if urdf is None else {name for b in branches(urdf) for name in b.joints}
+
+
 def robot_link(path: Path) -> str | None:
     """The link of a URDF that tools are mounted on, by its name; None where none or several are."""
     tips = _named_tips(branches(path))

@@ -27,7 +27,14 @@ from loopcal.files.recognition.converting import dataset_of
 from loopcal.files.recognition.fields import Source, sources_of
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import layouts
-from loopcal.files.recognition.robots import Robot, dh_robot, typed_robot, urdf_robot
+from loopcal.files.recognition.logs import at_rest
+from loopcal.files.recognition.robots import (
+    Robot,
+    dh_robot,
+    joints_of,
+    typed_robot,
+    urdf_robot,
+)
 from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset
 from loopcal.measurements.dataset import Dataset
@@ -41,6 +48,7 @@ from loopcal.presentation.shown import in_unit, unit_shown, with_unit
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
+from loopcal.workflow.beginning.delays import Delay, delays
 from loopcal.workflow.beginning.searching import PLAUSIBLE, Machine
 from loopcal.workflow.beginning.stating import READINGS, First, Statement, stated
 from loopcal.workflow.beginning.understanding import Ask, understood
@@ -78,7 +86,8 @@ class InitialProject:
 
     mechanism, dataset, noise: for `calibrate`; text: of the project file, inputs: the same as data;
     tables: further files beside it; fits: what the nominal machine misses, by instrument; remarks:
-    what was inferred, and why; written: the files on the disk, empty where none were asked for.
+    what was inferred, and why; delays: of instruments that were recorded by time;
+    written: the files on the disk, empty where none were asked for.
     """
 
     mechanism: Mechanism
@@ -89,6 +98,7 @@ class InitialProject:
     tables: Mapping[str, bytes]
     fits: Mapping[str, Mounted]
     remarks: tuple[str, ...]
+    delays: tuple[Delay, ...] = ()
     written: tuple[Path, ...] = ()
 
     @property
@@ -202,6 +212,7 @@ def initial_project(
     sources: list[Source] = []
     for entry in readings:
         sources += sources_of(entry, len(sources), sheet)
+    sources, by_time = at_rest(sources, joints_of(robot.urdf))
     fields = joined(sources)
     made = _robot(robot, fields, folder)
     machine = _machine(made, fields, folder)
@@ -211,6 +222,8 @@ def initial_project(
     statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
     project = _read(statement, folder)
     dataset = dataset_of(fields.poses, statement.readings)
+    late = delays(project.mechanism, dataset, way, by_time)
+    statement = statement.remarked("data", *map(str, late))
     odd = (*_odd(project, dataset), *_far_off(statement.fits))
     # Where the machine fits, no fault of a whole file is left to be found.
     if way.share > PLAUSIBLE:
@@ -232,6 +245,7 @@ def initial_project(
         tables,
         statement.fits,
         remarks,
+        late,
     )
     if out is None:
         return done
