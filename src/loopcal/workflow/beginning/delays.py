@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
+from loopcal.estimation.methods.least_squares import METHOD
 from loopcal.estimation.problem.alignment import align
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.logs import Columns
@@ -75,7 +76,7 @@ def delays(
         return ()
     # Between stands the machine as they determine it misses less than the nominal one.
     with suppress(InputError):
-        mechanism = calibrate(mechanism, dataset, fit=Fit(method="least-squares")).calibrated
+        mechanism = calibrate(mechanism, dataset, fit=Fit(method=METHOD)).calibrated
     machine = Machine(mechanism, tuple(understood.joints))
     made = []
     for meaning in understood.seen:
