@@ -20,7 +20,7 @@ def test_summary_and_report_say_what_they_said(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     copytree(EXAMPLES / "planar", "planar", ignore=ignore_patterns("*-result"))
-    asked = ["--method", "implicit-loop", "--folds", "4"]
+    asked = ["--method", "implicit-loop", "--folds", "4", "--full"]
     assert main(["calibrate", "planar/project.toml", "--out", "out", *asked]) == 0
     golden.check("summary.txt", capsys.readouterr().out)
     page = (tmp_path / "out" / "report.html").read_text("utf-8")

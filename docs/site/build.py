@@ -35,7 +35,7 @@ FIRST = [
 ]
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#\s]*)(#[^)\s]*)?\)")
 _CODE_ROW = re.compile(r"^\| `([a-z]+(?:-[a-z]+)*)` \|", re.M)
-_RELATIVE = re.compile(r"\]\((?!\w+:|#)")
+_RELATIVE = re.compile(r"\]\((?!\w+:|#|\.\./\.\./)")
 CODED = {"reference/messages": "error", "explanation/verdict": "verdict"}
 """Pages whose tables have a row per code, and what these are codes of."""
 
@@ -97,7 +97,9 @@ def write_codes(source: Path) -> None:
             title = "As an error"
             if kind == "verdict":
                 title = f"In the verdict: {row['question']}, answered {row['answer']}"
-            means, remedy = (_RELATIVE.sub(up, row[key]) for key in ("means", "what to do"))
+            here = f"{up}{Path(name).name}.md#"
+            cells = [row[key].replace("](#", here) for key in ("means", "what to do")]
+            means, remedy = (_RELATIVE.sub(up, cell) for cell in cells)
             sections.setdefault(row["code"], [f"# {row['code']}", ""]).extend(
                 [
                     *(f"## {title}", "", f"**What it means:** {means}.", ""),
@@ -152,19 +154,10 @@ def signatures() -> str:
 
 
 def index(source: Path) -> str:
-    """The first page: where to begin, and the contents."""
-    lines = [
-        "# loopcal",
-        "",
-        "loopcal calibrates the geometry of machines from readings in which every",
-    ]
-    lines += ["sensor is uncertain, and states how far you can trust the result.", ""]
-    lines += ["![An arm in space, its joints named](pictures/arm.png)", ""]
-    lines += ["- Robot engineer: [calibrate your first robot](how-to/first-robot.md)"]
-    lines += ["- Metrologist: [what the verdict means](explanation/verdict.md)"]
-    lines += ["- Researcher with loops of your own: [write a mechanism](how-to/own-loop.md)"]
-    flow = "explanation/how-a-calibration-flows.md"
-    lines += [f"- Developer: [how a calibration flows]({flow})", ""]
+    """The first page: the first part of README, the map of the pages, and the contents."""
+    readme = (DOCS.parent / "README.md").read_text("utf-8").split("\n## What it can do")[0]
+    table = [line for line in (DOCS / "README.md").read_text("utf-8").splitlines() if "|" in line]
+    lines = [_LINK.sub(_from_above, readme), "", "## Find a page", "", *table, ""]
     for title, pages in PARTS.items():
         if isinstance(pages, str):
             found = sorted(p for p in (source / pages).rglob("*.md") if p.parent.name != "codes")
@@ -173,8 +166,18 @@ def index(source: Path) -> str:
         else:
             names = list(pages)
         names += ["conventions"] if title == "Reference" else []
-        lines += ["```{toctree}", f":caption: {title}", ":maxdepth: 1", "", *names, "```", ""]
+        options = [f":caption: {title}", ":maxdepth: 1", ":hidden:"]
+        lines += ["```{toctree}", *options, "", *names, "```", ""]
     return "\n".join(lines)
+
+
+def _from_above(link: re.Match[str]) -> str:
+    """A link of README as the first page has it; one that leaves docs/ is a text."""
+    picture, words, target, anchor = link.groups()
+    if re.match(r"\w+:", target):
+        return link[0]
+    inside = target.removeprefix("docs/")
+    return f"{picture}[{words}]({inside}{anchor or ''})" if inside != target else words
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
-from typing import Literal
+from typing import Literal, Self
 
 LONGEST_NAME, LONGEST_TEXT, MOST_NAMES = 80, 2_000, 10
 """Characters of a quoted name and of a whole text, and names of a list, that a message shows."""
@@ -84,9 +84,11 @@ class LoopcalError(Exception):
     """Root of all errors raised on purpose; by itself it means a fault of ours (exit code 1).
 
     code: its kind, where it is not the usual one of its class; place: file, row and key; remedy:
-    what to do.
+    what to do; options: those with which the same command goes on; command: what to type next.
     """
 
+    options: tuple[str, ...] = ()
+    command = ""
     exit_code = 1
     usual_code: Code = "internal"
 
@@ -111,7 +113,13 @@ class LoopcalError(Exception):
     def text(self) -> str:
         """As the command line prints it; as a text the error names arguments of Python."""
         text = f"{self.place}: {self.message}" if self.place else self.message
-        return f"{text}\n  What to do: {self.remedy}" if self.remedy else text
+        text = f"{text}\n  What to do: {self.remedy}" if self.remedy else text
+        return f"{text}\n  Next command:\n    {self.command}" if self.command else text
+
+    def offering(self, *options: str) -> Self:
+        """The same error with the options that decide what is open."""
+        self.options = options
+        return self
 
     def at(self, place: str) -> LoopcalError:
         """The same error with the place filled in, for callers that know the file."""

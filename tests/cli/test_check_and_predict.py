@@ -165,7 +165,7 @@ def test_check_says_why_parameters_of_a_urdf_are_fixed(
         ("simulate", "arm/project.toml", "--out", "arm/poses.csv", "--seed", "1"),
     ):
         assert run(*command).code == 0
-    said = run("check", "arm/project.toml")
+    said = run("check", "arm/project.toml", "--full")
     reason = "'flange_z' is fixed: indistinguishable from 'tool_z'."
     assert reason in said.out
     document = json.loads(run("check", "arm/project.toml", "--json").out)

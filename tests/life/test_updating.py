@@ -107,6 +107,36 @@ def test_along_a_curved_valley_it_equals_fitting_everything_at_once(
     assert symmetric(entry.unwidened) == pytest.approx(plain)
 
 
+def test_where_the_poses_show_a_product_it_settles_on_fitting_everything_at_once() -> None:
+    """Linearised at its own end, each fit would lead to the other side of the valley."""
+    bend = lc.Mechanism.from_function(
+        lambda x, p: [
+            x.y - p.c * x.q - p.a * p.b * np.sin(3.0 * x.q),
+            x.z - p.c * x.q**2 - 0.01 * (p.a + 0.3 * p.b) * x.q**3,
+        ],
+        {"q": "m", "y": "m", "z": "m"},
+        {"a": (0.0, "1"), "b": (0.0, "1"), "c": (1.0, "1")},
+        outputs=("y", "z"),
+    )
+    rng, sd = np.random.default_rng(4), 1e-3
+    q = rng.uniform(0.0, 1.0, 60)
+    y = 1.02 * q + 0.005 * np.sin(3.0 * q) + sd * rng.standard_normal(60)
+    z = 1.02 * q**2 + 0.0008 * q**3 + sd * rng.standard_normal(60)
+    noise, prior = lc.Noise({"q": 0.0, "y": sd, "z": sd}), lc.Prior({"a": 0.2, "b": 0.2})
+    every, first = (
+        lc.calibrate(
+            bend,
+            {"q": q[:n], "y": y[:n], "z": z[:n]},
+            noise=noise,
+            prior=prior,
+            method="implicit-loop",
+        )
+        for n in (60, 30)
+    )
+    found = lc.update(first, {"q": q[30:], "y": y[30:], "z": z[30:]}, moved=False)
+    assert np.abs((values(found) - values(every)) / sds(every)).max() < 0.1
+
+
 def line() -> lc.Mechanism:
     return lc.Mechanism.from_function(
         lambda x, p: [x.y - p.a * x.q - p.b, x.z - p.a * x.q],

@@ -44,6 +44,7 @@ ProjectArgument = Annotated[
     str, argument("PROJECT", "Project file (TOML); - reads standard input.")
 ]
 ResultArgument = Annotated[str, argument("RESULT", "Folder of a calibration, or its result.json.")]
+FullOption = Annotated[bool, flag("--full", "Print everything, where it is more than one screen.")]
 JsonOption = Annotated[bool, flag("--json", "Print one JSON document instead of text.")]
 FunctionOption = Annotated[
     str | None,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from shlex import quote
+from shlex import join, quote
 from typing import Annotated
 
 from loopcal.cli.application import (
     ClusterOption,
     DateOption,
     ForceOption,
+    FullOption,
     FunctionOption,
     HistoryOption,
     JsonOption,
@@ -22,7 +23,7 @@ from loopcal.cli.application import (
     option,
     out_option,
 )
-from loopcal.cli.output import log, print_data, print_done, print_json, print_out
+from loopcal.cli.output import log, print_data, print_done, print_json, print_out, screen
 from loopcal.cli.registry import keeper
 from loopcal.companions import called
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError
@@ -53,11 +54,20 @@ def calibrate(
     ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
+    full: FullOption = False,
     mechanism: FunctionOption = None,
     require_identifiable: Annotated[
         bool,
         flag("--require-identifiable", "Exit with code 4 unless every parameter is determined."),
     ] = False,
+    tolerance: Annotated[
+        float | None,
+        option(
+            "MM",
+            "Judge whether 95 % of poses in the working region lie within this distance "
+            "[default: the project's verdict.tolerance].",
+        ),
+    ] = None,
     require: Annotated[
         list[str] | None,
         option(
@@ -113,6 +123,7 @@ def calibrate(
                 compare=compare,
                 report=not no_report,
                 keeper=keeper(machine_history, date),
+                tolerance=None if tolerance is None else 1e-3 * tolerance,
             ),
             out=out,
             function=mechanism,
@@ -127,16 +138,19 @@ def calibrate(
             ),
         )
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
-    document = done.written.document
-    text = f"{document.title}\n{document}\n\n{done.result.findings.words()}"
-    print_done(document, as_json, text=text, where=where)
+    typed, full = done.typed, full or bool(truth or profile or compare)  # what was asked is shown
+    text = f"{typed.title}\n{typed}\n\n{done.result.findings.words()}"
+    print_done(done.written.document, as_json, text=text, where=where, full=full)
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
 
 
 @app.command()
 def check(
-    project: ProjectArgument, as_json: JsonOption = False, mechanism: FunctionOption = None
+    project: ProjectArgument,
+    as_json: JsonOption = False,
+    full: FullOption = False,
+    mechanism: FunctionOption = None,
 ) -> None:
     """Check a project before a fit: ranges, what the poses can determine, the expected sds."""
     from loopcal.workflow.checking import run_check
@@ -151,7 +165,8 @@ def check(
         print_json({**document, "warnings": [*done.warnings]})
     else:
         more = "" if cure is None else f"\n\n{cure}"
-        print_out(f"{title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}")
+        text = f"{title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}"
+        print_out(text if full else screen(text))
 
 
 @app.command()
@@ -206,6 +221,7 @@ def compare(
         ),
     ] = False,
     as_json: JsonOption = False,
+    full: FullOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
     """Compare two calibrations of one machine: differences, their sds and their significance."""
@@ -217,7 +233,7 @@ def compare(
         done = compared(first, second, poses=poses, align=not same_frame)
     except InputError as error:
         raise (error if error.place else error.at(f"{a}, {b}")) from None
-    print_done(done, as_json)
+    print_done(done, as_json, full=full)
 
 
 @app.command()
@@ -323,6 +339,20 @@ def new(
 
 
 @app.command()
+def demo(
+    out: Annotated[str, out_option("DIR", "Write the project to this folder.")] = "loopcal-demo",
+    force: ForceOption = False,
+) -> None:
+    """Calibrate a simulated arm without any file, and open the report."""
+    from loopcal.cli.asking import open_page
+    from loopcal.workflow.demonstration import run_demonstration
+
+    done = run_demonstration(out)
+    print_out(str(done))
+    open_page(done.report)
+
+
+@app.command()
 def init(
     files: Annotated[
         list[str],
@@ -358,14 +388,35 @@ def init(
             "[default: the sheet with by far the most numbers].",
         ),
     ] = None,
+    joints: Annotated[
+        str | None,
+        option(
+            "COLUMNS",
+            "Columns of the joints in the machine's order, such as J1,-J2,J3+J2 "
+            "[default: those with which the nominal machine fits clearly best].",
+        ),
+    ] = None,
+    leave_out: Annotated[
+        str | None,
+        option("COLUMNS", "Columns that take no part, such as '*_soll,v*' [default: none]."),
+    ] = None,
     run: Annotated[bool, flag("--run", "Calibrate at once and open the report.")] = False,
 ) -> None:
     """Recognise readings and a robot; write a finished project."""
     from loopcal.cli.asking import ask_on_terminal, open_page
     from loopcal.workflow.beginning.initial import RobotFile, initial_project
 
-    robot = RobotFile(urdf, dh, machine, base, tip)
-    done = initial_project(files, robot, out=out, sheet=sheet, ask=ask_on_terminal())
+    robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out)
+    try:
+        done = initial_project(files, robot, out=out, sheet=sheet, ask=ask_on_terminal())
+    except InputError as error:
+        stated = {"--urdf": urdf, "--dh": dh, "--machine": machine, "--base": base, "--tip": tip}
+        stated |= {"--sheet": sheet, "--joints": joints, "--leave-out": leave_out}
+        stated |= {"--out": None if out == "calibration" else out}
+        stated |= dict(zip(error.options[::2], error.options[1::2], strict=True))
+        words = [word for key, value in stated.items() if value for word in (key, value)]
+        error.command = error.command or join(["loopcal", "init", *files, *words])
+        raise
     print_out(str(done))
     if run:
         try:

@@ -41,6 +41,31 @@ def print_out(text: str) -> None:
     _print(shown(text))
 
 
+SCREEN = 40
+"""Lines that a terminal shows at once."""
+
+
+def screen(text: str) -> str:
+    """What fits on one screen of a text whose parts are apart by an empty line.
+
+    The parts keep their order. One that does not fit any more is left out, and named by its first
+    words in the last line.
+    """
+    if text.count("\n") < SCREEN:
+        return text
+    kept, left, room = list[str](), list[str](), SCREEN - 2
+    for part in text.split("\n\n"):
+        needed = part.count("\n") + 2
+        if needed > room:
+            head = part.split("\n")[0]
+            name = head.split("  ")[0] if "  " in head else head.split(" ")[0].rstrip(":")
+            left.append("warnings" if name == "WARNING" else name)
+            continue
+        kept.append(part)
+        room -= needed
+    return "\n\n".join([*kept, f"(not shown: {', '.join(dict.fromkeys(left))}; all: --full)"])
+
+
 def print_data(text: str) -> None:
     """Print a table to stdout: as it is, for programs to read, but escaped on a terminal."""
     _print(escaped(text) if sys.stdout.isatty() else text)
@@ -87,10 +112,13 @@ def print_json(document: Any) -> None:
     _print(_STEERING.sub(lambda match: json.dumps(match[0])[1:-1], text))
 
 
-def print_done(done: Any, as_json: bool, *, text: str = "", where: str = "") -> None:
+def print_done(
+    done: Any, as_json: bool, *, text: str = "", where: str = "", full: bool = True
+) -> None:
     """Print what a command made: its document as JSON, or a text, by default its own, for people.
 
-    where: the files that were written, on stderr beside JSON and below a text.
+    where: the files that were written, on stderr beside JSON and below a text; full: all of the
+    text, else what fits on one screen.
     """
     if as_json:
         document = getattr(done, "document", done)
@@ -99,6 +127,7 @@ def print_done(done: Any, as_json: bool, *, text: str = "", where: str = "") -> 
             log(where)
     else:
         text = text or str(done)
+        text = text if full else screen(text)
         print_out(f"{text}\n\n{where}" if where else text)
 
 

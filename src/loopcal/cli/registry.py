@@ -18,7 +18,7 @@ COMMANDS = {
     **dict.fromkeys(("calibrate", "check", "predict", "compare", "report", "noise"), "commands"),
     "simulate": "commands",
     "study": "companions.studies.commands",
-    **dict.fromkeys(("new", "init", "schema"), "commands"),
+    **dict.fromkeys(("new", "demo", "init", "schema"), "commands"),
     "correct": "companions.robot.correct_commands",
     "export": "companions.robot.export_commands",
     "verify": "verification",

@@ -8,6 +8,7 @@ from loopcal.cli.application import (
     AnewOption,
     DateOption,
     ForceOption,
+    FullOption,
     FunctionOption,
     HistoryOption,
     JsonOption,
@@ -40,6 +41,7 @@ def verify(
     machine_history: HistoryOption = None,
     date: DateOption = None,
     as_json: JsonOption = False,
+    full: FullOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
     """Verify a calibration with readings of another day, the instrument placed anew."""
@@ -55,7 +57,7 @@ def verify(
         keeper=keeper(machine_history, date),
         function=mechanism,
     )
-    print_done(done, as_json)
+    print_done(done, as_json, full=full)
     if out is not None:
         log(f"written to {out}")
     if done.failed:

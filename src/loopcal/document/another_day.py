@@ -7,6 +7,7 @@ from functools import partial
 from loopcal.document.verdict import Row
 
 _VERIFY = "loopcal verify {result} {readings}"
+_PAGE, _PLAN = f"{_VERIFY} --out verification.html", "loopcal plan {project}"
 _UPDATE = "loopcal update {result} {readings}"
 _NOT_AS_CALIBRATED = "The machine is not as calibrated: {changes}."
 _not_consistent = partial(Row, "consistent", "refuse")
@@ -30,7 +31,10 @@ ANOTHER_DAY = (
         shared="change-points",
     ),
     _consistent_open(
-        "no-redundancy", "These poses only determine what was placed anew.", "Measure more poses."
+        "no-redundancy",
+        "These poses only determine what was placed anew.",
+        "Measure more poses.",
+        _PLAN,
     ),
     _consistent("unchanged", "The machine is as calibrated: {statistic}."),
     _not_consistent(
@@ -59,6 +63,7 @@ ANOTHER_DAY = (
         "machine-changed",
         _NOT_AS_CALIBRATED,
         "Inspect the worst poses. Calibrate anew.",
+        _PAGE,
         shared="changed",
     ),
     _not_consistent(
@@ -87,17 +92,20 @@ ANOTHER_DAY = (
         "These poses err {times:2} times as much as the calibration states: {rms:3} rms instead of "
         "{expected:3}.",
         "Inspect the worst poses. Calibrate anew.",
+        _PAGE,
     ),
     _not_consistent(
         "misfit-larger",
         "An error that no change explains is {times:2} times as large as the calibration states.",
         "Inspect the worst poses. Calibrate anew.",
+        _PAGE,
         shared="errors-larger",
     ),
     _consistent_open(
         "moved-or-machine",
         "Something may have moved along this run{what}.",
         "Measure the poses in random order: a drift is then no error of the machine.",
+        _PLAN,
         detail="{details} An error of the machine along these poses looks the same.",
         shared="drift-or-model",
     ),
@@ -112,12 +120,14 @@ ANOTHER_DAY = (
         "day-copied",
         "{copied} rows copy others; they were left out.",
         "Check how the file was made; delete the copies.",
+        _VERIFY,
         shared="rows-copied",
     ),
     _consistent_open(
         "own-poses",
         "{repeated} of these poses are those of the calibration itself, which they cannot test.",
         "Measure other poses.",
+        _PLAN,
     ),
     Row(
         "better",

@@ -1,8 +1,8 @@
 """The catalogue: a row for each fact, with the question it answers, its severity and its words.
 
 Braces in a sentence name numbers (with a form, as of `Figure`), texts or the place of the fact; in
-a command they name files: project, result, readings. Of findings of one severity the row that
-stands first is the gravest.
+a command they name texts or files: project, result, readings. Of findings of one severity the row
+that stands first is the gravest.
 """
 
 from __future__ import annotations
@@ -382,7 +382,21 @@ _ROWS = (
         "worse",
         "Worse than {rival} on poses not used: {rms:3} rms instead of {rival_rms:3}.",
         "Use the better one, or measure more poses.",
+        f"{_AGAIN} --method {{rival}}",
+    ),
+    _not_better(
+        "worse-than-model",
+        "Worse than {rival} on poses not used: {rms:3} rms instead of {rival_rms:3}.",
+        "Use the better one, or measure more poses.",
         _AUTO,
+        shared="worse",
+    ),
+    _not_better(
+        "worse-than-drawing",
+        "Worse than {rival} on poses not used: {rms:3} rms instead of {rival_rms:3}.",
+        "Use the nominal machine, or measure more poses.",
+        _PLAN,
+        shared="worse",
     ),
     _better_open(
         "better-near-only",
@@ -449,6 +463,7 @@ _ROWS = (
         "like-nominal",
         f"The calibrated machine predicts these poses about as well as the drawing: {_PAIRED}",
         "Measure more poses to decide.",
+        "loopcal plan {project}",
     ),
     _better(
         "better-than-nominal",
@@ -458,6 +473,7 @@ _ROWS = (
         "worse-than-nominal",
         f"The calibrated machine predicts these poses worse than the drawing: {_PAIRED}",
         "Do not use the calibration at poses like these. Calibrate with such poses.",
+        "loopcal plan {project}",
     ),
     _not_valid(
         "poses-undetermined",

@@ -278,14 +278,16 @@ class ResultDocument:
         return "no pose has readings of outputs and of all that predicts them"
 
     def __str__(self) -> str:
-        """The summary: the verdict, then state, accuracy, sensors, parameters, warnings."""
+        """The summary: the verdict, then accuracy, warnings, state, sensors, parameters."""
         loss = "" if self.loss == "gaussian" else f", loss {self.loss}"
         name = self.mechanism.name if self.mechanism else self.title
         lines = [f"{name}: {self.method_label or self.method}{loss}", ""]
         if self.verdict is not None:
             lines += [*self.verdict.lines(), ""]
-        lines += _state(self)
-        lines += ["", *_accuracy(self)]
+        lines += [*_ended(self), "", *_accuracy(self)]
+        for warning in self.warnings:
+            lines += ["", *wrapped(warning, "WARNING  ", "         ")]
+        lines += ["", *_state(self)]
         p_value = 1.0 if self.chi_squared is None else self.chi_squared.p_value
         rejected = p_value is not None and p_value < 0.01
         if rejected or any(entry.source == "estimated" for entry in self.noise):
@@ -306,8 +308,6 @@ class ResultDocument:
             unit = self.accuracy.unit if self.accuracy else ""
             scheme = self.validation.words if self.validation else ""
             lines += ["", *model_table(self.models, unit, scheme)]
-        for warning in self.warnings:
-            lines += ["", *wrapped(warning, "WARNING  ", "         ")]
         return "\n".join(lines)
 
 
@@ -320,7 +320,7 @@ class WrittenResult:
     document: ResultDocument
 
 
-def _state(document: ResultDocument) -> list[str]:
+def _ended(document: ResultDocument) -> list[str]:
     status, data = document.status, document.data
     head = "converged" if status.converged else f"NOT CONVERGED ({status.reason})"
     steps = f"{status.iterations} iteration{'s' if status.iterations != 1 else ''}"
@@ -329,10 +329,13 @@ def _state(document: ResultDocument) -> list[str]:
     )
     lines = [f"FILE AT FAULT  {fault}" for fault in document.column_faults or ()]
     lines.append(f"{head} in {steps} on {poses}")
+    return lines if status.converged else [*lines, f"  {status.message}"]
+
+
+def _state(document: ResultDocument) -> list[str]:
+    lines = list[str]()
     if document.chosen is not None:
         lines += wrapped(document.chosen.words, "chosen: ", "        ")
-    if not status.converged:
-        lines.append(f"  {status.message}")
     chi = document.chi_squared
     if chi is not None and chi.variance_factor is not None:
         probability = (

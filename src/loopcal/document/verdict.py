@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from string import Formatter
 from types import SimpleNamespace
 from typing import Literal
@@ -41,6 +41,8 @@ class Answer:
     """What to do next; null: nothing."""
     codes: tuple[str, ...] = ()
     """Of the findings that it rests on, the gravest first."""
+    command: str | None = None
+    """The command line that does what is next, for the user's files; null: none."""
 
     @property
     def asked(self) -> bool:
@@ -59,10 +61,12 @@ class Answer:
         if not every:
             return cls(None, UNASKED, None, "No tolerance is stated.", "State a tolerance.")
         first, shown = every[0], [one for one in every if one.severity != "info"] or every
+        step = first.next or NextStep("")
         # All else on the question follows from a file at fault: only that is named (record 0054).
         words = " ".join(one.words for one in (every[:1] if first.code == _ALONE else shown))
-        remedy, codes = first.next.words if first.next else None, tuple(one.code for one in every)
-        return cls(answered(every), first.code, first.number, words, remedy, codes)
+        codes, remedy = tuple(one.code for one in every), step.words or None
+        passed, command = answered(every), step.command
+        return cls(passed, first.code, first.number, words, remedy, codes, command)
 
 
 @dataclass(frozen=True)
@@ -81,9 +85,15 @@ class Verdict:
     """The worst of the answers in one sentence."""
 
     @classmethod
-    def of(cls, findings: Sequence[Finding]) -> Verdict:
-        """The verdict that the findings on a calibration, the gravest first, amount to."""
+    def of(cls, findings: Sequence[Finding], project: str | None = None) -> Verdict:
+        """The verdict that the findings on a calibration, the gravest first, amount to.
+
+        project: file in which a tolerance can be stated, for the command line that does it.
+        """
         answers = {question: Answer.of(findings, question) for question in QUESTIONS}
+        if project is not None and not answers["tolerance"].asked:
+            line = f"loopcal calibrate {shlex.quote(project)} --tolerance 0.5"
+            answers["tolerance"] = replace(answers["tolerance"], command=line)
         return cls(**answers, headline=_headline(answers, findings))
 
     @property
@@ -135,14 +145,16 @@ class Verdict:
 
 
 def answer_lines(answers: Mapping[Question, Answer]) -> list[str]:
-    """A line for each question, and what to do."""
+    """A line for each question, what to do, and the command line that does it."""
     lines = []
     wide = max(map(len, answers))
     for name, answer in answers.items():
         head, margin = f"  {name:<{wide}}  {answer.mark:<4}  ", " " * (wide + 10)
         lines += wrapped(answer.words, head, margin)
-        if answer.next and answer.asked:
+        if answer.next and (answer.asked or answer.command):
             lines += wrapped(answer.next, margin, margin)
+        if answer.command:  # in one line, to be copied
+            lines.append(margin + answer.command)
     return lines
 
 
@@ -241,18 +253,21 @@ class Row:
             fact.place,
             fact.numbers,
             " ".join(filter(None, (sentence, self.detail.format_map(values)))),
-            NextStep(self.remedy.format_map(values), self._line(files)) if self.remedy else None,
+            NextStep(self.remedy.format_map(values), self._line(fact, files))
+            if self.remedy
+            else None,
             sentence if self.title is None else self.title.format_map(values),
         )
 
-    def _line(self, files: Mapping[str, str]) -> str | None:
+    def _line(self, fact: Fact, files: Mapping[str, str]) -> str | None:
         """The command for these files; None where one that it names is not at hand."""
         if not self.command:
             return None
-        if not {name for _, name, _, _ in Formatter().parse(self.command) if name} <= {*files}:
+        words = {**fact.texts, **files}
+        if not {name for _, name, _, _ in Formatter().parse(self.command) if name} <= {*words}:
             return None
         # Quoted, because the line is pasted into a shell and paths may have blanks.
-        return self.command.format_map({k: shlex.quote(path) for k, path in files.items()})
+        return self.command.format_map({k: shlex.quote(word) for k, word in words.items()})
 
 
 Severity = Literal["refuse", "caution", "info"]

@@ -276,10 +276,10 @@ class FitResult:
         handed_on = () if self.inherited is None else self.inherited.noise
         if handed_on or self.fit.solver.exact:
             return handed_on
-        errors = None
+        relative = None
         if self.learnt is not None and self.drifting is None:  # a drift has no slopes
-            errors = self.learnt.errors[: len(self.learnt.ratios)]
-        return entries(self.problem, self.estimate, self.stated, errors)
+            relative = self.learnt.relative
+        return entries(self.problem, self.estimate, self.stated, relative)
 
     @cached_property
     def terms(self) -> tuple[TermEntry, ...]:

@@ -93,7 +93,9 @@ def fix_redundant(
     others is fixed. Gone through are first those in `keep` (names or globs), which stay free in any
     case. Of an arm its instruments' parameters follow, then the joints' from base to tip. One is
     fixed where it does to the readings what those before it do together. Parameters with a prior
-    sd are left free. It is decided at the nominal values, at random poses within the joints'
+    sd are left free. Joint zeros go ahead of all else of the joints: machines are
+    mastered worse than they are machined, and a length in the place of a zero has its error, times
+    the link. It is decided at the nominal values, at random poses within the joints'
     limits. A value of 0 of an arm's instruments is taken as unknown, as that of
     a target, and moved off; stated: names of those that are meant (default: all but what is free
     and 0; where a station stands never matters).
@@ -125,7 +127,7 @@ def fix_redundant(
     superfluous = redundant(
         mechanism,
         ranges=stated_limits(joints),
-        first=[*kept, *instrument_parameters],
+        first=[*kept, *instrument_parameters, *mechanism.parameters.of_role("zero")],
         unsure=[n for n in instrument_parameters if n not in believed],
         readings=readings,
         unmeasured=[q for key in unmeasured for q in mechanism.quantity_group(key)],
@@ -156,13 +158,14 @@ def redundant(
     moved by chance or to where they can be touched; unmeasured: quantities without a sensor.
     """
     free = [p.name for p in mechanism.parameters if not p.fixed and math.isinf(p.prior_sd)]
-    order = [n for n in first if n in free] + [n for n in free if n not in set(first)]
+    order = [n for n in dict.fromkeys((*first, *free)) if n in free]
     looked_at = samples(
         mechanism, ranges=ranges or {}, unsure=unsure, readings=readings or {}, seed=seed
     )
     parts = [_columns(mechanism, sample, order, unmeasured) for sample in looked_at]
     units = [mechanism.parameters[name].unit for name in order]
-    return _chosen(order, units, np.concatenate(parts))
+    superfluous = _chosen(order, units, np.concatenate(parts))
+    return tuple(sorted(superfluous, key=lambda one: free.index(one.parameter)))
 
 
 def without_redundant(

@@ -21,7 +21,6 @@ from loopcal.mechanisms.effects.effect import RUN_DRIFT, RUN_DRIFT_TURNS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case, Entrant, entrants, without_terms
 from loopcal.statistics.changes import NUMBER, with_shifts
-from loopcal.statistics.run_drift import with_run_drift
 from loopcal.statistics.validation import NEARLY
 
 
@@ -92,6 +91,8 @@ def continued(case: Case, ending: Ending) -> FitResult:
 def _chosen(case: Case, ending: Ending) -> Entrant:
     """The candidate that was taken, with the terms that it kept; else the first."""
     if not {RUN_DRIFT, RUN_DRIFT_TURNS}.isdisjoint(ending.terms):
+        from loopcal.statistics.run_drift import with_run_drift  # loaded where it is used
+
         case = with_run_drift(case)
     able = [one for one in entrants(case) if not one.drawn]
     taken = next((one for one in able if one.name == ending.method), None)

@@ -29,6 +29,7 @@ from loopcal.document.choice import beats
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer, Fact, Figure, Finding, Verdict, fact
 from loopcal.estimation.fit_document import fit_document
+from loopcal.estimation.methods.registry import METHODS
 from loopcal.estimation.result import FitResult
 from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.case import NOMINAL
@@ -56,7 +57,9 @@ def judged(
     command lines.
     """
     made = findings_of(document, tolerance, files)
-    return replace(document, verdict=Verdict.of(made), findings=made)
+    metric = document.accuracy is not None and document.accuracy.unit == "m"
+    verdict = Verdict.of(made, files.get("project") if metric else None)
+    return replace(document, verdict=verdict, findings=made)
 
 
 def findings_of(
@@ -142,7 +145,9 @@ def better(document: ResultDocument) -> Fact:
     ahead = [rival for rival in compared.rivals if rival.beats]
     if ahead:
         worst = min(ahead, key=lambda rival: rival.difference)
-        return compared.fact("worse", worst, accuracy.unit)
+        code = "worse" if worst.name in METHODS else "worse-than-model"
+        code = "worse-than-drawing" if worst.name == _DRAWN else code
+        return compared.fact(code, worst, accuracy.unit)
     first = compared.rivals[0]  # methods that predict alike leave nothing to decide
     if first.difference <= _CERTAIN * first.sd:
         return compared.fact("no-better", first, accuracy.unit)

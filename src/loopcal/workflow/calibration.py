@@ -28,9 +28,9 @@ from loopcal.files.result import result_file
 from loopcal.files.result.pose_table import NAME as RESIDUALS
 from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning
-from loopcal.statistics.verdict import refuses
+from loopcal.statistics.verdict import judged, refuses
 from loopcal.workflow.keeping import Keeper
-from loopcal.workflow.projects import named_project, stored_files
+from loopcal.workflow.projects import named_project, project_files, refuse_tolerance, stored_files
 from loopcal.workflow.result import Result, save_result
 
 Pieces = Callable[[str, int, int], None]
@@ -43,12 +43,14 @@ class Calibration:
     """A calibration that was run and written.
 
     written: where, and the content of result.json; objection: why the result cannot be trusted,
-    None where it can.
+    None where it can; typed: the document with commands as they are typed in this folder, where
+    those of result.json are typed in the project's.
     """
 
     result: Result
     written: WrittenResult
     objection: str | None
+    typed: ResultDocument
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class Request:
     validation, instead of the project's; profile: parameters that get a profile interval, beside
     those of the project; compare: whether the project's models are compared, and the result is
     that of the one recommended; report: whether report.html is written as well; keeper: keeps the
-    result too.
+    result too; tolerance: distance [m] that 95 % of poses shall keep, instead of the project's.
     """
 
     method: str | None = None
@@ -73,6 +75,7 @@ class Request:
     compare: bool = False
     report: bool = False
     keeper: Keeper | None = None
+    tolerance: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +128,7 @@ def run_calibration(
                 remedy=nearest(name, QUESTIONS),
             )
     run = _Run(named_project(project, function), request, out, executor, listeners, function)
+    refuse_tolerance(run.project.mechanism, request.tolerance)
     stream = project_stream(run.project)
     folded = run.fit.method.choice or (run.validation is not None and run.validation.folds)
     if executor and not (folded or stream or run.patterns or request.compare):
@@ -325,7 +329,7 @@ class _Run:
             inputs=dict(self.project.inputs),
             about_readings=tuple(str(warning) for warning in warnings),
             errors=errors,
-            tolerance=self.project.verdict.tolerance,
+            tolerance=self._tolerance,
             region=self.project.verdict.region,
             files=stored_files(self.project, self.function, self.folder),
         )
@@ -334,7 +338,15 @@ class _Run:
         """The result and its files."""
         request = self.request
         written = save_result(result, self.folder, report=request.report, keeper=request.keeper)
-        return Calibration(result, written, self._objection(written.document))
+        typed, files = written.document, project_files(self.project, self.function)
+        if files:
+            typed = judged(typed, self._tolerance, {**files, "result": str(self.folder)})
+        return Calibration(result, written, self._objection(written.document), typed)
+
+    @property
+    def _tolerance(self) -> float | None:
+        asked = self.request.tolerance
+        return self.project.verdict.tolerance if asked is None else asked
 
     def _objection(self, document: ResultDocument) -> str | None:
         """Why the result must not be used, where that is so."""

@@ -19,6 +19,7 @@ from loopcal.files.project.stream import project_stream
 from loopcal.files.project.templates import TEMPLATES
 from loopcal.files.result import result_file
 from loopcal.files.result.pose_table import PoseTable, pose_table
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case
 from loopcal.statistics.continued import Ending, continued
 
@@ -81,6 +82,24 @@ def named_project(path: str | Path, function: str | None) -> Project:
 def project_files(project: Project, function: str | None) -> dict[str, str]:
     """Names for the command lines of findings; empty where the project's file is not all of it."""
     return {} if project.path is None or function else {"project": str(project.path)}
+
+
+def refuse_tolerance(mechanism: Mechanism, tolerance: float | None) -> None:
+    """Raise InputError for a tolerance [m] that is not above zero, or of a machine without lengths
+    among its outputs."""
+    if tolerance is None:
+        return
+    from loopcal.statistics.verification import check_tolerance
+
+    check_tolerance(tolerance)
+    units = {mechanism.quantities[q] for q in mechanism.outputs}
+    if "m" not in units:
+        raise InputError(
+            f"the tolerance is a distance, but {mechanism.name!r} has no output that is a length",
+            code="wrong-unit",
+            remedy="leave the tolerance out; in Python, `verify` takes it in the unit of the "
+            "outputs",
+        )
 
 
 def stored_files(project: Project, function: str | None, folder: Path) -> dict[str, str]:

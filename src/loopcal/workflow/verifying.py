@@ -8,11 +8,12 @@ from pathlib import Path
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import Data, write_all
-from loopcal.files.result.deployed import VERIFICATION, note_deployed
+from loopcal.files.result.deployed import VERIFICATION, note_deployed, project_beside
 from loopcal.statistics.replacing import freed, mounted
-from loopcal.statistics.verification import check_tolerance, verify
+from loopcal.statistics.verification import verify
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.keeping import Keeper, Writer
+from loopcal.workflow.projects import refuse_tolerance
 from loopcal.workflow.readings import Files, first_of, later_readings
 from loopcal.workflow.saved_result import read_result
 
@@ -35,19 +36,10 @@ def run_verification(
     parameters; tolerance: [m]; out: file of a page with figures; keeper: keeps this too.
     Raises InputError for what cannot be used.
     """
-    check_tolerance(tolerance)
     if keeper is not None:
         keeper.refuse()
     read = read_result(result, mechanism=function)
-    units = {read.mechanism.quantities[q] for q in read.mechanism.outputs}
-    if tolerance is not None and "m" not in units:
-        raise InputError(
-            f"the tolerance is a distance, but {read.mechanism.name!r} has no output that is a "
-            "length",
-            code="wrong-unit",
-            remedy="leave the tolerance out; in Python, `verify` takes it in the unit of the "
-            "outputs",
-        )
+    refuse_tolerance(read.mechanism, tolerance)
     changed = (*mounted(read.mechanism, remounted), *anew)
     freed(read.mechanism, changed)  # raises for a name that is not there
     data, first = later_readings(read, readings, None, whole=True), first_of(readings)
@@ -55,7 +47,8 @@ def run_verification(
         verification = verify(read.calibrated, data, remounted=changed, tolerance=tolerance)
     except InputError as error:
         raise error.at(str(first)) from None
-    verification = replace(verification, files={"result": str(result), "readings": str(first)})
+    typed = {"result": str(result), "readings": str(first), **project_beside(read.path.parent)}
+    verification = replace(verification, files=typed)
     files: dict[Path, Data] = {}
     if out is not None:
         from loopcal.report.verification_page import verification_html

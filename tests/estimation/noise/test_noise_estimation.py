@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linea
 from loopcal.estimation.noise.linear_model import fit as mixed_fit
 from loopcal.estimation.noise.variance_bounds import upper_bound, without_component
 from loopcal.estimation.noise.variance_components import (
+    Estimate,
     estimate_ratios,
 )
 from loopcal.estimation.problem.problem import Problem, build_problem
@@ -285,6 +287,27 @@ def test_a_search_that_begins_where_another_ended_ends_there() -> None:
         assert again.solution.status.iterations < first.solution.status.iterations
         zeros += min(first.factors.values()) == 0.0
     assert zeros
+
+
+def test_sds_that_swing_about_their_end_settle_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits that lead farther past the end than the sds were before it."""
+    arm, poses = lc.planar_two_link(), planar_poses()
+    noise = lc.Noise({"?P": 1e-4, "phi?": 1e-4}, estimate={"?P": "group", "phi?": "group"})
+    data = lc.simulate(arm, poses, noise=noise, seed=3).dataset
+    problem = build_problem(arm, data, noise)
+    stated = components(problem, noise)
+    calm = estimate_noise(problem, stated, solve)
+
+    def past(linear: LinearModel, ratios: np.ndarray, *, lowest: np.ndarray) -> Estimate:
+        end = estimate_ratios(linear, ratios, lowest=lowest)
+        off = np.log(ratios / calm.ratios)
+        x, criterion = end.at.x * np.exp(-1.5 * off), end.at.criterion + float(off @ off)
+        return replace(end, at=replace(end.at, x=x, criterion=criterion))
+
+    monkeypatch.setattr("loopcal.estimation.noise.variances.estimate_ratios", past)
+    found = estimate_noise(problem, stated, solve)
+    assert found.settled
+    assert list(found.factors.values()) == pytest.approx(list(calm.factors.values()), rel=1e-4)
 
 
 def test_the_search_ends_with_fits_that_do_not_converge() -> None:

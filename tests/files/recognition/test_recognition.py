@@ -14,7 +14,8 @@ from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.dh_table import chain_rows, read_dh
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.headers import heading
-from loopcal.files.recognition.layouts import instruments, usual_joints
+from loopcal.files.recognition.joint_sets import usual_joints
+from loopcal.files.recognition.layouts import instruments
 from loopcal.files.recognition.robots import dh_robot
 from loopcal.mechanisms.frame import ChainFrame
 from tests.refusals import refused

@@ -532,6 +532,9 @@ def test_what_does_not_fit_is_explained(tmp_path: Path, arm: Any) -> None:
     moved[30:] += (0.4, -0.2, 0.0)
     with refused("implausible-readings", "moved during the run", "x2"):
         lc.init({**own, **of(moved, "xyz")}, dh=path)
+    shuffled = points[np.random.default_rng(1).permutation(len(points))]
+    with refused("mismatched-poses", "row by row", "loopcal init"):
+        lc.init({**own, **of(shuffled, "xyz")}, dh=path)
     still = points * (1.0, 1.0, 0.0) + (0.0, 0.0, 0.5)
     with refused("implausible-readings", "z reads the same value in every row"):
         lc.init({**own, **of(still, "xyz")}, dh=path)

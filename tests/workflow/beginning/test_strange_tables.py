@@ -75,6 +75,20 @@ def test_a_column_of_stations_gives_each_a_place_and_all_one_reflector(
     assert len(lc.load_dataset(project).dataset) == N
 
 
+def test_stations_that_agree_in_one_coordinate_read_it_each(tmp_path: Path) -> None:
+    """Trackers on one floor: z is a reading of both, no column of the pose."""
+    other = 1e3 * (POINTS[:, [1, 0, 2]] * (-1.0, 1.0, 1.0) + (0.3, 0.2, 0.0))
+    points = np.concatenate([1e3 * POINTS, other])
+    columns = [*np.tile(DEGREES.T, 2), *points.T]
+    table = text(
+        ["pose", "sta", *NAMES, "x", "y", "z"], [[*IDS, *IDS], ["1"] * N + ["2"] * N, *columns]
+    )
+    made = begun(tmp_path, table)
+    assert len(made.dataset) == N
+    assert any("x_2, y_2, z_2: target tool, station station_2" in words for words in made.remarks)
+    assert fitted(made) < 1.2e-4
+
+
 def test_a_station_with_too_few_rows_is_refused(tmp_path: Path) -> None:
     where = ["1"] * (N - 2) + ["2"] * 2
     table = text(["sta", *NAMES, "x", "y", "z"], [where, *DEGREES.T, *(1e3 * POINTS).T])

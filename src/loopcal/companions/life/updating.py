@@ -145,11 +145,11 @@ def updated(
         placed = day.placed()
         earlier = Earlier.of(calibrated)
     result: FitResult | None = None
-    for _ in range(_ROUNDS):
-        before = result
+    around, share, stepped = placed.parameters, 1.0, np.zeros(len(placed.parameters))
+    for number in range(_ROUNDS):
         with one_blas_thread():
-            prior = _Prior.of(calibrated, placed, drift, earlier, before)
-        result = _fitted(calibrated, placed, prior, data, stated, before)
+            prior = _Prior.of(calibrated, placed, drift, earlier, around if number else None)
+        result = _fitted(calibrated, placed, prior, data, stated, result)
         if not result.status.converged:
             break  # it has no end that a further fit could begin near
         with one_blas_thread():
@@ -158,8 +158,13 @@ def updated(
             calibrated = replace(calibrated, noise=sds.noise)
             stated, earlier = noise_of(calibrated), earlier.at_sds(calibrated)
         settled = sds is None or sds.change < _SETTLED
-        if before is not None and settled and _apart(result, before) < _SETTLED:
+        step = _step(result, around)
+        if number and settled and np.abs(step).max(initial=0.0) < _SETTLED:
             break
+        # Along a bend of the valley ends may swing about where they settle.
+        share = 0.5 * share if step @ stepped < 0.0 else min(2.0 * share, 1.0)
+        around = around + share * (result.solution.parameters - around)
+        stepped = step
     assert result is not None
     with one_blas_thread():
         terms = (
@@ -206,11 +211,11 @@ def _fitted(
     return calibrate(begun, data, noise=noise, fit=how, near=near, trusted=True)
 
 
-def _apart(a: FitResult, b: FitResult) -> float:
-    """The largest difference of two fits [sds]."""
-    sd = np.sqrt(np.diag(a.spectrum.covariance()))
-    away = np.abs(a.solution.parameters - b.solution.parameters)[a.problem.free]
-    return float((away / np.where(sd > 0.0, sd, np.inf)).max(initial=0.0))
+def _step(result: FitResult, centre: Array) -> Array:
+    """The way (n_all,) from parameters centre (n_all,) to a fit [sds]."""
+    sd = np.zeros(len(centre))
+    sd[result.problem.free] = np.sqrt(np.diag(result.spectrum.covariance()))
+    return np.asarray((result.solution.parameters - centre) / np.where(sd > 0.0, sd, np.inf))
 
 
 def _unchanged(calibrated: Calibrated, result: FitResult, placed: Replaced) -> str | None:
@@ -257,16 +262,16 @@ class _Prior:
         placed: Replaced,
         drift: Array,
         earlier: Earlier,
-        before: FitResult | None,
+        centre: Array | None,
     ) -> _Prior:
         """The covariance with the drift, where the machine stands now.
 
-        before: a fit whose end is near that of the next one.
+        centre: (n_all,) what is near the end of the fit; None: the calibration.
         """
         free = np.flatnonzero([not p.fixed for p in calibrated.mechanism.parameters])
         around = earlier.around(earlier.begin)
-        if before is not None:
-            around = earlier.beside(before.solution.parameters, placed.anew)
+        if centre is not None:
+            around = earlier.beside(centre, placed.anew)
         held = ~placed.anew[:, None]
         root, drift = (around.root * held)[free], (drift * held)[free]
         C = root @ root.T + drift @ drift.T
@@ -275,10 +280,10 @@ class _Prior:
         rows, sd = contrasts(LearntCovariance.certain(C), open_), np.sqrt(np.diag(C))
         carried = rows @ (around.carried * held)[free]
         informed = (np.abs(rows).max(axis=0, initial=0.0) > 0.0) & (sd > 0.0)
-        centre = np.where(placed.anew, placed.parameters, around.mean)
+        stands = np.where(placed.anew, placed.parameters, around.mean)
         return cls(
             rows,
-            placed.parameters if around.seen is None and before is None else centre,
+            placed.parameters if around.seen is None and centre is None else stands,
             free,
             np.where(informed, sd, np.inf),
             carried @ earlier.wider(calibrated) @ carried.T,

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from loopcal.cli.application import (
     ForceOption,
+    FullOption,
     FunctionOption,
     JsonOption,
     ProjectArgument,
@@ -29,7 +30,7 @@ def plan(
         option(
             "FILE",
             "Choose among these poses, in the columns of the project [default: random poses "
-            "within the joints' limits].",
+            "within the joints' limits, else over the ranges of the project's readings].",
         ),
     ] = None,
     criterion: Annotated[
@@ -64,6 +65,7 @@ def plan(
     ] = None,
     pulses_per_degree: PulsesOption = None,
     as_json: JsonOption = False,
+    full: FullOption = False,
     mechanism: FunctionOption = None,
     no_report: Annotated[
         bool, flag("--no-report", "Skip plan.html and delete an existing one.")
@@ -91,4 +93,4 @@ def plan(
         )
     where = f"written to {done.folder}: {', '.join(done.files)}"
     where += "" if done.program is None else f"\nprogram: {done.program}"
-    print_done(done, as_json, text=f"{done.title}\n{done.plan}", where=where)
+    print_done(done, as_json, text=f"{done.title}\n{done.plan}", where=where, full=full)

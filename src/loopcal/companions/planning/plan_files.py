@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from loopcal.companions.planning.candidates import ranges_of
 from loopcal.companions.planning.page import plan_html
 from loopcal.companions.planning.plan import plan
 from loopcal.companions.planning.planned import Plan
@@ -20,6 +22,7 @@ from loopcal.files.atomic import write_all
 from loopcal.files.json_writer import marked, marked_json
 from loopcal.files.outputs import expanded, refuse_foreign
 from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.project.project_data import load_dataset
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables
 from loopcal.files.result.deployed import PLAN, note_deployed, result_path
@@ -140,13 +143,23 @@ def plan_folder(project: Project) -> Path:
 
 
 def settings_of(project: Project) -> PlanSettings:
-    """The [plan] of a project, its forbidden rows read."""
-    name = project.inputs.get("plan", {}).get("forbidden")
-    if name is None:
-        return project.plan
-    path = expanded(name, project.folder, Place(project.name).at("plan", "forbidden"))
-    rows = read_new_readings(path, project.inputs, project.mechanism)
-    return replace(project.plan, forbidden=rows)
+    """The [plan] of a project, its forbidden rows read.
+
+    Where nobody states ranges, joints have those of the project's own readings (`ranges_of`).
+    """
+    settings, name = project.plan, project.inputs.get("plan", {}).get("forbidden")
+    if name is not None:
+        path = expanded(name, project.folder, Place(project.name).at("plan", "forbidden"))
+        rows = read_new_readings(path, project.inputs, project.mechanism)
+        settings = replace(settings, forbidden=rows)
+    try:
+        ranges_of(project.mechanism, settings.ranges, None)
+    except InputError:
+        with suppress(InputError):
+            measured = load_dataset(project).dataset
+            ranges = ranges_of(project.mechanism, settings.ranges, measured)
+            settings = replace(settings, ranges=ranges)
+    return settings
 
 
 def basis_of(project: Project, existing: Any = None) -> PlanningBasis:
@@ -155,13 +168,26 @@ def basis_of(project: Project, existing: Any = None) -> PlanningBasis:
     existing: a result, the folder of one, or a file of readings in the project's columns.
     """
     if existing is None:
-        return PlanningBasis(project.mechanism, project.noise.noise())
+        return PlanningBasis(project.mechanism, _usual_noise(project))
     if isinstance(existing, Dataset):
         return PlanningBasis(project.mechanism, project.noise.noise(), existing)
     if isinstance(existing, str | Path) and poses_of_result(existing, project.mechanism) is None:
         data = read_new_readings(existing, project.inputs, project.mechanism, whole=True)
         return PlanningBasis(project.mechanism, project.noise.noise(), data)
     return of_calibration(existing)
+
+
+def _usual_noise(project: Project) -> Noise:
+    """The stated noise; readings that come with sds of their own will have them again (median)."""
+    noise = project.noise.noise()
+    columns = () if project.data is None else project.data.columns.values()
+    if all(column.sd_column is None for column in columns):
+        return noise
+    with suppress(InputError):
+        sds = load_dataset(project).dataset.sds
+        usual = {q: float(np.nanmedian(sd)) for q, sd in sds.items()}
+        noise = Noise({**usual, **noise.entries}, estimate=noise.estimate)
+    return noise
 
 
 def of_calibration(result: Any) -> PlanningBasis:

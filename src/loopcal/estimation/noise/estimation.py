@@ -64,8 +64,8 @@ _SHARE = 0.1
 """A rough fit ends so many sds near its optimum for each unit by which the logarithms change."""
 # Chosen, not derived: swings that shrink faster end by themselves, within twenty rounds.
 _SWINGS = 0.8
-"""Scales of terms that step back by more than this go by half as much from then on: each fit
-linearises the loops elsewhere, which may lead past the sds at which fit and sds agree."""
+"""Logarithms of variances that step back by more than this go by half as much from then on: each
+fit linearises the loops elsewhere, which may lead past the sds at which fit and sds agree."""
 # Chosen, not derived: new sds may mend one failure; every further one costs a fit.
 _FAILURES = 1
 """So many fits in succession may end without converging."""
@@ -298,7 +298,7 @@ class _Search:
         start, before, vanish, iterations, failed = self.stated.start, math.inf, near, 0, 0
         scales, corrections = scales_of(self.stated), self.stated.first_corrections
         rough, last = ROUGH if len(scales) and not near else None, math.inf
-        share, stepped = 1.0, np.zeros(len(scales))
+        share, stepped = np.ones(len(ratios) + len(scales)), np.zeros(len(ratios) + len(scales))
         for number in range(_MOST):
             present = scaled(begun_with(self.stated, scales), self.positions, ratios)
             begun = replace(present, start=start, first_corrections=corrections)
@@ -327,16 +327,18 @@ class _Search:
                 break
             # No component may vanish before the others are roughly right.
             vanish = vanish or ended or others <= _ROUGHLY or number >= _MOST // 2
-            ratios, before = variances.ratios, variances.criterion
+            before, learnt = variances.criterion, scales
             if variances.terms is not None:
+                learnt = variances.terms.scales
                 if not near:
                     rough = None if ended else min(rough or ROUGH, _SHARE * change)
                 elif change > 0.5 * last:  # the end of the fit itself keeps them from settling
                     rough = _SHARE * min(rough or ROUGH, change)
-                step = np.log(variances.terms.scales / scales)
-                if step @ stepped < -_SWINGS * (stepped @ stepped):
-                    share *= 0.5
-                scales, last, stepped = scales * np.exp(share * step), change, step
+            step = np.concatenate([_rise(ratios, variances.ratios), 2.0 * np.log(learnt / scales)])
+            share[step * stepped < -_SWINGS * np.square(stepped)] *= 0.5
+            part, last, stepped = np.exp((share - 1.0) * step), change, step
+            ratios = variances.ratios * part[: len(ratios)]
+            scales = learnt * np.sqrt(part[len(ratios) :])
         return _Round(present, solution, variances, False, iterations)
 
     def _variances(
@@ -377,11 +379,16 @@ def _hopeless(solution: Solution) -> bool:
     return not solution.status.converged and solution.chi_squared > _HOPELESS * solution.equations
 
 
-def _change(before: Array, after: Array) -> float:
+def _rise(before: Array, after: Array) -> Array:
+    """The logarithms of the ratios of variances, 0 where one of both is zero."""
     both = (before > 0.0) & (after > 0.0)
+    return np.asarray(np.log(np.where(both, after, 1.0) / np.where(both, before, 1.0)))
+
+
+def _change(before: Array, after: Array) -> float:
     if np.any((before > 0.0) != (after > 0.0)):
         return math.inf
-    return float(np.abs(np.log(after[both] / before[both])).max(initial=0.0))
+    return float(np.abs(_rise(before, after)).max(initial=0.0))
 
 
 def judged(

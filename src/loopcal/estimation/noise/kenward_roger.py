@@ -94,18 +94,19 @@ class LearntParameters:
     """What learning the variances means for the parameters, in the directions of `root`.
 
     root: (n, k), H^-1 = root root^T; errors: (c + t, a) changes of each sensor's variance ratio and
-    of each term's log variance along each independent error; sensors: (c, k, k) = Z_j of sensors;
-    loadings: those of the terms, Z_j = loading^T loading; added: (k, k) what the covariance of z
-    gains by it; ratios: (c,) of the sensors; shared: (k, k) what it gains by errors that
-    neighbouring poses share (`further_waves`), None without any.
+    of each term's log variance along each independent error; relative: (c, a) those of sensors as
+    shares of their variances, where ratios at zero are held there; sensors: (c, k, k) = Z_j of
+    sensors; loadings: those of the terms, Z_j = loading^T loading; added: (k, k) what the
+    covariance of z gains by it; shared: (k, k) what it gains by errors that neighbouring poses
+    share (`further_waves`), None without any.
     """
 
     root: Array
     errors: Array
+    relative: Array
     sensors: Array
     loadings: tuple[Array, ...]
     added: Array
-    ratios: Array
     shared: Array | None = None
 
     @property
@@ -129,12 +130,6 @@ class LearntParameters:
         first = np.concatenate([self.sensors, *((u.T @ u)[None] for u in self.loadings)])
         along = np.tensordot(self.errors.T, first, 1)
         return LearntCovariance(self.matrix, self.plain, self.root @ along @ self.root.T)
-
-    @property
-    def relative(self) -> Array:
-        """(c, a) changes of the sensors' variances along each independent error, as shares."""
-        c = len(self.ratios)
-        return np.asarray(self.errors[:c] / np.where(self.ratios > 0.0, self.ratios, 1.0)[:, None])
 
     def through(self, S: Array) -> LearntCovariance:
         """Of S times the parameters, S (N, m, n); cheaper than by `covariance`."""
@@ -194,6 +189,7 @@ def learnt_parameters(
     errors = _errors(sensors, first, terms)
     along = np.tensordot(errors.T, first, 1)
     matters = np.linalg.norm(along, axis=(1, 2)) > _CERTAIN
+    relative = _relative(errors, sensors.ratios)[:, matters]
     errors, along = errors[:, matters], along[matters]
     c, W = len(sensors.ratios), errors @ errors.T
     added = sensors.second(W[:c, :c])
@@ -204,8 +200,19 @@ def learnt_parameters(
     added -= flat.T @ flat
     shares = shared(estimate.problem, estimate.solution.corrections, equations, sensors.root)
     return LearntParameters(
-        sensors.root, errors, sensors.first, tuple(U), 2.0 * added, sensors.ratios, shares
+        sensors.root, errors, relative, sensors.first, tuple(U), 2.0 * added, shares
     )
+
+
+def _relative(errors: Array, ratios: Array) -> Array:
+    """(c, a) changes of the sensors' variances along each independent error, as shares of them.
+
+    A variance at zero has no share to change by. What it could take from others is theirs: what
+    their errors have in common with its own is left out, which is as if it were known.
+    """
+    of_sensors, zero = errors[: len(ratios)], ratios <= 0.0
+    alone = of_sensors - of_sensors @ np.linalg.pinv(of_sensors[zero]) @ of_sensors[zero]
+    return np.asarray(alone / np.where(zero, 1.0, ratios)[:, None])
 
 
 def _by_sums(estimate: NoiseEstimate, prior: Array) -> _Sensors:

@@ -102,11 +102,11 @@ def entries(
     problem: Problem,
     estimate: NoiseEstimate | None,
     stated: Problem,
-    errors: Array | None = None,
+    relative: Array | None = None,
 ) -> tuple[NoiseEntry, ...]:
     """The sds that were used, one entry for each quantity or learnt group of alike sds.
 
-    errors: (c, a) changes of the learnt variance ratios along their independent errors.
+    relative: (c, a) changes of the learnt variances along their independent errors, as shares.
     """
     learnt = estimate.components if estimate else ()
     owner = {i: j for j, component in enumerate(learnt) for i in component.quantities}
@@ -133,9 +133,8 @@ def entries(
                 group.append(quantity)
                 continue
             entry = learnt_entry(entry, learnt[owner[i]], begun)
-            if errors is not None and entry.sd > 0.0:
-                relative = errors[owner[i]] / learnt[owner[i]].ratio ** 2
-                entry = replace(entry, slopes=tuple(relative.tolist()))
+            if relative is not None and entry.sd > 0.0:
+                entry = replace(entry, slopes=tuple(relative[owner[i]].tolist()))
         named_entries.append((entry, names))
     return tuple(replace(entry, quantities=tuple(names)) for entry, names in named_entries)
 

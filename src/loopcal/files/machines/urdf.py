@@ -142,32 +142,31 @@ def read_masses(path: str | Path, base: str, tip: str) -> tuple[Load, ...]:
     """
     robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
     chain = robot.chain(base, tip)
-    carried: dict[str, tuple[str, NDArray[np.float64]]] = {base: ("", np.eye(4))}
-    joints = [robot.joint(element) for element in chain]
-    moving = [joint.reads[0] for joint in joints if joint.reads]
+    moved = {element.get("name"): robot.joint(element) for element in chain}
+    moving = [joint.reads[0] for joint in moved.values() if joint.reads]
     if len({*moving}) < len(moving):
         return ()
+    below: dict[str, list[Any]] = {}
+    for element in robot.joints.values():
+        below.setdefault(robot._link(element, "parent"), []).append(element)
+    carried: dict[str, tuple[str, NDArray[np.float64]]] = {base: ("", np.eye(4))}
     sums: dict[str, NDArray[np.float64]] = {}
-    waiting = [*chain, *(e for e in robot.joints.values() if e not in chain)]
-    # Each round finds the links one joint further on; a link that hangs on none of these is not it.
-    while waiting:
-        ready = [e for e in waiting if robot._link(e, "parent") in carried]
-        if not ready:
-            break
-        for element in ready:
-            owner, T = carried[robot._link(element, "parent")]
-            link = robot._link(element, "child")
+    waiting = [base]
+    for parent in waiting:  # it grows: each link adds those that hang on it
+        for element in below.get(parent, ()):
+            owner, T = carried[parent]
+            link, joint = robot._link(element, "child"), moved.get(element.get("name"))
+            if link in carried:
+                continue
             T = T @ robot.origin(element)
-            if element in chain:
-                joint = joints[chain.index(element)]
-                if joint.reads:
-                    turns = AxisFrame.of(joint.axis, joint.name).turns
-                    owner, T = joint.reads[0], product(turns, {}, {}).T
-            carried.setdefault(link, (owner, T))
+            if joint is not None and joint.reads:
+                turns = AxisFrame.of(joint.axis, joint.name).turns
+                owner, T = joint.reads[0], product(turns, {}, {}).T
+            carried[link] = owner, T
+            waiting.append(link)
             mass = robot.mass(link) if owner else np.zeros(4)
             if mass[3] > 0.0:
                 sums[owner] = sums.get(owner, np.zeros(4)) + T @ mass
-        waiting = [e for e in waiting if e not in ready]
     return tuple(
         Load(joint, joint, (*(total[:3] / total[3]).tolist(),), float(total[3]))
         for joint, total in sums.items()

@@ -35,3 +35,8 @@ def write_new_files(folder: Path, files: Mapping[str, str | bytes]) -> tuple[Pat
             )
     write_files(folder, files)
     return tuple(folder / name for name in files)
+
+
+def has_project(name: str) -> bool:
+    """Whether a project is in the folder of this name."""
+    return (Path(name) / "project.toml").is_file()

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
 from loopcal.files.project.source_table import SourceInstrument, SourceTable
+from loopcal.files.recognition.expressions import computed_column
 from loopcal.files.recognition.fields import STATIONS, Field, Source, sources_of, unnamed
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import Seen, at_station
@@ -152,6 +153,8 @@ def source_entry(
 
 def _key(fields: Fields, column: Field) -> str | int:
     """How the table names a column: by its header, by its number where that would be ambiguous."""
+    if column.computed:
+        return column.label
     same = [i for i, f in enumerate(fields.fields, 1) if f.label == column.label]
     if column.heading and len(same) == 1:
         return column.label
@@ -254,16 +257,13 @@ def _in_unit(field: Field, stated: str | None) -> tuple[Field, str]:
 
 
 def _column(fields: Fields, key: str | int) -> Field | None:
-    """The column of this header or number; one whose header differs in its spelling alone."""
+    """The column of this header or number, of another spelling, or computed as the key says."""
     if isinstance(key, int):
         return fields.fields[key - 1] if key <= len(fields.fields) else None
     exact = [f for f in fields.fields if f.label == key]
     if exact:
         return exact[0]
-    from loopcal.files.recognition.headers import heading
-
-    alike = [f for f in fields.fields if f.stem and f.stem == heading(key).stem]
-    return alike[0] if len(alike) == 1 else None
+    return computed_column(fields.fields, key)
 
 
 def _needed(fields: Fields, key: str | int) -> Field:

@@ -45,11 +45,13 @@ class Row:
 
 @dataclass(frozen=True)
 class DhTable:
-    """A machine by its rows; modified: of the convention of Craig; remarks: what was inferred."""
+    """A machine by its rows; modified: of the convention of Craig; remarks: what was inferred;
+    stated: whether the file says which convention."""
 
     rows: tuple[Row, ...]
     modified: bool
     remarks: tuple[str, ...]
+    stated: bool = False
 
     @property
     def moving(self) -> int:
@@ -109,7 +111,8 @@ def read_dh(path: str | Path) -> DhTable:
     texts = {k: table.ids(headings[k][0]) for k in ("name", "kind", "form") if k in headings}
     signs = table.numbers(headings["direction"][0], every) if "direction" in headings else None
     units, remarks = _units(numbers, {k: h for k, (_, h) in headings.items()}, path.name)
-    if any("mod" in t.lower() or "craig" in t.lower() for t in texts.get("form", ())):
+    forms = [t for t in texts.get("form", ()) if t.strip()]
+    if any("mod" in t.lower() or "craig" in t.lower() for t in forms):
         modified = True
     rows = []
     for i in range(len(every)):
@@ -120,7 +123,7 @@ def read_dh(path: str | Path) -> DhTable:
         values = {k: float(numbers[k][i] * unit(units[k]).factor) for k in numbers}
         sign = -1 if signs is not None and signs[i] < 0 else 1
         rows.append(Row(name, kind=kind, direction=sign, **values))
-    return DhTable(tuple(rows), modified, tuple(remarks))
+    return DhTable(tuple(rows), modified, tuple(remarks), modified or bool(forms))
 
 
 @dataclass(frozen=True)

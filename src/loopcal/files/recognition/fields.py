@@ -17,6 +17,7 @@ from loopcal.files.recognition.headers import (
     Heading,
     below_titles,
     heading,
+    own_words,
     readings_of,
     stem,
     words,
@@ -37,13 +38,17 @@ STATIONS = frozenset(words("columns", "station"))
 _TARGETS = frozenset(words("columns", "target"))
 TOOLS = frozenset(words("columns", "tool"))
 TIMES = frozenset(words("columns", "time"))
-
+_DATES = ("%d.%m.%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%H:%M:%S", "%H:%M:%S.%f")
+"""Besides those of ISO 8601."""
 
 _CLEARLY = 3
 """A sheet with so many times the numbers of any other holds the readings."""
 _MOST_TARGETS = 8
+_STAMPS = frozenset({"time", "timestamp", "stamp"})
 _ALIKE = 1e-2
 """Shots of one pose agree to this share of the span of all poses."""
+_NAMED = re.compile(r"(?P<before>(?:.*_)?)name_?(?P<number>\d{1,3})")
+_NUMBER_LAST = re.compile(r"(?:.*_)?(?P<word>[a-z]+)_?(?P<number>\d{1,3})")
 _WHOLE = re.compile(r"[+-]?\d+")
 STILL = 1e-3
 """An axis whose readings span so much less than another's stands still."""
@@ -54,7 +59,8 @@ class Field:
     """A column of numbers, its rows those of the joined poses.
 
     table: number of its table; position: where it stands there, from 0; heading: None where the
-    table has no header; labels: what its numbers 1, 2, ... stand for where it holds words.
+    table has no header; labels: what its numbers 1, 2, ... stand for where it holds words;
+    computed: whether it was computed from columns, as its header says.
     """
 
     table: int
@@ -62,6 +68,7 @@ class Field:
     heading: Heading | None
     values: Array
     labels: tuple[str, ...] = ()
+    computed: bool = False
 
     @property
     def stem(self) -> str:
@@ -83,6 +90,11 @@ class Field:
         if np.isnan(value):
             return ""
         return self.labels[round(value) - 1] if self.labels else f"{value:g}"
+
+    @property
+    def is_time(self) -> bool:
+        """Whether it says when a row was read: its name, or the last word of it."""
+        return self.stem in TIMES or self.stem.rpartition("_")[2] in _STAMPS
 
     @property
     def span(self) -> float:
@@ -161,7 +173,7 @@ def _in_memory(data: Any, number: int) -> Source:
     fields, ids, pose, texts = list[Field](), None, None, dict[str, tuple[str, ...]]()
     for i, name in enumerate(column_names(data)):
         values = column(data, name)
-        if np.ndim(values) == 2:  # several columns under one name
+        if np.ndim(values) > 1:  # several columns under one name
             fields += _unnamed(values, number, 100 * i)
             continue
         header = heading(name)
@@ -182,17 +194,11 @@ def _in_memory(data: Any, number: int) -> Source:
 
 
 def _unnamed(data: Any, number: int, first: int) -> list[Field]:
-    """The columns of an array (N, k)."""
+    """The columns of an array (N, k); of matrices (N, 3, 3) row by row."""
     rows = np.asarray(data)
-    if rows.ndim != 2:
-        raise InputError(
-            f"an array of readings has the shape {rows.shape}",
-            code="wrong-shape",
-            remedy="give (N, k) numbers, a row per pose: joints (N, 6) and points (N, 3)",
-        )
     return [
         Field(number, first + i, None, as_numbers(column, f"column {i + 1}"))
-        for i, column in enumerate(rows.T)
+        for i, column in enumerate(rows.reshape(len(rows), -1).T)
     ]
 
 
@@ -256,7 +262,8 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     titled = bool(remark)
     numeric = table.numeric()
     names = [table.names[i] if i < len(table.names) else "" for i in range(_width(table))]
-    headings = [heading(name) if name else None for name in names]
+    spoken = own_words(path.parent)
+    headings = [heading(name, spoken) if name else None for name in names]
     units = _row_of_units(table, numeric)
     for i, symbol in units.items():
         headings[i] = replace(headings[i] or Heading("", ""), unit=symbol or None)
@@ -275,11 +282,20 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     labels = {i: tuple(column_cells[k] for k in every) for i, column_cells in cells.items()}
     values = {i: table.numbers(i, every) for i in numeric if i != pose}
     values |= {i: np.empty(0) for i in texts if _stem(headings, i) in STATIONS | TOOLS}
+    values |= {
+        i: seconds
+        for i in texts
+        if _stem(headings, i) in TIMES and (seconds := _seconds(labels[i])) is not None
+    }
     fields = tuple(
         Field(number, i, headings[i] if i < len(headings) else None, values[i])
         for i in sorted(values)
     )
-    fields = tuple(counted(f, labels[f.position]) if f.position in texts else f for f in fields)
+    fields = tuple(
+        counted(f, labels[f.position]) if f.position in texts and not f.is_time else f
+        for f in fields
+    )
+    fields = _named_by_texts(fields, headings, {i: labels[i] for i in texts})
     ids = None if pose is None else labels[pose]
     sheet = table.sheet or sheet
     named = None if pose is None else column_key(names, pose)
@@ -288,6 +304,52 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     place = path if len(every) == count and not titled else None
     source = Source(place, sheet, fields, ids, named, header, path.name, remark)
     return _with_ids(source, {_stem(headings, i): labels[i] for i in texts if i not in values})
+
+
+def _seconds(cells: Sequence[str]) -> Array | None:
+    """Dates and times of day [s]; None where a cell is neither."""
+    from datetime import datetime
+
+    def parsed(cell: str) -> float:
+        try:
+            return datetime.fromisoformat(cell).timestamp()
+        except ValueError:
+            for form in _DATES:
+                try:
+                    return (datetime.strptime(cell, form) - datetime(1900, 1, 1)).total_seconds()
+                except ValueError:
+                    continue
+            raise
+
+    try:
+        return np.array([parsed(cell.strip()) for cell in cells])
+    except (ValueError, OverflowError, OSError):
+        return None
+
+
+def _named_by_texts(
+    fields: tuple[Field, ...],
+    headings: Sequence[Heading | None],
+    texts: Mapping[int, tuple[str, ...]],
+) -> tuple[Field, ...]:
+    """Numbered columns with the names that columns of text give them: where `name0` says "elbow" in
+    every row, `position0` is the position of the elbow."""
+    names = {}
+    for i, cells in texts.items():
+        match = _NAMED.fullmatch(_stem(headings, i))
+        if match and len(set(cells)) == 1 and cells[0]:
+            names[match["before"], match["number"]] = stem(cells[0])
+    renamed = []
+    for f in fields:
+        match = _NUMBER_LAST.fullmatch(f.stem)
+        said = match and next(
+            (n for (b, k), n in names.items() if k == match["number"] and f.stem.startswith(b)),
+            None,
+        )
+        if f.heading and match and said:
+            f = replace(f, heading=replace(f.heading, stem=f"{said}_{match['word']}"))
+        renamed.append(f)
+    return tuple(renamed)
 
 
 def counted(field: Field, names: Sequence[str]) -> Field:
@@ -351,11 +413,11 @@ def _with_ids(source: Source, texts: Mapping[str, tuple[str, ...]]) -> Source:
         return checked
     for word in sorted(labels, key=lambda w: (w not in _TARGETS, w in STATIONS)):
         rest = tuple(f for f in checked.fields if f.stem != word or word not in numbers)
-        shots = _pooled(rest, list(zip(ids, labels[word], strict=True)))
+        shots = pooled(rest, list(zip(ids, labels[word], strict=True)))
         wide = shots and _widened(shots.fields, *zip(*shots.keys, strict=True))
         if shots and wide:
             return _rewritten(checked, wide, [pose for pose, _ in shots.keys], shots.remark)
-    shots = _pooled(checked.fields, ids)
+    shots = pooled(checked.fields, ids)
     if shots:
         return _rewritten(checked, shots.fields, shots.keys, shots.remark)
     return replace(checked, ids=None, pose=None)
@@ -371,7 +433,7 @@ def _rewritten(
 
 
 @dataclass(frozen=True, eq=False)
-class _Shots:
+class Shots:
     """Columns with one row per key, the mean of its shots, and what to say of them."""
 
     fields: tuple[Field, ...]
@@ -379,19 +441,16 @@ class _Shots:
     remark: str = ""
 
 
-def _pooled(fields: Sequence[Field], keys: Sequence[Any]) -> _Shots | None:
+def pooled(fields: Sequence[Field], keys: Sequence[Any]) -> Shots | None:
     """The mean of the rows of each key; None where they are not alike, and so no shots of one pose.
 
-    Rows are alike where half of the columns that vary agree; most keys have several.
+    Rows are alike where half of the columns that vary agree.
     """
     every, where = list(dict.fromkeys(keys)), {key: i for i, key in enumerate(dict.fromkeys(keys))}
     if len(every) == len(keys):
-        return _Shots(tuple(fields), every)
+        return Shots(tuple(fields), every)
     rows = np.array([where[key] for key in keys])
-    several = np.bincount(rows) > 1
-    if 2 * several.sum() < len(every):
-        return None
-    varying = [f for f in fields if f.span > 0.0 and f.stem not in TIMES]
+    varying = [f for f in fields if f.span > 0.0 and not f.is_time]
     pooled, scatters, alike = list[Field](), list[str](), 0
     for field in fields:
         finite = np.isfinite(field.values)
@@ -411,7 +470,7 @@ def _pooled(fields: Sequence[Field], keys: Sequence[Any]) -> _Shots | None:
         return None
     scatter = f" (sd of one: {', '.join(scatters[:9])}, as the file has them)" if scatters else ""
     remark = f"{len(keys)} rows are several shots of {len(every)}: their means are used{scatter}."
-    return _Shots(tuple(pooled), every, remark)
+    return Shots(tuple(pooled), every, remark)
 
 
 def _widened(
@@ -426,16 +485,21 @@ def _widened(
         return None
     place = {pose: i for i, pose in enumerate(poses)}
     rows = np.array([place[i] for i in ids]), np.array([kinds.index(k) for k in labels])
-    columns: list[Field] = []
-    for field in fields:
-        cells = np.full((len(poses), len(kinds)), np.nan)
+    wide = [np.full((len(poses), len(kinds)), np.nan) for _ in fields]
+    for cells, field in zip(wide, fields, strict=True):
         cells[rows] = field.values
-        # nanmin would warn of poses without any reading.
-        low = np.nan_to_num(cells, nan=np.inf).min(axis=1)
-        high = np.nan_to_num(cells, nan=-np.inf).max(axis=1)
-        read = high >= low
-        if ((high - low)[read] <= STILL * field.span).all():
-            columns.append(replace(field, values=np.where(read, low, np.nan)))
+    # nanmin would warn of poses without any reading.
+    low = [np.nan_to_num(cells, nan=np.inf).min(axis=1) for cells in wide]
+    high = [np.nan_to_num(cells, nan=-np.inf).max(axis=1) for cells in wide]
+    apart = [
+        bool(((most - least)[most >= least] > STILL * field.span).any())
+        for least, most, field in zip(low, high, fields, strict=True)
+    ]
+    differing = [field.stem for field, differs in zip(fields, apart, strict=True) if differs]
+    columns: list[Field] = []
+    for field, cells, least, most, differs in zip(fields, wide, low, high, apart, strict=True):
+        if not (differs or any(_of_one_point(field.stem, other) for other in differing)):
+            columns.append(replace(field, values=np.where(most >= least, least, np.nan)))
             continue
         header = field.heading or Heading("", f"column_{field.position + 1}")
         for k, kind in enumerate(kinds):
@@ -444,6 +508,12 @@ def _widened(
             )
             columns.append(Field(field.table, field.position, named, cells[:, k]))
     return tuple(columns)
+
+
+def _of_one_point(stem: str, other: str) -> bool:
+    """Whether these are names of two coordinates of one point, as `x_sd` and `y_sd`."""
+    letters = [{a, b} for a, b in zip(stem, other, strict=False) if a != b]
+    return len(stem) == len(other) and len(letters) == 1 and letters[0] < {*"xyz"}
 
 
 def _row_of_units(table: Table, numeric: Sequence[int]) -> dict[int, str]:

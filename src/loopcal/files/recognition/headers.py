@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 import tomllib
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from loopcal.files.tables.cells import is_number
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.registry import TEXT, reader_of
 from loopcal.files.tables.table import Table
+from loopcal.files.toml.reader import read_toml
 
 # The words of headers, from vocabulary.toml: what they mean, in several languages.
 
@@ -72,16 +74,44 @@ class Heading:
     unit: str | None = None
 
 
-def heading(text: str) -> Heading:
-    """The name and the unit of a header.
+OWN_WORDS = "loopcal-words.toml"
+"""A file beside the readings with words of their headers and what they mean."""
+
+
+def own_words(folder: Path) -> dict[str, str]:
+    """Word of a header -> word of the vocabulary, from `loopcal-words.toml` in a folder.
+
+    Raises InputError where its table [words] holds anything but texts.
+    """
+    path = folder / OWN_WORDS
+    if not path.is_file():
+        return {}
+    stated = read_toml(path).get("words", {})
+    if not isinstance(stated, dict) or not all(isinstance(w, str) for w in stated.values()):
+        raise InputError(
+            "the words are no table of texts",
+            place=f"{OWN_WORDS}: words",
+            remedy='write [words], and below it a line per word: "Gelenk" = "joint"',
+        )
+    return {word: meaning for word, meaning in stated.items() if word}
+
+
+def heading(text: str, spoken: Mapping[str, str] = MappingProxyType({})) -> Heading:
+    """The name and the unit of a header; spoken: what further words in it mean.
 
     >>> heading("J1 [deg]").stem, heading("theta1_rad").unit, heading("X (mm)").unit
     ('j1', 'rad', 'mm')
+    >>> heading("Csukló 2 [fok]", {"csukló": "joint", "fok": "deg"})
+    Heading(text='Csukló 2 [fok]', stem='joint_2', unit='deg')
     """
     name, unit = unicodedata.normalize("NFKC", text).strip(), None
+    for word, meaning in spoken.items():
+        word = unicodedata.normalize("NFKC", word)
+        parts = re.split(re.escape(word), name, flags=re.IGNORECASE)
+        name = meaning.join(parts)
     for name_part, stated in (_in_brackets(name), _after_slash(name)):
-        if (spoken := _unit(stated)) is not None:
-            return Heading(text, stem(name_part), spoken)
+        if (symbol := _unit(stated)) is not None:
+            return Heading(text, stem(name_part), symbol)
         if stated.strip().casefold() in words("open", "angle"):
             return Heading(text, stem(name_part))
     parts = stem(name).split("_")

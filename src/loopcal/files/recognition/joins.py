@@ -1,4 +1,8 @@
-"""Several tables as one: side by side, by pose ids or by row order; or one below the other."""
+"""Several tables as one: side by side by pose ids, time or row order; or one below the other.
+
+Times join where each is the only near one: of the rows that have a partner the nearest in time is
+mutual, and nearer than a quarter of the time between two rows.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.fields import Field, Source, counted
+from loopcal.files.recognition.fields import Field, Source, counted, pooled
 
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+_SHARE_OF_STEP = 0.25
+"""Rows of one time are nearer than this share of the time between rows."""
 ROUNDED = 1e-6
 """Readings that two tables share differ by no more than this share of their span."""
 
@@ -30,8 +39,8 @@ class Fields:
 
 
 def joined(sources: Sequence[Source]) -> Fields:
-    """The tables side by side: by pose ids where all have them, else by row order. Tables with the
-    same columns stand one below the other.
+    """The tables side by side: by pose ids where all have them, else by time where all state it,
+    else by row order. Tables with the same columns stand one below the other.
 
     Raises InputError where none of this is possible, and where tables contradict each other.
     """
@@ -46,6 +55,10 @@ def joined(sources: Sequence[Source]) -> Fields:
         common = [i for i in first.ids or () if all(i in ids for ids in others)]
         if common:
             return _by_ids(sources, common)
+    timed = _by_time(sources)
+    if timed is not None:
+        return timed
+    sources = _one_row_per_pose(sources)
     lengths = {s.name: len(s) for s in sources}
     if len({len(s) for s in sources}) > 1:
         counts = ", ".join(f"{name} has {length} rows" for name, length in lengths.items())
@@ -58,6 +71,77 @@ def joined(sources: Sequence[Source]) -> Fields:
     fields = _without_doubles(sources, [f for s in sources for f in s.fields])
     remark = f"{' and '.join(lengths)} share no pose ids: their rows are joined by order"
     return Fields(tuple(sources), poses, fields, True, (remark,))
+
+
+def _by_time(sources: Sequence[Source]) -> Fields | None:
+    """The rows of two tables that were read at one time; None where times do not show this."""
+    if len(sources) != 2:
+        return None
+    for first in (f for f in sources[0].fields if f.is_time):
+        for other in (f for f in sources[1].fields if f.is_time):
+            pairs = _nearest(first.values, other.values)
+            if pairs is not None:
+                late = other.values[pairs[1]] - first.values[pairs[0]]
+                remark = (
+                    f"the files are joined by time, {first.label!r} and {other.label!r}: "
+                    f"{len(late)} rows, the second file late by {np.median(late):.3g} "
+                    f"({late.min():.3g} to {late.max():.3g})"
+                )
+                return paired(sources, pairs, remark)
+    return None
+
+
+def _nearest(first: Array, other: Array) -> tuple[Rows, Rows] | None:
+    """Rows of two columns of time that are near each other alone; None for fewer than half."""
+    if not (np.isfinite(first).all() and np.isfinite(other).all()):
+        return None
+    apart = np.abs(first[:, None] - other[None])
+    there, back = apart.argmin(axis=1), apart.argmin(axis=0)
+    rows = np.flatnonzero(back[there] == np.arange(len(first)))
+    steps = np.concatenate([np.diff(np.sort(first)), np.diff(np.sort(other))])
+    if (steps <= 0.0).any():
+        return None
+    near = apart[rows, there[rows]] < _SHARE_OF_STEP * float(np.median(steps))
+    rows = rows[near]
+    if 2 * len(rows) <= min(len(first), len(other)):
+        return None
+    return rows, there[rows]
+
+
+def paired(sources: Sequence[Source], pairs: tuple[Rows, Rows], remark: str) -> Fields:
+    """Two tables side by side, in these rows of each; the times of the second are left out."""
+    ids = sources[0].ids or tuple(str(i) for i in range(1, len(sources[0]) + 1))
+    fields = [
+        replace(f, values=f.values[rows])
+        for source, rows in zip(sources, pairs, strict=True)
+        for f in source.fields
+    ]
+    remarks = [remark]
+    for source in sources:
+        if len(source) > len(pairs[0]):
+            remarks.append(f"{source.name}: {len(source) - len(pairs[0])} rows take no part")
+    # Rows were chosen, so the files as they stand are no longer the readings.
+    chosen = tuple(replace(s, path=None, label=s.name) for s in sources)
+    poses = tuple(ids[i] for i in pairs[0])
+    return Fields(chosen, poses, _without_doubles(sources, fields), False, tuple(remarks))
+
+
+def _one_row_per_pose(sources: Sequence[Source]) -> Sequence[Source]:
+    """With the means of shots that follow each other, where a table has a multiple of the rows of
+    the shortest and its rows agree in blocks."""
+    least = min(map(len, sources))
+    made = []
+    for source in sources:
+        shots, rest = divmod(len(source), least)
+        blocks = np.repeat(np.arange(least), shots).tolist()
+        means = pooled(source.fields, blocks) if shots > 1 and not rest and not source.ids else None
+        if means:
+            remark = f"{source.remark} {source.name}: {means.remark}".strip()
+            source = replace(
+                source, path=None, label=source.name, fields=means.fields, remark=remark
+            )
+        made.append(source)
+    return made
 
 
 def _by_ids(sources: Sequence[Source], common: Sequence[str]) -> Fields:
@@ -103,7 +187,7 @@ def _below(parts: Sequence[Field]) -> Field:
 
 
 def _without_doubles(sources: Sequence[Source], fields: Sequence[Field]) -> tuple[Field, ...]:
-    """Without the columns that an earlier table has with the same values.
+    """Without the columns that an earlier table has with the same values, and without later times.
 
     Raises InputError where two tables have other values under one name.
     """
@@ -112,6 +196,8 @@ def _without_doubles(sources: Sequence[Source], fields: Sequence[Field]) -> tupl
         same = [k for k in kept if k.stem and k.stem == field_.stem and k.table != field_.table]
         if not same:
             kept.append(field_)
+            continue
+        if field_.is_time:
             continue
         apart = np.abs(same[0].values - field_.values)
         if np.nanmax(apart, initial=0.0) > ROUNDED * max(field_.span, 1e-12):

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.fields import STATIONS, TIMES, Field, moving, unnamed
-from loopcal.files.recognition.headers import arms, stem, words
+from loopcal.files.recognition.fields import STATIONS, Field, moving, unnamed
+from loopcal.files.recognition.headers import words
+from loopcal.files.recognition.joint_sets import (
+    NUMBERED,
+    UNIT_NORM,
+    joint_sets,
+    quaternions,
+    unit_norm,
+    usual_joints,
+)
 
-_JOINT_WORDS = frozenset(words("columns", "joint"))
-_ARMS = arms()
 _LENGTH_WORDS = frozenset(words("columns", "length"))
 _POLAR = [words("columns", name) for name in ("range", "azimuth", "elevation")]
 _TURN_WORDS = words("columns", "turn")
@@ -22,12 +29,11 @@ _TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"), ("rz", "ry
 _UNMEASURED = frozenset(words("columns", "unmeasured"))
 _SD_BEFORE = re.compile(r"^(?:u|sd|std|sigma|unc|uncertainty|stddev|sig)_?(?P<of>.+)$")
 _SD_AFTER = re.compile(r"^(?P<of>.+?)_?(?:sd|std|sigma|unc|uncertainty|stddev)$")
-_NUMBERED = re.compile(r"^(?P<word>.*?)_?(?P<number>\d{1,2})(?P<rest>(?:_[a-z_]+)?)$")
 _CELL = re.compile(r"^(?P<word>[a-z_]*?)_?(?P<row>[0-4])_?(?P<column>[0-4])$")
 FEWEST = 5
 """Rows that place an instrument."""
-UNIT_NORM = 0.02
-"""Columns of rotations are as long as they should be to this share; digits are often rounded."""
+_ANGLES = 6
+"""Columns beside a length at most of which two may be its angles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,58 +69,22 @@ class Layout:
     how: str
 
 
-def named_joints(fields: Sequence[Field], names: Iterable[str]) -> dict[str, Field]:
-    """Joint name -> the column of that name, for all that have one."""
-    by_stem = {f.stem: f for f in fields if f.stem}
-    exact = {f.heading.text: f for f in fields if f.heading}
-    joints = {}
-    for name in names:
-        field = exact.get(name) or by_stem.get(stem(name))
-        if field is not None:
-            joints[name] = field
-    return joints
-
-
-def usual_joints(fields: Sequence[Field]) -> tuple[Field, ...]:
-    """Columns named as joints usually are (J1 ..., theta_1 ..., S L U R B T); empty if none.
-
-    What stands still beside the others is an external axis that did not move.
-    """
-    by_stem = {f.stem: f for f in fields if f.stem}
-    for arm in _ARMS:
-        if set(arm) <= set(by_stem):
-            return moving([by_stem[name] for name in arm])
-    families: dict[tuple[str, str], list[tuple[int, Field]]] = {}
-    for field in fields:
-        match = _NUMBERED.match(field.stem)
-        if match and _is_joint_word(match["word"]):
-            key = (match["word"], match["rest"])
-            families.setdefault(key, []).append((int(match["number"]), field))
-    # q1 ... q4 are names of joints too: four columns of unit length are a quaternion.
-    rotations = {id(f) for quaternion in _quaternions(fields) for f in quaternion}
-    best: tuple[Field, ...] = ()
-    for members in families.values():
-        ordered = tuple(f for _, f in sorted(members, key=lambda m: m[0]) if id(f) not in rotations)
-        if len(ordered) > len(best):
-            best = ordered
-    return best
-
-
-def _is_joint_word(word: str) -> bool:
-    return word in _JOINT_WORDS or any(word.endswith(f"_{w}") for w in ("joint", "axis", "j"))
-
-
-def layouts(fields: Sequence[Field], count: int, names: Sequence[str] = ()) -> tuple[Layout, ...]:
+def layouts(
+    fields: Sequence[Field],
+    count: int,
+    names: Sequence[str] = (),
+    joints: tuple[Field, ...] = (),
+) -> tuple[Layout, ...]:
     """Every way to find `count` joints and an instrument in the columns, by names where possible.
 
-    names: of the machine's joints. Of an instrument that stood in several places, as a column of
-    stations says, the columns are taken once for each place. Raises InputError listing the columns
-    where there is none.
+    names: of the machine's joints; joints: their columns, where they are stated. Of an instrument
+    that stood in several places, as a column of stations says, the columns are taken once for each
+    place. Raises InputError listing the columns where there is none.
     """
     stations = [f for f in fields if f.stem in STATIONS]
     if not stations:
-        return _single_station(fields, count, names)
-    every = _single_station([f for f in fields if f.stem not in STATIONS], count, names)
+        return _single_station(fields, count, names, joints)
+    every = _single_station([f for f in fields if f.stem not in STATIONS], count, names, joints)
     return tuple(_by_station(one, stations[0]) for one in every)
 
 
@@ -161,17 +131,33 @@ def at_station(seen: Seen, rows: NDArray[np.bool_], station: str) -> Seen:
 
 
 def _single_station(
-    fields: Sequence[Field], count: int, names: Sequence[str]
+    fields: Sequence[Field], count: int, names: Sequence[str], joints: tuple[Field, ...]
 ) -> tuple[Layout, ...]:
-    by_name = named_joints(fields, names)
-    if names and len(by_name) == len(names):
-        return _with_joints(
-            fields, tuple(by_name[n] for n in names), "by the machine's joint names"
+    if joints and len(joints) != count:
+        raise InputError(
+            f"{len(joints)} columns are stated as joints, and the machine has {count}",
+            code="missing-column",
+            place="--joints",
+            remedy="state a column for each joint, in the order of the machine",
         )
+    sets = [(joints, "as stated")] if joints else joint_sets(fields, count, names)
+    if sets:
+        taken = {id(f) for some, _ in sets for f in some}
+        taken |= _read_by(fields, joints)
+        if not instruments([f for f in fields if id(f) not in taken]):
+            taken = set()  # sets of joints that leave no instrument exclude each other
+            named = [one for one in sets if instruments([f for f in fields if f not in one[0]])]
+            sets = named or sets
+        made, refusals = list[Layout](), list[InputError]()
+        for some, how in sets:
+            try:
+                made += _with_joints(fields, some, how, taken)
+            except InputError as error:
+                refusals.append(error)
+        if not made:
+            raise refusals[0]
+        return tuple(made)
     usual = usual_joints(fields)
-    for joints in (usual, moving(usual)):
-        if len(joints) == count:
-            return _with_joints(fields, joints, "by their names")
     if usual:
         more = "E1 or another axis" if len(usual) > count else "a joint"
         raise InputError(
@@ -183,17 +169,24 @@ def _single_station(
     return _by_order(fields, count)
 
 
+def _read_by(fields: Sequence[Field], joints: Sequence[Field]) -> set[int]:
+    """Columns whose place in their table is that of a joint that was computed from them."""
+    places = {(f.table, f.position) for f in joints}
+    return {id(f) for f in fields if (f.table, f.position) in places}
+
+
 def _with_joints(
-    fields: Sequence[Field], joints: tuple[Field, ...], how: str
+    fields: Sequence[Field], joints: tuple[Field, ...], how: str, taken: Collection[int]
 ) -> tuple[Layout, ...]:
-    taken = {id(f) for f in joints}
+    """taken: ids of columns that are no instrument's."""
+    taken = {*taken, *map(id, joints)}
     rest = [f for f in fields if id(f) not in taken]
     seen = instruments(rest)
     if seen:
-        return (_layout(joints, seen, fields, how),)
+        return (_layout(joints, seen, fields, how), *_trackers(joints, seen, rest, fields, how))
     in_order = tuple(
         _layout(joints, (instrument,), fields, how)
-        for instrument in _read_in_order([f for f in rest if f.stem not in TIMES])
+        for instrument in _read_in_order([f for f in rest if not f.is_time])
     )
     if in_order:
         return in_order
@@ -207,11 +200,29 @@ def _with_joints(
     )
 
 
+def _trackers(
+    joints: tuple[Field, ...],
+    seen: Sequence[Seen],
+    rest: Sequence[Field],
+    fields: Sequence[Field],
+    how: str,
+) -> Iterator[Layout]:
+    """A length beside two columns of no other use: it may be a range, and they its angles."""
+    used = {id(f) for s in seen for f in (*s.position, *s.turned, *s.sds)}
+    free = [f for f in rest if id(f) not in used and f.span > 0.0 and not f.is_time]
+    for length in [s for s in seen if s.kind == "length"] if len(free) <= _ANGLES else ():
+        others = tuple(s for s in seen if s is not length)
+        for pair in permutations(free, 2):
+            tracker = Seen("spherical", (*length.position, *pair))
+            yield _layout(joints, (*others, tracker), fields, how)
+
+
 def _layout(
     joints: tuple[Field, ...], seen: tuple[Seen, ...], fields: Sequence[Field], how: str
 ) -> Layout:
     used = {id(f) for f in joints}
     used |= {id(f) for s in seen for f in (*s.position, *s.turned, *s.sds)}
+    used |= _read_by(fields, [f for f in joints if f.computed])
     return Layout(joints, seen, tuple(f for f in fields if id(f) not in used), how)
 
 
@@ -219,14 +230,16 @@ def _by_order(fields: Sequence[Field], count: int) -> tuple[Layout, ...]:
     """Joints where nothing is named: the first columns, or those that are no instrument's."""
     seen = instruments(fields)
     taken = {id(f) for s in seen for f in (*s.position, *s.turned, *s.sds)}
-    rest = [f for f in fields if id(f) not in taken and f.stem not in TIMES]
+    rest = [f for f in fields if id(f) not in taken and not f.is_time]
     if seen:
         for some in (rest, moving(rest)):
             if len(some) == count:
                 return (_layout(tuple(some), seen, fields, "by the order of the columns"),)
     candidates: list[Layout] = []
-    usable = [f for f in fields if f.stem not in TIMES]
-    for some in (usable, moving(usable)):
+    usable = [f for f in fields if not f.is_time]
+    # A column that only rises is a clock or a counter.
+    ordered = [f for f in usable if not (np.diff(f.values) > 0.0).all()]
+    for some in (usable, moving(usable), ordered):
         for joints, others in ((some[:count], some[count:]), (some[-count:], some[:-count])):
             if len(joints) == count:
                 how = "by the order of the columns"
@@ -255,7 +268,7 @@ def _read_in_order(fields: Sequence[Field]) -> Iterator[Seen]:
             yield Seen("pose", f[:3], f[3:], "turns")
         case 7:
             for turned, position in ((f[3:], f[:3]), (f[:4], f[4:])):
-                if _unit_norm(turned):
+                if unit_norm(turned):
                     yield Seen("pose", position, turned, "quaternion")
         case 12:
             yield from _of_rows([f[4 * i : 4 * i + 4] for i in range(3)])
@@ -295,10 +308,13 @@ def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:
     points = [t for word, t in triples if not _of_something_else(word, t, by_stem)]
     seen: list[Seen] = []
     if turned and (position or points):
-        seen.append(Seen("pose", position or points.pop(0), turned, form))
+        if not position:  # that whose columns stand next to those of the turn
+            beside = min(points, key=lambda t: abs(turned[0].position - t[-1].position))
+            points.remove(beside)
+        seen.append(Seen("pose", position or beside, turned, form))
     seen += [Seen("point", point) for point in points]
     for field in rest:
-        number = _NUMBERED.match(field.stem)
+        number = NUMBERED.match(field.stem)
         word = number["word"] if number else field.stem
         if word in _LENGTH_WORDS:
             seen.append(Seen("length", (field,)))
@@ -311,7 +327,7 @@ def _orientation(
     """The numbers of an orientation, their form, and the position that a matrix brings along."""
     for turned, position in _matrices(fields, by_stem):
         return turned, "matrix", position
-    for quaternion in _quaternions(fields):
+    for quaternion in quaternions(fields):
         return quaternion, "quaternion", ()
     triples = dict(_triples(fields))
     for word in _TURN_WORDS:
@@ -358,26 +374,6 @@ def _sds(position: Sequence[Field], fields: Sequence[Field]) -> tuple[Field, ...
     return sds if len(sds) == len(position) else ()
 
 
-def _quaternions(fields: Sequence[Field]) -> Iterator[tuple[Field, ...]]:
-    """Four columns of length 1: named with w, x, y and z, or numbered."""
-    by_stem = {f.stem: f for f in fields if f.stem}
-    for field in fields:
-        for i, letter in enumerate(field.stem):
-            names = [f"{field.stem[:i]}{a}{field.stem[i + 1 :]}" for a in "wxyz"]
-            if letter == "w" and all(n in by_stem for n in names):
-                quaternion = tuple(by_stem[n] for n in names)
-                if _unit_norm(quaternion):
-                    yield quaternion
-    numbered: dict[str, list[Field]] = {}
-    for field in fields:
-        match = _NUMBERED.match(field.stem)
-        if match:
-            numbered.setdefault(match["word"], []).append(field)
-    for members in numbered.values():
-        if len(members) == 4 and _unit_norm(members):
-            yield tuple(members)
-
-
 def _matrices(
     fields: Sequence[Field], by_stem: dict[str, Field]
 ) -> Iterator[tuple[tuple[Field, ...], tuple[Field, ...]]]:
@@ -399,12 +395,6 @@ def _matrices(
     if set(names) <= set(by_stem) and _orthonormal([by_stem[n] for n in names]):
         position = tuple(by_stem[f"p{a}"] for a in "xyz" if f"p{a}" in by_stem)
         yield tuple(by_stem[n] for n in names), position if len(position) == 3 else ()
-
-
-def _unit_norm(fields: Sequence[Field]) -> bool:
-    lengths = np.sqrt(sum(np.square(f.values) for f in fields))
-    finite_lengths = lengths[np.isfinite(lengths)]
-    return bool(finite_lengths.size and np.abs(finite_lengths - 1.0).max() < UNIT_NORM)
 
 
 def _orthonormal(fields: Sequence[Field]) -> bool:

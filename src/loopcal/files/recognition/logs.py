@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.files.recognition.fields import TIMES, Field, Source
+from loopcal.files.recognition.fields import Field, Source
 from loopcal.files.recognition.headers import stem
-from loopcal.files.recognition.layouts import usual_joints
+from loopcal.files.recognition.joint_sets import usual_joints
 from loopcal.files.tables.recording import STILL, Recording, Series
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ def at_rest(sources: Sequence[Source], names: Collection[str] = ()) -> tuple[lis
         for i, one in enumerate(sources)
         if one.recording is None and (times := _times(one)) is not None
     }
-    fields = [f for i in logs for f in sources[i].fields if f.stem not in TIMES]
+    fields = [f for i in logs for f in sources[i].fields if not f.is_time]
     stems = {*map(stem, names)}
     named = [f for f in fields if f.stem in stems]
     joints = {id(f) for f in named or usual_joints(fields)}
@@ -55,7 +55,7 @@ def at_rest(sources: Sequence[Source], names: Collection[str] = ()) -> tuple[lis
     for i, times in logs.items():
         rows = np.isfinite(times)
         since = times[rows] - begin + _OFTEN  # a stamp of zero is one that nobody set
-        rest = [f for f in sources[i].fields if f.stem not in TIMES and id(f) not in joints]
+        rest = [f for f in sources[i].fields if not f.is_time and id(f) not in joints]
         for f in sources[i].fields:
             if id(f) in joints:
                 by_joint[f.label] = Series(since, f.values[rows][:, None], (f.label,))
@@ -101,7 +101,7 @@ def _recorded(sources: Sequence[Source]) -> Columns:
 
 def _times(source: Source) -> Array | None:
     """(N,) stamps [s] of a log; None of a table of poses."""
-    column = next((f for f in source.fields if f.stem in TIMES), None)
+    column = next((f for f in source.fields if f.is_time), None)
     if column is None or len(source) < _FEW:
         return None
     times = _factor(column) * column.values

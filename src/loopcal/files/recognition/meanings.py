@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +73,11 @@ class Meaning:
     def share(self) -> float:
         """The misfit of the nominal machine, as a share of the spread of the readings."""
         return self.fit.share if self.fit else float("inf")
+
+    @property
+    def read_in(self) -> tuple[str, str, str]:
+        """Length, angle and form, as `positions` takes them."""
+        return self.length, self.angle, self.form
 
     def fitted(
         self, bodies: Bodies, index: NDArray[np.intp] | slice = slice(None), rounds: int = 4
@@ -237,14 +243,27 @@ def _cartesian(values: Array) -> Array:
 
 
 def joint_units(
-    fields: Sequence[Field], units: Sequence[str], *, as_stated: bool = True
-) -> Iterator[dict[str, str]]:
-    """Every way to read the joints: SI unit -> unit of their columns, for turning and sliding."""
-    turning = [f for f, si in zip(fields, units, strict=True) if si == "rad"]
-    sliding = [f for f, si in zip(fields, units, strict=True) if si == "m"]
-    largest = max((float(np.nanmax(np.abs(f.values))) for f in turning), default=0.0)
-    for angle in _units(turning, ANGLES, as_stated) if turning else ("rad",):
-        if angle == "rad" and largest > _MOST_TURNS:
-            continue
-        for length in _units(sliding, LENGTHS, as_stated) if sliding else ("m",):
-            yield {"rad": angle, "m": length}
+    fields: Sequence[Field], kinds: Sequence[str], *, as_stated: bool = True, mixed: bool = False
+) -> Iterator[tuple[str, ...]]:
+    """Every way to read the joints: a unit for each column; kinds: their SI units.
+
+    Columns whose headers state none share one unit; mixed: each turning one may be in its own.
+    """
+    turning = [f for f, si in zip(fields, kinds, strict=True) if si == "rad"]
+    sliding = [f for f, si in zip(fields, kinds, strict=True) if si == "m"]
+    angles = _units(turning, ANGLES, as_stated) if turning else ("rad",)
+    lengths = _units(sliding, LENGTHS, as_stated) if sliding else ("m",)
+    for angle, length in product(angles if not mixed else ("",), lengths):
+        choices = list[tuple[str, ...]]()
+        for f, si in zip(fields, kinds, strict=True):
+            if f.unit and as_stated:
+                choices.append((f.unit,))
+            elif si == "m":
+                choices.append((length,))
+            else:
+                some = ANGLES[:2] if mixed else (angle,)
+                largest = float(np.nanmax(np.abs(f.values), initial=0.0))
+                choices.append(tuple(a for a in some if a != "rad" or largest <= _MOST_TURNS))
+        for units in product(*choices):
+            if not mixed or len({u for u, si in zip(units, kinds, strict=True) if si == "rad"}) > 1:
+                yield units

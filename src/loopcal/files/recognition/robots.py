@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import degrees, pi, radians
 from pathlib import Path
 from typing import Any
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, listed
 from loopcal.files.machines.urdf import Branch, branches
-from loopcal.files.recognition.dh_table import Row, chain_rows, joint_names, read_dh
+from loopcal.files.recognition.dh_table import DhTable, Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
 from loopcal.files.recognition.headers import words
-from loopcal.files.recognition.layouts import named_joints, usual_joints
+from loopcal.files.recognition.joint_sets import affixed_joints, named_joints, usual_joints
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.rest import roll_pitch_yaw
@@ -30,7 +30,8 @@ class Robot:
     """table: the [mechanism] of a project without instruments; joints: how many are read; names:
     of them, empty where the columns name them; remarks: what was chosen, and why; point: the
     parameters of the one point that its type measures by itself; apart: the same machine for other
-    instruments, where it has such a point; lengths: nominal values [m] beside the table."""
+    instruments, where it has such a point; lengths: nominal values [m] beside the table; otherwise:
+    the machine of the same file in the other convention, where the file states none."""
 
     table: Mapping[str, Any]
     joints: int
@@ -39,6 +40,7 @@ class Robot:
     point: tuple[str, ...] = ()
     apart: Robot | None = None
     lengths: Mapping[str, float] = field(default_factory=dict)
+    otherwise: Robot | None = None
 
 
 def urdf_robot(
@@ -54,10 +56,13 @@ def urdf_robot(
         reads = dict.fromkeys(j.reads[0] for j in read_urdf(path, base, tip) if j.reads)
         return Robot(_urdf_table(relative, base, tip), len(reads), tuple(reads))
     every = [b for b in branches(path) if (base in (None, b.base)) and (tip in (None, b.tip))]
-    named = named_joints(fields, {name for b in every for name in b.joints})
+    named = {*named_joints(fields, {name for b in every for name in b.joints})}
+    if not named:
+        affixed = [b.joints for b in every if any(affixed_joints(fields, b.joints))]
+        named = {*max(affixed, key=len, default=())}
     usual = len(usual_joints(fields)) if not named else 0
     if named:
-        fitting = [b for b in every if set(b.joints) == set(named)]
+        fitting = [b for b in every if set(b.joints) == named]
         why = "its moving joints are the columns' names"
     else:
         moves = len(moving(usual_joints(fields)))
@@ -74,6 +79,9 @@ def urdf_robot(
         raise _which_chain(path, every, fitting)
     best = _best_tip(fitting)
     remark = f"base {best.base!r} and tip {best.tip!r} of {path.name}: {why}"
+    others = [b.tip for b in every if b.tip != best.tip]
+    if others:
+        remark += f"; other tips: {listed(list(dict.fromkeys(others)))}"
     table = _urdf_table(relative, best.base, best.tip)
     return Robot(table, len(best.joints), best.joints, (remark,))
 
@@ -139,6 +147,14 @@ def dh_robot(path: Path, fields: Sequence[Field]) -> Robot:
     could not be determined. Raises InputError for a table that cannot be read.
     """
     table = read_dh(path)
+    robot = _of_table(path, table, fields)
+    if table.stated:
+        return robot
+    other = _of_table(path, replace(table, modified=True), fields)
+    return replace(robot, otherwise=other)
+
+
+def _of_table(path: Path, table: DhTable, fields: Sequence[Field]) -> Robot:
     before, rows = chain_rows(table)
     count = table.moving
     if not count:
@@ -239,12 +255,14 @@ def typed_robot(kind: str) -> Robot:
             remedy=f"name --urdf or --dh, or begin with loopcal new NAME --mechanism {kind}",
         ) from None
     if not mechanism.chain:
-        raise InputError(
+        no_chain = InputError(
             f"a machine of the type {kind!r} is no chain of joints",
             code="unsupported",
             place="--machine",
             remedy=f"begin with loopcal new NAME --mechanism {kind}, and name your columns in it",
         )
+        no_chain.command = f"loopcal new my-{kind} --mechanism {kind}"
+        raise no_chain
     driven = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
     row = machine_type(kind)
     if row.joints is None:

@@ -35,6 +35,12 @@ class Deployed:
     document: Mapping[str, Any]
 
 
+def project_beside(folder: Path) -> dict[str, str]:
+    """The project NAME.toml beside its result NAME-result, for command lines; empty elsewhere."""
+    project = folder.with_name(f"{folder.name.removesuffix('-result')}.toml")
+    return {"project": str(project)} if project.is_file() else {}
+
+
 def result_path(result: str | Path) -> Path:
     """The result.json of a folder, or that file itself."""
     path = Path(result)

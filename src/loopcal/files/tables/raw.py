@@ -46,6 +46,8 @@ _BOMS = {
 _COMMON = range(0xA1, 0xD8)
 """First bytes of punctuation and of the common characters in GB 2312 and what extends it; two
 accented letters of western text side by side mostly lie beyond."""
+_KANA_AND_KANJI = range(0x81, 0x99)
+"""First bytes of signs, kana and the 2,965 common kanji (level 1 of JIS X 0208) in Shift-JIS."""
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 
 
@@ -286,6 +288,17 @@ def _chinese(data: bytes) -> bool:
     return even and 2 * sum(byte in _COMMON for byte in pairs) > len(pairs)
 
 
+def _japanese(data: bytes) -> bool:
+    """Whether characters beyond ASCII are Shift-JIS: pairs that begin as its signs, kana and common
+    kanji do. Other encodings of pairs begin higher, and accented letters stand alone."""
+    try:
+        text = data.decode("cp932")
+    except UnicodeDecodeError:
+        return False
+    beyond = [letter.encode("cp932") for letter in text if not letter.isascii()]
+    return 2 * sum(len(b) == 2 and b[0] in _KANA_AND_KANJI for b in beyond) > len(beyond)
+
+
 def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
     if encoding is None and data.isascii():
         return data
@@ -297,7 +310,8 @@ def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
                 text = data.decode("utf-8")
             except UnicodeDecodeError:
                 # GB 18030 decodes nearly any bytes, so its characters have to be common ones.
-                text = data.decode("gb18030" if _chinese(data) else "cp1252")
+                asian = "cp932" if _japanese(data) else "gb18030" if _chinese(data) else None
+                text = data.decode(asian or "cp1252")
     except LookupError:
         raise InputError(
             f"the encoding {encoding!r} is not known",
@@ -308,7 +322,7 @@ def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
     except UnicodeError as error:
         where = f" at byte {error.start}" if isinstance(error, UnicodeDecodeError) else ""
         raise InputError(
-            f"the text is not {encoding or 'UTF-8, GB 18030 or cp1252'}{where}",
+            f"the text is not {encoding or 'UTF-8, GB 18030, Shift-JIS or cp1252'}{where}",
             code="invalid-syntax",
             place=name,
             remedy="state another encoding, or save the table as UTF-8",

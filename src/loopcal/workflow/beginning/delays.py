@@ -84,6 +84,8 @@ def delays(
         joints = [columns.at.get((f.table, f.position)) for f in understood.layout.joints]
         if meaning.seen.kind not in ("point", "pose") or meaning.inverted:
             continue
+        if any(f.computed for f in understood.layout.joints):  # they have no series of their own
+            continue
         if any(one is None for one in (*place, *joints)) or meaning.seen.station:
             continue
         delay = _delay(machine, understood, meaning, columns)
@@ -182,11 +184,11 @@ def _joints(
     from scipy.interpolate import CubicSpline
 
     made: dict[str, Callable[[Array], Array]] = {}
-    every = zip(machine.joints, understood.layout.joints, machine.units, strict=True)
-    for name, field, si in every:
+    every = zip(machine.joints, understood.layout.joints, understood.units, strict=True)
+    for name, field, unit_name in every:
         series, column = columns.at[field.table, field.position]
         times, first = np.unique(series.times, return_index=True)
-        values = to_si(series.values[first, column], field.unit or understood.units[si])
+        values = to_si(series.values[first, column], unit_name)
         spline = CubicSpline(times, values)
         low, high = times[0], times[-1]
         made[name] = lambda t, s=spline, a=low, b=high: s(np.clip(t, a, b))  # type: ignore[misc]

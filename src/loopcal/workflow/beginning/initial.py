@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from html import escape
 from pathlib import Path
 from shlex import quote
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import RegionRange
-from loopcal.errors import InputError, UsageError
+from loopcal.errors import InputError, UsageError, nearest
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
@@ -22,11 +23,12 @@ from loopcal.files.atomic import write_files
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
-from loopcal.files.recognition.conditions import apart
+from loopcal.files.recognition.conditions import Conditions, apart
 from loopcal.files.recognition.converting import dataset_of
-from loopcal.files.recognition.fields import Source, sources_of
+from loopcal.files.recognition.expressions import joint_columns
+from loopcal.files.recognition.fields import Field, Source, sources_of
 from loopcal.files.recognition.joins import Fields, joined
-from loopcal.files.recognition.layouts import layouts
+from loopcal.files.recognition.layouts import Layout, layouts
 from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.robots import (
     Robot,
@@ -36,7 +38,7 @@ from loopcal.files.recognition.robots import (
     urdf_robot,
 )
 from loopcal.files.tables.writer import table_bytes
-from loopcal.measurements.checks import check_dataset
+from loopcal.measurements.checks import check_dataset, refuse_lost
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.masses import in_space
@@ -44,13 +46,21 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, output_groups
 from loopcal.presentation.html import table
 from loopcal.presentation.shown import columns as in_columns
-from loopcal.presentation.shown import in_unit, unit_shown, with_unit
+from loopcal.presentation.shown import in_unit, significant, unit_shown, with_unit
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
+from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.delays import Delay, delays
-from loopcal.workflow.beginning.searching import PLAUSIBLE, Machine
+from loopcal.workflow.beginning.searching import (
+    CLEARLY,
+    PLAUSIBLE,
+    Machine,
+    Understood,
+    every_way,
+)
 from loopcal.workflow.beginning.stating import READINGS, First, Statement, stated
+from loopcal.workflow.beginning.understanding import USUAL as NEAR_ENOUGH
 from loopcal.workflow.beginning.understanding import Ask, understood
 
 Array = NDArray[np.float64]
@@ -70,7 +80,8 @@ _ROWS, _WORST = 5, 5
 class RobotFile:
     """What describes the robot: a URDF, a table of Denavit-Hartenberg parameters, or a type.
 
-    base, tip: links of the URDF.
+    base, tip: links of the URDF; joints: the columns of its joints, or expressions of them, divided
+    by commas; leave_out: names of columns that take no part, with * for any letters.
     """
 
     urdf: str | Path | None = None
@@ -78,6 +89,8 @@ class RobotFile:
     machine: str | None = None
     base: str | None = None
     tip: str | None = None
+    joints: str | None = None
+    leave_out: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +189,8 @@ def init(
     tip: str | None = None,
     out: str | Path | None = None,
     sheet: str | None = None,
+    joints: str | None = None,
+    leave_out: str | None = None,
 ) -> InitialProject:
     """Recognise readings and a robot, and make a finished project of them.
 
@@ -184,12 +199,14 @@ def init(
     values) describes the robot; base, tip: links of the URDF, by default the only ones that fit.
     Units, orders and directions that no header states are those with which the placed nominal
     machine fits clearly best. out: the folder to write into, by default none; sheet: of a workbook,
-    or the variable of a MATLAB file, by default the one with by far the most numbers.
+    or the variable of a MATLAB file, by default the one with by far the most numbers. joints: the
+    columns of the joints in the machine's order, as "J1,-J2,J3+J2,J4*0.001" where they count
+    otherwise; leave_out: columns that take no part, as "*_soll,v*".
 
     Raises InputError where something remains open, with what is possible, and where files are in
     the way.
     """
-    robot = RobotFile(urdf, dh, machine, base, tip)
+    robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out)
     return initial_project(readings, robot, out=out, sheet=sheet)
 
 
@@ -213,12 +230,17 @@ def initial_project(
     for entry in readings:
         sources += sources_of(entry, len(sources), sheet)
     sources, by_time = at_rest(sources, joints_of(robot.urdf))
-    fields = joined(sources)
-    made = _robot(robot, fields, folder)
-    machine = _machine(made, fields, folder)
-    every = fields
-    fields, conditions = apart(fields, made.names, arm=in_space(machine.mechanism))
-    way = understood(machine, _layouts(made, fields), fields, ask)
+    every = _joined(sources, robot, folder)
+    fields = _without(every, robot.leave_out)
+    columns = joint_columns(fields.fields, robot.joints) if robot.joints else ()
+    made = _robot(robot, replace(fields, fields=columns or fields.fields), folder)
+    one = _readable(made, fields, columns, folder)
+    if made.otherwise is not None and not one.share <= NEAR_ENOUGH:
+        other = _readable(made.otherwise, fields, columns, folder)
+        if CLEARLY * other.share < one.share:
+            one = other.better_than(one)
+    made, machine, fields, conditions = one.robot, one.machine, one.fields, one.conditions
+    way = understood(machine, one.layouts, fields, ask, one.ways)
     statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
     project = _read(statement, folder)
     dataset = dataset_of(fields.poses, statement.readings)
@@ -277,8 +299,76 @@ def _machine(robot: Robot, fields: Fields, folder: Path) -> Machine:
     return Machine(mechanism, joints)
 
 
-def _layouts(robot: Robot, fields: Fields) -> Any:
-    return layouts(fields.fields, robot.joints, robot.names)
+def _joined(sources: Sequence[Source], robot: RobotFile, folder: Path) -> Fields:
+    """The tables as one; where nothing else joins them, as the nominal machine shows."""
+    try:
+        return joined(sources)
+    except InputError as error:
+        if error.code != "mismatched-poses":
+            raise
+
+        def read(fields: Fields) -> tuple[Machine, Sequence[Layout]]:
+            kept = _without(fields, robot.leave_out)
+            columns = joint_columns(kept.fields, robot.joints) if robot.joints else ()
+            made = _robot(robot, kept, folder)
+            some = layouts(kept.fields, made.joints, made.names, columns)
+            return _machine(made, kept, folder), some
+
+        by_machine = aligned(sources, read)
+        if by_machine is None:
+            raise
+        return by_machine
+
+
+@dataclass(frozen=True, eq=False)
+class _Readable:
+    """A robot with every way to read the columns on it, the best first."""
+
+    robot: Robot
+    machine: Machine
+    fields: Fields
+    conditions: Conditions
+    layouts: Sequence[Layout]
+    ways: list[Understood]
+
+    @property
+    def share(self) -> float:
+        return self.ways[0].share if self.ways else np.inf
+
+    def better_than(self, classical: _Readable) -> _Readable:
+        """With a sentence on why the table is read in this convention."""
+        words = (
+            "The table states no convention. In the modified one the nominal machine misses the "
+            f"readings by {significant(100 * self.share, 2)} % of their spread, in the classical "
+            f"one by {significant(100 * classical.share, 2)} %."
+        )
+        robot = replace(self.robot, remarks=(*self.robot.remarks, words))
+        return replace(self, robot=robot)
+
+
+def _readable(robot: Robot, fields: Fields, columns: tuple[Field, ...], folder: Path) -> _Readable:
+    machine = _machine(robot, fields, folder)
+    fields, conditions = apart(fields, robot.names, arm=in_space(machine.mechanism))
+    every_layout = layouts(fields.fields, robot.joints, robot.names, columns)
+    _refuse_zeros(every_layout, fields)
+    ways = sorted(every_way(machine, every_layout), key=lambda u: u.share)
+    return _Readable(robot, machine, fields, conditions, every_layout, ways)
+
+
+def _without(fields: Fields, names: str | None) -> Fields:
+    """Without the columns that these names, divided by commas, have."""
+    kept = list(fields.fields)
+    for name in [part.strip() for part in (names or "").split(",") if part.strip()]:
+        gone = [f for f in kept if fnmatchcase(f.label, name)]
+        if not gone:
+            raise InputError(
+                f"{name!r} is no column",
+                code="unknown-name",
+                place="--leave-out",
+                remedy=nearest(name, [f.label for f in kept]),
+            )
+        kept = [f for f in kept if f not in gone]
+    return replace(fields, fields=tuple(kept))
 
 
 def _table(fields: Fields, statement: Statement) -> bytes:
@@ -291,6 +381,17 @@ def _table(fields: Fields, statement: Statement) -> bytes:
 def _read(statement: Statement, folder: Path) -> Project:
     """The project as `calibrate` will read it."""
     return read_project(folder / PROJECT, text=statement.text)
+
+
+def _refuse_zeros(some: Sequence[Layout], fields: Fields) -> None:
+    """Raise InputError for points of an instrument that read 0, 0, 0 in some rows."""
+    for seen in {id(s): s for layout in some for s in layout.seen}.values():
+        if len(seen.position) == 3:
+            readings = {f.label: f.values for f in seen.position}
+            lost = np.all([f.values == 0.0 for f in seen.position], axis=0)
+            if not lost.all() and len(readings) == 3:
+                dataset = Dataset.from_arrays(readings, poses=fields.poses)
+                refuse_lost(dataset, list(readings), lost, "or remove these rows")
 
 
 def _odd(project: Project, dataset: Dataset) -> tuple[str, ...]:

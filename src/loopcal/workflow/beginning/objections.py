@@ -1,10 +1,14 @@
-"""Why the nominal machine does not fit the readings: what would explain them, and what to do."""
+"""Why the nominal machine does not fit the readings: what would explain them, and what to do.
+
+What a joint counts is tried on it alone: its sign, its zero, both, and what it shares with another
+joint. The option --joints then states the columns as they have to be read.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice
+from itertools import combinations, islice, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,24 +20,27 @@ from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import Layout, Seen
 from loopcal.files.recognition.meanings import LENGTHS, Meaning
 from loopcal.presentation.shown import significant, with_unit
-from loopcal.units import unit
+from loopcal.units import from_si, unit
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
+    NOTHING,
     PLAUSIBLE,
     Array,
+    Counting,
     Machine,
     Understood,
     every_way,
 )
+from loopcal.workflow.beginning.shuffled import reordered
 
-NOTHING = 0.3
-"""A misfit of this share of the spread of the readings, or more: the machine explains nothing."""
 SURE = 0.01
 """An explanation that leaves less needs no rivals."""
 ONE_POSE = 5e-3
 """A body that moves less than this [m] stands in one pose."""
 COUNTS = 1e4
 """Joint readings beyond this are in no unit of angle."""
+_LIKELIEST = 4
+"""Ways to read the columns that are tried with joints counted in another way."""
 _SHIFTS = (1, -1, 2, -2, 3, -3)
 _FEW = 40
 """Poses that one coordinate is tried on."""
@@ -65,10 +72,12 @@ class Explanation:
     code: Code
     words: str
     remedy: str
+    options: tuple[str, ...] = ()
 
     def error(self) -> InputError:
         """As the refusal that it is."""
-        return InputError(self.words, code=self.code, remedy=self.remedy)
+        error = InputError(self.words, code=self.code, remedy=self.remedy)
+        return error.offering(*self.options)
 
 
 def contradiction(case: Case) -> Explanation | None:
@@ -105,8 +114,11 @@ def objection(case: Case) -> Explanation | None:
         _moved_too(case),
         _coordinates(case.ways),
         _reversed(case, 1),
-        _displaced_zeros(case),
+        _displaced_zeros(case, 1),
         _reversed(case, 2),
+        _displaced_zeros(case, -1),
+        _coupled(case),
+        _shuffled(case),
     )
     for explained in tried:
         explanations += explained
@@ -218,8 +230,7 @@ def _as_point(meaning: Meaning) -> Seen:
 def _reversed(case: Case, count: int) -> Iterator[Explanation]:
     """So many joints that count the other way round."""
     for names in combinations(case.machine.joints, count):
-        ways = every_way(case.machine, case.layouts, turned_round=names)
-        share = min((u.share for u in ways), default=float("inf"))
+        share, options = _counted(case, dict.fromkeys(names, Counting(sign=-1)))
         be = "counts" if count == 1 else "count"
         yield Explanation(
             share,
@@ -228,12 +239,32 @@ def _reversed(case: Case, count: int) -> Iterator[Explanation]:
             f"machine misses the readings by {_percent(share)} of their spread, as read by "
             f"{_percent(case.share)}",
             "write -1 for it in a column direction of the robot's table, or correct the sign in "
-            "the file",
+            "the file, or state --joints",
+            options,
         )
 
 
-def _displaced_zeros(case: Case) -> Iterator[Explanation]:
-    """One joint that counts from another zero, a right angle or two away.
+def _shuffled(case: Case) -> Iterator[Explanation]:
+    """Of every way to read the columns, the first whose points fit in another order."""
+    for way in case.ways if case.share > NOTHING else ():
+        for meaning in way.seen:
+            share = reordered(way.bodies, meaning).share
+            if share <= PLAUSIBLE:
+                yield Explanation(
+                    share,
+                    "mismatched-poses",
+                    "the points do not belong to the joints row by row: in another order the "
+                    f"nominal machine misses them by {_percent(share)} of their spread, as they "
+                    f"stand by {_percent(case.share)}",
+                    "give the joints and the points of a pose the same id, each in a file with a "
+                    'column "pose", and run: loopcal init JOINTS.csv POINTS.csv',
+                )
+                return
+
+
+def _displaced_zeros(case: Case, sign: int) -> Iterator[Explanation]:
+    """One joint that counts from another zero, a right angle or two away; sign: -1 where it counts
+    the other way round too.
 
     The zeros of the first and the last joint are those of the placement and the tool.
     """
@@ -241,17 +272,58 @@ def _displaced_zeros(case: Case) -> Iterator[Explanation]:
     turning = [n for n, si in zip(machine.joints, machine.units, strict=True) if si == "rad"]
     for name in turning[1:-1]:
         for degrees in (90, -90, 180):
-            ways = every_way(machine, case.layouts, zeros={name: np.radians(degrees)})
-            share = min((u.share for u in ways), default=float("inf"))
+            counting = Counting(sign, np.radians(degrees))
+            share, options = _counted(case, {name: counting})
+            other_way = "" if sign > 0 else " and the other way round"
             yield Explanation(
                 share,
                 "implausible-readings",
-                f"{name} counts from another zero: with {degrees:+d} deg the nominal machine "
-                f"misses the readings by {_percent(share)} of their spread, as read by "
+                f"{name} counts from another zero{other_way}: with {degrees:+d} deg the nominal "
+                f"machine misses the readings by {_percent(share)} of their spread, as read by "
                 f"{_percent(case.share)}",
                 f"add {degrees:+d} deg to its column, or to theta of this joint in the robot's "
-                "table",
+                "table, or state --joints",
+                options,
             )
+
+
+def _coupled(case: Case) -> Iterator[Explanation]:
+    """One joint whose reading holds that of a neighbour too, as where the forearm keeps its angle
+    to the floor while the upper arm moves."""
+    machine = case.machine
+    turning = [n for n, si in zip(machine.joints, machine.units, strict=True) if si == "rad"]
+    for name, other in [*pairwise(turning), *pairwise(turning[::-1])]:
+        for factor, words in ((1, "less"), (-1, "plus")):
+            share, options = _counted(case, {name: Counting(other=other, factor=factor)})
+            yield Explanation(
+                share,
+                "implausible-readings",
+                f"{name} is read {words} {other}: with both together the nominal machine misses "
+                f"the readings by {_percent(share)} of their spread, as read by "
+                f"{_percent(case.share)}",
+                "state --joints, with the joint as the sum of its columns",
+                options,
+            )
+
+
+def _counted(case: Case, counting: Mapping[str, Counting]) -> tuple[float, tuple[str, ...]]:
+    """The least misfit with joints counted in another way, and the option that states this."""
+    layouts = list({id(way.layout): way.layout for way in case.ways[:_LIKELIEST]}.values())
+    ways = every_way(case.machine, layouts, counting=counting)
+    if not ways:
+        return float("inf"), ()
+    best = min(ways, key=lambda u: u.share)
+    label = dict(zip(case.machine.joints, (f.label for f in best.layout.joints), strict=True))
+    columns = []
+    for name, of in zip(case.machine.joints, best.units, strict=True):
+        one = counting.get(name, Counting())
+        text = f"{'-' if one.sign < 0 else ''}{label[name]}"
+        if one.zero:
+            text += f"{from_si(one.zero, of):+.6g}"
+        if one.other:
+            text += f"{'+' if one.factor > 0 else '-'}{label[one.other]}"
+        columns.append(text)
+    return best.share, ("--joints", ",".join(columns))
 
 
 def _nothing(case: Case) -> Explanation:

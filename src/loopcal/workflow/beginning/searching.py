@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -23,27 +23,33 @@ PLAUSIBLE = 0.1
 # Wrong units are wrong by factors of 10 to 1000 (docs/decisions/0056).
 CLEARLY = 3.0
 """A meaning is decided if every other one leaves so many times its misfit."""
+NOTHING = 0.3
+"""A misfit of this share of the spread of the readings, or more: the machine explains nothing."""
 FAR = 10.0
 """A meaning that fits so many times worse on a few poses is not tried on more."""
 # Few poses drop what is wrong by factors; more decide among the rest.
 _SAMPLE, _FEW = 120, 40
+_AS_LARGE = 8.0
+"""Between mm and cm lies a factor of 10."""
 
 
 @dataclass(frozen=True, eq=False)
 class Understood:
     """The columns with their meaning.
 
-    joints: quantity -> readings [SI]; kinds: SI unit of each; units: SI unit -> unit of the joint
-    columns; seen: the instruments; remarks: what the data decided, in words.
+    joints: quantity -> readings [SI]; kinds, units: SI unit of each, and that of its column;
+    seen: the instruments; remarks: what the data decided, in words; others: the meanings that fit
+    next best, of instruments that have several.
     """
 
     layout: Layout
     joints: dict[str, Array]
     kinds: tuple[str, ...]
-    units: dict[str, str]
+    units: tuple[str, ...]
     seen: tuple[Meaning, ...]
     bodies: Bodies
     remarks: tuple[str, ...] = ()
+    others: tuple[Meaning, ...] = ()
 
     @property
     def share(self) -> float:
@@ -59,13 +65,23 @@ class Understood:
     def joint_words(self) -> str:
         """The units of the joints, those that slide in units of length."""
         clauses = []
-        for si, what in (("rad", "joints"), ("m", "slides")):
-            fields = [
-                f for f, kind in zip(self.layout.joints, self.kinds, strict=True) if kind == si
-            ]
-            if fields:
-                clauses.append(f"the {what} {names_of(fields)} in {self.units[si]}")
+        columns = list(zip(self.layout.joints, self.kinds, self.units, strict=True))
+        for kind, of in dict.fromkeys((kind, of) for _, kind, of in columns):
+            some = [f for f, *others in columns if others == [kind, of]]
+            clauses.append(
+                f"the {'joints' if kind == 'rad' else 'slides'} {names_of(some)} in {of}"
+            )
         return "; ".join(clauses)
+
+
+@dataclass(frozen=True)
+class Counting:
+    """How a joint is counted: sign * reading + zero [rad] + factor * reading of another joint."""
+
+    sign: int = 1
+    zero: float = 0.0
+    other: str = ""
+    factor: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,41 +108,73 @@ def every_way(
     layouts: Sequence[Layout],
     *,
     as_stated: bool = True,
-    turned_round: Collection[str] = (),
-    zeros: Mapping[str, float] = MappingProxyType({}),
+    mixed: bool = False,
+    counting: Mapping[str, Counting] = MappingProxyType({}),
 ) -> list[Understood]:
     """All combinations of meanings, judged on some of the poses; of each instrument the best and
-    those that fit about as well. turned_round: joints that are read with the other sign; zeros:
-    what is added to readings of joints [rad]."""
+    those that fit about as well. mixed: turning joints may be in units of their own; counting: of
+    joints that do not count as the machine does."""
     ways = []
     for layout in layouts:
-        for units in joint_units(layout.joints, machine.units, as_stated=as_stated):
+        for units in joint_units(layout.joints, machine.units, as_stated=as_stated, mixed=mixed):
             joints = {
-                name: to_si(f.values, f.unit if f.unit and as_stated else units[si])
-                for name, f, si in zip(machine.joints, layout.joints, machine.units, strict=True)
+                name: to_si(f.values, of)
+                for name, f, of in zip(machine.joints, layout.joints, units, strict=True)
             }
-            moved = {
-                n: (-q if n in turned_round else q) + zeros.get(n, 0.0) for n, q in joints.items()
-            }
+            moved = dict(joints)
+            for name, one in counting.items():
+                moved[name] = one.sign * joints[name] + one.zero
+                if one.other:
+                    moved[name] = moved[name] + one.factor * joints[one.other]
             bodies = machine.bodies(moved)
-            options = []
+            options, others = [], list[Meaning]()
             for seen in layout.seen:
                 some, few = _spread(seen.rows, _SAMPLE), _spread(seen.rows, _FEW)
-                tried = _fitting(meanings(seen, as_stated=as_stated), bodies, few, 1)
+                some_meanings = meanings(seen, as_stated=as_stated)
+                if counting:  # one of many trials, for a likely cause alone
+                    some_meanings = (m for m in some_meanings if _as_large(m, bodies))
+                    options.append(_fitting(some_meanings, bodies, few, 1)[:1])
+                    continue
+                tried = _fitting(some_meanings, bodies, few, 1)
+                others += tried[1:2]
                 # 1e-12 keeps all meanings of readings that the machine fits exactly.
                 near = [m for m in tried if m.share < FAR * tried[0].share + 1e-12]
                 tried = _fitting(near, bodies, some, 4)
                 options.append([m for m in tried if m.share < CLEARLY * tried[0].share + 1e-12])
             if not all(options):
                 continue
+            options, fitting = _belonging(options, layout)
             best = tuple(o[0] for o in options)
-            first = Understood(layout, joints, machine.units, units, best, bodies)
+            first = Understood(
+                fitting, joints, machine.units, units, best, bodies, others=tuple(others)
+            )
             ways.append(first)
             for i, tied in enumerate(options):
                 for other in tied[1:]:
                     seen_so = (*first.seen[:i], other, *first.seen[i + 1 :])
                     ways.append(replace(first, seen=seen_so))
     return ways
+
+
+def _as_large(meaning: Meaning, bodies: Bodies) -> bool:
+    """Whether the readings move about as far as the body does; units differ by larger factors."""
+    if meaning.position.ndim != 2:
+        return True
+    read, moved = (float(np.nanstd(p, axis=0).max()) for p in (meaning.position, bodies.origins))
+    return moved < _AS_LARGE * read and read < _AS_LARGE * moved
+
+
+def _belonging(options: list[list[Meaning]], layout: Layout) -> tuple[list[list[Meaning]], Layout]:
+    """Without what the machine does not move at all, where it explains another instrument: these
+    columns are velocities, forces or of another body. A station's columns are no such."""
+    least = min(o[0].share for o in options)
+    kept = [o for o in options if o[0].share < NOTHING or o[0].seen.station]
+    if least > PLAUSIBLE or len(kept) == len(options):
+        return options, layout
+    gone = [o[0].seen for o in options if o not in kept]
+    columns = tuple(f for s in gone for f in (*s.position, *s.turned, *s.sds))
+    seen = tuple(o[0].seen for o in kept)
+    return kept, replace(layout, seen=seen, ignored=(*layout.ignored, *columns))
 
 
 def _spread(positions: NDArray[np.intp], most: int) -> NDArray[np.intp]:

@@ -91,8 +91,10 @@ def stated(
     readings; first: the files as they are, for those of later days.
     """
     readings = {
-        name: Reading(understood.joints[name], si, f, f.unit or understood.units[si])
-        for name, f, si in zip(machine.joints, understood.layout.joints, machine.units, strict=True)
+        name: Reading(understood.joints[name], si, f, of)
+        for name, f, si, of in zip(
+            machine.joints, understood.layout.joints, machine.units, understood.units, strict=True
+        )
     }
     looking: list[dict[str, Any]] = []
     seen: list[tuple[Meaning, tuple[str, ...]]] = []
@@ -134,7 +136,7 @@ def stated(
         for name, (field, of_column) in conditions.columns.items()
     }
     converted = (
-        any(r.field is None for r in readings.values())
+        any(r.field is None or r.field.computed for r in readings.values())
         or any(source.path is None for source in fields.sources)
         or any(meaning.seen.station for meaning in understood.seen)
     )

@@ -8,25 +8,29 @@ from dataclasses import replace
 import numpy as np
 
 from loopcal.errors import InputError, listed
-from loopcal.estimation.mounted import origin_rms
 from loopcal.files.recognition.fields import names_of
+from loopcal.files.recognition.headers import words
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import Layout
 from loopcal.presentation.shown import significant
-from loopcal.workflow.beginning.objections import NOTHING, Case, contradiction, objection, shifted
+from loopcal.workflow.beginning.objections import Case, contradiction, objection, shifted
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
+    NOTHING,
     PLAUSIBLE,
     Machine,
     Understood,
     every_way,
 )
+from loopcal.workflow.beginning.weighing import CONVINCING, compared_joints, measured_only
 
 USUAL = 0.02
 """A nominal machine misses its readings by a smaller share of their spread; units that a header
 states and that leave more are doubted."""
-COMPUTED = 0.02
-"""Points that lie so near the machine's own nominal coordinates were computed from its joints."""
+_ATTAINED = frozenset(words("performance", "measured"))
+_COMMANDED = frozenset(words("performance", "commanded")) | frozenset(
+    words("columns", "unmeasured")
+)
 
 Ask = Callable[[str, Sequence[str]], int]
 """Asks which answer is right and returns its number, counted from 0."""
@@ -60,14 +64,22 @@ def undetermined(machine: Machine, layouts: Sequence[Layout]) -> InputError:
 
 
 def understood(
-    machine: Machine, layouts: Sequence[Layout], fields: Fields, ask: Ask | None
+    machine: Machine,
+    layouts: Sequence[Layout],
+    fields: Fields,
+    ask: Ask | None,
+    ways: Sequence[Understood],
 ) -> Understood:
     """The meaning of the columns that the placed nominal machine fits clearly best.
 
-    ask: asks where several fit; None refuses. Raises InputError where none fits, several do, a
-    stated unit contradicts the readings, or rows do not belong together.
+    ask: asks where several fit; None refuses; ways: to read the columns, the best first.
+    Raises InputError where none fits, several do, a stated unit contradicts the readings, or rows
+    do not belong together.
     """
-    ways = sorted(every_way(machine, layouts), key=lambda u: u.share)
+    ways = list(ways)
+    if not ways or not ways[0].share <= USUAL:
+        ways += every_way(machine, layouts, mixed=True)
+        ways.sort(key=lambda u: u.share)
     case = Case(machine, layouts, fields, ways)
     if not ways or not ways[0].share <= USUAL:
         wrong = contradiction(case)
@@ -83,11 +95,87 @@ def understood(
         wrong = objection(case)
         if wrong is not None:
             raise wrong.error()
-    rivals = [u for u in ways[1:] if u.share < min(CLEARLY * best.share, NOTHING)]
+    near = [u for u in ways if u.share < min(max(CLEARLY * best.share, USUAL), NOTHING)]
+    best, remarks = _joints_chosen(machine, near or [best], ask)
+    rivals = [
+        u
+        for u in near
+        if u is not best
+        and u.layout.joints == best.layout.joints
+        and u.layout.seen == best.layout.seen
+        and u.share < CLEARLY * best.share
+    ]
     # Readings without noise: at such a misfit rounding alone separates the ways.
     if rivals and best.share > 1e-9:
         best = _asked([best, *rivals], ask)
-    return _finished(best)
+    best = replace(best, seen=tuple(m.fitted(best.bodies) for m in best.seen))
+    best, further = measured_only(machine, [best, *near], best)
+    return replace(best, remarks=(*remarks, *_alternatives(best, ways), *further))
+
+
+def _alternatives(best: Understood, ways: Sequence[Understood]) -> tuple[str, ...]:
+    """What was inferred could also be, and how badly that fits: a sentence for each inference."""
+    others = [u for u in ways if u.layout.joints == best.layout.joints and u.units != best.units]
+    next_best = min(others, key=lambda u: u.share, default=None)
+    likely = [(next_best.joint_words, next_best.share)] if next_best else []
+    for meaning in best.seen:
+        for other in best.others:
+            if other.seen is meaning.seen:
+                words = "; ".join(w for w in other.words if w not in meaning.words)
+                likely.append((words, other.share))
+    return tuple(
+        f"Alternative, next best: {words}: misfit {significant(100.0 * share, 2)} %."
+        for words, share in likely
+        if words
+    )
+
+
+def _joints_chosen(
+    machine: Machine, near: Sequence[Understood], ask: Ask | None
+) -> tuple[Understood, tuple[str, ...]]:
+    """The way with the columns that are the joints, of those that fit the nominal machine about
+    as well, and why.
+
+    Of one set of joints the way that uses the most columns of instruments is taken: an angle that
+    does not belong to a range would not fit. Raises InputError where several sets of joints fit as
+    well and nobody can be asked.
+    """
+    sets: dict[tuple[int, ...], Understood] = {}
+    for way in sorted(near, key=_columns, reverse=True):
+        sets.setdefault(tuple(map(id, way.layout.joints)), way)
+    if len(sets) == 1:
+        return next(iter(sets.values())), ()
+    ways = [replace(w, seen=tuple(m.fitted(w.bodies) for m in w.seen)) for w in sets.values()]
+    compared = compared_joints(machine, [measured_only(machine, ways, w)[0] for w in ways])
+    best = compared[0][1]
+    near = [w for worse, w in compared[1:] if worse < CONVINCING]
+    others = listed([names_of(w.layout.joints) for _, w in compared[1:]])
+    if near:
+        best = _measured_by_name([best, *near]) or _asked([best, *near], ask)
+        words = "by their names: the readings do not tell them from others"
+    else:
+        words = "with the others the machine fits clearly worse, also once it is calibrated"
+    chosen = next(w for w in sets.values() if w.layout.joints == best.layout.joints)
+    return chosen, (f"The joints are {names_of(best.layout.joints)}, not {others}: {words}.",)
+
+
+def _columns(way: Understood) -> tuple[int, float]:
+    return sum(len((*s.position, *s.turned)) for s in way.layout.seen), -way.share
+
+
+def _measured_by_name(ways: Sequence[Understood]) -> Understood | None:
+    """The only one whose columns are named as measured, or not as commanded; else None."""
+
+    def named(way: Understood, kind: frozenset[str]) -> bool:
+        return all(kind & {*f.stem.split("_")} for f in way.layout.joints)
+
+    for some in (
+        [w for w in ways if named(w, _ATTAINED)],
+        [w for w in ways if not named(w, _COMMANDED)],
+    ):
+        if len(some) == 1:
+            return some[0]
+    return None
 
 
 def _asked(rivals: Sequence[Understood], ask: Ask | None) -> Understood:
@@ -106,26 +194,6 @@ def _asked(rivals: Sequence[Understood], ask: Ask | None) -> Understood:
     raise InputError(
         f"the readings fit in {len(rivals)} ways: {' -- or -- '.join(answers[:4])}",
         code="unknown-unit",
-        remedy='state units in the headers ("x [mm]", "J1 [deg]"), or name the columns',
-    )
-
-
-def _finished(best: Understood) -> Understood:
-    """With the fits of all poses, the computed instruments left out, and what the data decided."""
-    seen = tuple(m.fitted(best.bodies) for m in best.seen)
-    remarks = []
-    kept = []
-    for meaning in seen:
-        names = names_of(meaning.seen.position)
-        if meaning.seen.kind == "point" and meaning.fit is not None:
-            off = origin_rms(best.bodies, meaning.position)
-            if off < COMPUTED * meaning.fit.spread:
-                size = f"{significant(1e3 * off, 2)} mm"
-                remarks.append(
-                    f"{names} equal the nominal machine's own coordinates to {size}: computed by "
-                    "the controller, not measured"
-                )
-                if len(seen) > 1:
-                    continue
-        kept.append(meaning)
-    return replace(best, seen=tuple(kept or seen), remarks=tuple(remarks))
+        remedy='state units in the headers ("x [mm]", "J1 [deg]"), or name the columns of the '
+        "joints with --joints, or columns that take no part with --leave-out",
+    ).offering("--joints", ",".join(f.label for f in rivals[0].layout.joints))

@@ -1,0 +1,1081 @@
+"""Sixty layouts of real files through `loopcal init`: right, refused, or silently wrong.
+
+Robots and readings are simulated here in plain NumPy. A layout is right if the machine that its
+project calibrates predicts fresh poses within 1.1 of that calibrated from a plain file of the same
+readings, whose headers state everything. A refusal has a next command or it has none.
+
+    python -m analyses.layouts --only soll --show
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import shlex
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+POSES, FRESH, RIGHT = 36, 300, 1.1
+ENCODER, FOLLOWING, TRACKER = 20e-6, 4e-4, 30e-6
+TARGET, SECOND = np.array([0.05, -0.03, 0.12]), np.array([-0.06, 0.04, 0.09])
+R, P = "revolute", "prismatic"
+_SIX = (
+    (150, 450, -90, 0, R), (600, 0, 0, -90, R), (120, 0, -90, 0, R),
+    (0, 640, 90, 0, R), (0, 0, -90, 0, R), (0, 100, 0, 0, R),
+)  # fmt: skip
+ROBOTS: dict[str, tuple[tuple[float, float, float, float, str], ...]] = {
+    "six": _SIX,
+    "ur": (
+        (0, 127.3, 90, 0, R), (-612, 0, 0, 0, R), (-572.3, 0, 0, 0, R),
+        (0, 163.9, 90, 0, R), (0, 115.7, -90, 0, R), (0, 92.2, 0, 0, R),
+    ),
+    "iiwa": (
+        (0, 360, -90, 0, R), (0, 0, 90, 0, R), (0, 420, 90, 0, R), (0, 0, -90, 0, R),
+        (0, 400, -90, 0, R), (0, 0, 90, 0, R), (0, 126, 0, 0, R),
+    ),
+    "scara": ((325, 400, 0, 0, R), (225, 0, 180, 0, R), (0, 50, 0, 0, P), (0, 60, 0, 0, R)),
+    "rail": ((0, 0, 90, 90, P), *_SIX),
+    "gantry": (
+        (0, 0, -90, -90, P), (0, 300, -90, -90, P), (0, 500, 0, 0, P),
+        (0, 80, 90, 0, R), (60, 0, -90, 0, R), (0, 100, 0, 0, R),
+    ),
+}  # fmt: skip
+"""Rows a, d [mm], alpha, theta [deg] of the classical convention, and the kind of joint."""
+PANDA = (
+    (0, 333, 0, 0, R), (0, 0, -90, 0, R), (0, 316, 90, 0, R), (82.5, 0, 90, 0, R),
+    (-82.5, 384, -90, 0, R), (0, 0, 90, 0, R), (88, 107, 90, 0, R),
+)  # fmt: skip
+"""Rows of the modified convention, alpha and a of the link before."""
+
+
+def frames(rows: Array, slides: Sequence[bool], q: Array, *, modified: bool = False) -> Array:
+    """(N, 4, 4) the flange at joints q (N, n) [rad, m]."""
+    T = np.tile(np.eye(4), (len(q), 1, 1))
+    for (a, d, alpha, theta), slide, value in zip(rows, slides, q.T, strict=True):
+        angle = theta + (0.0 if slide else 1.0) * value
+        twist = np.eye(4)
+        twist[:3, :3], twist[0, 3] = Rotation.from_euler("x", alpha).as_matrix(), a
+        turn = np.tile(np.eye(4), (len(q), 1, 1))
+        turn[:, :3, :3] = Rotation.from_euler("z", np.reshape(angle, (-1, 1))).as_matrix()
+        turn[:, 2, 3] = d + (value if slide else 0.0)
+        T = T @ twist @ turn if modified else T @ turn @ twist
+    return T
+
+
+class World:
+    """One robot, its drawing and its truth, and what was read of it."""
+
+    def __init__(self, robot: str, seed: int, poses: int = POSES) -> None:
+        rng = np.random.default_rng(seed)
+        self.robot, self.modified = robot, robot == "panda"
+        table = PANDA if self.modified else ROBOTS[robot]
+        self.slides = [row[4] == P for row in table]
+        self.drawn = np.array([row[:4] for row in table]) * [1e-3, 1e-3, np.pi / 180, np.pi / 180]
+        self.true = self.drawn + rng.normal(0.0, [5e-4, 5e-4, 1e-3, 1e-3], self.drawn.shape)
+        self.half = np.where(self.slides, 0.3, 1.4)
+        self.q = rng.uniform(-self.half, self.half, (poses, len(table)))
+        self.fresh = rng.uniform(-self.half, self.half, (FRESH, len(table)))
+        slow = np.where(self.slides, 0.5, 1.0)
+        self.read = self.q + rng.normal(0.0, ENCODER, self.q.shape) * slow
+        self.command = self.q + rng.normal(0.0, FOLLOWING, self.q.shape) * slow
+        S, t = Rotation.random(random_state=seed).as_matrix(), rng.uniform(1.0, 2.5, 3)
+        S2, t2 = Rotation.random(random_state=seed + 99).as_matrix(), rng.uniform(-2.5, -1.0, 3)
+        T = self.at(self.q)
+
+        def noise() -> Array:
+            return rng.normal(0.0, TRACKER, (poses, 3))
+
+        self.points = self.target(self.q) @ S.T + t + noise()
+        self.second = (T[:, :3, 3] + T[:, :3, :3] @ SECOND) @ S.T + t + noise()
+        self.elsewhere = self.target(self.q) @ S2.T + t2 + noise()
+        small = Rotation.from_rotvec(rng.normal(0.0, 1e-4, (poses, 3))).as_matrix()
+        self.turns = S @ T[:, :3, :3] @ small
+        aimed = self.q + rng.normal(0.0, 3e-5, self.q.shape) * slow
+        drawn = frames(self.drawn, self.slides, aimed, modified=self.modified)
+        self.commanded = drawn[:, :3, 3] + drawn[:, :3, :3] @ [0.0, 0.0, 0.15]
+        computed = frames(self.drawn, self.slides, self.read, modified=self.modified)
+        self.tcp = computed[:, :3, 3] + computed[:, :3, :3] @ [0.0, 0.0, 0.15]
+        self.tcp_turns = computed[:, :3, :3]
+        self.rng = rng
+
+    def at(self, q: Array) -> Array:
+        """(N, 4, 4) the true flange."""
+        return frames(self.true, self.slides, q, modified=self.modified)
+
+    def target(self, q: Array) -> Array:
+        """(N, 3) the true target [m]."""
+        T = self.at(q)
+        there: Array = T[:, :3, 3] + T[:, :3, :3] @ TARGET
+        return there
+
+    def shown(self, values: Array) -> Array:
+        """Joints in deg and mm."""
+        return np.where(self.slides, 1e3, 180.0 / np.pi) * values
+
+
+@dataclass
+class Case:
+    """A layout on the disk: files, options beside the robot's, and what differs of its readings.
+
+    rows: poses that can be used; stated: columns of the instrument for the file by hand, x, y, z in
+    mm where None.
+    """
+
+    files: list[str]
+    options: list[str] = field(default_factory=list)
+    rows: Any = field(default_factory=lambda: slice(None))
+    stated: dict[str, Any] | None = None
+
+
+LAYOUTS: dict[str, tuple[str, Callable[[World, Path], Case]]] = {}
+_Maker = Callable[[World, Path], Case]
+
+
+def layout(name: str, robot: str = "six") -> Callable[[_Maker], _Maker]:
+    """Register a layout for a robot."""
+
+    def register(maker: _Maker) -> _Maker:
+        LAYOUTS[name] = (robot, maker)
+        return maker
+
+    return register
+
+
+def written(
+    path: Path,
+    columns: dict[str, Any],
+    sep: str = ",",
+    decimal: str = ".",
+    encoding: str = "utf-8",
+    digits: int = 6,
+    header: bool = True,
+    mark: str = "",
+) -> str:
+    """A text file; returns its name."""
+    lines = [mark + sep.join(columns)] if header else []
+    for row in zip(*columns.values(), strict=True):
+        cells = []
+        for c in row:
+            number = isinstance(c, float | np.floating)
+            blank = number and np.isnan(c)
+            cells.append(
+                ("" if blank else f"{c:.{digits}f}".replace(".", decimal)) if number else str(c)
+            )
+        lines.append(sep.join(cells))
+    path.write_bytes(("\n".join(lines) + "\n").encode(encoding))
+    return path.name
+
+
+def of(names: Iterable[str], values: Array) -> dict[str, Array]:
+    """Columns by name."""
+    return dict(zip(names, np.asarray(values, float).T, strict=True))
+
+
+def joints(
+    w: World, form: str = "J{}", values: Array | None = None, start: int = 1
+) -> dict[str, Array]:
+    """Joint columns in deg and mm."""
+    n = w.q.shape[1]
+    return of(
+        (form.format(i) for i in range(start, n + start)),
+        w.shown(w.read if values is None else values),
+    )
+
+
+def xyz(form: str, points: Array, letters: str = "xyz") -> dict[str, Array]:
+    """Point columns in mm."""
+    return of((form.format(a) for a in letters), 1e3 * points)
+
+
+def ids(w: World, form: str = "P{:03d}") -> list[str]:
+    return [form.format(i + 1) for i in range(len(w.q))]
+
+
+def polar(points: Array, turn: float = 1.0) -> Array:
+    """Range [mm], azimuth and elevation in units of which pi has `turn` times 180."""
+    r = np.linalg.norm(points, axis=1)
+    a = np.degrees(np.arctan2(points[:, 1], points[:, 0])) * turn
+    e = np.degrees(np.arcsin(points[:, 2] / r)) * turn
+    return np.column_stack([1e3 * r, a, e])
+
+
+def plain(path: Path, *columns: dict[str, Any], **how: Any) -> Case:
+    """One file with these columns."""
+    return Case([written(path / "data.csv", {k: v for c in columns for k, v in c.items()}, **how)])
+
+
+# Commanded, computed and other columns beside what was measured
+
+
+@layout("J_cmd, J_act")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w, "J{}_cmd", w.command), joints(w, "J{}_act"), xyz("{}", w.points))
+
+
+@layout("J_act, J_cmd")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w, "J{}_act"), joints(w, "J{}_cmd", w.command), xyz("{}", w.points))
+
+
+@layout("UR log: target_q, actual_q, actual_qd, TCP", "ur")
+def _(w: World, p: Path) -> Case:
+    n = range(6)
+    return plain(
+        p,
+        {"timestamp": 0.002 * np.arange(POSES)},
+        of((f"target_q_{i}" for i in n), w.command),
+        of((f"actual_q_{i}" for i in n), w.read),
+        of((f"actual_qd_{i}" for i in n), w.rng.normal(0, 1e-3, w.q.shape)),
+        of(
+            (f"actual_TCP_pose_{i}" for i in n),
+            np.hstack([w.tcp, Rotation.from_matrix(w.tcp_turns).as_rotvec()]),
+        ),
+        of(("tracker_x", "tracker_y", "tracker_z"), w.points),
+        sep=" ",
+        digits=8,
+    )
+
+
+@layout("Soll and Ist of joints", "iiwa")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        joints(w, "A{} Soll [°]", w.command),
+        joints(w, "A{} Ist [°]"),
+        xyz("{} [mm]", w.points, "XYZ"),
+        sep=";",
+        decimal=",",
+    )
+
+
+@layout("X_soll, X_ist")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p, joints(w, "A{}"), xyz("{}_soll", w.commanded, "XYZ"), xyz("{}_ist", w.points, "XYZ")
+    )
+
+
+@layout("X_ist, X_soll")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p, joints(w, "A{}"), xyz("{}_ist", w.points, "XYZ"), xyz("{}_soll", w.commanded, "XYZ")
+    )
+
+
+@layout("controller's TCP beside a tracker", "ur")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w), xyz("TCP_{}", w.tcp), xyz("{}", w.points))
+
+
+@layout("controller's X Y Z A B C beside a tracker")
+def _(w: World, p: Path) -> Case:
+    abc = of("ABC", Rotation.from_matrix(w.tcp_turns).as_euler("ZYX", degrees=True))
+    return plain(
+        p,
+        joints(w, "A{}"),
+        xyz("{}", w.tcp, "XYZ"),
+        abc,
+        xyz("Tracker {}", w.points, "XYZ"),
+        digits=3,
+    )
+
+
+@layout("nominal beside measured")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w), xyz("nominal_{}", w.commanded), xyz("measured_{}", w.points))
+
+
+@layout("two unnamed triples, one computed")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w), xyz("p1{}", w.tcp), xyz("p2{}", w.points), digits=3)
+
+
+@layout("PolyWorks: X Nom, X Meas, X Dev")
+def _(w: World, p: Path) -> Case:
+    near = w.points + w.rng.normal(0, 1e-3, w.points.shape)
+    return plain(
+        p,
+        {"Name": ids(w)},
+        joints(w),
+        xyz("{} Nom", near, "XYZ"),
+        xyz("{} Meas", w.points, "XYZ"),
+        xyz("{} Dev", w.points - near, "XYZ"),
+    )
+
+
+@layout("SpatialAnalyzer: X Y Z, dX dY dZ, dMag, u")
+def _(w: World, p: Path) -> Case:
+    off = w.rng.normal(0, 1e-3, w.points.shape)
+    return plain(
+        p,
+        {"Point Name": ids(w)},
+        joints(w),
+        xyz("{} (mm)", w.points, "XYZ"),
+        xyz("d{} (mm)", off, "XYZ"),
+        {"dMag (mm)": 1e3 * np.linalg.norm(off, axis=1)},
+        of((f"u{a} (mm)" for a in "XYZ"), np.full((POSES, 3), 0.03)),
+    )
+
+
+@layout("J_vel before J_pos")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        joints(w, "J{}_vel", w.rng.normal(0, 0.1, w.q.shape)),
+        joints(w, "J{}_pos"),
+        xyz("{}", w.points),
+    )
+
+
+@layout("degrees beside radians, stated")
+def _(w: World, p: Path) -> Case:
+    a, b = w.shown(w.read)[:, :3], w.read[:, 3:]
+    return plain(
+        p,
+        of((f"J{i} [deg]" for i in (1, 2, 3)), a),
+        of((f"J{i} [rad]" for i in (4, 5, 6)), b),
+        xyz("{} [mm]", w.points),
+    )
+
+
+@layout("degrees beside radians, unstated")
+def _(w: World, p: Path) -> Case:
+    a, b = w.shown(w.read)[:, :3], w.read[:, 3:]
+    return plain(
+        p,
+        of((f"J{i}" for i in (1, 2, 3)), a),
+        of((f"J{i}" for i in (4, 5, 6)), b),
+        xyz("{}", w.points),
+    )
+
+
+@layout("torques and currents with their numbers", "ur")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        joints(w, "axis{}_torque", w.rng.normal(0, 0.5, w.q.shape)),
+        joints(w, "axis{}_current", w.rng.normal(0, 0.5, w.q.shape)),
+        joints(w, "axis{}_angle"),
+        xyz("{}", w.points),
+    )
+
+
+@layout("joint_1.position, velocity, effort by URDF", "iiwa")
+def _(w: World, p: Path) -> Case:
+    n = w.q.shape[1]
+    name = "joint_a{}.{}".format
+    return Case(
+        [
+            written(
+                p / "data.csv",
+                {
+                    **of((name(i, "position") for i in range(1, n + 1)), w.read),
+                    **of(
+                        (name(i, "velocity") for i in range(1, n + 1)),
+                        w.rng.normal(0, 1e-3, w.q.shape),
+                    ),
+                    **of(
+                        (name(i, "effort") for i in range(1, n + 1)),
+                        w.rng.normal(0, 1.0, w.q.shape),
+                    ),
+                    **of(("smr.x", "smr.y", "smr.z"), w.points),
+                },
+                digits=8,
+            )
+        ],
+        ["--urdf", "robot.urdf"],
+    )
+
+
+# Instruments and conditions
+
+
+@layout("Distance, Azimut, Élévation")
+def _(w: World, p: Path) -> Case:
+    case = plain(
+        p,
+        joints(w, "Axe {} (deg)"),
+        of(("Distance (mm)", "Azimut (deg)", "Élévation (deg)"), polar(w.points)),
+    )
+    case.stated = of(("range [mm]", "azimuth [deg]", "elevation [deg]"), polar(w.points))
+    return case
+
+
+@layout("Strecke, Hz, V in gon from the zenith", "iiwa")
+def _(w: World, p: Path) -> Case:
+    r, a, e = polar(w.points, 10 / 9).T
+    case = plain(
+        p,
+        joints(w, "A{} [°]"),
+        of(("Schrägstrecke [mm]", "Hz [gon]", "V [gon]"), np.column_stack([r, -a % 400, 100 - e])),
+        sep=";",
+        decimal=",",
+    )
+    case.stated = of(("range [mm]", "azimuth [deg]", "elevation [deg]"), polar(w.points))
+    return case
+
+
+@layout("Range, Horizontal angle, Vertical angle", "ur")
+def _(w: World, p: Path) -> Case:
+    case = plain(p, joints(w), of(("Range", "Horizontal angle", "Vertical angle"), polar(w.points)))
+    case.stated = of(("range [mm]", "azimuth [deg]", "elevation [deg]"), polar(w.points))
+    return case
+
+
+@layout("a draw-wire")
+def _(w: World, p: Path) -> Case:
+    length = np.linalg.norm(w.target(w.q) - [1.6, -1.2, 0.1], axis=1) + 0.02
+    read = length + w.rng.normal(0, TRACKER, POSES)
+    case = plain(p, joints(w), {"wire [mm]": 1e3 * read})
+    case.stated = {"wire [mm]": 1e3 * read}
+    return case
+
+
+@layout("load, temperature, time, speed, tool")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"Zeit": np.arange(POSES) * 60.0},
+        joints(w, "A{}"),
+        xyz("{}", w.points, "XYZ"),
+        {
+            "Last [kg]": np.full(POSES, 5.0),
+            "Temperatur": 20.0 + 0.01 * np.arange(POSES),
+            "Geschwindigkeit [%]": np.full(POSES, 10.0),
+            "Werkzeug": ["T1"] * POSES,
+        },
+    )
+
+
+@layout("date, operator, rms, quality, comment")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"Date": ["2024-05-03"] * POSES, "Operator": ["ab"] * POSES},
+        joints(w),
+        xyz("{}", w.points),
+        {
+            "RMS": w.rng.uniform(0.01, 0.03, POSES),
+            "Quality": np.full(POSES, 99.0),
+            "Comment": ["ok"] * POSES,
+        },
+    )
+
+
+@layout("x y z with u_x u_y u_z", "scara")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w), xyz("{}", w.points), xyz("u_{}", np.full((POSES, 3), TRACKER)))
+
+
+@layout("two reflectors p1x, p2x")
+def _(w: World, p: Path) -> Case:
+    case = plain(p, joints(w), xyz("p1{}", w.points), xyz("p2{}", w.second))
+    case.stated = xyz("{}1 [mm]", w.points) | xyz("{}2 [mm]", w.second)
+    return case
+
+
+@layout("two stations x1, x2 with blanks", "iiwa")
+def _(w: World, p: Path) -> Case:
+    even = (np.arange(POSES) % 2 == 0)[:, None]
+    case = plain(
+        p,
+        joints(w),
+        xyz("{}1", np.where(even, w.points, np.nan)),
+        xyz("{}2", np.where(even, np.nan, w.elsewhere)),
+    )
+    case.stated = xyz("{}1 [mm]", np.where(even, w.points, np.nan)) | xyz(
+        "{}2 [mm]", np.where(even, np.nan, w.elsewhere)
+    )
+    return case
+
+
+@layout("a column of stations")
+def _(w: World, p: Path) -> Case:
+    even = np.arange(POSES) % 2 == 0
+    case = plain(
+        p,
+        {"Station": ["S1" if e else "S2" for e in even]},
+        joints(w),
+        xyz("{}", np.where(even[:, None], w.points, w.elsewhere)),
+    )
+    case.stated = xyz("{}1 [mm]", np.where(even[:, None], w.points, np.nan)) | xyz(
+        "{}2 [mm]", np.where(even[:, None], np.nan, w.elsewhere)
+    )
+    return case
+
+
+@layout("a camera's quaternion, w last", "ur")
+def _(w: World, p: Path) -> Case:
+    case = plain(
+        p,
+        joints(w, "q{}"),
+        of(("tx", "ty", "tz"), w.points),
+        of(("qx", "qy", "qz", "qw"), Rotation.from_matrix(w.turns).as_quat()),
+    )
+    case.stated = xyz("{} [mm]", w.points) | of(
+        ("qw", "qx", "qy", "qz"), Rotation.from_matrix(w.turns).as_quat()[:, [3, 0, 1, 2]]
+    )
+    return case
+
+
+@layout("a 4x4 matrix T11 ... T44")
+def _(w: World, p: Path) -> Case:
+    T = np.tile(np.eye(4), (POSES, 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = w.turns, 1e3 * w.points
+    case = plain(
+        p,
+        joints(w),
+        of((f"T{i}{k}" for i in range(1, 5) for k in range(1, 5)), T.reshape(-1, 16)),
+        digits=8,
+    )
+    case.stated = xyz("{} [mm]", w.points) | of(
+        ("qw", "qx", "qy", "qz"), Rotation.from_matrix(w.turns).as_quat()[:, [3, 0, 1, 2]]
+    )
+    return case
+
+
+@layout("points in inches, unstated")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w), xyz("{}", w.points / 25.4))
+
+
+@layout("0,0,0 for a lost reflector")
+def _(w: World, p: Path) -> Case:
+    lost = np.arange(POSES) % 9 == 4
+    case = plain(p, joints(w), xyz("{}", np.where(lost[:, None], 0.0, w.points)))
+    case.rows = ~lost
+    return case
+
+
+# Joins
+
+
+@layout("two files by id, each lacks rows")
+def _(w: World, p: Path) -> Case:
+    a, b = np.arange(POSES) % 11 != 3, np.arange(POSES) % 7 != 5
+    name = np.array(ids(w))
+    one = written(p / "joints.csv", {"pose": name[a], **{k: v[a] for k, v in joints(w).items()}})
+    two = written(
+        p / "tracker.csv", {"Point": name[b], **{k: v[b] for k, v in xyz("{}", w.points).items()}}
+    )
+    return Case([one, two], rows=a & b)
+
+
+@layout("two files by time, the tracker lacks rows", "ur")
+def _(w: World, p: Path) -> Case:
+    t = 1000.0 + 12.0 * np.arange(POSES) + w.rng.uniform(0, 2, POSES)
+    b = np.arange(POSES) % 7 != 5
+    one = written(p / "robot.csv", {"time": t, **joints(w)})
+    two = written(
+        p / "tracker.csv", {"time": t[b] + 0.3, **{k: v[b] for k, v in xyz("{}", w.points).items()}}
+    )
+    return Case([one, two], rows=b)
+
+
+@layout("two files by date and time of day", "ur")
+def _(w: World, p: Path) -> Case:
+    at = np.datetime64("2024-05-03T09:00:00") + np.arange(POSES) * np.timedelta64(47, "s")
+    b = np.arange(POSES) % 8 != 5
+    one = written(p / "robot.csv", {"Timestamp": [str(t) for t in at], **joints(w)})
+    late = at + np.timedelta64(2, "s")
+    two = written(
+        p / "tracker.csv",
+        {
+            "Timestamp": [str(t) for t in late[b]],
+            **{k: v[b] for k, v in xyz("{}", w.points).items()},
+        },
+    )
+    return Case([one, two], rows=b)
+
+
+@layout("two files without ids, two rows lost")
+def _(w: World, p: Path) -> Case:
+    b = ~np.isin(np.arange(POSES), [9, 22])
+    one = written(p / "joints.csv", joints(w))
+    two = written(p / "tracker.csv", {k: v[b] for k, v in xyz("{}", w.points).items()})
+    return Case([one, two], rows=b)
+
+
+@layout("two files without ids, shuffled")
+def _(w: World, p: Path) -> Case:
+    order = w.rng.permutation(POSES)
+    return Case(
+        [
+            written(p / "joints.csv", joints(w)),
+            written(p / "tracker.csv", xyz("{}", w.points[order])),
+        ]
+    )
+
+
+@layout("numeric ids, three shots each in the tracker's file", "iiwa")
+def _(w: World, p: Path) -> Case:
+    off = w.rng.normal(0, TRACKER, (3, POSES, 3))
+    shots = np.concatenate(w.points + off - off.mean(axis=0))
+    number = list(range(1, POSES + 1))
+    one = written(p / "joints.csv", {"No": number, **joints(w)})
+    return Case([one, written(p / "tracker.csv", {"No": number * 3, **xyz("{}", shots)})])
+
+
+@layout("a few numeric ids measured twice")
+def _(w: World, p: Path) -> Case:
+    number = [*range(1, POSES + 1), 3, 17, 20]
+    rows = np.array(number) - 1
+    one = written(p / "joints.csv", {"No": number[:POSES], **joints(w)})
+    return Case(
+        [
+            one,
+            written(
+                p / "tracker.csv",
+                {"No": number, **{k: v[rows] for k, v in xyz("{}", w.points).items()}},
+            ),
+        ]
+    )
+
+
+@layout("three shots in a row, no ids")
+def _(w: World, p: Path) -> Case:
+    off = w.rng.normal(0, TRACKER, (3, POSES, 3))
+    shots = (w.points + off - off.mean(axis=0)).transpose(1, 0, 2).reshape(-1, 3)
+    return Case(
+        [written(p / "joints.csv", joints(w)), written(p / "tracker.csv", xyz("{}", shots))]
+    )
+
+
+@layout("two sheets")
+def _(w: World, p: Path) -> Case:
+    import xlsxwriter
+
+    book = xlsxwriter.Workbook(str(p / "data.xlsx"))
+    for name, columns in (("Robot", joints(w)), ("Tracker", xyz("{} [mm]", w.points))):
+        sheet = book.add_worksheet(name)
+        for i, (head, values) in enumerate({"Pose": ids(w), **columns}.items()):
+            cells: list[Any] = [head]
+            cells.extend(values)
+            sheet.write_column(0, i, cells)
+    book.close()
+    return Case(["data.xlsx"])
+
+
+@layout("A1 ... A6 and E1 at rest")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p, joints(w, "A{}"), {"E1": np.zeros(POSES), "E2": np.zeros(POSES)}, xyz("{}", w.points)
+    )
+
+
+@layout("E1 moves a rail", "rail")
+def _(w: World, p: Path) -> Case:
+    columns = [*joints(w, "{}").values()]
+    return plain(
+        p,
+        dict(zip([f"A{i}" for i in range(1, 7)], columns[1:], strict=True)),
+        {"E1": columns[0]},
+        xyz("{}", w.points),
+    )
+
+
+@layout("J3 counts from the horizon (Fanuc)")
+def _(w: World, p: Path) -> Case:
+    def coupled(q: Array) -> Array:
+        both: Array = q + np.eye(6)[2] * q[:, [1]]
+        return both
+
+    case = plain(p, joints(w, values=coupled(w.read)), xyz("{}", w.points))
+    return case
+
+
+@layout("encoder counts")
+def _(w: World, p: Path) -> Case:
+    scale = np.array([9556.3, 9556.3, 8212.0, 6112.5, 6112.5, 3720.1]) * 180 / np.pi
+    counts = np.round(w.read * scale + [1200, -40000, 900, 0, 77, 31000])
+    return plain(p, of((f"J{i}" for i in range(1, 7)), counts), xyz("{}", w.points), digits=0)
+
+
+@layout("a modified table under plain headers", "panda")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w, "joint{}"), xyz("{}", w.points))
+
+
+@layout("sign and zero of one joint")
+def _(w: World, p: Path) -> Case:
+    sign = np.array([1, 1, -1, 1, 1, 1])
+
+    def read(q: Array) -> Array:
+        moved: Array = sign * q + np.array([0, 0, np.pi / 2, 0, 0, 0])
+        return moved
+
+    case = plain(p, joints(w, values=read(w.read)), xyz("{}", w.points))
+    return case
+
+
+@layout("one joint reversed", "ur")
+def _(w: World, p: Path) -> Case:
+    sign = np.array([1, 1, 1, -1, 1, 1])
+    case = plain(p, joints(w, values=sign * w.read), xyz("{}", w.points))
+    return case
+
+
+@layout("one zero a right angle off", "iiwa")
+def _(w: World, p: Path) -> Case:
+    zero = np.array([0, np.pi / 2, 0, 0, 0, 0, 0])
+    case = plain(p, joints(w, values=w.read + zero), xyz("{}", w.points))
+    return case
+
+
+# Languages, encodings and headers
+
+
+@layout("German, cp1252, decimal comma")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"Messpunkt": ids(w)},
+        joints(w, "Gelenkwinkel {} [°]"),
+        xyz("{}-Koordinate [mm]", w.points, "XYZ"),
+        sep=";",
+        decimal=",",
+        encoding="cp1252",
+    )
+
+
+@layout("French", "ur")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"Repère": ids(w)},
+        joints(w, "Articulation n°{} (degrés)"),
+        xyz("Coordonnée {} (mm)", w.points, "XYZ"),
+        sep=";",
+        decimal=",",
+        encoding="utf-8-sig",
+    )
+
+
+@layout("Spanish", "scara")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"Posición": ids(w)},
+        joints(w, "Ángulo eje {}"),
+        xyz("Coordenada {} (milímetros)", w.points, "XYZ"),
+        sep=";",
+        decimal=",",
+        encoding="cp1252",
+    )
+
+
+@layout("Chinese, GB 18030")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"点号": ids(w)},
+        joints(w, "第{}轴角度(度)"),
+        xyz("{}坐标(毫米)", w.points, "XYZ"),
+        encoding="gb18030",
+    )
+
+
+@layout("Japanese, Shift-JIS")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"測定点": ids(w)},
+        joints(w, "第{}軸[度]"),
+        xyz("{}座標[mm]", w.points, "XYZ"),
+        encoding="shift-jis",
+    )
+
+
+@layout("Japanese, S軸 L軸 ...", "six")
+def _(w: World, p: Path) -> Case:
+    names = [f"{a}軸" for a in "SLURBT"]
+    return plain(
+        p, of(names, w.shown(w.read)), xyz("{}座標", w.points, "XYZ"), encoding="shift-jis"
+    )
+
+
+@layout("a header behind %")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w, "th{}"), xyz("{}", w.points), mark="% ", sep="\t")
+
+
+@layout("rostopic echo -p, two files by time", "panda")
+def _(w: World, p: Path) -> Case:
+    t = [1_700_000_000_000_000_000 + 3_000_000_000 * i for i in range(POSES)]
+    n = range(7)
+    one = {
+        "%time": t,
+        "field.header.seq": list(range(POSES)),
+        "field.header.stamp": t,
+        "field.header.frame_id": ["base"] * POSES,
+    }
+    one |= {f"field.name{i}": [f"panda_joint{i + 1}"] * POSES for i in n}
+    one |= (
+        of((f"field.position{i}" for i in n), w.read)
+        | of((f"field.velocity{i}" for i in n), w.rng.normal(0, 1e-3, w.q.shape))
+        | of((f"field.effort{i}" for i in n), w.rng.normal(0, 1, w.q.shape))
+    )
+    late = [x + 40_000_000 for x in t]
+    two = {
+        "%time": late,
+        "field.header.seq": list(range(POSES)),
+        "field.header.stamp": late,
+        "field.header.frame_id": ["tracker"] * POSES,
+        **of((f"field.point.{a}" for a in "xyz"), w.points),
+    }
+    return Case(
+        [written(p / "joints.csv", one, digits=9), written(p / "points.csv", two, digits=9)],
+        ["--urdf", "robot.urdf"],
+    )
+
+
+@layout("thousands in quotes")
+def _(w: World, p: Path) -> Case:
+    text = {k: [f'"{v:,.3f}"' for v in c] for k, c in xyz("{}", w.points).items()}
+    return plain(p, joints(w), text)
+
+
+@layout("thousands with points, decimal comma", "iiwa")
+def _(w: World, p: Path) -> Case:
+    text = {
+        k: [f"{v:,.4f}".translate(str.maketrans(",.", ".,")) for v in c]
+        for k, c in xyz("{} [mm]", w.points, "XYZ").items()
+    }
+    return plain(p, joints(w, "A{} [°]"), text, sep=";", decimal=",")
+
+
+@layout("no header, a number and a time first")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"n": list(range(1, POSES + 1)), "t": 0.5 + 7.3 * np.arange(POSES)},
+        joints(w),
+        xyz("{}", w.points),
+        header=False,
+        sep=" ",
+    )
+
+
+@layout("Base, Shoulder, Elbow, Wrist 1 ...", "ur")
+def _(w: World, p: Path) -> Case:
+    names = ["Base", "Shoulder", "Elbow", "Wrist 1", "Wrist 2", "Wrist 3"]
+    return plain(p, of(names, w.shown(w.read)), xyz("SMR {} [m]", w.points / 1e3, "XYZ"), digits=8)
+
+
+@layout("gantry: X_axis beside x", "gantry")
+def _(w: World, p: Path) -> Case:
+    values = w.shown(w.read)
+    return plain(
+        p,
+        of(("X_axis", "Y_axis", "Z_axis", "C_axis", "A_axis", "B_axis"), values),
+        xyz("{}", w.points),
+    )
+
+
+@layout("three linear actuators of a delta")
+def _(w: World, p: Path) -> Case:
+    case = plain(
+        p, of(("h1", "h2", "h3"), w.rng.uniform(100, 300, (POSES, 3))), xyz("{}", w.points)
+    )
+    case.options = ["--machine", "linear-delta"]
+    return case
+
+
+# The robot's description
+
+
+def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
+    """Of R = Rz(yaw) Ry(pitch) Rx(roll); yaw is 0 where only its sum with roll is determined."""
+    flat = float(np.hypot(R[0, 0], R[1, 0]))
+    pitch = float(np.arctan2(-R[2, 0], flat))
+    if flat < 1e-9:
+        return float(np.arctan2(-R[1, 2], R[1, 1])), pitch, 0.0
+    return float(np.arctan2(R[2, 1], R[2, 2])), pitch, float(np.arctan2(R[1, 0], R[0, 0]))
+
+
+def described(w: World, folder: Path) -> None:
+    """dh.csv and robot.urdf of the drawing."""
+    head = ["a [mm]", "alpha [deg]", "d [mm]", "theta [deg]", "type"]
+    lines = [",".join(head)]
+    lines += [
+        f"{a},{al},{d},{th},{kind}"
+        for a, d, al, th, kind in (PANDA if w.modified else ROBOTS[w.robot])
+    ]
+    (folder / "dh.csv").write_text("\n".join(lines) + "\n")
+    before, body = np.eye(4), []
+    prefix = "panda_joint" if w.modified else "joint_a"
+    for i, ((a, d, alpha, theta), slide) in enumerate(zip(w.drawn, w.slides, strict=True), 1):
+        turn, twist = np.eye(4), np.eye(4)
+        turn[:3, :3], turn[2, 3] = Rotation.from_euler("z", theta).as_matrix(), d
+        twist[:3, :3], twist[0, 3] = Rotation.from_euler("x", alpha).as_matrix(), a
+        T = before @ twist @ turn if w.modified else before @ turn
+        before = np.eye(4) if w.modified else twist
+        r, q, y = roll_pitch_yaw(T[:3, :3])
+        where = " ".join(f"{v:.12g}" for v in T[:3, 3])
+        body.append(
+            f'<joint name="{prefix}{i}" type="{"prismatic" if slide else "revolute"}">'
+            f'<parent link="l{i - 1}"/><child link="l{i}"/><axis xyz="0 0 1"/>'
+            f'<origin xyz="{where}" rpy="{r:.12g} {q:.12g} {y:.12g}"/>'
+            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+        )
+    n = len(w.drawn)
+    r, q, y = roll_pitch_yaw(before[:3, :3])
+    where = " ".join(f"{v:.12g}" for v in before[:3, 3])
+    body.append(
+        f'<joint name="tip" type="fixed"><parent link="l{n}"/><child link="tool0"/>'
+        f'<origin xyz="{where}" rpy="{r:.12g} {q:.12g} {y:.12g}"/></joint>'
+    )
+    links = "".join(f'<link name="l{i}"/>' for i in range(n + 1)) + '<link name="tool0"/>'
+    (folder / "robot.urdf").write_text(f'<robot name="r">{links}{"".join(body)}</robot>')
+
+
+# The judgement
+
+
+def error(w: World, folder: Path) -> float:
+    """Rms true error [m] at fresh poses of the project's calibrated machine, placed rigidly."""
+    import loopcal as lc
+    from loopcal.estimation.mounted import bodies_of
+    from loopcal.mechanisms.frame import ChainFrame
+
+    project = lc.read_project(folder / "project.toml")
+    machine = project.mechanism
+    result = lc.calibrate(
+        machine,
+        lc.load_dataset(project).dataset,
+        noise=project.noise.noise(),
+        method="implicit-loop",
+    )
+    values = {p.name: p.nominal for p in machine.parameters} | dict(result.value)
+    names = list(dict.fromkeys(step.joint for step in machine.chain if step.joint))
+    bodies = bodies_of(
+        ChainFrame(machine.chain, dict(zip(names, w.fresh.T, strict=True)), values), FRESH
+    )
+    ends = {n[:-2] for n in values if n.endswith("_x") and n.startswith("tool")}
+    return min(
+        _off(bodies.at(np.array([values[f"{t}_{a}"] for a in "xyz"])), w.target(w.fresh))
+        for t in ends
+    )
+
+
+def _off(p: Array, true: Array) -> float:
+    a, b = p - p.mean(axis=0), true - true.mean(axis=0)
+    turn = Rotation.align_vectors(b, a)[0]
+    return float(np.sqrt(np.square(b - turn.apply(a)).sum(axis=1).mean()))
+
+
+def begin(arguments: Sequence[str], folder: Path) -> tuple[int, str]:
+    """`loopcal init` as a user calls it in this folder: exit code and all that it printed."""
+    from loopcal.cli.run import main
+
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            code = main(["init", *arguments])
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+    return int(code or 0), out.getvalue() + err.getvalue()
+
+
+def next_command(text: str) -> list[str] | None:
+    """The arguments of the last `loopcal ...` line of a refusal."""
+    lines = [line.strip() for line in text.splitlines() if line.strip().startswith("loopcal ")]
+    commands = [shlex.split(line)[1:] for line in lines if "written:" not in line]
+    return commands[-1] if commands else None
+
+
+def judged(name: str, seed: int, folder: Path) -> tuple[str, str]:
+    """The class of one layout, and the words of it."""
+    robot, maker = LAYOUTS[name]
+    w = World(robot, seed)
+    described(w, folder)
+    case = maker(w, folder)
+    robot_file = [] if {"--urdf", "--machine"} & {*case.options} else ["--dh", "dh.csv"]
+    arguments = [*case.files, *robot_file, *case.options]
+    code, text = begin([*arguments, "--out", "mine"], folder)
+    by_next = ""
+    if "Traceback" in text:
+        return "fault", text
+    if code:
+        command = next_command(text)
+        if not command:
+            return "refused without help", text
+        if command[0] != "init" or command == ["init", *arguments, "--out", "mine"]:
+            return "refused with next command", text
+        code, further = begin([*command[1:]], folder)
+        text += f"\n--- next: {shlex.join(command)}\n{further}"
+        by_next = " by the next command"
+        if code:
+            return "refused with next command", text
+        if not (folder / "mine" / "project.toml").exists():
+            return "refused without help", text
+    seen = xyz("{} [mm]", w.points) if case.stated is None else case.stated
+    sane = {**joints(w, "J{} [deg]"), **seen}
+    if any(w.slides):
+        sane = dict(
+            zip(
+                (
+                    k.replace("deg", "mm") if s else k
+                    for k, s in zip(sane, [*w.slides, *[0] * len(seen)], strict=True)
+                ),
+                sane.values(),
+                strict=True,
+            )
+        )
+    sane = {k: np.asarray(v)[case.rows] for k, v in sane.items()}
+    hand = folder / "hand"
+    hand.mkdir()
+    written(hand / "data.csv", sane)
+    robot_file = ["--urdf", "../robot.urdf"] if w.modified else ["--dh", "../dh.csv"]
+    if w.modified:
+        (hand / "data.csv").write_text((hand / "data.csv").read_text().replace("J", "panda_joint"))
+    failed, why = begin(["data.csv", *robot_file, "--out", "."], hand)
+    assert not failed, why
+    mine = error(w, folder / "mine")
+    ratio = mine / error(w, hand)
+    words = f"true error {1e3 * mine:.3f} mm, {ratio:.2f} of that by hand"
+    if ratio <= RIGHT:
+        return f"right{by_next}", f"{words}\n{text}"
+    return "silently wrong", f"{words}\n{text}"
+
+
+def main() -> None:
+    """Print the class of every layout, and the counts."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--show", action="store_true")
+    given = parser.parse_args()
+    counts: Counter[str] = Counter()
+    for name in LAYOUTS:
+        if given.only not in name:
+            continue
+        with TemporaryDirectory() as folder, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                kind, text = judged(name, given.seed, Path(folder))
+            except Exception as fault:
+                kind, text = "fault", f"{type(fault).__name__}: {fault}"
+                if given.show:
+                    raise
+        counts[kind] += 1
+        first = text.splitlines()[0] if text else ""
+        print(f"{kind:28}{name}" + (f"   {first[:110]}" if kind != "right" else ""), flush=True)
+        if given.show:
+            print(text)
+    print(", ".join(f"{v} {k}" for k, v in counts.most_common()), f"of {sum(counts.values())}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""Joint readings computed from columns: `-J4`, `J2 + 90`, `J3 + J2`, `J1 * 0.0012`.
+
+A joint may count the other way round, from another zero, together with another joint, or in counts
+of an encoder. Numbers are in the unit of the first column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from loopcal.errors import InputError, nearest
+from loopcal.files.recognition.fields import Field
+from loopcal.files.recognition.headers import Heading, heading
+from loopcal.files.tables.cells import is_number
+
+
+def joint_columns(fields: Sequence[Field], text: str) -> tuple[Field, ...]:
+    """The columns of the joints, from their names or expressions divided by commas.
+
+    Raises InputError for what names no column.
+    """
+    columns = []
+    for part in (part.strip() for part in text.split(",")):
+        column = computed_column(fields, part)
+        if column is None:
+            labels = [f.label for f in fields]
+            raise InputError(
+                f"{part!r} is no column, and no sum of columns and numbers",
+                code="unknown-name",
+                place="--joints",
+                remedy=nearest(part.lstrip("-"), labels),
+            )
+        columns.append(column)
+    return tuple(columns)
+
+
+def computed_column(fields: Sequence[Field], text: str) -> Field | None:
+    """The column of this name, or one computed as the expression says; None where it says nothing.
+
+    >>> import numpy as np
+    >>> J = [Field(0, i, heading(f"J{i + 1}"), np.array([10.0 * i])) for i in range(3)]
+    >>> computed_column(J, "-J3 + J2 - 90").values
+    array([-100.])
+    """
+    column = _column(fields, text)
+    if column is not None:
+        return column
+    computed = _sum(fields, text)
+    if computed is None:
+        return None
+    named = Heading(text, computed.stem, computed.unit)
+    return replace(computed, heading=named, computed=True)
+
+
+def _sum(fields: Sequence[Field], text: str) -> Field | None:
+    """As far as needed to the right: a last term, or a factor."""
+    column = _column(fields, text)
+    if column is not None:
+        return column
+    for i in sorted((i for i, c in enumerate(text) if i and c in "+-"), reverse=True):
+        sign, term = (1.0 if text[i] == "+" else -1.0), text[i + 1 :].strip()
+        other = _column(fields, term)
+        if other is None and not is_number(term):
+            continue
+        rest = _sum(fields, text[:i].strip())
+        if rest is not None:
+            added = other.values if other else float(term)
+            return replace(rest, values=rest.values + sign * added)
+    if text.startswith("-"):
+        rest = _sum(fields, text[1:].strip())
+        return rest and replace(rest, values=-rest.values)
+    name, _, factor = text.rpartition("*")
+    if name and is_number(factor.strip()):
+        rest = _sum(fields, name.strip())
+        return rest and replace(rest, values=float(factor) * rest.values)
+    return None
+
+
+def _column(fields: Sequence[Field], name: str) -> Field | None:
+    exact = [f for f in fields if f.label == name]
+    # A leading sign is no part of a name, unless a header begins with it.
+    if exact or name.startswith("-"):
+        return exact[0] if exact else None
+    alike = [f for f in fields if f.stem and f.stem == heading(name).stem]
+    return alike[0] if len(alike) == 1 else None

@@ -1,0 +1,149 @@
+"""Layouts of real files: what was measured is read, what was commanded or computed is not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.layouts import (
+    LAYOUTS,
+    World,
+    begin,
+    described,
+    joints,
+    next_command,
+    written,
+    xyz,
+)
+from loopcal.errors import InputError
+from loopcal.files.recognition.expressions import joint_columns
+from loopcal.files.recognition.fields import Field
+from loopcal.files.recognition.headers import heading
+from tests.refusals import refused
+
+POSES = 36
+
+
+def begun(name: str, folder: Path) -> tuple[World, lc.InitialProject]:
+    """The project of a layout."""
+    robot, maker = LAYOUTS[name]
+    world = World(robot, 1)
+    described(world, folder)
+    case = maker(world, folder)
+    readings = [folder / f for f in case.files]
+    if "--urdf" in case.options:
+        return world, lc.init(*readings, urdf=folder / "robot.urdf")
+    return world, lc.init(*readings, dh=folder / "dh.csv")
+
+
+def joint_readings(made: lc.InitialProject) -> np.ndarray:
+    chain = made.mechanism.chain
+    names = dict.fromkeys(step.joint for step in chain if step.joint)
+    return np.column_stack([made.dataset[name] for name in names])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "J_cmd, J_act",
+        "X_soll, X_ist",
+        "UR log: target_q, actual_q, actual_qd, TCP",
+        "E1 moves a rail",
+        "a modified table under plain headers",
+        "Japanese, Shift-JIS",
+    ],
+)
+def test_what_was_measured_is_read(tmp_path: Path, name: str) -> None:
+    world, made = begun(name, tmp_path)
+    assert np.allclose(joint_readings(made), world.read, atol=1e-6)
+    (fit,) = made.fits.values()
+    assert np.allclose(made.dataset["x"], world.points[:, 0], atol=1e-6)
+    assert fit.rms < 3e-3
+
+
+def test_a_length_beside_two_angles_is_a_tracker(tmp_path: Path) -> None:
+    _, made = begun("Distance, Azimut, Élévation", tmp_path)
+    assert list(made.fits) == ["tracker"]
+
+
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("rostopic echo -p, two files by time", np.ones(POSES, dtype=bool)),
+        ("two files without ids, two rows lost", ~np.isin(np.arange(POSES), [9, 22])),
+        ("a few numeric ids measured twice", np.ones(POSES, dtype=bool)),
+    ],
+)
+def test_files_of_unlike_lengths_are_joined(tmp_path: Path, name: str, rows: np.ndarray) -> None:
+    world, made = begun(name, tmp_path)
+    assert np.allclose(joint_readings(made), world.read[rows], atol=1e-6)
+    assert np.allclose(made.dataset["x"], world.points[rows, 0], atol=1e-6)
+
+
+def test_points_that_a_controller_computed_are_no_measurement(tmp_path: Path) -> None:
+    world = World("six", 2)
+    described(world, tmp_path)
+    written(tmp_path / "a.csv", {**joints(world), **xyz("{}", world.tcp)})
+    with refused("implausible-readings", "x, y, z"):
+        lc.init(tmp_path / "a.csv", dh=tmp_path / "dh.csv")
+
+
+def test_joints_that_nothing_distinguishes_are_asked_for(tmp_path: Path) -> None:
+    world = World("six", 1)
+    described(world, tmp_path)
+    other = world.read + np.random.default_rng(0).normal(0.0, 2e-5, world.read.shape)
+    columns = {**joints(world, "J{}_a"), **joints(world, "J{}_b", other), **xyz("{}", world.points)}
+    path = tmp_path / written(tmp_path / "a.csv", columns)
+    with pytest.raises(InputError) as caught:
+        lc.init(path, dh=tmp_path / "dh.csv")
+    assert caught.value.options[0] == "--joints"
+    made = lc.init(path, dh=tmp_path / "dh.csv", joints=caught.value.options[1])
+    assert len(made.dataset) == POSES
+    named = lc.init(path, dh=tmp_path / "dh.csv", leave_out="J*_b")
+    assert np.allclose(joint_readings(named), world.read, atol=1e-6)
+
+
+def test_the_next_command_of_a_refusal_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, maker = LAYOUTS["one joint reversed"]
+    world = World(robot, 1)
+    described(world, tmp_path)
+    maker(world, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    code, printed = begin(["data.csv", "--dh", "dh.csv", "--out", "out"], tmp_path)
+    assert code == 3
+    command = next_command(printed)
+    assert command is not None
+    assert begin(command[1:], tmp_path)[0] == 0
+    project = lc.read_project("out/project.toml")
+    assert np.allclose(lc.load_dataset(project).dataset["theta_4"], world.read[:, 3], atol=1e-6)
+    # Files of later days are read by the same expression.
+    assert 'theta_4 = { column = "-J4", unit = "deg" }' in Path("out/project.toml").read_text()
+
+
+def test_expressions_of_columns() -> None:
+    columns = [Field(0, i, heading(f"J{i + 1} [deg]"), np.array([10.0 * i, 1.0])) for i in range(4)]
+    made = joint_columns(columns, "J1 [deg], -J2, J3 + J2 - 90, J4*0.5")
+    assert [f.values.tolist() for f in made] == [[0, 1], [-10, -1], [-60, -88], [15, 0.5]]
+    assert [f.unit for f in made] == ["deg"] * 4
+    with refused("unknown-name", "J9"):
+        joint_columns(columns, "J1,J9")
+
+
+def test_words_beside_the_readings(tmp_path: Path) -> None:
+    world = World("six", 1)
+    described(world, tmp_path)
+    columns = {**joints(world, "Csukló {} [fok]"), **xyz("{} [mm]", world.points)}
+    path = tmp_path / written(tmp_path / "a.csv", columns)
+    (tmp_path / "loopcal-words.toml").write_text(
+        '[words]\n"csukló" = "joint"\n"fok" = "deg"\n', "utf-8"
+    )
+    made = lc.init(path, dh=tmp_path / "dh.csv")
+    assert not any("Inferred" in words for words in made.remarks)
+    (tmp_path / "loopcal-words.toml").write_text('[words]\n"fok" = 1\n', "utf-8")
+    with refused("invalid-value", "loopcal-words.toml"):
+        lc.init(path, dh=tmp_path / "dh.csv")
