@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,11 @@ Array = NDArray[np.float64]
 CONTAINERS = ("bag", "mcap", "sqlite3")
 HOLD, MOVE, RATE, TRACKER_RATE = 1.0, 0.5, 100, 25
 """[s] at each pose and between two, [1/s] messages of joints and of the instrument."""
+
+# A header, its frame, 1 by 10^9 pixels of one byte, and then no pixel.
+IMAGE = b"\x00\x01\x00\x00" + bytes(8) + b"\x01\x00\x00\x00\x00" + bytes(3)
+IMAGE += (1).to_bytes(4, "little") + (10**9).to_bytes(4, "little") + b"\x06\x00\x00\x00mono8\x00"
+IMAGE += bytes(2) + (10**9).to_bytes(4, "little") + (10**9).to_bytes(4, "little")
 
 
 def times(count: int, rate: float) -> Array:
@@ -33,17 +38,21 @@ def write_bag(
     folder: Path,
     container: str,
     joints: Mapping[str, Array],
-    points: Mapping[str, Array],
+    points: Mapping[str, Array | Callable[[Array], Array]],
     *,
     noise: float = 0.0,
     delay: float = 0.0,
+    publishers: int = 1,
     stamped: bool = True,
     seed: int = 0,
 ) -> Path:
     """A bag of joints (P,) and of points (P, 3) by topic, readings at rest with this noise.
 
-    delay: [s] by which the points are late. A camera topic holds what is no image: reading it
-    would fail. stamped: False leaves all header stamps at zero.
+    points: of each pose, or what makes them of joints (N, n): then they move as the robot does.
+
+    delay: [s] by which the points are late; publishers: of joints, each of some. A camera
+    topic declares an image of 1 GB that is not there: reading it would fail. stamped: False leaves
+    all header stamps at zero.
     """
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import StoragePlugin
@@ -67,20 +76,27 @@ def write_bag(
     poses = np.column_stack([*joints.values()]) if joints else np.zeros((1, 0))
     t = times(len(poses), RATE)
     readings = motion(poses, t) + noise * rng.normal(size=(len(t), len(joints)))
-    for at, q in zip(t, readings, strict=True) if joints else ():
-        body = ([*joints], q, np.zeros(0), np.zeros(0))
-        state = types["sensor_msgs/msg/JointState"](header(at), *body)
-        messages.append((at, "/joint_states", "sensor_msgs/msg/JointState", state))
+    for number in range(publishers if joints else 0):
+        some = slice(number, None, publishers)
+        topic = "/joint_states" if not number else f"/joints_{number}"
+        for at, q in zip(t, readings[:, some].copy(), strict=True):
+            body = ([*joints][some], q, np.zeros(0), np.zeros(0))
+            state = types["sensor_msgs/msg/JointState"](header(at), *body)
+            messages.append((at, topic, "sensor_msgs/msg/JointState", state))
     for topic, xyz in points.items():
         t = times(len(poses), TRACKER_RATE)
-        measured = motion(xyz, t - delay) + noise * rng.normal(size=(len(t), 3))
+        if callable(xyz):
+            exact = xyz(motion(poses, t - delay))
+        else:
+            exact = motion(xyz, t - delay)
+        measured = exact + noise * rng.normal(size=(len(t), 3))
         for at, p in zip(t, measured, strict=True):
             point = types["geometry_msgs/msg/Point"](*p)
             message = types["geometry_msgs/msg/PointStamped"](header(at), point)
             messages.append((at, topic, "geometry_msgs/msg/PointStamped", message))
     with Writer1(path) if first else Writer2(path, version=9, storage_plugin=plugin) as bag:
         image = bag.add_connection("/camera", "sensor_msgs/msg/Image", typestore=store)
-        bag.write(image, 1, b"no image")
+        bag.write(image, 1, IMAGE)
         connections: dict[str, Any] = {}
         for at, topic, kind, message in sorted(messages, key=lambda m: m[0]):
             if topic not in connections:

@@ -17,4 +17,4 @@ def refused(code: Code, *stated: str) -> Iterator[pytest.ExceptionInfo[LoopcalEr
         yield caught
     assert caught.value.code == code, str(caught.value)
     for text in stated:
-        assert text in str(caught.value)
+        assert text in caught.value.text

@@ -1,6 +1,32 @@
-"""loopcal: calibration of mechanisms with every sensor uncertain.
+"""Calibration of mechanisms with every sensor uncertain.
 
-Everything public is here; modules are loaded when one of their names is first used.
+    import loopcal as lc
+    result = lc.calibrate("joints.csv", "tracker.csv", urdf="robot.urdf")
+    print(result)                          # whether it can be used, and for what
+
+Readings are files, DataFrames, dicts of arrays or arrays; values are SI (m, rad). Type
+help(lc.NAME) for any of these; docs/reference/api.md has them all, with examples.
+
+calibrate      calibrate(*readings, urdf=...); calibrate("project.toml"); calibrate(mechanism, data)
+init, check    the project that files amount to; what its poses can determine before any fit
+load           a result's folder, a project, a mechanism or a URDF, by its path
+load_urdf      the machine of a URDF; machine.fk(q) says where it is
+result         .verdict .summary() .params .value .sd .covariance .accuracy_after
+               .predict(readings) .fk(q) .plot() .report() .save(folder) .to_dataframe()
+               .to_urdf(path) .export(format) .correct(targets)
+verify         another day: is it still the machine that was calibrated
+predict, plot, report, export, correct     the same of a result, or of the path of its folder
+compare, validate, intervals, find_outliers, find_shifts     how far a result can be trusted
+plan           which poses to measure
+update, history, fleet, record, performance     a machine's life
+simulate, grid_poses, random_poses     readings with known truth
+
+Mechanism      Mechanism.from_function(f, quantities, parameters): loops of your own
+assemble       a mechanism of a machine (lc.machines) and instruments (lc.instruments)
+structured, with_effects, lc.effects     beyond geometry: sag, gears, temperature
+Dataset, Noise, Prior     readings, sds of sensors, what is known of parameters
+read_dataset, read_bag, read_project, read_mechanism, read_result     from files
+InputError     what is wrong, where, why, and what to do
 """
 
 from __future__ import annotations
@@ -8,6 +34,7 @@ from __future__ import annotations
 from loopcal import import_path as _import_path  # noqa: F401  before anything else is looked for
 
 # isort: split
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +74,9 @@ if TYPE_CHECKING:
     from loopcal.files.machines.mechanism_file import read_mechanism
     from loopcal.files.project.project_data import LoadedData
     from loopcal.files.project.project_file import Project, read_project
+    from loopcal.files.tables.bag import read_bag
     from loopcal.files.tables.readers import read_dataset
+    from loopcal.files.tables.recording import Recording
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
@@ -62,6 +91,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
+    from loopcal.report.writing import report
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
@@ -80,6 +110,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.validation import Validation
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
+    from loopcal.workflow.opening import load, load_urdf, plot
     from loopcal.workflow.public import (
         calibrate,
         check,
@@ -122,7 +153,9 @@ _HOME = {
         *("cross", "dot", "norm", "rot_x", "rot_y", "rot_z", "rotate", "vector"),
     ),
     "companions.record.record_file": ("RecordCheck",),
+    "files.tables.bag": ("read_bag",),
     "files.tables.readers": ("read_dataset",),
+    "files.tables.recording": ("Recording",),
     "files.machines.mechanism_file": ("read_mechanism",),
     "files.project.project_data": ("LoadedData",),
     "files.project.project_file": ("Project", "read_project"),
@@ -161,6 +194,8 @@ _HOME = {
     "statistics.prediction": ("Prediction",),
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
+    "report.writing": ("report",),
+    "workflow.opening": ("load", "load_urdf", "plot"),
     "workflow.result": ("Result", "write_result"),
     "companions.robot.export_files": ("Export", "export"),
     "companions.robot.correct_files": ("correct",),
@@ -182,6 +217,13 @@ _HOME = {
     "companions.life.public": ("update",),
 }
 _NAMESPACES = ("effects", "instruments", "machines")
+_INSTEAD = {
+    "Robot": "lc.load_urdf, or lc.assemble",
+    "fit": "lc.calibrate",
+    "load_csv": "lc.read_dataset, or lc.init for columns of any layout",
+    "read_csv": "lc.read_dataset, or lc.init for columns of any layout",
+    "read_urdf": "lc.load_urdf",
+}
 _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}
 
 __all__ = [
@@ -236,6 +278,7 @@ __all__ = [
     "ReadingReliability",
     "Record",
     "RecordCheck",
+    "Recording",
     "Repeats",
     "Result",
     "ResultDocument",
@@ -278,7 +321,9 @@ __all__ = [
     "init",
     "instruments",
     "intervals",
+    "load",
     "load_dataset",
+    "load_urdf",
     "machines",
     "motoman_ma1400",
     "norm",
@@ -286,8 +331,10 @@ __all__ = [
     "plan",
     "plan_program",
     "planar_two_link",
+    "plot",
     "predict",
     "random_poses",
+    "read_bag",
     "read_dataset",
     "read_mechanism",
     "read_project",
@@ -295,6 +342,7 @@ __all__ = [
     "record",
     "reliability",
     "repeated_readings",
+    "report",
     "rot_x",
     "rot_y",
     "rot_z",
@@ -323,11 +371,18 @@ def __getattr__(name: str) -> Any:
     if name in _NAMESPACES:
         return import_module(f"loopcal.{name}")
     if name not in _MODULE:
-        raise AttributeError(f"module 'loopcal' has no attribute {name!r}")
+        from loopcal.errors import nearest
+
+        near = f"use {_INSTEAD[name]}" if name in _INSTEAD else nearest(name, __all__)
+        raise AttributeError(f"module 'loopcal' has no attribute {name!r}: {near}")
     found = getattr(import_module(_MODULE[name]), name)
     globals()[name] = found
     return found
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    frame = sys._getframe()
+    while frame.f_back and frame.f_globals["__name__"] in (__name__, "inspect"):
+        frame = frame.f_back
+    # pydoc prints every class that it is told of whole, 6000 lines: the text above is its page.
+    return [] if frame.f_globals["__name__"] == "pydoc" else sorted(__all__)

@@ -22,6 +22,7 @@ from typing import Literal, Self
 LONGEST_NAME, LONGEST_TEXT, MOST_NAMES = 80, 2_000, 10
 """Characters of a quoted name and of a whole text, and names of a list, that a message shows."""
 _QUOTED = re.compile(r"""(?<!\w)(['"])(?:\\.|(?!\1(?!\w))[^\\]){0,1000}+\1(?!\w)""", re.DOTALL)
+_OPTION = re.compile(r"loopcal [a-z]+ [^\n;]*|(?<![\w-])--([a-z][a-z-]*)(?: (?=['A-Z0-9]))?")
 _UNBROKEN = re.compile(r"\S{300,}+")
 
 
@@ -106,6 +107,11 @@ class LoopcalError(Exception):
         super().__init__(self.message)
 
     def __str__(self) -> str:
+        return in_python(self.text)
+
+    @property
+    def text(self) -> str:
+        """As the command line prints it; as a text the error names arguments of Python."""
         text = f"{self.place}: {self.message}" if self.place else self.message
         text = f"{text}\n  What to do: {self.remedy}" if self.remedy else text
         return f"{text}\n  Next command:\n    {self.command}" if self.command else text
@@ -177,6 +183,15 @@ class NoTrustworthyResult(LoopcalError):
 
     exit_code = 4
     usual_code: Code = "no-trustworthy-result"
+
+
+def in_python(words: str) -> str:
+    """Words with the options of the command line as arguments; command lines stay.
+
+    >>> in_python("name --urdf FILE or --sheet 'A', or: loopcal init a.csv --urdf FILE")
+    "name urdf=FILE or sheet='A', or: loopcal init a.csv --urdf FILE"
+    """
+    return _OPTION.sub(lambda m: m[0] if not m[1] else f"{m[1].replace('-', '_')}=", words)
 
 
 def short(text: str, most: int = LONGEST_NAME) -> str:

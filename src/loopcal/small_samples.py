@@ -37,6 +37,9 @@ class LearntCovariance:
     slopes: (a, ..., n, n) changes of `plain` per sd of each independent error of the variances.
     """
 
+    def __repr__(self) -> str:
+        return f"<LearntCovariance of shape {self.matrix.shape}>"
+
     matrix: Array
     plain: Array
     slopes: Array

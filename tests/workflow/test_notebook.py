@@ -159,6 +159,7 @@ def test_names_of_other_libraries_mean_the_same_here(
         "fittedvalues": {n: result.dataset[n] + d for n, d in result.differences_after.items()},
     }
     called = {"fit_report", "cov_params", "conf_int", "to_pandas", "to_polars"}
+    called |= {"to_dataframe"}
     assert set(ALIASES) == {*guesses, *called}
     assert len(ALIASES) >= 20
     every: list[Any] = [result, saved]

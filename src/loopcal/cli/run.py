@@ -81,7 +81,7 @@ def _refused(error: LoopcalError) -> int:
     # By itself the root of all errors means a fault of ours; its kinds are refusals.
     if type(error) is LoopcalError:
         return _fault(error)
-    log(str(error))
+    log(error.text)
     return error.exit_code
 
 

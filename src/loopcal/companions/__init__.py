@@ -11,9 +11,12 @@ from typing import Any
 
 CALLED = {
     "HistoryKeeper": "life.history_files",
+    "correct": "robot.correct_files",
     "cure_of": "planning.cure",
+    "export": "robot.export_files",
     "new_performance": "performance.run",
     "sections": "life.report_sections",
+    "tool_poses": "robot.correct_files",
 }
 """What the core calls -> its module."""
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from loopcal.errors import nearest
 from loopcal.small_samples import t_quantile
 
 ALIASES: Mapping[str, Callable[[Any], Any]] = {
@@ -38,6 +39,7 @@ ALIASES: Mapping[str, Callable[[Any], Any]] = {
     "nobs": lambda r: r.unjudged.data.used,
     "conf_int": lambda r: lambda alpha=0.05: confidence(r, alpha),
     # DataFrames and files
+    "to_dataframe": lambda r: r.params.to_dataframe,
     "to_pandas": lambda r: r.params.to_pandas,
     "to_polars": lambda r: r.params.to_polars,
 }
@@ -63,7 +65,7 @@ INSTEAD: Mapping[str, str] = {
     "plot_fit": "result.plot.residuals()",
     "table": "result.params",
     "coef_": "result.params",
-    "rmse": "result.document.accuracy.after.rms",
+    "rmse": "result.rms, that of the poses used for the fit; result.document.validation for others",
 }
 """Name -> what to use instead, because the name means something else in those libraries."""
 
@@ -78,7 +80,9 @@ def aliased(result: Any, name: str) -> Any:
     kind = type(result).__name__
     if name in INSTEAD:
         raise AttributeError(f"a {kind} has no {name!r}: use {INSTEAD[name]}")
-    raise AttributeError(f"a {kind} has no attribute {name!r}", name=name, obj=result)
+    public = [n for n in (*dir(type(result)), *ALIASES) if not n.startswith("_")]
+    words = f"a {kind} has no attribute {name!r}: {nearest(name, public)}"
+    raise AttributeError(words, name=name, obj=result)
 
 
 def confidence(result: Any, alpha: float = 0.05) -> dict[str, list[float]]:

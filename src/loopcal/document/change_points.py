@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from loopcal.document.bounds import Count, Probability, Size
+from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import enumerated, percent, significant, with_unit
 
 Moved = Literal["target", "station", "joint", "reading", "load"]
@@ -141,6 +142,8 @@ class SensorReliability:
 @dataclass(frozen=True)
 class Reliability:
     """Internal and external reliability of single readings (Baarda 1968)."""
+
+    __repr__ = brief
 
     alpha: Probability
     """Level of the test of each reading."""

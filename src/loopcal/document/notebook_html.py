@@ -9,6 +9,7 @@ from loopcal.document.fit import ParameterEntry, Validity, validity
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import accuracy_stages, distances_shown, shown_parameters
 from loopcal.document.verdict import Verdict
+from loopcal.presentation.html import FIRST, framed, row
 from loopcal.presentation.shown import NONE, by_sd, size, unit_shown
 
 _GREEN, _AMBER, _RED, _GREY = "#2c9a62", "#b8860b", "#c8304b", "#8d8f96"
@@ -21,8 +22,6 @@ _VALIDITY: dict[Validity, tuple[str, str]] = {
     "undetermined": (_RED, "not determined"),
     "fixed": (_GREY, "fixed"),
 }
-_CELL = "text-align:right;padding:1px 8px"
-_FIRST = "text-align:left;padding:1px 8px"
 
 
 def result_html(document: ResultDocument) -> str:
@@ -48,8 +47,8 @@ def parameters_html(entries: Sequence[ParameterEntry]) -> str:
         change = NONE if entry.fixed else by_sd(entry.value - entry.nominal, sd, unit, sign=True)
         shown = [entry.name, by_sd(entry.value, sd, unit), change]
         shown += [NONE if sd is None else size(sd, unit, 2), unit_shown(unit)]
-        rows.append(_row(shown, f"<td {_ink(colour, _FIRST)}>&#9679; {words}</td>"))
-    return _table(("parameter", "value", "change", "sd", "unit", "validity"), rows)
+        rows.append(row(shown, f"<td {_ink(colour, FIRST)}>&#9679; {words}</td>"))
+    return framed(("parameter", "value", "change", "sd", "unit", "validity"), rows)
 
 
 def _verdict(verdict: Verdict) -> str:
@@ -74,13 +73,13 @@ def _accuracy(document: ResultDocument) -> str:
         ("orientation", "rad", stages.orientation),
     ):
         cells = [
-            _row([f"{s.name} {s.instrument}".strip(), *distances_shown(s.distances, unit)])
+            row([f"{s.name} {s.instrument}".strip(), *distances_shown(s.distances, unit)])
             for s in rows
         ]
         if cells and what == "accuracy" and stages.noise_floor is not None:
-            cells.append(_row(["noise floor", "", size(stages.noise_floor, unit), "", ""]))
+            cells.append(row(["noise floor", "", size(stages.noise_floor, unit), "", ""]))
         if cells:
-            tables.append(_table((f"{what} [{unit_shown(unit)}]", *_HEAD), cells))
+            tables.append(framed((f"{what} [{unit_shown(unit)}]", *_HEAD), cells))
     return "".join(tables)
 
 
@@ -89,15 +88,3 @@ _HEAD = ("mean", "rms", "95 %", "max")
 
 def _ink(colour: str, more: str = "") -> str:
     return f'style="color:{colour};{more}"' if more else f'style="color:{colour}"'
-
-
-def _row(cells: Sequence[str], last: str = "") -> str:
-    first, *others = (escape(cell) for cell in cells)
-    further = "".join(f'<td style="{_CELL}">{cell}</td>' for cell in others)
-    return f'<tr><td style="{_FIRST}">{first}</td>{further}{last}</tr>'
-
-
-def _table(head: Sequence[str], rows: Sequence[str]) -> str:
-    first, *others = (escape(cell) for cell in head)
-    further = "".join(f'<th style="{_CELL}">{cell}</th>' for cell in others)
-    return f'<table><tr><th style="{_FIRST}">{first}</th>{further}</tr>{"".join(rows)}</table>'

@@ -52,6 +52,12 @@ class ParameterTable(Mapping[str, ParameterEntry]):
             "validity": [validity(e) for e in every],
         }
 
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame where pandas is installed, else one of polars."""
+        from importlib.util import find_spec
+
+        return self.to_polars() if find_spec("pandas") is None else self.to_pandas()
+
     def to_pandas(self) -> Any:
         """A pandas DataFrame with the names as index; InputError where pandas is not installed."""
         try:

@@ -43,6 +43,7 @@ from loopcal.document.verdict import Finding, Verdict
 from loopcal.measurements.days import Days
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import unstated_mountings
+from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import percent, significant, with_unit, wrapped
 
 SCHEMA: Literal[3] = 3
@@ -133,6 +134,8 @@ def _first(poses: tuple[str, ...], most: int = 5) -> str:
 class MechanismEntry:
     """The names and SI units that residuals.csv speaks of."""
 
+    __repr__ = brief
+
     name: str
     loops: tuple[str, ...]
     quantities: Mapping[str, str]
@@ -169,6 +172,8 @@ class ResultDocument:
 
     Numbers are SI unless a unit stands beside them. Unknown is null; NaN and infinity never occur.
     """
+
+    __repr__ = brief
 
     # how pydantic reads this and all that it holds, where result.json is read
     __pydantic_config__ = {  # noqa: RUF012

@@ -130,6 +130,10 @@ class Verdict:
     def __bool__(self) -> bool:
         return self.ok
 
+    def __repr__(self) -> str:
+        answers = ", ".join(f"{name} {answer.mark}" for name, answer in self.answers.items())
+        return f"<Verdict: {self.headline} ({answers})>"
+
     @property
     def answers(self) -> dict[Question, Answer]:
         """By question."""

@@ -17,15 +17,13 @@ body determine u, others leave it at the body's origin. The misfits are those of
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.problem.alignment import align
-from loopcal.expressions.vectors import vector
-from loopcal.mechanisms.frame import Frame
+from loopcal.mechanisms.frame import Frame, matrices
 
 Array = NDArray[np.float64]
 # docs/decisions/0052.
@@ -296,10 +294,5 @@ def origin_rms(bodies: Bodies, measured: Array) -> float:
 
 def bodies_of(frame: Frame, count: int) -> Bodies:
     """The bodies of a frame whose joints are readings (N,) of `count` poses."""
-
-    def spread(vector: Any) -> Array:
-        """(N, 3) of three numbers or arrays of poses."""
-        return np.array([np.broadcast_to(part, count) for part in vector]).T
-
-    axes = [spread(frame.direction(vector(*unit))) for unit in np.eye(3)]
-    return Bodies(np.stack(axes, axis=2), spread(frame.point(vector(0.0, 0.0, 0.0))))
+    T = matrices(frame, count)
+    return Bodies(T[:, :3, :3], T[:, :3, 3])

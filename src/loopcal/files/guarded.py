@@ -199,10 +199,15 @@ def _at_most(memory: int) -> Generator[None, None, None]:
     if before[1] != resource.RLIM_INFINITY:
         most = min(most, before[1])
     resource.setrlimit(resource.RLIMIT_DATA, (most, before[1]))
+    # A library may unfold a compressed file beside it; what it writes has the same bound.
+    written = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if written[1] == resource.RLIM_INFINITY:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (memory, written[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, before)
+        resource.setrlimit(resource.RLIMIT_FSIZE, written)
 
 
 def _leave_no_core() -> None:

@@ -5,15 +5,15 @@ Everything is written with vectors of three; a machine that moves in a plane kee
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
-from loopcal.expressions.vectors import rotate
+from loopcal.errors import InputError, listed, unknown_name
+from loopcal.expressions.vectors import rotate, vector
 from loopcal.mechanisms.chain import Step, apply
 from loopcal.mechanisms.parameters import Parameter
 
@@ -67,6 +67,47 @@ class BodyFrame:
         """R v."""
         turned: Vector = self.rotation @ v
         return turned
+
+
+def matrices(frame: Frame, count: int) -> NDArray[np.float64]:
+    """(N, 4, 4) T_base_body of a frame whose joints are readings (N,) of `count` poses."""
+    T = np.zeros((count, 4, 4))
+    for i, axis in enumerate(np.eye(3)):
+        for k, part in enumerate(frame.direction(vector(*axis))):
+            T[:, k, i] = part
+    for k, part in enumerate(frame.point(vector(0.0, 0.0, 0.0))):
+        T[:, k, 3] = part
+    T[:, 3, 3] = 1.0
+    return T
+
+
+def joint_rows(q: Any, names: Sequence[str]) -> NDArray[np.float64]:
+    """(n,) or (N, n) readings in the order of the names, of an array, a mapping or a table.
+
+    Raises InputError for another number of columns, and for a name that is absent.
+    """
+    if isinstance(q, Mapping) or hasattr(q, "columns"):
+        if absent := [name for name in names if name not in q]:
+            raise unknown_name(f"the joint {absent[0]!r} is absent", absent[0], list(q))
+        return np.stack([np.asarray(q[name], dtype=float) for name in names], axis=-1)
+    rows = np.asarray(q, dtype=float)
+    if rows.ndim not in (1, 2) or rows.shape[-1] != len(names):
+        raise InputError(
+            f"the readings have the shape {rows.shape}",
+            code="wrong-shape",
+            remedy=f"give (N, {len(names)}) numbers, or one row, in SI units: {listed(names)}",
+        )
+    return rows
+
+
+def forward_kinematics(
+    frame: Callable[[Values], Frame], q: Any, names: Sequence[str]
+) -> NDArray[np.float64]:
+    """(4, 4) or (N, 4, 4) T_base_body at readings as `joint_rows` takes them."""
+    rows = joint_rows(q, names)
+    every = np.atleast_2d(rows)
+    T = matrices(frame(dict(zip(names, every.T, strict=True))), len(every))
+    return T[0] if rows.ndim == 1 else T
 
 
 # A direction that is known nominally: the normal of a plane, gravity.

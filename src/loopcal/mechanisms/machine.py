@@ -14,16 +14,20 @@ from dataclasses import dataclass, field, replace
 from functools import wraps
 from typing import TYPE_CHECKING, Any, ParamSpec
 
+import numpy as np
+from numpy.typing import NDArray
+
 from loopcal.errors import InputError
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from loopcal.keys import described
 from loopcal.mechanisms.body import Body, Displaced, displacement_names
 from loopcal.mechanisms.chain import Step
-from loopcal.mechanisms.frame import Frame, Values, Vector
+from loopcal.mechanisms.frame import Frame, Values, Vector, forward_kinematics
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 from loopcal.mechanisms.parameters import Gauge, Parameter, fixed, held, stated
+from loopcal.presentation.brief import brief
 
 if TYPE_CHECKING:
     from loopcal.mechanisms.effects.gravity import Load
@@ -66,6 +70,23 @@ class Machine:
     masses: tuple[Load, ...] = ()
     description: Mapping[str, Any] = field(default_factory=dict)
 
+    def fk(self, q: Any) -> NDArray[np.float64]:
+        """T_base_body (4, 4) [m] of the nominal machine at readings (n,), or (N, 4, 4) of (N, n).
+
+        q: numbers [rad, m] in the order of `quantities`, or a mapping or table by their names.
+        Raises InputError for other columns.
+        """
+        nominal = {p.name: p.nominal for p in self.parameters.values()}
+        names = (*self.quantities, *self.pose_constants)
+        return forward_kinematics(lambda x: self.frame(x, nominal), q, names)
+
+    def forward_kinematics(self, q: Any) -> NDArray[np.float64]:
+        """The same as `fk`."""
+        return self.fk(q)
+
+    def __repr__(self) -> str:
+        return f"<Machine {self.name!r}: {len(self.quantities)} quantities>"
+
 
 @dataclass(frozen=True)
 class Instrument:
@@ -84,6 +105,8 @@ class Instrument:
     at, 2 or 3; remedy: what to do where its loops cannot be evaluated; description: what a
     mechanism file says of it, empty where none can.
     """
+
+    __repr__ = brief
 
     name: str
     readings: Mapping[str, str]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -16,10 +17,13 @@ from loopcal.expressions.trace import Inputs, trace
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.body import Body
 from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.frame import ChainFrame, forward_kinematics
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.parameters import BEYOND, Parameter, Parameters, Role, declared, matching
 from loopcal.mechanisms.quantity import Quantity
 from loopcal.mechanisms.terms import Term, check_terms
+from loopcal.presentation.html import table
+from loopcal.presentation.shown import in_unit, significant, unit_shown
 from loopcal.units import unit
 
 if TYPE_CHECKING:
@@ -306,6 +310,42 @@ class Mechanism:
     def remedies(self) -> dict[str, str]:
         """What to do where a loop cannot be evaluated, by its name."""
         return {loop: f.remedy for f in self.families if f.remedy for loop in f.loops}
+
+    def fk(self, q: Any) -> NDArray[np.float64]:
+        """T_base_body (4, 4) [m] of the nominal arm at joints (n,), or (N, 4, 4) of (N, n).
+
+        q: numbers [rad, m] from base to tip, or a mapping or table by the joints' names. Effects
+        beyond geometry are left out. Raises InputError for what is no arm, and other columns.
+        """
+        if not self.chain:
+            raise InputError(
+                f"{self.name!r} is no arm of joints",
+                code="unsupported",
+                remedy="calibrate it, and use result.predict(readings)",
+            )
+        joints = tuple(dict.fromkeys(step.joint for step in self.chain if step.joint))
+        nominal = {p.name: p.nominal for p in self.parameters}
+        return forward_kinematics(lambda x: ChainFrame(self.chain, x, nominal), q, joints)
+
+    def forward_kinematics(self, q: Any) -> NDArray[np.float64]:
+        """The same as `fk`."""
+        return self.fk(q)
+
+    def _repr_html_(self) -> str:
+        head = ("parameter", "nominal", "unit", "")
+        rows = [
+            (
+                p.name,
+                significant(in_unit(p.nominal, p.unit), 6),
+                unit_shown(p.unit),
+                "fixed" if p.fixed else "",
+            )
+            for p in self.parameters
+        ]
+        read = ((name, unit_shown(u)) for name, u in self.quantities.items())
+        return f"<p><b>{escape(self.name)}</b></p>" + "".join(
+            (table(("quantity", "unit"), read), table(head, rows))
+        )
 
     def __repr__(self) -> str:
         return (

@@ -13,6 +13,7 @@ from loopcal.files.result.deployed import Deployed, read_deployed
 from loopcal.files.result.pose_table import PoseTable, pose_table, read_pose_table
 from loopcal.files.result.result_file import read_result
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.presentation.brief import brief
 from loopcal.report.templates import today
 
 
@@ -24,6 +25,8 @@ class Source:
     mechanism: the calibrated one, None where only its author's code has it; deployed: what was made
     of it since; written: the day on which the result was.
     """
+
+    __repr__ = brief
 
     name: str
     document: ResultDocument

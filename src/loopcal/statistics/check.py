@@ -33,6 +33,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import PriorLike
+from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import SHOWN, columns, significant
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.folds import repeated, stated_sds
@@ -82,6 +83,8 @@ class Check:
     or nothing is predicted; facts: what these poses determine first; files: name of the project,
     for command lines.
     """
+
+    __repr__ = brief
 
     mechanism: Mechanism
     poses: int

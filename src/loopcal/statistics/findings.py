@@ -26,6 +26,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import gathered
 from loopcal.execution.forked import process_cores
 from loopcal.mechanisms.station import standing
+from loopcal.presentation.brief import brief
 from loopcal.statistics.case import Case, nominal_case
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
 from loopcal.statistics.changes import shift_lines
@@ -56,6 +57,8 @@ class Findings:
 
     Poses that fit with the shifts modelled are not outliers.
     """
+
+    __repr__ = brief
 
     identifiability: WhatDataSay
     observability: Observability

@@ -34,6 +34,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
+from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
 from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
@@ -58,6 +59,8 @@ class Prediction:
     the sds are known and none was learnt from the calibration. by_residuals: whether the residuals
     of the fit stand for the noise of the readings.
     """
+
+    __repr__ = brief
 
     poses: tuple[str, ...]
     outputs: Mapping[str, Array]

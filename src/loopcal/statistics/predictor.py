@@ -25,6 +25,7 @@ from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
+from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.calibrated import (
@@ -90,6 +91,8 @@ class Predictor:
     outputs from; at_poses: (n, n) the covariance for the poses of the fit, None: the same; factor:
     by which the variances are larger here than the result states them, for its residuals are.
     """
+
+    __repr__ = brief
 
     mechanism: Mechanism
     names: tuple[str, ...]

@@ -27,6 +27,7 @@ from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.mechanisms.outputs import output_groups
+from loopcal.presentation.brief import brief
 
 Array = NDArray[np.float64]
 # Baarda (1968): with these the noncentrality is 4.13.
@@ -44,6 +45,8 @@ class ReadingReliability:
     detectable error [SI], inf where the others do not control it; effect: rms displacement [unit]
     of predictions that an error of this size causes, NaN without outputs; poses: their ids.
     """
+
+    __repr__ = brief
 
     numbers: dict[str, Array]
     detectable: dict[str, Array]

@@ -36,6 +36,7 @@ from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import process_cores
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
+from loopcal.presentation.brief import brief
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.case import Case, of_poses, taken
@@ -84,6 +85,8 @@ class Validation:
     0, NaN where a pose has none, None where the method states none; blocked: the same for regions
     of the joint space left out one by one, None where that was not asked for.
     """
+
+    __repr__ = brief
 
     scheme: Mapping[str, Any]
     words: str

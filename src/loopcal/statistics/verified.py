@@ -22,6 +22,7 @@ from loopcal.document.verdict import (
     fact,
 )
 from loopcal.lazy import cached_property
+from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import Table, by_sd, chance, significant, size, unit_shown
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts
 from loopcal.statistics.changed import LEVEL, WhatChanged
@@ -75,6 +76,8 @@ class Verification:
     others; repeated: poses of the calibration itself; files: names of result and readings, for
     command lines.
     """
+
+    __repr__ = brief
 
     poses: tuple[str, ...]
     unit: str

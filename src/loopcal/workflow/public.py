@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import wraps
 from inspect import Parameter, signature
 from pathlib import Path
 from typing import Any, TypeVar
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, nearest
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.plausible import refuse_other_units
 from loopcal.estimation.result import FitResult
@@ -44,6 +46,7 @@ from loopcal.statistics.prediction import Prediction
 from loopcal.statistics.repeats import Repeats
 from loopcal.statistics.validation import Validation
 from loopcal.statistics.verified import Verification
+from loopcal.workflow.beginning.initial import init
 from loopcal.workflow.calibration import calibrated
 from loopcal.workflow.readings import Units, later_readings
 from loopcal.workflow.resolved import Stated, described, fitted, result_of, stated
@@ -54,11 +57,14 @@ from loopcal.workflow.simulation import simulated
 Output = TypeVar("Output")
 Described = TypeVar("Described", bound=Callable[..., Any])
 _FIT = frozenset(Fit.__dataclass_fields__)
+_ROBOT = frozenset(("urdf", "dh", "machine", "base", "tip", "sheet", "joints", "leave_out"))
+"""Arguments of `init` that describe a robot."""
 _ON_MACHINE = """
     mechanism may also be a Project, what `init` returns, or the path of a project or mechanism
     file; data may be the path of a file. Without data those of the project are read; its noise and
-    its fit are used where none are given. units: column or glob -> unit of a table or file; SI
-    where none is stated.
+    its fit are used where none are given. With urdf, dh or machine (as of `init`) all positional
+    arguments are readings, as `init` takes them: calibrate("a.csv", "b.csv", urdf="r.urdf").
+    units: column or glob -> unit of a table or file; SI where none is stated.
     """
 _ON_RESULT = """
     A result may also come from `read_result`, or be the path of its folder; data may be the path
@@ -78,8 +84,16 @@ def _on_machine(
 
     @wraps(function)
     def accepting(
-        mechanism: Any, data: Any = None, *more: Any, units: Units = None, **options: Any
+        mechanism: Any = None,
+        data: Any = None,
+        *more: Any,
+        units: Units = None,
+        **options: Any,
     ) -> Any:
+        robot = {key: options.pop(key) for key in _ROBOT & options.keys()}
+        if robot:
+            readings = (one for one in (mechanism, data, *more) if one is not None)
+            mechanism, data, more = init(*readings, **robot), None, ()
         if whole and data is None and not options:
             project = described(mechanism)
             if isinstance(project, Project):
@@ -87,17 +101,34 @@ def _on_machine(
         inputs = stated(mechanism, data, units)
         chosen = _with_stated(inputs, options, takes)
         refuse_other_units(inputs.mechanism, inputs.data, Noise.of(chosen.get("noise")))
-        return _whole(function(inputs.mechanism, inputs.data, *more, **chosen), inputs.title)
+        with _naming(function, {*takes, *_FIT, *_ROBOT, "units"}):
+            output = function(inputs.mechanism, inputs.data, *more, **chosen)
+        return _whole(output, **inputs.parts)
 
     return _described(accepting, function, _ON_MACHINE)
 
 
-def _whole(output: Any, title: str | None = None) -> Any:
-    """With a document and a verdict, where a fit is returned; title: of its project."""
+@contextmanager
+def _naming(function: Callable[..., Any], names: Set[str]) -> Iterator[None]:
+    """The TypeError of an argument that the function has not names the nearest."""
+    try:
+        yield
+    except TypeError as error:
+        unknown = re.search(r"unexpected keyword argument '(\w+)'", str(error))
+        if unknown is None:
+            raise
+        near = nearest(unknown[1], sorted(names))
+        words = f"{function.__name__}() has no argument {unknown[1]!r}: {near}"
+        raise TypeError(words) from None
+
+
+def _whole(output: Any, **parts: Any) -> Any:
+    """With a document and a verdict, where a fit is returned; parts: title, inputs of its
+    project."""
     if isinstance(output, FitResult):
-        return Result.of(output, title=title)
+        return Result.of(output, **parts)
     if isinstance(output, ModelComparison):
-        return replace(output, result=_whole(output.result, title))
+        return replace(output, result=_whole(output.result, **parts))
     return output
 
 

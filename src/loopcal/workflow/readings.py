@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
 from loopcal.files.project.new_readings import read_new_readings
@@ -14,6 +16,7 @@ from loopcal.files.tables.readers import column_labels, read_dataset, read_once
 from loopcal.measurements.checks import refuse_implausible
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.tables import column_names
+from loopcal.mechanisms.frame import joint_rows
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import matching
 
@@ -79,10 +82,31 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
             return read_new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
         data = first_of(data)
     if not isinstance(data, str | Path):
-        return readings(data, mechanism, units)
+        return _of_table(result, data, units, whole=whole)
     poses = poses_of_result(data, mechanism)
     if poses is not None:
         return poses
     if units is None:
         return read_new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
+    return readings(data, mechanism, units)
+
+
+def _of_table(result: Any, data: Any, units: Units, *, whole: bool) -> Dataset:
+    """A table in the columns and units of what the result was calibrated with, where its project
+    states them; else named by quantity. An array has the joints, then what was measured."""
+    mechanism, inputs = result.mechanism, getattr(result, "inputs", {})
+    source = inputs.get("data", {}).get("source")
+    if isinstance(data, list | np.ndarray):
+        columns = np.asarray(data, dtype=float)
+        outputs, unused = mechanism.outputs, mechanism.predicting().unused
+        joints = [q for q in mechanism.quantities if q not in {*outputs, *unused}]
+        names = [*joints, *outputs] if whole else joints
+        stated = source["columns"] if source else {}
+        in_source = {q: stated[q]["unit"] for q in names if q in stated}
+        table = dict(zip(names, joint_rows(np.atleast_2d(columns), names).T, strict=True))
+        return readings(table, mechanism, units or in_source)
+    if units is None and source is not None and not isinstance(data, Dataset):
+        labels = {str(one["column"]) for one in source["columns"].values()}
+        if labels <= {*column_names(data)}:
+            return read_new_readings((data,), inputs, mechanism, whole=whole)
     return readings(data, mechanism, units)

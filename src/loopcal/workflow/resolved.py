@@ -29,26 +29,39 @@ from loopcal.workflow.saved_result import read_result
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """A mechanism, its readings, and the options and title that a project states."""
+    """A mechanism, its readings, and what a project states beside them."""
 
     mechanism: Mechanism
     data: Dataset
     options: Mapping[str, Any] = field(default_factory=dict)
-    title: str | None = None
+    parts: Mapping[str, Any] = field(default_factory=dict)
+    """Of the result: title and inputs of the project."""
+
+
+_CALLS = (
+    "name the robot with readings: lc.calibrate(readings, urdf='robot.urdf'); or give a "
+    "project, or a Mechanism, as lc.assemble(machine, instruments) makes one"
+)
 
 
 def described(value: Any) -> Any:
     """A mechanism or a project, where a path of one is given."""
     if isinstance(value, str | Path):
-        content = read_toml(value)
+        try:
+            content = read_toml(value)
+        except InputError as error:
+            if error.code != "wrong-file-type":
+                raise
+            raise InputError(
+                error.message, code=error.code, place=error.place, remedy=_CALLS
+            ) from None
         return read_project(value) if "mechanism" in content else read_mechanism(value)
     if isinstance(value, Mechanism | Project | InitialProject):
         return value
-    raise InputError(
-        f"a {type(value).__name__} is no mechanism",
-        code="invalid-value",
-        remedy="give a Mechanism, a Project, or the path of a project or mechanism file",
+    words = (
+        "no mechanism is given" if value is None else f"a {type(value).__name__} is no mechanism"
     )
+    raise InputError(words, code="invalid-value", remedy=_CALLS)
 
 
 def stated(mechanism: Any, data: Any, units: Units) -> Stated:
@@ -59,7 +72,9 @@ def stated(mechanism: Any, data: Any, units: Units) -> Stated:
     machine = described(mechanism)
     if isinstance(machine, InitialProject):
         dataset = machine.dataset if data is None else readings(data, machine.mechanism, units)
-        return Stated(machine.mechanism, dataset, {"noise": machine.noise})
+        return Stated(
+            machine.mechanism, dataset, {"noise": machine.noise}, {"inputs": machine.inputs}
+        )
     if isinstance(machine, Project):
         return _of_project(machine, data, units)
     if data is None:
@@ -84,14 +99,22 @@ def _of_project(project: Project, data: Any, units: Units) -> Stated:
     options: dict[str, Any] = {"fit": settings, "start": settings.start}
     if noise.entries or not settings.method.exact:
         options["noise"] = noise
-    return Stated(project.mechanism, dataset, options, project.title)
+    return Stated(project.mechanism, dataset, options, {"title": project.title})
 
 
 def result_of(value: Any) -> Any:
     """The result of a folder, where a path of one is given, and of a fit."""
     if isinstance(value, FitResult):
         return Result.of(value)
-    return read_result(value) if isinstance(value, str | Path) else value
+    if isinstance(value, str | Path):
+        return read_result(value)
+    if hasattr(value, "mechanism"):
+        return value
+    raise InputError(
+        f"a {type(value).__name__} is no result",
+        code="invalid-value",
+        remedy="give what lc.calibrate or lc.read_result returns, or the path of a folder",
+    )
 
 
 def fitted(value: Any) -> FitResult:

@@ -15,6 +15,9 @@ from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from loopcal.document.findings import Outlier
     from loopcal.document.parameter_table import ParameterTable
     from loopcal.figures.figure import Figure
     from loopcal.report.source import Source
@@ -68,6 +71,17 @@ class Views:
         return ParameterTable(self.unjudged.parameters)
 
     @property
+    def rms(self) -> float | None:
+        """Of computed minus measured outputs at the poses used [m]; None: not known."""
+        accuracy = self.unjudged.accuracy
+        return None if accuracy is None or accuracy.after is None else accuracy.after.rms
+
+    @property
+    def outliers(self) -> tuple[Outlier, ...] | None:
+        """What does not fit, worst first; None: no reading was tested."""
+        return self.document.outliers
+
+    @property
     def plot(self) -> Plots:
         """The report's figures, as plotly figures: `result.plot.residuals()`."""
         from loopcal.report.drawn import figures
@@ -94,6 +108,68 @@ class Views:
 
         return predict(self.predictor, later_readings(self, data, units, whole=False), **options)
 
+    def fk(self, q: Any, *, units: Units = None) -> NDArray[np.float64]:
+        """(N, 4, 4) of the calibrated tool in the base of its arm [m], effects included; (N, k)
+        outputs of a machine that is no arm.
+
+        q: readings as `predict` takes them; one pose (n,) gives (4, 4) or (k,).
+        """
+        from loopcal.companions import called
+        from loopcal.workflow.readings import later_readings
+
+        single = isinstance(q, list | tuple | np.ndarray) and np.ndim(q) == 1
+        data = later_readings(self, np.atleast_2d(q) if single else q, units, whole=False)
+        if self.predictor.mechanism.chain:
+            poses = called("tool_poses")(self, data)
+        else:
+            poses = np.stack([*self.predict(data).outputs.values()], axis=-1)
+        shown: NDArray[np.float64] = poses[0] if single else poses
+        return shown
+
+    def forward_kinematics(self, q: Any, *, units: Units = None) -> NDArray[np.float64]:
+        """The same as `fk`."""
+        return self.fk(q, units=units)
+
+    def export(self, to: str, **options: Any) -> Any:
+        """`loopcal.export` of this result."""
+        from loopcal.companions import called
+
+        return called("export")(self, to, **options)
+
+    def to_urdf(self, out: str | Path, **options: Any) -> Path:
+        """Write the calibrated URDF, and return its path; options: of `loopcal.export`."""
+        from pathlib import Path
+
+        from loopcal.files.atomic import write_atomic
+
+        files = self.export("urdf", **options).files
+        write_atomic(Path(out), next(text for name, text in files.items() if name.endswith("urdf")))
+        return Path(out)
+
+    def correct(self, targets: Any, **options: Any) -> Any:
+        """`loopcal.correct` of targets by this result."""
+        from loopcal.companions import called
+
+        return called("correct")(self, targets, **options)
+
+    def report(self, out: str | Path = "report.html") -> Path:
+        """`loopcal.report` of this result."""
+        from loopcal.report.writing import report
+
+        return report(self, out)
+
+    def to_html(self) -> str:
+        """The page of the report."""
+        from loopcal.report.writing import html_of
+
+        return html_of(self)
+
+    def to_json(self) -> str:
+        """The content of result.json as text."""
+        from loopcal.files.json_writer import marked_json
+
+        return marked_json(self.to_dict())
+
     def to_dict(self) -> dict[str, Any]:
         """The content of result.json as plain data."""
         content: dict[str, Any] = plain(self.document)
@@ -119,6 +195,13 @@ class Plots:
     """The report's figures of a result, as plotly figures; they show themselves in a notebook."""
 
     drawn: Mapping[str, Figure]
+
+    def __call__(self) -> Any:
+        """The same as `residuals`."""
+        return self.residuals()
+
+    def __repr__(self) -> str:
+        return "<Plots: residuals(), space(), parameters(), correlations()>"
 
     def residuals(self) -> Any:
         """Computed minus measured outputs pose by pose, before and after."""

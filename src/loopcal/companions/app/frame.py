@@ -129,7 +129,7 @@ def _shown(view: View) -> None:
     try:
         BY_KEY[view.step].show(view)
     except LoopcalError as error:
-        ui.label(str(error)).classes("bad printed")
+        ui.label(error.text).classes("bad printed")
     except Exception as error:
         logging.getLogger(__name__).exception("the step %s cannot be shown", view.step)
         ui.label(words.FAULT.format(fault=f"{type(error).__name__}: {error}")).classes("bad")

@@ -40,12 +40,12 @@ from loopcal.files.outputs import refuse_foreign
 from loopcal.files.project.new_readings import result_columns, result_pose_column
 from loopcal.files.recognition.robots import dh_robot
 from loopcal.files.result.deployed import CORRECTION, note_deployed, result_path, was_corrected
+from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.placement import inverse
 from loopcal.statistics.predictor import Predictor
-from loopcal.workflow.readings import readings
+from loopcal.workflow.readings import later_readings
 from loopcal.workflow.resolved import result_of
-from loopcal.workflow.views import Views
 
 Array = NDArray[np.float64]
 # 10 nm and 10 nrad: three decades below what an arm repeats.
@@ -71,32 +71,24 @@ def correct(
     readings, model error and the last digit of the file (see `Reached`). Nothing is written.
 
     result: of `calibrate` or `read_result`, or the path of its folder; targets: the path of a
-    program, or a table of joints [SI]; tool: "calibrated" (default), "nominal", or x, y, z [mm]
-    and rz, ry, rx [deg] on the last link; controller: a Mechanism, or the path of a mechanism file
-    or of a table of Denavit-Hartenberg parameters, by default the drawing of the result; frame: of
+    program, or joints as `predict` takes them; tool: "calibrated" (default), "nominal", or x, y, z
+    [mm] and rz, ry, rx [deg] on the last link; controller: a Mechanism, or the path of a mechanism
+    file or of a table of Denavit-Hartenberg parameters, by default the drawing; frame: of
     Cartesian targets in the base, x, y, z [mm] and rz, ry, rx [deg]; bounds: what a target may need
     at most; at: constants such as temperatures, name -> value [SI]; pulses: per degree of each
     joint. Raises InputError for what cannot be used. Source: Denavit-Hartenberg pose redefinition,
     doi 10.1177/16878132221090094.
     """
     measured = result_of(result)
-    if not isinstance(measured, Views):
-        raise InputError(
-            f"{result!r} is no result",
-            code="invalid-value",
-            remedy="give a result of calibrate, or the path of its folder",
-        )
     calibrated, inputs = measured.predictor, measured.inputs
-    nominal = {p.name: p.nominal for p in measured.params.entries}
     if not isinstance(tool, str):
         tool = [*(1e-3 * float(v) for v in tool[:3]), *np.radians(tool[3:]).tolist()]
-    seated = tool_of(calibrated.mechanism, nominal, tool)
     joints = arm_joints(calibrated.mechanism)
-    of_controller = _controller(controller, joints)
-    arms = arms_of(calibrated.mechanism, nominal, seated, of_controller, at, calibrated.typical)
+    arms = _arms(measured, tool, _controller(controller, joints), at)
     bounds, at = bounds or CorrectionBounds(), at or {}
     if not isinstance(targets, str | Path):
-        return _of_table(arms, calibrated, targets, bounds, at)
+        asked = later_readings(measured, targets, None, whole=False)
+        return _of_table(arms, calibrated, asked, bounds, at)
     axes = JointAxes(
         joints,
         result_columns(inputs, calibrated.mechanism),
@@ -140,10 +132,28 @@ def correct(
         program.kind,
         tuple(target.line for target in program.targets),
         program.noted,
-        _remarks(seated, arms),
+        _remarks(arms.tool, arms),
         program.edited(new, [*inserted(program, ahead), *mark]),
         moves=tuple(moves.values()),
     )
+
+
+def tool_poses(result: Any, data: Dataset) -> Array:
+    """(N, 4, 4) of the calibrated tool in the base of the calibrated arm, with all its effects."""
+    arms = _arms(result, CALIBRATED, None, None)
+    return arms.machine(np.stack([data[name] for name in arms.joints], axis=-1))
+
+
+def _arms(
+    result: Any,
+    tool: str | Sequence[float],
+    controller: Mechanism | None,
+    at: Mapping[str, float] | None,
+) -> Arms:
+    calibrated = result.predictor
+    nominal = {p.name: p.nominal for p in result.params.entries}
+    seated = tool_of(calibrated.mechanism, nominal, tool)
+    return arms_of(calibrated.mechanism, nominal, seated, controller, at, calibrated.typical)
 
 
 def run_correct(
@@ -190,10 +200,13 @@ def _controller(
 
 
 def _of_table(
-    arms: Arms, calibrated: Predictor, table: Any, bounds: CorrectionBounds, at: Mapping[str, float]
+    arms: Arms,
+    calibrated: Predictor,
+    data: Dataset,
+    bounds: CorrectionBounds,
+    at: Mapping[str, float],
 ) -> Correction:
-    """Joint targets of a DataFrame, dict or Dataset [SI]."""
-    data = readings(table, calibrated.mechanism)
+    """Joint targets [SI]."""
     missing = [joint for joint in arms.joints if joint not in data.readings]
     if missing:
         raise InputError(

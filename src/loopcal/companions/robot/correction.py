@@ -28,6 +28,7 @@ from loopcal.companions.robot.inverse import solve
 from loopcal.companions.robot.programs.program import Noted
 from loopcal.companions.robot.rigid import between, moved
 from loopcal.document.plain import plain
+from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import with_unit
 
 Array = NDArray[np.float64]
@@ -43,6 +44,8 @@ class Correction:
     remarks: what the correction assumes; content: the corrected file; written: where it was
     written, if anywhere; moves: the straight ones between corrected targets.
     """
+
+    __repr__ = brief
 
     arms: Arms
     corrected: Corrected

@@ -25,6 +25,7 @@ from loopcal.errors import InputError, listed, nearest
 from loopcal.files.machines.mechanism_writer import source_file
 from loopcal.files.outputs import one_command
 from loopcal.files.result.deployed import EXPORT, PREVIEW, note_deployed
+from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import with_unit
 from loopcal.workflow.resolved import result_of
 from loopcal.workflow.saved_result import read_result
@@ -39,6 +40,8 @@ class Export:
     format: its name; files: name -> content; machine: what was exported, SI; warnings; placed:
     where the files were written, None where they were not.
     """
+
+    __repr__ = brief
 
     format: str
     files: Mapping[str, bytes]

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.lazy import cached_property
+from loopcal.presentation.brief import brief
 
 Array = NDArray[np.float64]
 # Eigenvalues of a matrix with unit diagonal are right to some n eps, singular values
@@ -204,6 +205,8 @@ class Spectrum:
     The directions are computed when first used. The full step of a well-conditioned system
     needs none.
     """
+
+    __repr__ = brief
 
     scale: Array
     equations: Summed | Stacked

@@ -20,7 +20,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 
 
 def read_new_readings(
-    path: str | Path | Sequence[str | Path],
+    path: str | Path | Sequence[Any],
     inputs: Mapping[str, Any],
     mechanism: Mechanism,
     *,
@@ -28,10 +28,10 @@ def read_new_readings(
 ) -> Dataset:
     """Readings of what predicts the outputs, SI, under the columns and units of a project.
 
-    path: a file in the columns of the project, or files in the layout that its [data.source]
-    states; inputs: the project as result.json holds it; without one, columns are named as
-    quantities, in SI; whole: read the outputs too. The pose ids and sds of readings are read where
-    the file has their columns. Raises InputError as `read_dataset` does.
+    path: a file in the columns of the project, or files or tables in the layout that its
+    [data.source] states; inputs: the project as result.json holds it; without one, columns are
+    named as quantities, in SI; whole: read the outputs too. The pose ids and sds of readings are
+    read where the file has their columns. Raises InputError as `read_dataset` does.
     """
     spec = _spec(inputs, mechanism)
     units = {**mechanism.quantities, **mechanism.pose_constants}
@@ -77,9 +77,11 @@ def read_new_readings(
     return dataset
 
 
-def _is_converted(paths: Sequence[str | Path], spec: DataTable, wanted: Set[str]) -> bool:
+def _is_converted(paths: Sequence[Any], spec: DataTable, wanted: Set[str]) -> bool:
     """Whether a file has the columns that the project reads, and so not those of its source."""
     columns = {q: c for part in spec.parts for q, c in part.columns.items() if q in wanted}
+    if not isinstance(paths[0], str | Path):
+        return False
     try:
         labels = column_labels(read_once(paths[0], **spec.keywords))
     except InputError:  # of a table below titles, which only its source describes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,6 +62,12 @@ class Project:
     def name(self) -> str:
         """How messages call the project."""
         return shown(self.path or "-")
+
+    def __repr__(self) -> str:
+        return f"<Project {self.title!r}: {self.mechanism!r}>"
+
+    def _repr_html_(self) -> str:
+        return f"<p><b>{escape(self.title)}</b></p>{self.mechanism._repr_html_()}"
 
     @property
     def plan(self) -> PlanSettings:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from loopcal.files.recognition.expressions import computed_column
 from loopcal.files.recognition.fields import STATIONS, Field, Source, sources_of, unnamed
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import Seen, at_station
+from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.meanings import Meaning, inverse, polar, positions, rotations
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
@@ -162,12 +162,12 @@ def _key(fields: Fields, column: Field) -> str | int:
     return 1 + at.index((column.table, column.position, column.label))
 
 
-def source_fields(paths: Sequence[str | Path], table: SourceTable) -> Fields:
-    """The columns of files in the layout of a source."""
+def source_fields(paths: Sequence[Any], table: SourceTable) -> Fields:
+    """The columns of files or tables in the layout of a source."""
     sources: list[Source] = []
     for path in paths:
         sources += sources_of(path, len(sources), table.sheet)
-    fields = joined(sources)
+    fields = joined(at_rest(sources, [str(c.column) for c in table.columns.values()])[0])
     standing = [f for f in fields.fields if f.stem in STATIONS and len(f.labels) == 1]
     if table.stations is not None or not standing:
         return fields

@@ -22,6 +22,8 @@ from loopcal.files.recognition.headers import (
     stem,
     words,
 )
+from loopcal.files.tables import bag
+from loopcal.files.tables.recording import Recording
 from loopcal.files.tables.registry import reader_of
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Dataset
@@ -116,7 +118,8 @@ class Source:
     path: of its file, None for a table in memory; sheet: of a workbook, or the variable of a MATLAB
     file that was asked for; ids: one per row, None where no column holds them; pose: that column's
     name or number; fields: its columns of numbers; names: its header; label: how messages call it
-    without a path; remark: what was decided in reading it.
+    without a path; remark: what was decided in reading it; recording: by time, of which it has the
+    poses at rest.
     """
 
     path: Path | None
@@ -127,6 +130,7 @@ class Source:
     names: tuple[str, ...] = ()
     label: str = ""
     remark: str = ""
+    recording: Recording | None = None
 
     @property
     def name(self) -> str:
@@ -145,6 +149,10 @@ def sources_of(data: Any, number: int, sheet: str | None = None) -> tuple[Source
     workbooks, or the variable of MATLAB files. Raises InputError for a table without a column of
     numbers, and for a workbook of which several sheets may hold the readings.
     """
+    if isinstance(data, str | Path) and reader_of(data) is bag.READER:
+        return (_of_recording(bag.read_bag(data, sheet), number, Path(data), sheet),)
+    if isinstance(data, Recording):
+        return (_of_recording(data, number),)
     if isinstance(data, str | Path):
         return _of_file(Path(data), number, sheet if reader_of(data).part else None)
     return (_in_memory(data, number),)
@@ -160,9 +168,14 @@ def _in_memory(data: Any, number: int) -> Source:
             header = Heading(f"{quantity} sd", f"{stem(quantity)}_sd", data.units.get(quantity))
             fields.append(Field(number, len(fields), header, sds))
         return _checked(Source(None, None, tuple(fields), data.poses, "pose"))
-    fields, ids, pose, texts = [], None, None, dict[str, tuple[str, ...]]()
+    if isinstance(data, list | np.ndarray):
+        return _checked(Source(None, None, tuple(_unnamed(data, number, 0)), None, None))
+    fields, ids, pose, texts = list[Field](), None, None, dict[str, tuple[str, ...]]()
     for i, name in enumerate(column_names(data)):
         values = column(data, name)
+        if np.ndim(values) > 1:  # several columns under one name
+            fields += _unnamed(values, number, 100 * i)
+            continue
         header = heading(name)
         if header.stem in _IDS:
             pose_ids = tuple(map(pose_id, np.asarray(values).tolist()))
@@ -178,6 +191,32 @@ def _in_memory(data: Any, number: int) -> Source:
             else:
                 texts[header.stem] = labels
     return _with_ids(Source(None, None, tuple(fields), ids, pose), texts)
+
+
+def _unnamed(data: Any, number: int, first: int) -> list[Field]:
+    """The columns of an array (N, k); of matrices (N, 3, 3) row by row."""
+    rows = np.asarray(data)
+    return [
+        Field(number, first + i, None, as_numbers(column, f"column {i + 1}"))
+        for i, column in enumerate(rows.reshape(len(rows), -1).T)
+    ]
+
+
+def _of_recording(
+    recording: Recording, number: int, path: Path | None = None, topic: str | None = None
+) -> Source:
+    """The poses at rest of a bag, or of what `read_bag` made of it."""
+    remark = " ".join(recording.words())
+    label = "" if path is None else path.name
+    return replace(
+        _in_memory(recording, number),
+        path=path,
+        sheet=topic,
+        names=recording.columns,
+        label=label,
+        remark=f"{label}: {remark}",
+        recording=recording,
+    )
 
 
 def _of_file(path: Path, number: int, sheet: str | None) -> tuple[Source, ...]:

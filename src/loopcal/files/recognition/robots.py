@@ -96,12 +96,31 @@ def _best_tip(fitting: Iterable[Branch]) -> Branch:
     Which of them matters little: where the target sits on it is estimated.
     """
     links = sorted(fitting, key=lambda b: b.beyond)
-    for word in words("links", "tip"):
-        for link in links:
-            if link.tip == word or link.tip.endswith(f"_{word}"):
-                return link
+    if tips := _named_tips(links):
+        return tips[0]
     leaves = [link for link in links if link.leaf]
     return leaves[0] if len(leaves) == 1 else links[0]
+
+
+def _named_tips(links: Sequence[Branch]) -> list[Branch]:
+    """Links named as what tools are mounted on, in the order of these words."""
+    return [
+        link
+        for word in words("links", "tip")
+        for link in links
+        if link.tip == word or link.tip.endswith(f"_{word}")
+    ]
+
+
+def joints_of(urdf: str | Path | None) -> set[str]:
+    """Names of all joints of a URDF that move; none without one."""
+    return set() if urdf is None else {name for b in branches(urdf) for name in b.joints}
+
+
+def robot_link(path: Path) -> str | None:
+    """The link of a URDF that tools are mounted on, by its name; None where none or several are."""
+    tips = _named_tips(branches(path))
+    return tips[0].tip if len({b.joints for b in tips}) == 1 else None
 
 
 def _which_chain(path: Path, every: Sequence[Branch], fitting: Sequence[Branch]) -> InputError:
@@ -109,7 +128,9 @@ def _which_chain(path: Path, every: Sequence[Branch], fitting: Sequence[Branch])
     for branch in fitting or every:
         ends.setdefault(branch.joints, branch)
     longest = sorted(ends.values(), key=lambda b: -len(b.joints))[:8]
-    shown = "; ".join(f"--base {b.base} --tip {b.tip} ({len(b.joints)} joints)" for b in longest)
+    shown = "; ".join(
+        f"--base {b.base!r} --tip {b.tip!r} ({len(b.joints)} joints)" for b in longest
+    )
     what = "several chains fit" if fitting else "no chain fits"
     return InputError(
         f"{what} the joint columns of the readings",

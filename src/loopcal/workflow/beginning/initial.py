@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from html import escape
 from pathlib import Path
 from shlex import quote
 from typing import Any, TypedDict, Unpack
@@ -28,7 +29,14 @@ from loopcal.files.recognition.expressions import joint_columns
 from loopcal.files.recognition.fields import Field, Source, sources_of
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import Layout, layouts
-from loopcal.files.recognition.robots import Robot, dh_robot, typed_robot, urdf_robot
+from loopcal.files.recognition.logs import at_rest
+from loopcal.files.recognition.robots import (
+    Robot,
+    dh_robot,
+    joints_of,
+    typed_robot,
+    urdf_robot,
+)
 from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset, refuse_lost
 from loopcal.measurements.dataset import Dataset
@@ -36,12 +44,14 @@ from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.masses import in_space
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, output_groups
+from loopcal.presentation.html import table
 from loopcal.presentation.shown import columns as in_columns
 from loopcal.presentation.shown import in_unit, significant, unit_shown, with_unit
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
 from loopcal.workflow.beginning.aligning import aligned
+from loopcal.workflow.beginning.delays import Delay, delays
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,
@@ -96,18 +106,21 @@ class InitOptions(TypedDict, total=False):
 class InitialProject:
     """A project as it was understood from files, ready to be calibrated.
 
-    mechanism, dataset, noise: for `calibrate`; text: of the project file; tables: further files
-    beside it; fits: what the nominal machine misses, by instrument; remarks: what was inferred,
-    and why; written: the files on the disk, empty where none were asked for.
+    mechanism, dataset, noise: for `calibrate`; text: of the project file, inputs: the same as data;
+    tables: further files beside it; fits: what the nominal machine misses, by instrument; remarks:
+    what was inferred, and why; delays: of instruments that were recorded by time;
+    written: the files on the disk, empty where none were asked for.
     """
 
     mechanism: Mechanism
     dataset: Dataset
     noise: Noise
     text: str
+    inputs: Mapping[str, Any]
     tables: Mapping[str, bytes]
     fits: Mapping[str, Mounted]
     remarks: tuple[str, ...]
+    delays: tuple[Delay, ...] = ()
     written: tuple[Path, ...] = ()
 
     @property
@@ -147,6 +160,15 @@ class InitialProject:
             parts += ["next:", f"  {self.command}"]
         return "\n".join(parts)
 
+    def __repr__(self) -> str:
+        miss = ", ".join(f"{name} {with_unit(f.rms, 'm')}" for name, f in self.fits.items())
+        return f"<InitialProject: {len(self.dataset)} poses, nominal machine misses {miss}>"
+
+    def _repr_html_(self) -> str:
+        head, *rows = self._rows()
+        remarks = "".join(f"<li>{escape(words)}</li>" for words in self.remarks)
+        return f"{table(head, rows)}<ul>{remarks}</ul><p>{escape(repr(self)[1:-1])}</p>"
+
     def _rows(self) -> list[list[str]]:
         units = {**self.mechanism.quantities, **self.mechanism.pose_constants}
         names = list(self.dataset.readings)
@@ -178,14 +200,14 @@ def init(
 ) -> InitialProject:
     """Recognise readings and a robot, and make a finished project of them.
 
-    readings: paths, or Datasets, dicts of arrays and DataFrames, joined by pose ids or by row
-    order. One of urdf, dh (a table a, d, alpha, theta) and machine (a type with nominal values)
-    describes the robot; base, tip: links of the URDF, by default the only ones that fit. Units,
-    orders and directions that no header states are those with which the placed nominal machine
-    fits clearly best. out: the folder to write into, by default none; sheet: of a workbook, or the
-    variable of a MATLAB file, by default the one with by far the most numbers. joints: the columns
-    of the joints in the machine's order, as "J1,-J2,J3+J2,J4*0.001" where they count otherwise;
-    leave_out: columns that take no part, as "*_soll,v*".
+    readings: paths, or Datasets, dicts of arrays, DataFrames and arrays (N, k), joined by pose ids
+    or by row order. One of urdf, dh (a table a, d, alpha, theta) and machine (a type with nominal
+    values) describes the robot; base, tip: links of the URDF, by default the only ones that fit.
+    Units, orders and directions that no header states are those with which the placed nominal
+    machine fits clearly best. out: the folder to write into, by default none; sheet: of a workbook,
+    or the variable of a MATLAB file, by default the one with by far the most numbers. joints: the
+    columns of the joints in the machine's order, as "J1,-J2,J3+J2,J4*0.001" where they count
+    otherwise; leave_out: columns that take no part, as "*_soll,v*".
 
     Raises InputError where something remains open, with what is possible, and where files are in
     the way.
@@ -213,6 +235,7 @@ def initial_project(
     sources: list[Source] = []
     for entry in readings:
         sources += sources_of(entry, len(sources), sheet)
+    sources, by_time = at_rest(sources, joints_of(robot.urdf))
     every = _joined(sources, robot, folder)
     fields = _without(every, robot.leave_out)
     columns = joint_columns(fields.fields, robot.joints) if robot.joints else ()
@@ -227,6 +250,8 @@ def initial_project(
     statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
     project = _read(statement, folder)
     dataset = dataset_of(fields.poses, statement.readings)
+    late = delays(project.mechanism, dataset, way, by_time)
+    statement = statement.remarked("data", *map(str, late))
     odd = (*_odd(project, dataset), *_far_off(statement.fits))
     # Where the machine fits, no fault of a whole file is left to be found.
     if way.share > PLAUSIBLE:
@@ -240,7 +265,15 @@ def initial_project(
     remarks += tuple(row for rows in statement.remarks.values() for row in rows) + odd
     text = statement.text
     done = InitialProject(
-        project.mechanism, dataset, project.noise.noise(), text, tables, statement.fits, remarks
+        project.mechanism,
+        dataset,
+        project.noise.noise(),
+        text,
+        project.inputs,
+        tables,
+        statement.fits,
+        remarks,
+        late,
     )
     if out is None:
         return done

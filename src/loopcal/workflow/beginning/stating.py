@@ -143,8 +143,8 @@ def stated(
     data = _data(fields, readings, converted, folder)
     source = {}
     columns = {n: readings[n] for n in (*machine.joints, *conditions.columns)}
-    # A table in memory comes again as one, and a single file is read as it stands.
-    if (converted or data[1:]) and all(s.path or s.label for s in fields.sources):
+    # A single file is read as it stands.
+    if converted or data[1:]:
         source = {"source": source_entry(first.fields, columns, seen, first.sheet)}
     remarks = {
         "mechanism": robot.remarks,

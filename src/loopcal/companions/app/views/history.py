@@ -67,7 +67,7 @@ def _machine(view: View) -> None:
         history = History(read_entries(view.session.folder.inside(FOLDER)))
         parts = history_parts(history)
     except LoopcalError as error:
-        message = words.NO_HISTORY if error.code == "missing-file" else str(error)
+        message = words.NO_HISTORY if error.code == "missing-file" else error.text
         ui.label(message)
         return
     for sentence in history.words():

@@ -1,0 +1,117 @@
+"""Tables by time: a log of a robot that goes from pose to pose is read where it stands."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.files.recognition.fields import Field, Source
+from loopcal.files.recognition.headers import stem
+from loopcal.files.recognition.joint_sets import usual_joints
+from loopcal.files.tables.recording import STILL, Recording, Series
+
+Array = NDArray[np.float64]
+_OFTEN = STILL / 4.0
+"""[s] between rows of a log at most: some of them lie in each window. Poses come more slowly."""
+_FEW = 50
+# Seconds since 1970 are 10 digits, the others 3 more each.
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Where the columns of tables are recorded by time: (table, position) -> its series, and which
+    of its columns; the recordings."""
+
+    at: Mapping[tuple[int, int], tuple[Series, int]]
+    recordings: tuple[Recording, ...]
+
+
+def at_rest(sources: Sequence[Source], names: Collection[str] = ()) -> tuple[list[Source], Columns]:
+    """The tables, those by time as one row for each stand, and where their columns come from.
+
+    Several logs share one clock. names: of the machine's joints; else their columns are known by
+    usual names. Raises InputError for a log without a stand.
+    """
+    recorded = _recorded(sources)
+    logs = {
+        i: times
+        for i, one in enumerate(sources)
+        if one.recording is None and (times := _times(one)) is not None
+    }
+    fields = [f for i in logs for f in sources[i].fields if not f.is_time]
+    stems = {*map(stem, names)}
+    named = [f for f in fields if f.stem in stems]
+    joints = {id(f) for f in named or usual_joints(fields)}
+    if not joints:
+        return list(sources), recorded
+    at: dict[tuple[int, int], tuple[Series, int]] = {}
+    by_joint, measured = {}, {}
+    begin = min(float(np.nanmin(times)) for times in logs.values())
+    for i, times in logs.items():
+        rows = np.isfinite(times)
+        since = times[rows] - begin + _OFTEN  # a stamp of zero is one that nobody set
+        rest = [f for f in sources[i].fields if not f.is_time and id(f) not in joints]
+        for f in sources[i].fields:
+            if id(f) in joints:
+                by_joint[f.label] = Series(since, f.values[rows][:, None], (f.label,))
+                at[f.table, f.position] = by_joint[f.label], 0
+        if rest:
+            values = np.column_stack([f.values[rows] for f in rest])
+            one = Series(since, values, tuple(f"{f.table} {f.position}" for f in rest))
+            measured[sources[i].name] = one
+            at |= {(f.table, f.position): (one, k) for k, f in enumerate(rest)}
+    recording = Recording(by_joint, measured)
+    names = " and ".join(sources[i].name for i in logs)
+    recording.refuse_unusable(names)
+    numbers = [recording.table[s.names[k]] for s, k in at.values()]
+    by_place = {(f.table, f.position): f for f in fields}
+    poses = tuple(
+        replace(by_place[place], values=values)
+        for place, values in zip(at, numbers, strict=True)
+        if np.isfinite(values).any()
+    )
+    remark = f"{names}: a log. {' '.join(recording.words())}"
+    first = next(iter(logs))
+    made = Source(None, None, poses, None, None, label=names, remark=remark)
+    kept = [
+        made if i == first else one for i, one in enumerate(sources) if i not in logs or i == first
+    ]
+    return kept, Columns({**recorded.at, **at}, (*recorded.recordings, recording))
+
+
+def _recorded(sources: Sequence[Source]) -> Columns:
+    """Where the columns of bags come from."""
+    at: dict[tuple[int, int], tuple[Series, int]] = {}
+    recordings = [(one, one.recording) for one in sources if one.recording is not None]
+    for source, recording in recordings:
+        series = (*recording.joints.values(), *recording.measured.values())
+        by_name = {name: (one, k) for one in series for k, name in enumerate(one.names)}
+        at |= {
+            (source.fields[0].table, i): by_name[name]
+            for i, name in enumerate(recording.columns)
+            if name in by_name
+        }
+    return Columns(at, tuple(recording for _, recording in recordings))
+
+
+def _times(source: Source) -> Array | None:
+    """(N,) stamps [s] of a log; None of a table of poses."""
+    column = next((f for f in source.fields if f.is_time), None)
+    if column is None or len(source) < _FEW:
+        return None
+    times = _factor(column) * column.values
+    steps = np.abs(np.diff(times[np.isfinite(times)]))
+    return times if steps.size and 0.0 < np.median(steps) <= _OFTEN else None
+
+
+def _factor(column: Field) -> float:
+    """Seconds of one unit of a column of stamps."""
+    if column.unit in _SECONDS:
+        return _SECONDS[column.unit]
+    largest = np.nanmax(column.values, initial=0.0)
+    return next((factor for least, factor in _EPOCHS if largest > least), 1.0)
