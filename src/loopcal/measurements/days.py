@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import date
+from datetime import UTC, date, datetime
 
 _DAY = r"(\d{4}-\d{2}-\d{2})"
 _SPAN = re.compile(rf"\s*{_DAY}(?:\s*(?:/|to|–|until)\s*{_DAY})?\s*")
 _MOMENT = re.compile(rf"\s*{_DAY}(?:[T ]\s*\d{{1,2}}:\d{{2}}.*)?", re.DOTALL)
+
+_FORMS = ("%d.%m.%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%H:%M:%S", "%H:%M:%S.%f")
+"""Of moments, besides those of ISO 8601."""
 
 
 @dataclass(frozen=True)
@@ -55,3 +58,30 @@ def _is_day(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def seconds_of(texts: Iterable[str]) -> list[float] | None:
+    """Moments or times of day [s], as UTC where they name no zone; None where one text is none.
+
+    >>> seconds_of(["1970-01-01 00:01:00", "01.01.1970 00:02:00"])
+    [60.0, 120.0]
+    """
+    try:
+        return [_moment(text.strip()).timestamp() for text in texts]
+    except (ValueError, OverflowError):
+        return None
+
+
+def _moment(text: str) -> datetime:
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        for form in _FORMS:
+            try:
+                moment = datetime.strptime(text, form)
+            except ValueError:
+                continue
+            break
+        else:
+            raise
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)

@@ -27,6 +27,7 @@ from loopcal.files.tables.recording import Recording
 from loopcal.files.tables.registry import reader_of
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.days import seconds_of
 from loopcal.measurements.poses import pose_id
 from loopcal.measurements.resolution import written_step
 from loopcal.measurements.tables import as_numbers, column, column_names
@@ -38,9 +39,6 @@ STATIONS = frozenset(words("columns", "station"))
 _TARGETS = frozenset(words("columns", "target"))
 TOOLS = frozenset(words("columns", "tool"))
 TIMES = frozenset(words("columns", "time"))
-_DATES = ("%d.%m.%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%H:%M:%S", "%H:%M:%S.%f")
-"""Besides those of ISO 8601."""
-
 _CLEARLY = 3
 """A sheet with so many times the numbers of any other holds the readings."""
 _MOST_TARGETS = 8
@@ -283,9 +281,9 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     values = {i: table.numbers(i, every) for i in numeric if i != pose}
     values |= {i: np.empty(0) for i in texts if _stem(headings, i) in STATIONS | TOOLS}
     values |= {
-        i: seconds
+        i: np.array(seconds)
         for i in texts
-        if _stem(headings, i) in TIMES and (seconds := _seconds(labels[i])) is not None
+        if _stem(headings, i) in TIMES and (seconds := seconds_of(labels[i])) is not None
     }
     fields = tuple(
         Field(number, i, headings[i] if i < len(headings) else None, values[i])
@@ -321,27 +319,6 @@ def _distinct(fields: Sequence[Field]) -> tuple[Field, ...]:
             f = replace(f, heading=replace(f.heading, stem=f"{f.stem}_{met[f.stem]}"))
         made.append(f)
     return tuple(made)
-
-
-def _seconds(cells: Sequence[str]) -> Array | None:
-    """Dates and times of day [s]; None where a cell is neither."""
-    from datetime import datetime
-
-    def parsed(cell: str) -> float:
-        try:
-            return datetime.fromisoformat(cell).timestamp()
-        except ValueError:
-            for form in _DATES:
-                try:
-                    return (datetime.strptime(cell, form) - datetime(1900, 1, 1)).total_seconds()
-                except ValueError:
-                    continue
-            raise
-
-    try:
-        return np.array([parsed(cell.strip()) for cell in cells])
-    except (ValueError, OverflowError, OSError):
-        return None
 
 
 def _named_by_texts(

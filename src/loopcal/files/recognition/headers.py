@@ -90,6 +90,7 @@ def own_words(folder: Path) -> dict[str, str]:
     if not isinstance(stated, dict) or not all(isinstance(w, str) for w in stated.values()):
         raise InputError(
             "the words are no table of texts",
+            code="invalid-value",
             place=f"{OWN_WORDS}: words",
             remedy='write [words], and below it a line per word: "Gelenk" = "joint"',
         )

@@ -32,8 +32,6 @@ from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
 Array = NDArray[np.float64]
 CONVINCING = 10.0
 """Twice a log likelihood by which one set of joints has to be better (odds of 150 to 1)."""
-IMMATERIAL = 0.1
-"""Sets of joints whose end points differ by a smaller share of what remains are the same."""
 MICROMETRES = 3e-6
 """Points that lie so near [m] what joints give were computed: no instrument on a robot does."""
 AS_DRAWN = 5e-5
@@ -242,9 +240,3 @@ def compared_joints(machine: Machine, ways: Sequence[Understood]) -> list[tuple[
     return sorted(
         ((cost - least, way) for cost, way in zip(costs, ways, strict=True)), key=lambda one: one[0]
     )
-
-
-def alike(first: Understood, other: Understood, rms: float) -> bool:
-    """Whether two sets of joints move the end point to the same places, beside what remains."""
-    apart = np.linalg.norm(first.bodies.origins - other.bodies.origins, axis=1)
-    return float(np.sqrt(np.nanmean(np.square(apart)))) <= IMMATERIAL * rms
