@@ -602,6 +602,14 @@ def test_a_file_at_fault_is_told_alone_and_a_failed_fit_has_no_region() -> None:
     assert found.valid.code == verdict_of(failed).valid.code == "region-unknown"
 
 
+def test_where_it_is_valid_is_open_until_the_fit_is_sound() -> None:
+    assert verdict_of(clean()).valid.code == "valid-in-region"
+    rejected = replace(clean(), chi_squared=ChiSquared.of(300.0, 114))
+    found = verdict_of(rejected)
+    assert not found.sound.passed
+    assert (found.valid.code, found.valid.passed) == ("valid-if-sound", None)
+
+
 def test_every_code_is_described() -> None:
     text = (ROOT / "docs" / "explanation" / "verdict.md").read_text("utf-8")
     described = set(re.findall(r"^\| `([a-z-]+)` \|", text, re.MULTILINE))

@@ -339,6 +339,13 @@ _ROWS = (
         "State the region ([verdict] region).",
         _CHECK,
     ),
+    _valid_open(
+        "valid-if-sound",
+        "The predicted sd is {sd_in_region:2} in {where} and {sd_at_poses:2} at the measured "
+        "poses. It leaves out what is not sound.",
+        "Mend what is not sound first.",
+        _CHECK,
+    ),
     _not_valid(
         "direction-open",
         "The data leave a direction open that moves the end point in {where}.",

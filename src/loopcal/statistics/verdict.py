@@ -70,8 +70,17 @@ def findings_of(
     facts += [one for analysis in SOUND if (one := analysis(document))]
     if all(CATALOGUE[one.code].severity == "info" for one in facts):
         facts.append(fact("sound"))
-    others = (valid(document), better(document), good_enough(document, tolerance))
+    region = valid(document)
+    if region.code == "valid-in-region" and any(map(_upsets, facts)):
+        region = replace(region, code="valid-if-sound")
+    others = (region, better(document), good_enough(document, tolerance))
     return catalogue.findings([*facts, *(one for one in others if one)], files)
+
+
+def _upsets(one: Fact) -> bool:
+    """Whether the predicted sd of a fit with this fact lacks an error that may be larger."""
+    row = CATALOGUE[one.code]
+    return (row.question, row.severity) == ("sound", "refuse") or one.code in _BEYOND
 
 
 def verdict(
@@ -106,6 +115,8 @@ _CERTAIN = 2.0
 _RELATIVE = 0.41
 """sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
 _DRAWN = "the nominal machine"
+_BEYOND = ("scales-unlike", "scale-off-the-drawing")
+"""Facts that leave a fit usable with care, but move predictions by more than half their sd."""
 
 
 def valid(document: ResultDocument) -> Fact:
