@@ -360,13 +360,16 @@ def test_two_targets_are_seen_from_one_station(tmp_path: Path, camera: Any) -> N
     assert "base_x" in made.mechanism.parameters.names
 
 
-def test_another_robot_is_refused(tmp_path: Path, arm: Any) -> None:
+def test_another_robot_is_refused_and_shuffled_points_are_named(tmp_path: Path, arm: Any) -> None:
     joints, points = arm
-    shuffled = np.random.default_rng(3).permutation(points)
-    path = dh(tmp_path)
-    columns = {**of(joints, NAMES), **of(shuffled, "xyz")}
-    with refused("implausible-readings"):
-        lc.init(columns, dh=path)
+    rng, path = np.random.default_rng(3), dh(tmp_path)
+    elsewhere = points.mean(axis=0) + points.std() * rng.standard_normal(points.shape)
+    for some, code in (
+        (elsewhere, "implausible-readings"),
+        (rng.permutation(points), "mismatched-poses"),
+    ):
+        with refused(code):
+            lc.init({**of(joints, NAMES), **of(some, "xyz")}, dh=path)
 
 
 def test_nothing_is_overwritten(tmp_path: Path, arm: Any) -> None:
