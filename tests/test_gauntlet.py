@@ -34,12 +34,13 @@ from analyses.lives_parallel import (
 from analyses.lives_truth import DEGREE, Machine, away, machine, off, roles, write_readings
 
 RNG = np.random.default_rng(0)
+NOISE = 1e-5
 ANOTHER, FIRST_DAY, ZERO_DAY = "another day", "six axes, random order", "day 2: zero"
 
 
 def as_drawn(user: Machine) -> Machine:
-    """A machine without any error, measured without noise."""
-    return replace(user, arm=user.drawing, tracker=0.0, encoder=0.0)
+    """A machine without any error; the noise shows that its points were measured."""
+    return replace(user, arm=user.drawing, tracker=NOISE, encoder=0.0)
 
 
 @pytest.mark.parametrize("kind", ["the fleet", "palletiser", "three reflectors"])
@@ -50,7 +51,8 @@ def test_a_drawing_is_the_machine_of_its_file(kind: str, tmp_path: Path) -> None
     option, file = user.description(tmp_path)
     of = {key: tmp_path / file if option == f"--{key}" else None for key in ("dh", "urdf")}
     project = lc.init(tmp_path / "day.csv", dh=of["dh"], urdf=of["urdf"])
-    assert project.rms < 1e-7  # [m]: the joints are rounded to a millionth of a degree
+    # three coordinates, less what placing takes up; the worst tenth of the poses does not count
+    assert 0.5 * NOISE < project.rms < 3.0**0.5 * NOISE
 
 
 def test_the_command_runs_here_as_in_a_process_of_its_own(tmp_path: Path) -> None:

@@ -124,7 +124,9 @@ class LoopcalError(Exception):
     def at(self, place: str) -> LoopcalError:
         """The same error with the place filled in, for callers that know the file."""
         joined = f"{place}: {self.place}" if self.place else place
-        return type(self)(self.message, code=self.code, place=joined, remedy=self.remedy)
+        error = type(self)(self.message, code=self.code, place=joined, remedy=self.remedy)
+        error.options, error.command = self.options, self.command
+        return error
 
 
 class UsageError(LoopcalError):

@@ -151,7 +151,9 @@ def test_a_planar_arm_with_a_cell_that_is_no_number(hand: Hand, tmp_path: Path) 
     hand.press("Exclude 1 pose")
     hand.sees("Excluded: pose 7")
     hand.step("Plan")
-    hand.run("Choose poses")  # a table of an arm has no limits of joints: over those of the readings
+    hand.run(
+        "Choose poses"
+    )  # a table of an arm has no limits of joints: over those of the readings
     for joint in ("J1", "J2"):
         for end, degrees in (("from", "-90"), ("to", "90")):
             hand.page.get_by_label(f"{joint} {end}", exact=True).fill(degrees)

@@ -254,7 +254,8 @@ def test_a_function_that_does_not_fit_its_declaration_is_refused(text, words):
 
 
 def test_a_function_has_to_be_named_and_only_where_it_is_asked_for():
-    assert "--mechanism FILE.py:FUNCTION" in str(refusal(FUNCTION))
+    assert "--mechanism FILE.py:FUNCTION" in refusal(FUNCTION).text
+    assert "mechanism=FILE.py:FUNCTION" in str(refusal(FUNCTION))
     assert "a function is named" in str(refusal('type = "motoman-ma1400"', function=balance))
 
 

@@ -79,7 +79,7 @@ WRONG_BYTES = {
     "a Parquet file named csv": (b"PAR1\x15\x00", {}, ["Parquet"]),
     "not the encoding stated": ("x\n1\n# µ\n".encode("cp1252"), {"encoding": "utf-8"}, ["utf-8"]),
     "an unknown encoding": (b"x\n1\n", {"encoding": "utf-7b"}, ["'utf-7b'", "utf-8"]),
-    "no encoding we know": (b"x\n1\n# \x81\x8d\n", {}, ["UTF-8, GB 18030 or cp1252"]),
+    "no encoding we know": (b"x\n1\n# \x81\n", {}, ["UTF-8, GB 18030, Shift-JIS or cp1252"]),
     "half a UTF-16 character": ("x\n1\n".encode("utf-16") + b"1", {}, ["utf-16"]),
     "the wrong delimiter": (GOOD.encode(), {"delimiter": ";"}, ["row 1", "';'", "state ','"]),
     "no delimiter": (GOOD.encode(), {"delimiter": "ab"}, ["'ab'"]),

@@ -64,7 +64,7 @@ class Cached(Generic[Value]):
                 try:
                     self.value = read()
                 except LoopcalError as error:
-                    self.objection = str(error)
+                    self.objection = error.text
                 self.at = at
         return self.value
 

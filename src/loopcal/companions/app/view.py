@@ -148,7 +148,7 @@ def _complaint(do: Callable[[], Any]) -> str | None:
     try:
         do()
     except LoopcalError as error:
-        return str(error)
+        return error.text
     except Exception as error:
         logging.getLogger(__name__).exception("cannot be done")
         return words.NOT_DONE.format(fault=f"{type(error).__name__}: {error}")

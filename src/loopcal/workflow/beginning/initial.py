@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from html import escape
 from pathlib import Path
 from shlex import quote
 from typing import Any, TypedDict, Unpack
@@ -44,7 +43,6 @@ from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.masses import in_space
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, output_groups
-from loopcal.presentation.html import table
 from loopcal.presentation.shown import columns as in_columns
 from loopcal.presentation.shown import in_unit, significant, unit_shown, with_unit
 from loopcal.small_samples import LearntCovariance
@@ -165,6 +163,10 @@ class InitialProject:
         return f"<InitialProject: {len(self.dataset)} poses, nominal machine misses {miss}>"
 
     def _repr_html_(self) -> str:
+        from html import escape
+
+        from loopcal.presentation.html import table
+
         head, *rows = self._rows()
         remarks = "".join(f"<li>{escape(words)}</li>" for words in self.remarks)
         return f"{table(head, rows)}<ul>{remarks}</ul><p>{escape(repr(self)[1:-1])}</p>"
