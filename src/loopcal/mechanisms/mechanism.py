@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from html import escape
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -22,7 +21,6 @@ from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.parameters import BEYOND, Parameter, Parameters, Role, declared, matching
 from loopcal.mechanisms.quantity import Quantity
 from loopcal.mechanisms.terms import Term, check_terms
-from loopcal.presentation.html import table
 from loopcal.presentation.shown import in_unit, significant, unit_shown
 from loopcal.units import unit
 
@@ -332,6 +330,10 @@ class Mechanism:
         return self.fk(q)
 
     def _repr_html_(self) -> str:
+        from html import escape  # only notebooks ask
+
+        from loopcal.presentation.html import table
+
         head = ("parameter", "nominal", "unit", "")
         rows = [
             (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,6 +66,8 @@ class Project:
         return f"<Project {self.title!r}: {self.mechanism!r}>"
 
     def _repr_html_(self) -> str:
+        from html import escape  # only notebooks ask
+
         return f"<p><b>{escape(self.title)}</b></p>{self.mechanism._repr_html_()}"
 
     @property
