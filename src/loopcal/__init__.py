@@ -384,5 +384,5 @@ def __dir__() -> list[str]:
     frame = sys._getframe()
     while frame.f_back and frame.f_globals["__name__"] in (__name__, "inspect"):
         frame = frame.f_back
-    # pydoc prints every class that it is told of whole, 6000 lines: the text above is its page.
+    # pydoc would print every class in full, 6000 lines; without names it prints the text above.
     return [] if frame.f_globals["__name__"] == "pydoc" else sorted(__all__)

@@ -145,7 +145,7 @@ def plan_folder(project: Project) -> Path:
 def settings_of(project: Project) -> PlanSettings:
     """The [plan] of a project, its forbidden rows read.
 
-    Where nobody states ranges, joints have those of the project's own readings (`ranges_of`).
+    Ranges that are not stated are those of the project's readings (`ranges_of`).
     """
     settings, name = project.plan, project.inputs.get("plan", {}).get("forbidden")
     if name is not None:

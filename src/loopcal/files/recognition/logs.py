@@ -54,7 +54,7 @@ def at_rest(sources: Sequence[Source], names: Collection[str] = ()) -> tuple[lis
     begin = min(float(np.nanmin(times)) for times in logs.values())
     for i, times in logs.items():
         rows = np.isfinite(times)
-        since = times[rows] - begin + _OFTEN  # a stamp of zero is one that nobody set
+        since = times[rows] - begin + _OFTEN  # zero counts as a missing stamp
         rest = [f for f in sources[i].fields if not f.is_time and id(f) not in joints]
         for f in sources[i].fields:
             if id(f) in joints:

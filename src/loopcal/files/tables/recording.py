@@ -1,7 +1,7 @@
 """What was recorded by time while a robot went from pose to pose: a row for each time it stood.
 
-Each column has stamps of its own. A row holds the medians of the readings taken while no joint
-moved. An instrument that is late is read as much later: its delay is seen from when it moves.
+Each column has separate time stamps. A row holds the medians of the readings taken while no joint
+moved. The readings of a delayed instrument are taken later by its delay, estimated from the moves.
 """
 
 from __future__ import annotations

@@ -142,7 +142,7 @@ def _joints_chosen(
 
     Of one set of joints the way that uses the most columns of instruments is taken: an angle that
     does not belong to a range would not fit. Raises InputError where several sets of joints fit as
-    well and nobody can be asked.
+    well and `ask` is None.
     """
     sets: dict[tuple[int, ...], Understood] = {}
     for way in sorted(near, key=_columns, reverse=True):
@@ -185,7 +185,7 @@ def _measured_by_name(ways: Sequence[Understood]) -> Understood | None:
 def _asked(rivals: Sequence[Understood], ask: Ask | None) -> Understood:
     """The choice of the user among meanings that fit about as well.
 
-    Raises InputError with all of them where nobody can be asked.
+    Raises InputError with all of them where `ask` is None.
     """
     common = set.intersection(*(set(u.words) for u in rivals))
     answers = [
