@@ -28,9 +28,9 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
     """The machine of a URDF: `fk(q)` says where it is; `assemble` and `calibrate(readings, urdf=
     path)` calibrate it.
 
-    base, tip: links, by default the one named as those that tools are mounted on (tool0, flange),
-    else of the chain with the most moving joints. Raises InputError where
-    several chains have as many, with their links, and for what is no URDF.
+    base, tip: links. By default the tip is the link on which tools are mounted (tool0, flange),
+    else that of the chain with the most moving joints. Raises InputError where several chains have
+    as many, with their links, and for what is no URDF.
     """
     tip = robot_link(Path(path)) if base is None and tip is None else tip
     table = urdf_robot(Path(path), str(path), (), base, tip).table
