@@ -14,14 +14,17 @@ s = 1000 is a unit, s = -1 a mirror. Directions that no image determines stay at
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.cameras.twists import inverse, nearest_rotation, rigid, rotation_vector
+from loopcal.estimation.cameras.twists import nearest_rotation, rigid, rotation_vector
 
 Array = NDArray[np.float64]
+Method = Callable[[Array, Array, Array], list[tuple[Array, Array]]]
+"""Rotations (R_X, R_Y) from A, C (n, 4, 4) and weights (n,)."""
 _SHORT = 1e-4
 """Singular values below this share of the largest count as zero: 0.1 mrad of turns beside 1 rad."""
 
@@ -136,14 +139,23 @@ def translations(
     return HandEye(rigid(R_X, solution[3:6]), rigid(R_Y, solution[:3]), scale)
 
 
-def chosen_branches(C: Array, usable: Array, predicted: Array) -> tuple[Array, Array]:
-    """(n, 4, 4) of two poses (n, 2, 4, 4) the one nearer to a prediction, and how far [rad]."""
-    agreement = np.einsum("nsij,nij->ns", C[:, :, :3, :3], predicted[:, :3, :3])
-    agreement = np.where(usable, agreement, -1.0)
-    branch = np.argmax(agreement, axis=1)
-    rows = np.arange(len(C))
-    angle = np.arccos(np.clip((agreement[rows, branch] - 1.0) / 2.0, -1.0, 1.0))
-    return C[rows, branch], angle
+@dataclass(frozen=True)
+class _Images:
+    """A (n, 4, 4) and both poses C (n, 2, 4, 4) of each image, usable where finite."""
+
+    A: Array
+    C: Array
+    usable: NDArray[np.bool_]
+
+    def turned(self, R_X: Array, R_Y: Array) -> tuple[Array, Array]:
+        """The branches nearer to R_X R_A R_Y (n, 4, 4), and how far they are [rad]."""
+        predicted = R_X @ self.A[:, :3, :3] @ R_Y
+        agreement = np.einsum("nsij,nij->ns", self.C[:, :, :3, :3], predicted)
+        agreement = np.where(self.usable, agreement, -1.0)
+        branch = np.argmax(agreement, axis=1)
+        rows = np.arange(len(branch))
+        angle = np.arccos(np.clip((agreement[rows, branch] - 1.0) / 2.0, -1.0, 1.0))
+        return self.C[rows, branch], angle
 
 
 def consensus(
@@ -154,54 +166,53 @@ def consensus(
     The branch of each image is chosen by the candidate itself, and images that disagree lose their
     weight: three rounds from the better branch of all images, and from random draws of six.
     """
-    usable = np.isfinite(error)
-    best = C[:, 0]
     n = len(A)
-    starts: list[tuple[Array, Array]] = [(np.arange(n), best)]
-    for _ in range(12 if n > 6 else 4):
-        draw = random.choice(n, size=min(n, 6), replace=False)
-        branch = np.where(usable[:, 1] & (random.random(n) < 0.5), 1, 0)
-        starts.append((draw, C[np.arange(n), branch]))
-    scored = []
-    for index, (draw, poses) in enumerate(starts):
-        for method in (shah, park, daniilidis) if index == 0 else (shah,):
-            some = np.zeros(n)
-            some[draw] = 1.0
-            scored += _rounds(A, C, usable, poses, some, method, scaled=scaled)
-    for R_X, R_Y in aligned(A, best, np.ones(n)):
-        scored += _settled(A, C, usable, best, (R_X, R_Y), scaled=scaled)
-    scored.sort(key=lambda pair: pair[0])
-    return [candidate for _, candidate in scored[:4]]
+    images = _Images(A, C, np.isfinite(error))
+    every = np.ones(n)
+    pairs = [_rotations(images, C[:, 0], every, method) for method in METHODS]
+    for _ in range(8 if n > 6 else 4):
+        weight = np.zeros(n)
+        weight[random.choice(n, size=min(n, 6), replace=False)] = 1.0
+        branch = np.where(images.usable[:, 1] & (random.random(n) < 0.5), 1, 0)
+        pairs.append(_rotations(images, C[np.arange(n), branch], weight, shah))
+    ranked = sorted((p for p in pairs if p is not None), key=lambda pair: pair[0])[:3]
+    starts = [(R_X, R_Y) for _, R_X, R_Y in ranked] + aligned(A, C[:, 0], every)
+    settled = [_settled(images, R_X, R_Y, scaled=scaled) for R_X, R_Y in starts]
+    return [candidate for _, candidate in sorted(settled, key=lambda pair: pair[0])[:4]]
 
 
-def _rounds(A, C, usable, poses, weight, method, *, scaled):  # type: ignore[no-untyped-def]
-    """One start, followed for three rounds of weights: its mean angle and its candidate."""
-    if method is not shah and len(A) < 3:
-        return []
+METHODS = (shah, park, daniilidis)
+"""Closed forms of the rotations, in the order of their measured robustness."""
+
+
+def _rotations(
+    images: _Images, poses: Array, weight: Array, method: Method
+) -> tuple[float, Array, Array] | None:
+    """One start, followed for three rounds of weights: its median angle [rad], R_X and R_Y."""
     for _ in range(3):
-        pairs = method(A, poses, weight)
+        pairs = method(images.A, poses, weight)
         if not pairs:
-            return []
+            return None
         R_X, R_Y = pairs[0]
-        poses, angle = chosen_branches(C, usable, rigid(R_X @ A[:, :3, :3] @ R_Y, A[:, :3, 3]))
-        weight = 1.0 / (1.0 + (angle / max(2.0 * float(np.median(angle)), 1e-4)) ** 2) ** 2
-    return _settled(A, C, usable, poses, pairs[0], scaled=scaled)
+        poses, angle = images.turned(R_X, R_Y)
+        weight = _weights(angle)
+    return float(np.mean(np.minimum(angle, 3.0 * np.median(angle)))), R_X, R_Y
 
 
-def _settled(A, C, usable, poses, pair, *, scaled):  # type: ignore[no-untyped-def]
-    R_X, R_Y = pair
-    predicted = rigid(R_X @ A[:, :3, :3] @ R_Y, A[:, :3, 3])
-    poses, angle = chosen_branches(C, usable, predicted)
-    weight = 1.0 / (1.0 + (angle / max(2.0 * float(np.median(angle)), 1e-4)) ** 2) ** 2
-    for _ in range(4):
-        solution = translations(A, poses, weight, R_X, R_Y, scaled=scaled)
-        off = solution.predicted(A)[:, :3, 3] - poses[:, :3, 3]
-        depth = np.maximum(np.abs(poses[:, 2, 3]), 1e-9)
+def _settled(images: _Images, R_X: Array, R_Y: Array, *, scaled: bool) -> tuple[float, HandEye]:
+    """The translations of a pair of rotations, and the mean miss of the images."""
+    poses, angle = images.turned(R_X, R_Y)
+    weight = _weights(angle)
+    depth = np.maximum(np.abs(poses[:, 2, 3]), 1e-9)
+    for _ in range(3):
+        solution = translations(images.A, poses, weight, R_X, R_Y, scaled=scaled)
+        off = solution.predicted(images.A)[:, :3, 3] - poses[:, :3, 3]
         miss = angle + np.linalg.norm(off, axis=1) / depth
-        weight = 1.0 / (1.0 + (miss / max(2.0 * float(np.median(miss)), 1e-6)) ** 2) ** 2
-    return [(float(np.mean(np.minimum(miss, 3.0 * np.median(miss) + 1e-9))), solution)]
+        weight = _weights(miss)
+    return float(np.mean(np.minimum(miss, 3.0 * np.median(miss) + 1e-9))), solution
 
 
-def inverted(T: Array) -> Array:
-    """T^-1, the form in which a camera on the flange meets C = X A Y."""
-    return inverse(T)
+def _weights(miss: Array) -> Array:
+    """Geman-McClure weights by twice the median."""
+    scale = max(2.0 * float(np.median(miss)), 1e-6)
+    return np.asarray(1.0 / (1.0 + (miss / scale) ** 2) ** 2)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.cameras.board_pose import BoardPoses
 from loopcal.estimation.cameras.facts import Fact
 from loopcal.estimation.cameras.orders import consistent_orders, mirrored, renumbered
 from loopcal.estimation.cameras.placing import Reading, closed_forms, placed, view_poses
@@ -22,6 +23,12 @@ from loopcal.mechanisms.cameras.board import Board
 Array = NDArray[np.float64]
 CLEAR = 0.6
 """Twenty images of two residuals each: log likelihood ratio 40 ln(1 / 0.6) = 20."""
+THINNED = (60, 12)
+"""Images and corners per view of a trial: far more than a mistake needs to show."""
+FITS = 1.3
+"""If the robot adds less than this to what single images leave, nothing is suspected."""
+HOPELESS = 10.0
+"""Closed forms leave two to six times what the adjustment does."""
 UNITS = {
     1000.0: "mm",
     100.0: "cm",
@@ -52,38 +59,44 @@ def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]
     the best one is taken, at most two in a row.
     """
     reading, facts = _better(reading, list(_planar_suspicions(reading)), image_misfit)
+    sizes = [misfit(reading)]
     if reading.T_base_flange is not None:
         reading, more, sizes = _mounted(reading, held)
         facts += more
+    before = min(sizes)
     for _ in range(2):
-        if misfit(reading) < 2.0 * image_misfit(reading):
+        if before < FITS * image_misfit(reading):
             break
         mounts = [reading]
         if held is None and reading.T_base_flange is not None:
             mounts.append(replace(reading, held=not reading.held))
-        tried = [_better(one, list(_suspicions(one, held))) for one in mounts]
+        tried = [_better(one, list(_suspicions(one, held)), before=before) for one in mounts]
         tried = [pair for pair in tried if pair[1]]
         if not tried:
             break
         reading, more = min(tried, key=lambda pair: float(pair[1][0].values["px_after"]))
-        facts, sizes = [*facts, *more], []
+        facts, sizes, before = [*facts, *more], [], float(more[0].values["px_after"])
     if reading.T_base_flange is not None and held is None:
         facts.append(_mount(reading, sizes))
     return reading, facts
 
 
-def misfit(reading: Reading) -> float:
-    """Core rms [px] of a reading, thinned and adjusted shortly; inf where nothing fits."""
-    few = reading.thinned(60, 12)
+def misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = np.inf) -> float:
+    """Core rms [px] of a reading, thinned and adjusted shortly; inf where nothing fits.
+
+    poses: of a reading that is thinned; limit: what is clearly above it need not be exact.
+    """
+    few = reading if poses is not None else reading.thinned(*THINNED)
     free = () if reading.stated else ("f", "k1")
-    best = placed(few, view_poses(few), free, iterations=8, try_at_most=2)
+    poses = view_poses(few) if poses is None else poses
+    best = placed(few, poses, free, iterations=8, hopeless=HOPELESS * limit)
     return np.inf if best is None else best.core
 
 
-def image_misfit(reading: Reading) -> float:
+def image_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = 0.0) -> float:
     """Median over the views of the rms [px] that a free pose of the board leaves."""
-    few = reading.thinned(40, 24)
-    poses, views = view_poses(few), few.corners.views
+    few = reading if poses is not None else reading.thinned(*THINNED)
+    poses, views = view_poses(few) if poses is None else poses, few.corners.views
     # Four corners of a plane fit always.
     full = poses.usable & (views.sizes >= min(6, int(views.sizes.max())))
     if not full.any():
@@ -95,19 +108,27 @@ def image_misfit(reading: Reading) -> float:
 def _better(
     reading: Reading,
     suspicions: list[Suspicion],
-    size: Callable[[Reading], float] = misfit,
+    size: Callable[[Reading, BoardPoses, float], float] = misfit,
+    before: float = 0.0,
 ) -> tuple[Reading, list[Fact]]:
-    """The reading after the suspicion that is clearly better than all is, if one is."""
-    before = size(reading)
-    best, after, reason = reading, CLEAR * before, None
+    """The reading after the suspicion that is clearly better than all is, if one is.
+
+    before: what is left now [px]; 0 to measure it.
+    """
+    few = reading.thinned(*THINNED)
+    poses = view_poses(few)
+    before = before or size(few, poses, np.inf)
+    after, reason = CLEAR * before, None
     for suspicion in suspicions:
-        other = suspicion.change(reading)
+        other = suspicion.change(few)
         if other is None:
             continue
-        value = size(other)
+        same = other.corners is few.corners and other.lenses is few.lenses
+        value = size(other, poses if same else view_poses(other), after)
         if value < after:
-            best, after, reason = other, value, suspicion
-    if reason is None:
+            after, reason = value, suspicion
+    best = None if reason is None else reason.change(reading)
+    if best is None or reason is None:
         return reading, []
     values: dict[str, float | str] = {"px_before": before, "px_after": after}
     return best, [Fact(reason.code, reason.sentence, values, applied=True)]
@@ -197,7 +218,7 @@ def _scale(reading: Reading) -> tuple[Reading, list[Fact]]:
             continue
         if value is None:
             value = CLEAR * misfit(reading)
-        if (px := misfit(other)) < value:
+        if (px := misfit(other, limit=value)) < value:
             best, facts, value = other, more, px
     return best, facts
 

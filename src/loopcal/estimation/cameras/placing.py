@@ -74,19 +74,33 @@ def placed(
     lens: Sequence[str] = (),
     *,
     iterations: int = 15,
-    try_at_most: int = 2,
+    hopeless: float = np.inf,
 ) -> Adjusted | None:
-    """The best adjusted scene of a reading, or None where no view has a pose."""
+    """The best adjusted scene of a reading.
+
+    None where no view has a pose, or where the closed forms leave more than `hopeless` px.
+    """
     if not poses.usable.any():
         return None
     if reading.A is None:
         seen, poses = usable_part(reading, poses)
         return _settled(seen, _free(seen, poses), lens, iterations)
-    few = Reading.thinned(reading, 60, 8)
+    few = reading.thinned(60, 8)
     scenes = [_extended(reading, poses, start) for start in closed_forms(reading, poses)]
-    ranked = sorted(scenes, key=lambda s: _core(few.corners, s))[:try_at_most]
-    trials = [_settled(reading, scene, lens, iterations) for scene in ranked]
-    return min(trials, key=lambda trial: trial.core, default=None)
+    sizes = [_core(few.corners, scene) for scene in scenes]
+    if not min(sizes) < hopeless:
+        return None
+    # Two, for the first steps may rank them anew; those far behind the first cannot.
+    order = [i for i in np.argsort(sizes)[:2] if sizes[i] < 2.0 * min(sizes) + 1e-9]
+    trials = [_settled(reading, scenes[i], lens, iterations) for i in _apart(order, sizes)]
+    return min(trials, key=lambda trial: trial.core)
+
+
+def _apart(order: list[int], sizes: list[float]) -> list[int]:
+    """Without those that the closed forms left as large as the one before: they are the same."""
+    return [
+        i for k, i in enumerate(order) if k == 0 or sizes[i] > 1.01 * sizes[order[k - 1]]
+    ]
 
 
 def usable_part(reading: Reading, poses: BoardPoses) -> tuple[Reading, BoardPoses]:

@@ -7,7 +7,7 @@ closed form, adjust it by a soft loss with the robot held, and name what the ima
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
 from loopcal.estimation.cameras.focal import guessed
 from loopcal.estimation.cameras.images import explained
-from loopcal.estimation.cameras.mistakes import corrected
+from loopcal.estimation.cameras.mistakes import CLEAR, corrected, image_misfit
 from loopcal.estimation.cameras.motions import motion_facts
 from loopcal.estimation.cameras.placing import Reading, placed, usable_part, view_poses
 from loopcal.estimation.cameras.scale import scale_facts
@@ -27,6 +27,8 @@ from loopcal.estimation.cameras.twists import inverse
 from loopcal.mechanisms.cameras.lens import Intrinsics
 
 Array = NDArray[np.float64]
+FITS = 3.0
+"""A guessed lens is taken without trying another if the robot adds no more than this factor."""
 FREE = ("f", "cx", "cy", "k1", "k2")
 """What a start adjusts of a lens of the family brown; a fisheye has the same names."""
 
@@ -120,31 +122,33 @@ def start(
     """
     corners = _with_poses(corners, T_base_flange)
     stated, sizes = dict(intrinsics or {}), dict(image_sizes or {})
-    best: tuple[float, Reading, list[Fact]] | None = None
+    best: tuple[Reading, list[Fact], Adjusted] | None = None
+    complete = all(camera in stated for camera in corners.cameras)
     for lenses in _lens_choices(corners, stated, sizes, lens):
-        complete = all(camera in stated for camera in corners.cameras)
-        reading = Reading(corners, T_base_flange, lenses, held is not False, complete)
-        if best is not None and len(corners.boards) and best[0] < 1.0:
+        first = Reading(corners, T_base_flange, lenses, held is not False, complete)
+        reading, facts = corrected(first, held)
+        rough = _rough(reading)
+        if rough is None or (best is not None and rough.core > CLEAR * best[2].core):
+            continue
+        best = reading, facts, rough
+        if rough.core < FITS * image_misfit(reading):
             break
-        reading, facts = corrected(reading, held)
-        few = reading.thinned(100, 24)
-        rough = placed(few, view_poses(few), () if complete else FREE)
-        if rough is not None and (best is None or rough.core < 0.9 * best[0]):
-            best = (rough.core, reading, facts)
     if best is None:
         raise InputError(
             "no image shows four corners of a board",
             code="too-few-readings",
             remedy="state more corners, or check image, board and point of each",
         )
-    _, reading, facts = best
+    reading, facts, rough = best
     if reading.A is None:
         reading, _ = usable_part(reading, view_poses(reading))
-    result = _adjusted(reading)
+    result = _adjusted(reading, rough)
     after = explained(reading, result)
-    if after.reading is not reading:
+    if any(fact.applied for fact in after.facts):
         reading = after.reading
-        result = _adjusted(reading)
+        again = _rough(reading)
+        assert again is not None
+        result = _adjusted(reading, again)
     facts += after.facts
     facts += motion_facts(reading, result.scene, stated=reading.stated)
     facts += scale_facts(reading, result, FREE)
@@ -176,20 +180,24 @@ def _lens_choices(
     return [tuple(each[min(i, len(each) - 1)] for each in choices) for i in range(count)]
 
 
-def _adjusted(reading: Reading) -> Adjusted:
+def _rough(reading: Reading) -> Adjusted | None:
+    """A part of the images and corners, with lenses adjusted."""
+    few = reading.thinned(100, 24)
+    return placed(few, view_poses(few), _free(reading))
+
+
+def _adjusted(reading: Reading, rough: Adjusted) -> Adjusted:
     """All corners, from the placement of a part of them."""
-    few = reading.thinned(150, 24)
     free = _free(reading)
-    rough = placed(few, view_poses(few), free)
-    assert rough is not None
-    if reading.A is None:
-        poses = view_poses(reading)
-        lenses = Reading(reading.corners, None, rough.scene.intrinsics)
-        result = placed(lenses, poses, free, iterations=8)
-        assert result is not None
-        return result
-    scene = rough.scene
-    return adjusted(reading.corners, scene, free, iterations=20)
+    if len(rough.residuals) == len(reading.corners):
+        return rough
+    if reading.A is not None:
+        scene = replace(rough.scene, A=reading.A)
+        return adjusted(reading.corners, scene, free, iterations=20)
+    adapted = replace(reading, lenses=rough.scene.intrinsics)
+    result = placed(adapted, view_poses(adapted), free, iterations=8)
+    assert result is not None
+    return result
 
 
 def _free(reading: Reading) -> Sequence[str]:
