@@ -20,13 +20,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.cameras.twists import nearest_rotation, rigid, rotation_vector
+from loopcal.estimation.cameras.twists import nearest_rotation, rigid, rotation, rotation_vector
 
 Array = NDArray[np.float64]
 Method = Callable[[Array, Array, Array], list[tuple[Array, Array]]]
 """Rotations (R_X, R_Y) from A, C (n, 4, 4) and weights (n,)."""
 _SHORT = 1e-4
 """Singular values below this share of the largest count as zero: 0.1 mrad of turns beside 1 rad."""
+
+
+ONE_AXIS = 0.1
+"""Share of turns about other axes below which noise in them spoils a rotation by 0.1 rad or more."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,21 @@ def aligned(A: Array, C: Array, weight: Array) -> list[tuple[Array, Array]]:
     return pairs
 
 
+def about_one_axis(A: Array, R_X: Array, R_Y: Array) -> list[tuple[Array, Array]]:
+    """Other pairs with the same R_X R_A R_Y for turns about one axis n of the hand; else none.
+
+    R_A = R_0 exp([n] a) for all images: R_Y' = exp([n] b) R_Y and R_X' = R_X R_0 exp(-[n] b) R_0^T
+    for any b. Only positions tell b: seven more of its values are tried.
+    """
+    turns = rotation_vector(np.swapaxes(A[:1, :3, :3], 1, 2) @ A[:, :3, :3])
+    size, axes = np.linalg.eigh(turns.T @ turns)
+    if size[1] > ONE_AXIS**2 * size[2]:
+        return []
+    R_0, angles = A[0, :3, :3], np.arange(1, 8) * np.pi / 4.0
+    about = rotation(angles[:, None] * axes[:, 2])
+    return [(R_X @ R_0 @ R.T @ R_0.T, R @ R_Y) for R in about]
+
+
 def translations(
     A: Array, C: Array, weight: Array, R_X: Array, R_Y: Array, *, scaled: bool
 ) -> HandEye:
@@ -177,6 +196,8 @@ def consensus(
         pairs.append(_rotations(images, C[np.arange(n), branch], weight, shah))
     ranked = sorted((p for p in pairs if p is not None), key=lambda pair: pair[0])[:3]
     starts = [(R_X, R_Y) for _, R_X, R_Y in ranked] + aligned(A, C[:, 0], every)
+    if ranked:
+        starts += about_one_axis(A, *ranked[0][1:])
     settled = [_settled(images, R_X, R_Y, scaled=scaled) for R_X, R_Y in starts]
     return [candidate for _, candidate in sorted(settled, key=lambda pair: pair[0])[:4]]
 

@@ -93,8 +93,15 @@ def misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = np.
     return np.inf if best is None else best.core
 
 
+def patient_misfit(reading: Reading, poses: BoardPoses) -> float:
+    """The same with as many iterations as it takes: what a suspicion has to beat."""
+    free = () if reading.stated else ("f", "k1")
+    best = placed(reading, poses, free, iterations=40)
+    return np.inf if best is None else best.core
+
+
 def image_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = 0.0) -> float:
-    """Median over the views of the rms [px] that a free pose of the board leaves."""
+    """Median over the views of the rms [px] that a free pose leaves, by its degrees of freedom."""
     few = reading if poses is not None else reading.thinned(*THINNED)
     poses, views = view_poses(few) if poses is None else poses, few.corners.views
     # Four corners of a plane fit always.
@@ -102,7 +109,8 @@ def image_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float
     if not full.any():
         return np.inf
     f = np.array([lens.fx for lens in reading.lenses])[views.camera]
-    return float(np.median((poses.error[:, 0] * f)[full]))
+    freedom = 1.0 / np.sqrt(np.maximum(1.0 - 3.0 / views.sizes, 0.1))
+    return float(np.median((poses.error[:, 0] * f * freedom)[full]))
 
 
 def _better(
@@ -127,6 +135,8 @@ def _better(
         value = size(other, poses if same else view_poses(other), after)
         if value < after:
             after, reason = value, suspicion
+    if reason is not None and size is misfit and after > CLEAR * patient_misfit(few, poses):
+        return reading, []
     best = None if reason is None else reason.change(reading)
     if best is None or reason is None:
         return reading, []
