@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.cameras.board_pose import BoardPoses
 from loopcal.estimation.cameras.facts import Fact
+from loopcal.estimation.cameras.homography import homographies, spread, transfer_errors
 from loopcal.estimation.cameras.orders import consistent_orders, mirrored, renumbered
 from loopcal.estimation.cameras.placing import Reading, closed_forms, placed, view_poses
 from loopcal.estimation.cameras.twists import inverse
@@ -27,8 +28,10 @@ THINNED = (60, 12)
 """Images and corners per view of a trial: far more than a mistake needs to show."""
 FITS = 1.3
 """If the robot adds less than this to what single images leave, nothing is suspected."""
-HOPELESS = 10.0
-"""Closed forms leave two to six times what the adjustment does."""
+DRAWS = 2
+"""Random starts of a trial: a wrong reading fails with all of them."""
+HOPELESS = 40.0
+"""Closed forms leave two to six times what the adjustment does; of few markers up to sixty."""
 UNITS = {
     1000.0: "mm",
     100.0: "cm",
@@ -58,7 +61,7 @@ def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]
     held: whether the board is on the flange, None where that is to be found out. Of all suspicions
     the best one is taken, at most two in a row.
     """
-    reading, facts = _better(reading, list(_planar_suspicions(reading)), image_misfit)
+    reading, facts = _better(reading, list(_planar_suspicions(reading)), plane_misfit)
     sizes = [misfit(reading)]
     if reading.T_base_flange is not None:
         reading, more, sizes = _mounted(reading, held)
@@ -89,7 +92,7 @@ def misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = np.
     few = reading if poses is not None else reading.thinned(*THINNED)
     free = () if reading.stated else ("f", "k1")
     poses = view_poses(few) if poses is None else poses
-    best = placed(few, poses, free, iterations=8, hopeless=HOPELESS * limit)
+    best = placed(few, poses, free, iterations=8, hopeless=HOPELESS * limit, draws=DRAWS)
     return np.inf if best is None else best.core
 
 
@@ -100,10 +103,10 @@ def patient_misfit(reading: Reading, poses: BoardPoses) -> float:
     return np.inf if best is None else best.core
 
 
-def image_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = 0.0) -> float:
+def image_misfit(reading: Reading) -> float:
     """Median over the views of the rms [px] that a free pose leaves, by its degrees of freedom."""
-    few = reading if poses is not None else reading.thinned(*THINNED)
-    poses, views = view_poses(few) if poses is None else poses, few.corners.views
+    few = reading.thinned(*THINNED)
+    poses, views = view_poses(few), few.corners.views
     # Four corners of a plane fit always.
     full = poses.usable & (views.sizes >= min(6, int(views.sizes.max())))
     if not full.any():
@@ -111,6 +114,22 @@ def image_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float
     f = np.array([lens.fx for lens in reading.lenses])[views.camera]
     freedom = 1.0 / np.sqrt(np.maximum(1.0 - 3.0 / views.sizes, 0.1))
     return float(np.median((poses.error[:, 0] * f * freedom)[full]))
+
+
+def plane_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = 0.0) -> float:
+    """Median over the views of planes of what homographies leave [px], by degrees of freedom."""
+    corners = reading.corners if poses is not None else reading.thinned(*THINNED).corners
+    flat = np.array([board.planar for board in corners.boards])[corners.board]
+    corners = corners.where(flat)
+    if not len(corners):
+        return np.inf
+    views, xy = corners.views, corners.xyz[:, :2]
+    H, _ = homographies(views, xy, corners.uv)
+    middle = views.medians(transfer_errors(views, H, xy, corners.uv))
+    # Four corners fit always.
+    freedom = np.sqrt(np.maximum(1.0 - 4.0 / views.sizes, 0.0))
+    rest = (middle / np.maximum(freedom, 1e-9))[(freedom > 0.0) & spread(views, xy)]
+    return float(np.median(rest)) if rest.size else np.inf
 
 
 def _better(
@@ -132,7 +151,8 @@ def _better(
         if other is None:
             continue
         same = other.corners is few.corners and other.lenses is few.lenses
-        value = size(other, poses if same else view_poses(other), after)
+        needed = poses if same or size is not misfit else view_poses(other)
+        value = size(other, needed, after)
         if value < after:
             after, reason = value, suspicion
     if reason is not None and size is misfit and after > CLEAR * patient_misfit(few, poses):
@@ -211,7 +231,7 @@ def _scale(reading: Reading) -> tuple[Reading, list[Fact]]:
     poses = view_poses(few)
     if not poses.usable.any():
         return reading, []
-    scales = [candidate.scale for _, _, candidate in closed_forms(few, poses, scaled=True)]
+    scales = [candidate.scale for _, _, candidate in closed_forms(few, poses, DRAWS, scaled=True)]
     best, facts, value = reading, [], None
     for scale in scales:
         if not np.isfinite(scale) or scale == 0.0:
