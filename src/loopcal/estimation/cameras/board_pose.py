@@ -1,9 +1,9 @@
 """The pose of a board from one view, with both answers where a plane allows two.
 
 Planes: Collins and Bartoli (2014), from the homography's first derivatives at the middle of the
-view's corners. With J (2 x 2) that derivative, (p, q) the middle's ray, and R_v the rotation of z onto
-(p, q, 1):  (I | -(p, q)^T) R_v(:, :2) S = J / gamma, whose S is the upper left block of a rotation;
-its third row is determined but for its sign: two poses. Bodies of points in space: many starts.
+view's corners. With J (2 x 2) that derivative, (p, q) the middle's ray, and R_v the rotation of z
+onto (p, q, 1):  (I | -(p, q)^T) R_v(:, :2) S = J / gamma. S is the upper left block of a rotation,
+whose third row is determined but for its sign: two poses. Bodies of points in space: many starts.
 Both are refined by reprojection with weights that wrong corners lose.
 """
 
@@ -128,9 +128,7 @@ def _best_two(T: Array, error: Array, usable: NDArray[np.bool_]) -> tuple[Array,
     alike = np.einsum("vij,vsij->vs", best[:, :3, :3], T[:, :, :3, :3])
     # tr(R^T R') = 1 + 2 cos: below 2.9 the rotations differ by more than 18 degrees.
     second = np.argmin(np.where(alike > 2.9, np.inf, error), axis=1)
-    return _ranked(
-        [(best, error[rows, first]), (T[rows, second], error[rows, second])], usable
-    )
+    return _ranked([(best, error[rows, first]), (T[rows, second], error[rows, second])], usable)
 
 
 def _ranked(both: list[tuple[Array, Array]], usable: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -1,9 +1,9 @@
 """Where a camera and a board stand, from poses of both ends: C_i = X A_i Y in closed form.
 
 C_i is the board in the camera at image i. With the board on the flange A_i = T_base_flange, X is
-T_camera_base and Y is T_flange_board; with the camera there A_i is its inverse, X is T_camera_flange
-and Y is T_base_board. The rotations maximise sum tr(R_C^T R_X R_A R_Y) by the two leading
-singular vectors of a 9 x 9 matrix (Shah 2013); alternatives take the logarithms of relative
+T_camera_base and Y is T_flange_board. With the camera there A_i is its inverse, X is
+T_camera_flange and Y is T_base_board. The rotations maximise sum tr(R_C^T R_X R_A R_Y) by the two
+leading singular vectors of a 9 x 9 matrix (Shah 2013). Others take the logarithms of relative
 motions (Park and Martin 1994) or dual quaternions (Daniilidis 1999). Translations follow by least
 squares, with a scale s of the robot's lengths against the board's:
 
@@ -30,7 +30,7 @@ _SHORT = 1e-4
 
 
 ONE_AXIS = 0.1
-"""Share of turns about other axes below which noise in them spoils a rotation by 0.1 rad or more."""
+"""Share of turns about other axes below which their noise spoils a rotation by 0.1 rad or more."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,7 @@ def park(A: Array, C: Array, weight: Array) -> list[tuple[Array, Array]]:
     """(R_X, R_Y) from the axes of relative motions: log(C_i^-1 C_j) = R_Y^T log(A_i^-1 A_j)."""
     a, c, w = _relative(A, C, weight)
     R_Y = nearest_rotation(np.einsum("i,ij,ik->jk", w, rotation_vector(a), rotation_vector(c)))
-    R_X = nearest_rotation(
-        np.einsum("i,iab,bc,idc->ad", weight, C[:, :3, :3], R_Y.T, A[:, :3, :3])
-    )
+    R_X = nearest_rotation(np.einsum("i,iab,bc,idc->ad", weight, C[:, :3, :3], R_Y.T, A[:, :3, :3]))
     return [(R_X, R_Y)]
 
 
@@ -86,9 +84,7 @@ def daniilidis(A: Array, C: Array, weight: Array) -> list[tuple[Array, Array]]:
     normal = np.einsum("i,ijk,ijl->kl", w, rows, rows)
     q = np.linalg.eigh(normal)[1][:, 0]
     R_Y = Rotation.from_quat([*q[1:], q[0]]).as_matrix()
-    R_X = nearest_rotation(
-        np.einsum("i,iab,bc,idc->ad", weight, C[:, :3, :3], R_Y.T, A[:, :3, :3])
-    )
+    R_X = nearest_rotation(np.einsum("i,iab,bc,idc->ad", weight, C[:, :3, :3], R_Y.T, A[:, :3, :3]))
     return [(R_X, R_Y)]
 
 

@@ -236,7 +236,8 @@ def _scale(reading: Reading) -> tuple[Reading, list[Fact]]:
     for scale in scales:
         if not np.isfinite(scale) or scale == 0.0:
             continue
-        other, more = reading, []
+        other: Reading = reading
+        more: list[Fact] = []
         size = abs(scale)
         for many, unit in UNITS.items():
             for factor in (many, 1.0 / many):
@@ -264,14 +265,23 @@ def _in_unit(reading: Reading, factor: float, unit: str) -> tuple[Reading, list[
     if reach > FARTHEST_HAND if large else size < LARGEST_BOARD:
         T[:, :3, 3] /= factor
         way = f"are in {unit}" if large else f"are in metres, and were converted from {unit}"
-        fact = Fact("unit-of-poses", f"The positions of the flange {way}. State their unit.", values, applied=True)
+        fact = Fact(
+            "unit-of-poses",
+            f"The positions of the flange {way}. State their unit.",
+            values,
+            applied=True,
+        )
         return replace(reading, T_base_flange=T), [fact]
     boards = tuple(
-        Board(b.name, {k: (x * factor, y * factor, z * factor) for k, (x, y, z) in b.points.items()})
+        Board(
+            b.name, {k: (x * factor, y * factor, z * factor) for k, (x, y, z) in b.points.items()}
+        )
         for b in corners.boards
     )
     way = f"are in metres, and were converted from {unit}" if large else f"are in {unit}"
-    fact = Fact("unit-of-board", f"The points of the board {way}. State their unit.", values, applied=True)
+    fact = Fact(
+        "unit-of-board", f"The points of the board {way}. State their unit.", values, applied=True
+    )
     return replace(reading, corners=replace(corners, boards=boards)), [fact]
 
 
@@ -385,8 +395,8 @@ def _lens_suspicions() -> Iterator[Suspicion]:
         angle = "180" if turn == "half" else "90"
         yield Suspicion(
             "intrinsics-turned",
-            f"The stated intrinsics fit images turned by {angle} degrees. State them for the images "
-            "as they are: the principal point moves.",
+            f"The stated intrinsics fit images turned by {angle} degrees. State them for the "
+            "images as they are: the principal point moves.",
             lambda one, turn=turn: _turned(one, turn),  # type: ignore[misc]
         )
     for factor in (0.5, 2.0):
