@@ -63,7 +63,7 @@ def shots(
     seed: int,
     *,
     held: bool = True,
-    images: int = 16,
+    images: int = 12,
     noise: float = 0.2,
     turns: str = "free",
     wrong: float = 0.0,
@@ -105,12 +105,12 @@ def shots(
 
 
 def _view(random: np.random.Generator, f: float, middle: Array) -> Array:
-    """A board tilted by up to 45 degrees, near the middle of the image."""
+    """A board tilted by up to 45 degrees, anywhere in the image."""
     tilt, about = random.uniform(0.1, 0.8), random.uniform(0.0, 2.0 * np.pi)
     turn = motion(tilt * np.array([np.cos(about), np.sin(about), 0.0]), np.zeros(3))
     turn = turn @ motion(np.array([0.0, 0.0, random.uniform(-3.0, 3.0)]), np.zeros(3))
     turn = turn @ motion(np.array([np.pi, 0.0, 0.0]), np.zeros(3))
     z = f / SIZE[0] * random.uniform(0.5, 0.8)
-    place = np.array([*(z / f * 250.0 * random.uniform(-1.0, 1.0, 2)), z])
+    place = z * np.array([*(np.array([450.0, 350.0]) / f * random.uniform(-1.0, 1.0, 2)), 1.0])
     turn[:3, 3] = place - turn[:3, :3] @ middle
     return turn

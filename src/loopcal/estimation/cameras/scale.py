@@ -62,7 +62,7 @@ def _centres(reading: Reading, result: Adjusted) -> Iterator[Fact]:
         sds = [result.sds.get((c, name), np.inf) for name in ("cx", "cy")]
         off = np.array([now.cx - lens.cx, now.cy - lens.cy])
         half = np.sign(off) * 0.5
-        if (np.abs(off - half) < 2.0 * np.array(sds)).all() and max(sds) < 0.5 / CLEAR:
+        if (np.abs(off - half) < 3.0 * np.array(sds)).all() and max(sds) < 0.5 / CLEAR:
             shift = f"({off[0]:+.2f}, {off[1]:+.2f}) px"
             yield Fact(
                 "pixel-centre",

@@ -192,7 +192,7 @@ def _rough(reading: Reading) -> Adjusted | None:
 def _adjusted(reading: Reading, rough: Adjusted) -> Adjusted:
     """All images, from the placement of a part of them; corners beyond 24 per view add little.
 
-    An image tells about six numbers, of the hand's or the board's pose, however many corners it has.
+    An image gives about six numbers, those of a pose, however many corners it has.
     """
     free, few = _free(reading), reading.thinned(len(reading.corners.poses), PER_VIEW)
     if reading.A is not None:
