@@ -174,6 +174,9 @@ def refined(
         of_corner = better[views.of_corner][:, None]
         P, r = np.where(of_corner, P_trial, P), np.where(of_corner, r_trial, r)
         damping = np.where(better, damping / 5.0, damping * 5.0)
+        # Later steps that change no pose by 1e-9 of a ray's unit cannot be seen in a pixel.
+        if step > 6 and np.abs(g).max(initial=0.0) < 1e-9:
+            break
     distance = np.linalg.norm(r, axis=1)
     weight = robust_weights(views, distance)
     error = np.sqrt(views.sums(weight * distance**2) / views.sums(weight))

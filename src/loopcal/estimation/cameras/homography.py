@@ -35,8 +35,10 @@ def homographies(views: Views, xy: Array, uv: Array) -> tuple[Array, Array]:
     """
     weight = np.ones(len(xy))
     for _ in range(_ROUNDS):
-        H = _direct(views, xy, uv, weight)
+        H, before = _direct(views, xy, uv, weight), weight
         weight = robust_weights(views, transfer_errors(views, H, xy, uv))
+        if np.abs(weight - before).max(initial=0.0) < 0.05:
+            break
     return H, weight
 
 

@@ -71,12 +71,16 @@ def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]
         facts += more
     before = min(sizes)
     for _ in range(2):
-        if before < FITS * image_misfit(reading):
+        enough = FITS * image_misfit(reading)
+        if before < enough:
             break
         mounts = [reading]
         if held is None and reading.T_base_flange is not None:
             mounts.append(replace(reading, held=not reading.held))
-        tried = [_better(one, list(_suspicions(one, held)), before=before) for one in mounts]
+        tried = [
+            _better(one, list(_suspicions(one, held)), before=before, enough=enough)
+            for one in mounts
+        ]
         tried = [pair for pair in tried if pair[1]]
         if not tried:
             break
@@ -146,10 +150,11 @@ def _better(
     suspicions: list[Suspicion],
     size: Callable[[Reading, BoardPoses, float], float] = misfit,
     before: float = 0.0,
+    enough: float = 0.0,
 ) -> tuple[Reading, list[Fact]]:
     """The reading after the suspicion that is clearly better than all is, if one is.
 
-    before: what is left now [px]; 0 to measure it.
+    before: what is left now [px]; 0 to measure it. enough: what leaves no other suspicion to try.
     """
     few = reading.thinned(*THINNED)
     poses = view_poses(few)
@@ -164,6 +169,8 @@ def _better(
         value = size(other, needed, after)
         if value < after:
             after, reason = value, suspicion
+        if after < enough:
+            break
     if reason is not None and size is misfit and after > CLEAR * patient_misfit(few, poses):
         return reading, []
     best = None if reason is None else reason.change(reading)
