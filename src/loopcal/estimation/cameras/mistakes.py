@@ -32,6 +32,8 @@ DRAWS = 2
 """Random starts of a trial: a wrong reading fails with all of them."""
 HOPELESS = 40.0
 """Closed forms leave two to six times what the adjustment does; of few markers up to sixty."""
+WITHOUT_DOUBT = 0.2
+"""The same that ends a search: the images by themselves do not fit better."""
 CLEAR_PLANE = 0.85
 """The same for homographies, which no error of the robot enters: 60 views of 12 corners have a log
 likelihood ratio of 700 ln(1 / 0.85) = 110."""
@@ -74,17 +76,16 @@ def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]
         enough = FITS * image_misfit(reading)
         if before < enough:
             break
-        mounts = [reading]
-        if held is None and reading.T_base_flange is not None:
-            mounts.append(replace(reading, held=not reading.held))
-        tried = [
-            _better(one, list(_suspicions(one, held)), before=before, enough=enough)
-            for one in mounts
-        ]
-        tried = [pair for pair in tried if pair[1]]
-        if not tried:
+        either = held is None and reading.T_base_flange is not None
+        reading, more = _better(
+            reading,
+            list(_suspicions(reading, held)),
+            before=before,
+            enough=enough,
+            mounts=(True, False) if either else (reading.held,),
+        )
+        if not more:
             break
-        reading, more = min(tried, key=lambda pair: float(pair[1][0].values["px_after"]))
         facts, sizes, before = [*facts, *more], [], float(more[0].values["px_after"])
     if reading.T_base_flange is not None and held is None:
         facts.append(_mount(reading, sizes))
@@ -151,25 +152,28 @@ def _better(
     size: Callable[[Reading, BoardPoses, float], float] = misfit,
     before: float = 0.0,
     enough: float = 0.0,
+    mounts: tuple[bool, ...] = (),
 ) -> tuple[Reading, list[Fact]]:
     """The reading after the suspicion that is clearly better than all is, if one is.
 
     before: what is left now [px]; 0 to measure it. enough: what leaves no other suspicion to try.
+    mounts: what the flange may hold, for each suspicion anew.
     """
-    few = reading.thinned(*THINNED)
+    few, mounts = reading.thinned(*THINNED), mounts or (reading.held,)
     poses = view_poses(few)
     before = before or size(few, poses, np.inf)
-    after, reason = (CLEAR if size is misfit else CLEAR_PLANE) * before, None
+    after, reason, held = (CLEAR if size is misfit else CLEAR_PLANE) * before, None, few.held
     for suspicion in suspicions:
         other = suspicion.change(few)
         if other is None:
             continue
         same = other.corners is few.corners and other.lenses is few.lenses
         needed = poses if same or size is not misfit else view_poses(other)
-        value = size(other, needed, after)
-        if value < after:
-            after, reason = value, suspicion
-        if after < enough:
+        for mount in mounts:
+            value = size(replace(other, held=mount), needed, after)
+            if value < after:
+                after, reason, held = value, suspicion, mount
+        if reason is not None and after < min(enough, WITHOUT_DOUBT * before):
             break
     if reason is not None and size is misfit and after > CLEAR * patient_misfit(few, poses):
         return reading, []
@@ -177,7 +181,8 @@ def _better(
     if best is None or reason is None:
         return reading, []
     values: dict[str, float | str] = {"px_before": before, "px_after": after}
-    return best, [Fact(reason.code, reason.sentence, values, applied=True)]
+    fact = Fact(reason.code, reason.sentence, values, applied=True)
+    return replace(best, held=held), [fact]
 
 
 def _planar_suspicions(reading: Reading) -> Iterator[Suspicion]:
