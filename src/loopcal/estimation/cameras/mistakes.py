@@ -43,8 +43,8 @@ UNITS = {
     1.0 / 0.0254: "inches",
 }
 """How many of a unit one metre has."""
-NEAR_UNIT = 1.1
-"""A ratio of lengths within 10 % of a unit's: prints and robots are wrong by 3 % at most."""
+NEAR_UNIT = 1.4
+"""A ratio of lengths that near a unit's: a guessed focal length may be wrong by a third."""
 LARGEST_BOARD = 5.0
 """Half a diagonal [m] above which a board was not stated in metres."""
 FARTHEST_HAND = 20.0
@@ -253,26 +253,23 @@ def _scale(reading: Reading) -> tuple[Reading, list[Fact]]:
     if not poses.usable.any():
         return reading, []
     scales = [candidate.scale for _, _, candidate in closed_forms(few, poses, DRAWS, scaled=True)]
-    best, facts, value = reading, [], None
-    for scale in scales:
-        if not np.isfinite(scale) or scale == 0.0:
-            continue
-        other: Reading = reading
-        more: list[Fact] = []
-        size = abs(scale)
-        for many, unit in UNITS.items():
-            for factor in (many, 1.0 / many):
-                if 1.0 / NEAR_UNIT < size * factor < NEAR_UNIT:
-                    other, more = _in_unit(reading, factor, unit)
-        if scale < 0.0:
+    best, facts, value = reading, list[Fact](), 0.0
+    for unit, factor, mirror in sorted(set(filter(None, map(_readable, scales)))):
+        other, more = (reading, []) if factor == 1.0 else _in_unit(reading, factor, unit)
+        if mirror:
             other, more = _unmirrored(other, more)
-        if not more:
-            continue
-        if value is None:
-            value = CLEAR * misfit(reading)
+        value = value or CLEAR * misfit(reading)
         if (px := misfit(other, limit=value)) < value:
             best, facts, value = other, more, px
     return best, facts
+
+
+def _readable(scale: float) -> tuple[str, float, bool] | None:
+    """The unit, its factor and whether there is a mirror, of a scale that one of both explains."""
+    for factor, unit in [(1.0, "m"), *UNITS.items(), *((1.0 / k, u) for k, u in UNITS.items())]:
+        if 1.0 / NEAR_UNIT < abs(scale) * factor < NEAR_UNIT and (factor != 1.0 or scale < 0.0):
+            return unit, factor, scale < 0.0
+    return None
 
 
 def _in_unit(reading: Reading, factor: float, unit: str) -> tuple[Reading, list[Fact]]:
