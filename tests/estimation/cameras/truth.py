@@ -63,7 +63,7 @@ def shots(
     seed: int,
     *,
     held: bool = True,
-    images: int = 12,
+    images: int = 10,
     noise: float = 0.2,
     turns: str = "free",
     wrong: float = 0.0,

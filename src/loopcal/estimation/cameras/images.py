@@ -157,9 +157,10 @@ def _corner_facts(corners: Corners, result: Adjusted, limit: float) -> list[Fact
         return []
     images = _names(corners, sorted(set(corners.image[wrong].tolist())))
     share = float(wrong.mean())
+    where = f"image {images[0]}" if len(images) == 1 else f"{len(images)} images"
     sentence = (
-        f"{int(wrong.sum())} of {len(corners)} corners are more than {limit:.2g} px off, "
-        f"in {len(images)} images. Inspect them, or leave them to the search for outliers."
+        f"Of {len(corners)} corners, {int(wrong.sum())} in {where} differ by more than {limit:.2g} "
+        "px. Inspect them, or leave them to the search for outliers."
     )
     values: dict[str, float | str] = {"corners": int(wrong.sum()), "share": share, "px": limit}
     return [Fact("wrong-corners", sentence, values, images)]

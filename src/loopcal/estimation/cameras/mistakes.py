@@ -67,8 +67,9 @@ def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]
     the best one is taken, at most two in a row.
     """
     reading, facts = _better(reading, list(_planar_suspicions(reading)), plane_misfit)
-    sizes = [misfit(reading)]
-    if reading.T_base_flange is not None:
+    if reading.T_base_flange is None:
+        sizes = [misfit(reading)]
+    else:
         reading, more, sizes = _mounted(reading, held)
         facts += more
     before = min(sizes)

@@ -2,15 +2,15 @@
 
 View v of camera c, board b and image i has T_v = X_c A_i Y_b with a robot, A held; without one
 T_v = X_c F_ib with a pose F of its own per image and board, and X of the first camera the unit.
-Minimised is sum s^2 rho(|r|^2 / s^2), rho(z) = 2 (sqrt(1 + z) - 1), of pixel residuals r with s
-three times their median, by Levenberg's and Marquardt's method on the sums of each view. A twist d
+Minimised is sum s^2 rho(|r|^2 / s^2), as a rule rho(z) = 2 (sqrt(1 + z) - 1), of pixel residuals
+r, s three times their median, by Levenberg's and Marquardt's method on sums of each view. A twist d
 of T_v moves a point P by (I | -[P]) d; those of X, Y and F reach it by adjoints. F is eliminated
 image by image (Schur complement).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,23 @@ HELD = 1e-4
 """Prior sd [m] of a place on the flange that no image tells: it does not move."""
 PRIOR_CENTRE = 0.1
 """Prior sd of a principal point from its start, as a share of the image's width."""
+
+
+@dataclass(frozen=True)
+class Loss:
+    """rho(z) of z = |r|^2 / s^2, and its derivative, the weight of a corner."""
+
+    rho: Callable[[Array], Array]
+    weight: Callable[[Array], Array]
+
+    def cost(self, r: Array, scale: float) -> float:
+        """sum s^2 rho(|r|^2 / s^2) of residuals (N, 2) [px]."""
+        return scale**2 * float(np.sum(self.rho((r**2).sum(axis=1) / scale**2)))
+
+
+SOFT = Loss(lambda z: 2.0 * (np.sqrt(1.0 + z) - 1.0), lambda z: 1.0 / np.sqrt(1.0 + z))
+REDESCENDING = Loss(lambda z: z / (1.0 + z), lambda z: 1.0 / (1.0 + z) ** 2)
+"""Geman and McClure (1985)."""
 
 
 @dataclass(frozen=True)
@@ -140,10 +157,12 @@ def adjusted(
     board: Sequence[str] = (),
     *,
     iterations: int = 30,
+    loss: Loss = SOFT,
 ) -> Adjusted:
     """The scene with placements, named values of every lens and of the boards adjusted.
 
-    lens: of `Intrinsics.values`; board: "pitch", "aspect".
+    lens: of `Intrinsics.values`; board: "pitch", "aspect"; loss: soft from afar, and redescending
+    near the end, where whole images that do not fit must have no say.
     """
     columns = _Columns(corners, scene, tuple(lens), tuple(board))
     P = scene.in_camera(corners)
@@ -152,13 +171,13 @@ def adjusted(
     for step in range(iterations):
         if step in (0, 4, 10):
             scale = _scale(r)
-        cost = _cost(r, scale) + columns.prior(scene, start, scale)[0]
-        system = columns.system(scene, start, P, r, scale)
+        cost = loss.cost(r, scale) + columns.prior(scene, start, scale)[0]
+        system = columns.system(scene, start, P, r, scale, loss)
         while True:
             trial = columns.applied(scene, system, damping)
             P_trial = trial.in_camera(corners)
             r_trial = trial.residuals(corners, P_trial)
-            gain = cost - _cost(r_trial, scale) - columns.prior(trial, start, scale)[0]
+            gain = cost - loss.cost(r_trial, scale) - columns.prior(trial, start, scale)[0]
             if gain >= 0.0 or damping > 1e8:
                 break
             damping *= 8.0
@@ -169,16 +188,12 @@ def adjusted(
             break
         if gain < 1e-7 * cost and step < 10 and abs(_scale(r) - scale) < 1e-3 * scale:
             break
-    sds = columns.sds(columns.system(scene, start, P, r, scale)) if columns.names else {}
+    sds = columns.sds(columns.system(scene, start, P, r, scale, loss)) if columns.names else {}
     return Adjusted(scene, r, sds)
 
 
 def _scale(r: Array) -> float:
     return max(3.0 * float(np.median(np.linalg.norm(r, axis=1))), 1e-6)
-
-
-def _cost(r: Array, scale: float) -> float:
-    return float(2.0 * scale**2 * np.sum(np.sqrt(1.0 + (r**2).sum(axis=1) / scale**2) - 1.0))
 
 
 @dataclass(frozen=True)
@@ -257,12 +272,14 @@ class _Columns:
             if at is not None
         ]
 
-    def system(self, scene: Scene, start: Scene, P: Array, r: Array, scale: float) -> _System:
+    def system(
+        self, scene: Scene, start: Scene, P: Array, r: Array, scale: float, loss: Loss
+    ) -> _System:
         """The normal equations about a scene."""
         views, k, b = self.views, len(self.lens), len(self.board)
         T = scene.of_views(views)
         J = np.zeros((len(P), 2, 6 + k + b + 1))
-        weight = 1.0 / np.sqrt(1.0 + (r**2).sum(axis=1) / scale**2)
+        weight = loss.weight((r**2).sum(axis=1) / scale**2)
         weight[P[:, 2] <= 0.0] = 0.0
         safe = ahead(P)
         for c, lens in enumerate(scene.intrinsics):

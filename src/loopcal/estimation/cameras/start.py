@@ -22,7 +22,7 @@ from loopcal.estimation.cameras.mistakes import CLEAR, corrected, image_misfit
 from loopcal.estimation.cameras.motions import motion_facts
 from loopcal.estimation.cameras.placing import Reading, placed, usable_part, view_poses
 from loopcal.estimation.cameras.scale import scale_facts
-from loopcal.estimation.cameras.scene import Adjusted, adjusted
+from loopcal.estimation.cameras.scene import REDESCENDING, Adjusted, adjusted
 from loopcal.estimation.cameras.twists import inverse
 from loopcal.mechanisms.cameras.lens import Intrinsics
 
@@ -197,12 +197,13 @@ def _adjusted(reading: Reading, rough: Adjusted) -> Adjusted:
     free, few = _free(reading), reading.thinned(len(reading.corners.poses), PER_VIEW)
     if reading.A is not None:
         scene = replace(rough.scene, A=reading.A)
-        result = adjusted(few.corners, scene, free, iterations=20)
+        result = adjusted(few.corners, scene, free, iterations=10)
     else:
         adapted = replace(few, lenses=rough.scene.intrinsics)
         placement = placed(adapted, view_poses(adapted), free, iterations=8)
         assert placement is not None
         result = placement
+    result = adjusted(few.corners, result.scene, free, iterations=15, loss=REDESCENDING)
     return Adjusted(result.scene, result.scene.residuals(reading.corners), result.sds)
 
 
