@@ -48,11 +48,12 @@ class Machine:
     quantities: joints, passive joints and platform coordinates, name -> SI unit; parameters by
     name; frame(x, p): T_base_body; equations(x, p): values of the closure loops, named in
     `loops`; home: a typical value [SI] of the quantities that no sensor may read, from which the
-    search for them begins; pose_constants: those that vary by pose; implied: quantities that
-    have the same reading in every pose; dimension: 2 for a machine that moves in the plane z = 0; gauge: parameters that only say where its frames lie; chain: the
-    steps from the base to the body, where it is a serial arm; lines(x, p): what draws it, polylines
-    of points (3,) [m] in its base frame; masses: known ones of its links; description: what a
-    mechanism file says to build it, empty where none can.
+    search for them begins; pose_constants: those that vary by pose; implied: quantities that have
+    the same reading in every pose; dimension: 2 for a machine that moves in the plane z = 0; gauge:
+    parameters that only say where its frames lie; chain: the steps from the base to the body, where
+    it is a serial arm; lines(x, p): what draws it, polylines of points (3,) [m] in its base frame;
+    masses: known ones of its links; description: what a mechanism file says to build it, empty
+    where none can.
     """
 
     name: str

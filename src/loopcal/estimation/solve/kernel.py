@@ -368,13 +368,13 @@ def whiten_own(values: LoopValues, block: Block, *, exact: bool = False) -> Whit
         )
 
     turned = left(misclosure)
-    rows = np.empty((len(D) + 1, m - u, b))
-    rows[-1] = turned[u + s :]
+    reduced = np.empty((len(D) + 1, m - u, b))
+    reduced[-1] = turned[u + s :]
     if len(D):
-        rows[:-1] = left(D)[:, u + s :]
+        reduced[:-1] = left(D)[:, u + s :]
         if u:
             length = np.sqrt(np.square(D * weight).sum(axis=1))[:, None, :]
-            rows[:-1][np.abs(rows[:-1]) < ROUNDED_AWAY * length] = 0.0
+            reduced[:-1][np.abs(reduced[:-1]) < ROUNDED_AWAY * length] = 0.0
     steps = reflections.solve(turned[: u + s])
     new = correction.copy() if exact else np.zeros_like(correction)
     new[unmeasured] = correction[unmeasured] + steps[:u]
@@ -387,4 +387,4 @@ def whiten_own(values: LoopValues, block: Block, *, exact: bool = False) -> Whit
     rest -= np.einsum("smb,sb->mb", J[shared], new[shared])
     rest /= slope
     new[own] = np.where(missing, correction[own] + rest, new[own]) if exact else rest
-    return Whitened(rows, np.zeros((m - u, 0, b)), new, np.zeros(b, dtype=bool))
+    return Whitened(reduced, np.zeros((m - u, 0, b)), new, np.zeros(b, dtype=bool))

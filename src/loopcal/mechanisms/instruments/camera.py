@@ -75,6 +75,10 @@ def camera(
             "boards name the same one. Default: the name of the instrument."
         ),
     ] = None,
+    label: Annotated[
+        str | None,
+        Key("What the names of its readings begin with. Default: EYE:BOARD:."),
+    ] = None,
     on: On = "base",
     lens: Lens = "brown5",
     offsets: Annotated[
@@ -94,9 +98,8 @@ def camera(
         on the base:  P = T_camera_base T_base_body T_body_board X,
         on the body:  P = T_body_camera^-1 T_base_body^-1 T_board_base^-1 X.
 
-    On the base EYE_x ... EYE_rx place the base in the camera (T_camera_base) and BOARD_x ...
-    BOARD_rx the board on the body (T_body_board). On the body EYE_x ... EYE_rx place the camera on
-    it (T_body_camera) and BOARD_x ... BOARD_rx the base in the board (T_board_base). EYE_f, _aspect,
+    On the base EYE_x ... EYE_rx are T_camera_base and BOARD_x ... BOARD_rx T_body_board. On the
+    body EYE_x ... EYE_rx are T_body_camera and BOARD_x ... BOARD_rx T_board_base. EYE_f, _aspect,
     _cx, _cy and the coefficients of the lens (`loopcal.mechanisms.cameras.lens`) need nominal
     values. X is the point of the board as printed:
 
@@ -147,7 +150,8 @@ def camera(
         for m in MOTIONS[3]
     )
     mounted = placed_by(mount, eye if camera_on_body else board)
-    names = {p: [f"{eye}:{board}:{p}:{axis}" for axis in PIXEL] for p in seen.points}
+    label = f"{eye}:{board}:" if label is None else label
+    names = {p: [f"{label}{p}:{axis}" for axis in PIXEL] for p in seen.points}
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         axes = _eye_in_hand if camera_on_body else _eye_to_hand

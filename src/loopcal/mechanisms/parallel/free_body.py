@@ -11,19 +11,20 @@ from loopcal.expressions.vectors import vector
 from loopcal.mechanisms.frame import BodyFrame, Frame, Values
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.machine import Machine
-from loopcal.mechanisms.parallel.parts import Name
+from loopcal.mechanisms.parallel.parts import Name, starts
 
 POSITION, TURNS = ("x", "y", "z"), ("wx", "wy", "wz")
 COLUMNS = ("qw", "qx", "qy", "qz")
 
 
-def free_body(*, name: Name = "free-body") -> Machine:
+def free_body(*, home: Mapping[str, float] | None = None, name: Name = "free-body") -> Machine:
     """A body with six freedoms: T_base_body = (x, y, z), R(qw, qx, qy, qz) Exp(wx, wy, wz).
 
     x, y, z [m] are read; the orientation is a quaternion of known constants with small turns w
     [rad] about the body's axes, which are read as 0: their sds say how well the orientation is
     known. Where nobody reads the pose of the body, all six have the sd inf, and the readings are
-    where the search for it begins. There are no parameters.
+    where the search for it begins; home: where it begins without any reading. There are no
+    parameters.
 
     A robot that states the pose of its flange is such a body, and so is a board in front of a
     camera.
@@ -41,8 +42,9 @@ def free_body(*, name: Name = "free-body") -> Machine:
         {},
         frame,
         pose_constants=dict.fromkeys(COLUMNS, "1"),
+        home=starts({}, home, (*POSITION, *TURNS), name),
         implied=dict.fromkeys(TURNS, 0.0),
-        description={"type": "free-body"},
+        description={"type": "free-body", "home": dict(home or {})},
     )
 
 
