@@ -254,7 +254,7 @@ def _made(
                 remedy="remove one of the rows, or name the camera in a column of its own",
             )
         met.add(key)
-        if sd is not None and not sd[i] >= 0.0:
+        if sd is not None and sd[i] < 0.0:
             raise InputError(
                 f"the sd of a corner is {sd[i]:g} px",
                 code="invalid-value",
