@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -228,7 +228,7 @@ def from_images(
         hand = _unread(begun, hand)
     elif begun.T_base_flange is not None and "x" in hand.readings:
         hand = replace(hand, readings=_flange(begun.T_base_flange))
-    project = _Project(begun, hand, table)
+    project = _Project(begun, hand, table, lenses)
     remarks = (*files.remarks, *hand.remarks, *(fact.sentence for fact in begun.facts))
     words = (
         f"{len(project.kept)} images with {len(begun.corners)} corners; the calibration begins at "
@@ -409,8 +409,10 @@ def _word(name: str, kind: str) -> str:
 class _Project:
     """The tables of the project, and the files beside it."""
 
-    def __init__(self, begun: CameraStart, hand: Hand, table: CornerTable) -> None:
-        self.begun, self.hand, self.table = begun, hand, table
+    def __init__(
+        self, begun: CameraStart, hand: Hand, table: CornerTable, stated: Collection[str]
+    ) -> None:
+        self.begun, self.hand, self.table, self.stated = begun, hand, table, stated
         corners = begun.corners
         seen = np.unique(corners.image, return_counts=True)
         enough = seen[1] >= (_FEWEST if hand.table.get("read") is False else 1)
@@ -485,7 +487,12 @@ class _Project:
             X = begun.X[c] @ np.linalg.inv(begun.X[0]) if free else begun.X[c]
             place = X if held else np.linalg.inv(X)
             stated |= _six(eye, place, fixed=free and c == 0)
-            lens = begun.intrinsics[camera]
+            # What was stated is nominal: what the images add to it is for the calibration to say.
+            lens = (
+                begun.intrinsics_stated[camera]
+                if camera in self.stated
+                else begun.intrinsics[camera]
+            )
             for key, value in lens.values.items():
                 entry: dict[str, Any] = {"value": float(value)}
                 if key in ("f", "cx", "cy"):
