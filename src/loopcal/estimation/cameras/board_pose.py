@@ -1,9 +1,9 @@
 """The pose of a board from one view, with both answers where a plane allows two.
 
 Planes: Collins and Bartoli (2014), from the homography's first derivatives at the middle of the
-view's corners. With J (2 x 2) that derivative, (p, q) the middle's ray, and R_v the rotation of z onto
-(p, q, 1):  (I | -(p, q)^T) R_v(:, :2) S = J / gamma, whose S is the upper left block of a rotation;
-its third row is determined but for its sign: two poses. Bodies of points in space: many starts.
+view's corners. With J (2 x 2) that derivative, (p, q) the middle's ray, and R_v the rotation of z
+onto (p, q, 1):  (I | -(p, q)^T) R_v(:, :2) S = J / gamma. S is the upper left block of a rotation,
+whose third row is determined but for its sign: two poses. Bodies of points in space: many starts.
 Both are refined by reprojection with weights that wrong corners lose.
 """
 
@@ -174,6 +174,9 @@ def refined(
         of_corner = better[views.of_corner][:, None]
         P, r = np.where(of_corner, P_trial, P), np.where(of_corner, r_trial, r)
         damping = np.where(better, damping / 5.0, damping * 5.0)
+        # Later steps that change no pose by 1e-9 of a ray's unit cannot be seen in a pixel.
+        if step > 6 and np.abs(g).max(initial=0.0) < 1e-9:
+            break
     distance = np.linalg.norm(r, axis=1)
     weight = robust_weights(views, distance)
     error = np.sqrt(views.sums(weight * distance**2) / views.sums(weight))

@@ -43,9 +43,9 @@ class Views:
     def products(self, rows: Array) -> Array:
         """(V, m, m) sums of rows^T rows over the corners (N, d, m) of each view."""
         n, d, m = rows.shape
-        padded = np.zeros((len(self), int(self.sizes.max()), d, m))
-        padded[self.of_corner, np.arange(n) - self.first[self.of_corner]] = rows
-        padded = padded.reshape(len(self), -1, m)
+        blocks = np.zeros((len(self), int(self.sizes.max()), d, m))
+        blocks[self.of_corner, np.arange(n) - self.first[self.of_corner]] = rows
+        padded = blocks.reshape(len(self), -1, m)
         return np.asarray(np.swapaxes(padded, 1, 2) @ padded)
 
     def medians(self, values: Array) -> Array:
@@ -83,9 +83,10 @@ class Corners:
         """From the indices (image, camera, board, point) of each corner, in any order."""
         image, camera, board, point = (np.asarray(i, dtype=np.intp) for i in index)
         order = np.lexsort((point, board, camera, image))
-        ids = (array[order] for array in (image, camera, board, point))
+        image, camera, board, point = (i[order] for i in (image, camera, board, point))
         pixels = np.asarray(uv, dtype=float)[order]
-        return cls(*ids, pixels, tuple(cameras), tuple(boards), tuple(poses))
+        names = tuple(cameras), tuple(boards), tuple(poses)
+        return cls(image, camera, board, point, pixels, *names)
 
     def __len__(self) -> int:
         return self.image.size
@@ -103,12 +104,19 @@ class Corners:
         key = np.stack([self.image, self.camera, self.board])
         new = np.append(True, np.any(np.diff(key, axis=1) != 0, axis=0))
         first = np.flatnonzero(new)
-        return Views(*key[:, first], first, np.cumsum(new) - 1)
+        image, camera, board = key[:, first]
+        return Views(image, camera, board, first, np.cumsum(new) - 1)
 
     def where(self, keep: NDArray[np.bool_] | Indices) -> Corners:
         """Only the corners of a mask, or of indices that ascend."""
-        ids = (array[keep] for array in (self.image, self.camera, self.board, self.point))
-        return Corners(*ids, self.uv[keep], self.cameras, self.boards, self.poses)
+        return replace(
+            self,
+            image=self.image[keep],
+            camera=self.camera[keep],
+            board=self.board[keep],
+            point=self.point[keep],
+            uv=self.uv[keep],
+        )
 
     def seen(self, *, image: int | None = None, camera: int | None = None) -> Corners:
         """Only the corners of one image, of one camera, or both."""

@@ -1,9 +1,9 @@
 """Where a camera and a board stand, from poses of both ends: C_i = X A_i Y in closed form.
 
 C_i is the board in the camera at image i. With the board on the flange A_i = T_base_flange, X is
-T_camera_base and Y is T_flange_board; with the camera there A_i is its inverse, X is T_camera_flange
-and Y is T_base_board. The rotations maximise sum tr(R_C^T R_X R_A R_Y) by the two leading
-singular vectors of a 9 x 9 matrix (Shah 2013); alternatives take the logarithms of relative
+T_camera_base and Y is T_flange_board. With the camera there A_i is its inverse, X is
+T_camera_flange and Y is T_base_board. The rotations maximise sum tr(R_C^T R_X R_A R_Y) by the two
+leading singular vectors of a 9 x 9 matrix (Shah 2013). Others take the logarithms of relative
 motions (Park and Martin 1994) or dual quaternions (Daniilidis 1999). Translations follow by least
 squares, with a scale s of the robot's lengths against the board's:
 
@@ -20,13 +20,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.cameras.twists import nearest_rotation, rigid, rotation_vector
+from loopcal.estimation.cameras.twists import nearest_rotation, rigid, rotation, rotation_vector
 
 Array = NDArray[np.float64]
 Method = Callable[[Array, Array, Array], list[tuple[Array, Array]]]
 """Rotations (R_X, R_Y) from A, C (n, 4, 4) and weights (n,)."""
 _SHORT = 1e-4
 """Singular values below this share of the largest count as zero: 0.1 mrad of turns beside 1 rad."""
+
+
+ONE_AXIS = 0.1
+"""Share of turns about other axes below which their noise spoils a rotation by 0.1 rad or more."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +115,21 @@ def aligned(A: Array, C: Array, weight: Array) -> list[tuple[Array, Array]]:
     return pairs
 
 
+def about_one_axis(A: Array, R_X: Array, R_Y: Array) -> list[tuple[Array, Array]]:
+    """Other pairs with the same R_X R_A R_Y for turns about one axis n of the hand; else none.
+
+    R_A = R_0 exp([n] a) for all images: R_Y' = exp([n] b) R_Y and R_X' = R_X R_0 exp(-[n] b) R_0^T
+    for any b. Only positions tell b: seven more of its values are tried.
+    """
+    turns = rotation_vector(np.swapaxes(A[:1, :3, :3], 1, 2) @ A[:, :3, :3])
+    size, axes = np.linalg.eigh(turns.T @ turns)
+    if size[1] > ONE_AXIS**2 * size[2]:
+        return []
+    R_0, angles = A[0, :3, :3], np.arange(1, 8) * np.pi / 4.0
+    about = rotation(angles[:, None] * axes[:, 2])
+    return [(R_X @ R_0 @ R.T @ R_0.T, R @ R_Y) for R in about]
+
+
 def translations(
     A: Array, C: Array, weight: Array, R_X: Array, R_Y: Array, *, scaled: bool
 ) -> HandEye:
@@ -155,24 +174,27 @@ class _Images:
 
 
 def consensus(
-    A: Array, C: Array, error: Array, random: np.random.Generator, *, scaled: bool = False
+    A: Array, C: Array, error: Array, draws: int, *, scaled: bool = False
 ) -> list[HandEye]:
     """Hand-eye candidates from two poses per image: C (n, 2, 4, 4), error (n, 2).
 
     The branch of each image is chosen by the candidate itself, and images that disagree lose their
     weight: three rounds from the better branch of all images, and from random draws of six.
     """
+    random = np.random.default_rng(6)
     n = len(A)
     images = _Images(A, C, np.isfinite(error))
     every = np.ones(n)
     pairs = [_rotations(images, C[:, 0], every, method) for method in METHODS]
-    for _ in range(8 if n > 6 else 4):
+    for _ in range(draws):
         weight = np.zeros(n)
         weight[random.choice(n, size=min(n, 6), replace=False)] = 1.0
         branch = np.where(images.usable[:, 1] & (random.random(n) < 0.5), 1, 0)
         pairs.append(_rotations(images, C[np.arange(n), branch], weight, shah))
     ranked = sorted((p for p in pairs if p is not None), key=lambda pair: pair[0])[:3]
     starts = [(R_X, R_Y) for _, R_X, R_Y in ranked] + aligned(A, C[:, 0], every)
+    if ranked:
+        starts += about_one_axis(A, *ranked[0][1:])
     settled = [_settled(images, R_X, R_Y, scaled=scaled) for R_X, R_Y in starts]
     return [candidate for _, candidate in sorted(settled, key=lambda pair: pair[0])[:4]]
 
@@ -192,7 +214,7 @@ def _rotations(
         R_X, R_Y = pairs[0]
         poses, angle = images.turned(R_X, R_Y)
         weight = _weights(angle)
-    return float(np.mean(np.minimum(angle, 3.0 * np.median(angle)))), R_X, R_Y
+    return float(np.mean(np.minimum(angle, 3.0 * median(angle)))), R_X, R_Y
 
 
 def _settled(images: _Images, R_X: Array, R_Y: Array, *, scaled: bool) -> tuple[float, HandEye]:
@@ -205,10 +227,15 @@ def _settled(images: _Images, R_X: Array, R_Y: Array, *, scaled: bool) -> tuple[
         off = solution.predicted(images.A)[:, :3, 3] - poses[:, :3, 3]
         miss = angle + np.linalg.norm(off, axis=1) / depth
         weight = _weights(miss)
-    return float(np.mean(np.minimum(miss, 3.0 * np.median(miss) + 1e-9))), solution
+    return float(np.mean(np.minimum(miss, 3.0 * median(miss) + 1e-9))), solution
+
+
+def median(values: Array) -> float:
+    """The upper median, without the checks that take NumPy's longer than all else here."""
+    return float(np.partition(values, len(values) // 2)[len(values) // 2])
 
 
 def _weights(miss: Array) -> Array:
     """Geman-McClure weights by twice the median."""
-    scale = max(2.0 * float(np.median(miss)), 1e-6)
+    scale = max(2.0 * median(miss), 1e-6)
     return np.asarray(1.0 / (1.0 + (miss / scale) ** 2) ** 2)

@@ -35,8 +35,10 @@ def homographies(views: Views, xy: Array, uv: Array) -> tuple[Array, Array]:
     """
     weight = np.ones(len(xy))
     for _ in range(_ROUNDS):
-        H = _direct(views, xy, uv, weight)
+        H, before = _direct(views, xy, uv, weight), weight
         weight = robust_weights(views, transfer_errors(views, H, xy, uv))
+        if np.abs(weight - before).max(initial=0.0) < 0.05:
+            break
     return H, weight
 
 
@@ -45,7 +47,7 @@ def transfer_errors(views: Views, H: Array, xy: Array, uv: Array) -> Array:
     mapped = (H[views.of_corner] @ np.column_stack([xy, np.ones(len(xy))])[:, :, None])[:, :, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = np.linalg.norm(mapped[:, :2] / mapped[:, 2:] - uv, axis=1)
-    return np.nan_to_num(distance, nan=1e6, posinf=1e6)
+    return np.asarray(np.nan_to_num(distance, nan=1e6, posinf=1e6))
 
 
 def spread(views: Views, xy: Array) -> NDArray[np.bool_]:

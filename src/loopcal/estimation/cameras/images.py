@@ -124,13 +124,13 @@ def _order_facts(corners: Corners, orders: dict[int, list[str]]) -> list[Fact]:
             by_name.setdefault(name, []).append(image)
     facts = []
     for name, images in by_name.items():
-        names = _names(corners, sorted(images))
+        poses = _names(corners, sorted(images))
         sentence = (
-            f"{_count(names)} not number the points as the others do: {name}. "
+            f"{_count(poses)} not number the points as the others do: {name}. "
             "Correct the detection, or exclude them."
         )
-        values: dict[str, float | str] = {"order": name, "images": len(names)}
-        facts.append(Fact("points-in-another-order", sentence, values, names, applied=True))
+        values: dict[str, float | str] = {"order": name, "images": len(poses)}
+        facts.append(Fact("points-in-another-order", sentence, values, poses, applied=True))
     return facts
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.cameras.board_pose import BoardPoses
 from loopcal.estimation.cameras.facts import Fact
+from loopcal.estimation.cameras.homography import homographies, spread, transfer_errors
 from loopcal.estimation.cameras.orders import consistent_orders, mirrored, renumbered
 from loopcal.estimation.cameras.placing import Reading, closed_forms, placed, view_poses
 from loopcal.estimation.cameras.twists import inverse
@@ -27,8 +28,13 @@ THINNED = (60, 12)
 """Images and corners per view of a trial: far more than a mistake needs to show."""
 FITS = 1.3
 """If the robot adds less than this to what single images leave, nothing is suspected."""
-HOPELESS = 10.0
-"""Closed forms leave two to six times what the adjustment does."""
+DRAWS = 2
+"""Random starts of a trial: a wrong reading fails with all of them."""
+HOPELESS = 40.0
+"""Closed forms leave two to six times what the adjustment does; of few markers up to sixty."""
+CLEAR_PLANE = 0.85
+"""The same for homographies, which no error of the robot enters: 60 views of 12 corners have a log
+likelihood ratio of 700 ln(1 / 0.85) = 110."""
 UNITS = {
     1000.0: "mm",
     100.0: "cm",
@@ -58,19 +64,23 @@ def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]
     held: whether the board is on the flange, None where that is to be found out. Of all suspicions
     the best one is taken, at most two in a row.
     """
-    reading, facts = _better(reading, list(_planar_suspicions(reading)), image_misfit)
+    reading, facts = _better(reading, list(_planar_suspicions(reading)), plane_misfit)
     sizes = [misfit(reading)]
     if reading.T_base_flange is not None:
         reading, more, sizes = _mounted(reading, held)
         facts += more
     before = min(sizes)
     for _ in range(2):
-        if before < FITS * image_misfit(reading):
+        enough = FITS * image_misfit(reading)
+        if before < enough:
             break
         mounts = [reading]
         if held is None and reading.T_base_flange is not None:
             mounts.append(replace(reading, held=not reading.held))
-        tried = [_better(one, list(_suspicions(one, held)), before=before) for one in mounts]
+        tried = [
+            _better(one, list(_suspicions(one, held)), before=before, enough=enough)
+            for one in mounts
+        ]
         tried = [pair for pair in tried if pair[1]]
         if not tried:
             break
@@ -89,20 +99,50 @@ def misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = np.
     few = reading if poses is not None else reading.thinned(*THINNED)
     free = () if reading.stated else ("f", "k1")
     poses = view_poses(few) if poses is None else poses
-    best = placed(few, poses, free, iterations=8, hopeless=HOPELESS * limit)
+    best = placed(few, poses, free, iterations=8, hopeless=HOPELESS * limit, draws=DRAWS)
     return np.inf if best is None else best.core
 
 
-def image_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = 0.0) -> float:
-    """Median over the views of the rms [px] that a free pose of the board leaves."""
-    few = reading if poses is not None else reading.thinned(*THINNED)
-    poses, views = view_poses(few) if poses is None else poses, few.corners.views
+def patient_misfit(reading: Reading, poses: BoardPoses) -> float:
+    """The same with as many iterations as it takes: what a suspicion has to beat."""
+    free = () if reading.stated else ("f", "k1")
+    best = placed(reading, poses, free, iterations=40)
+    return np.inf if best is None else best.core
+
+
+def image_misfit(reading: Reading) -> float:
+    """Median over the views of the rms [px] that a free pose leaves, by its degrees of freedom."""
+    few = reading.thinned(*THINNED)
+    poses, views = view_poses(few), few.corners.views
     # Four corners of a plane fit always.
     full = poses.usable & (views.sizes >= min(6, int(views.sizes.max())))
     if not full.any():
         return np.inf
     f = np.array([lens.fx for lens in reading.lenses])[views.camera]
-    return float(np.median((poses.error[:, 0] * f)[full]))
+    freedom = 1.0 / np.sqrt(np.maximum(1.0 - 3.0 / views.sizes, 0.1))
+    return float(np.median((poses.error[:, 0] * f * freedom)[full]))
+
+
+def plane_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = 0.0) -> float:
+    """Median over the views of planes of what homographies leave [px], by degrees of freedom.
+
+    Of each view exp(mean log sqrt(r^2 + m^2)), m the median of the distances r: a seventh of the
+    corners far off doubles it, for numbers displaced by one are wrong at the ends of rows only.
+    """
+    corners = reading.corners if poses is not None else reading.thinned(*THINNED).corners
+    flat = np.array([board.planar for board in corners.boards])[corners.board]
+    corners = corners.where(flat)
+    if not len(corners):
+        return np.inf
+    views, xy = corners.views, corners.xyz[:, :2]
+    H, _ = homographies(views, xy, corners.uv)
+    r = transfer_errors(views, H, xy, corners.uv)
+    floor = views.medians(r)[views.of_corner] + 1e-9
+    middle = np.exp(views.sums(0.5 * np.log(r**2 + floor**2)) / views.sizes)
+    # Four corners fit always.
+    freedom = np.sqrt(np.maximum(1.0 - 4.0 / views.sizes, 0.0))
+    rest = (middle / np.maximum(freedom, 1e-9))[(freedom > 0.0) & spread(views, xy)]
+    return float(np.median(rest)) if rest.size else np.inf
 
 
 def _better(
@@ -110,23 +150,29 @@ def _better(
     suspicions: list[Suspicion],
     size: Callable[[Reading, BoardPoses, float], float] = misfit,
     before: float = 0.0,
+    enough: float = 0.0,
 ) -> tuple[Reading, list[Fact]]:
     """The reading after the suspicion that is clearly better than all is, if one is.
 
-    before: what is left now [px]; 0 to measure it.
+    before: what is left now [px]; 0 to measure it. enough: what leaves no other suspicion to try.
     """
     few = reading.thinned(*THINNED)
     poses = view_poses(few)
     before = before or size(few, poses, np.inf)
-    after, reason = CLEAR * before, None
+    after, reason = (CLEAR if size is misfit else CLEAR_PLANE) * before, None
     for suspicion in suspicions:
         other = suspicion.change(few)
         if other is None:
             continue
         same = other.corners is few.corners and other.lenses is few.lenses
-        value = size(other, poses if same else view_poses(other), after)
+        needed = poses if same or size is not misfit else view_poses(other)
+        value = size(other, needed, after)
         if value < after:
             after, reason = value, suspicion
+        if after < enough:
+            break
+    if reason is not None and size is misfit and after > CLEAR * patient_misfit(few, poses):
+        return reading, []
     best = None if reason is None else reason.change(reading)
     if best is None or reason is None:
         return reading, []
@@ -201,12 +247,13 @@ def _scale(reading: Reading) -> tuple[Reading, list[Fact]]:
     poses = view_poses(few)
     if not poses.usable.any():
         return reading, []
-    scales = [candidate.scale for _, _, candidate in closed_forms(few, poses, scaled=True)]
+    scales = [candidate.scale for _, _, candidate in closed_forms(few, poses, DRAWS, scaled=True)]
     best, facts, value = reading, [], None
     for scale in scales:
         if not np.isfinite(scale) or scale == 0.0:
             continue
-        other, more = reading, []
+        other: Reading = reading
+        more: list[Fact] = []
         size = abs(scale)
         for many, unit in UNITS.items():
             for factor in (many, 1.0 / many):
@@ -364,8 +411,8 @@ def _lens_suspicions() -> Iterator[Suspicion]:
         angle = "180" if turn == "half" else "90"
         yield Suspicion(
             "intrinsics-turned",
-            f"The stated intrinsics fit images turned by {angle} degrees. State them for the images "
-            "as they are: the principal point moves.",
+            f"The stated intrinsics fit images turned by {angle} degrees. State them for the "
+            "images as they are: the principal point moves.",
             lambda one, turn=turn: _turned(one, turn),  # type: ignore[misc]
         )
     for factor in (0.5, 2.0):

@@ -52,8 +52,8 @@ def _turns(T: Array, reading: Reading) -> Iterator[Fact]:
     if size[0] < TURN:
         yield Fact(
             "no-rotation",
-            f"In all {len(T)} images the hand is turned alike (within {spread:.2g} deg). Where on the "
-            f"hand the {seen} sits cannot be distinguished from where the {other} stands. "
+            f"In all {len(T)} images the hand is turned alike (within {spread:.2g} deg). Where on "
+            f"the hand the {seen} sits cannot be distinguished from where the {other} stands. "
             "Turn the hand by 30 deg about two axes.",
             values | {"lost": 3},
         )
@@ -93,8 +93,8 @@ def _pivot(T: Array, spread: float) -> Iterator[Fact]:
     if moves < PIVOT * np.radians(spread) / 2.0:
         yield Fact(
             "pure-turns",
-            f"The hand only turns about one point, which moves by {1e3 * moves:.2g} mm. The joints far "
-            "from the hand hardly move: move the hand through the workspace.",
+            f"The hand only turns about one point, which moves by {1e3 * moves:.2g} mm. The joints "
+            "far from the hand hardly move: move the hand through the workspace.",
             {"moves_m": moves, "turn_deg": spread},
         )
 
@@ -115,8 +115,8 @@ def _boards(reading: Reading, scene: Scene, *, stated: bool) -> Iterator[Fact]:
                 most = float(np.degrees(tilt.max()))
                 yield Fact(
                     "fronto-parallel",
-                    f"Nearly all boards are parallel to the image of {name} (at most {most:.2g} deg "
-                    "of tilt). Focal length and distance cannot be distinguished. "
+                    f"Nearly all boards are parallel to the image of {name} (at most {most:.2g} "
+                    "deg of tilt). Focal length and distance cannot be distinguished. "
                     "Tilt the board by 20 to 45 deg.",
                     {"tilt_deg": most, "camera": camera},
                 )

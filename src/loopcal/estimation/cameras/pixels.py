@@ -66,4 +66,4 @@ def rays(intrinsics: Intrinsics, uv: Array, *, iterations: int = 12) -> Array:
         x = np.clip(x + step, -most, most)
         if np.abs(step).max(initial=0.0) < 1e-12:
             break
-    return x
+    return np.asarray(x)

@@ -77,10 +77,12 @@ def placed(
     *,
     iterations: int = 15,
     hopeless: float = np.inf,
+    draws: int = 8,
 ) -> Adjusted | None:
     """The best adjusted scene of a reading.
 
-    None where no view has a pose, or where the closed forms leave more than `hopeless` px.
+    None where no view has a pose, or where the closed forms leave more than `hopeless` px; draws:
+    random starts of the closed forms beside those from all images.
     """
     if not poses.usable.any():
         return None
@@ -88,7 +90,7 @@ def placed(
         seen, poses = usable_part(reading, poses)
         return _settled(seen, _free(seen, poses), lens, iterations)
     few = reading.thinned(60, 8)
-    scenes = [_extended(reading, poses, start) for start in closed_forms(reading, poses)]
+    scenes = [_extended(reading, poses, start) for start in closed_forms(reading, poses, draws)]
     sizes = [_core(few.corners, scene) for scene in scenes]
     if not min(sizes) < hopeless:
         return None
@@ -127,7 +129,7 @@ def _settled(reading: Reading, scene: Scene, lens: Sequence[str], iterations: in
 
 
 def closed_forms(
-    reading: Reading, poses: BoardPoses, *, scaled: bool = False
+    reading: Reading, poses: BoardPoses, draws: int, *, scaled: bool = False
 ) -> list[tuple[int, int, HandEye]]:
     """Candidates (camera, board, hand-eye) for the pair with most views."""
     assert reading.A is not None
@@ -140,7 +142,7 @@ def closed_forms(
         reading.A[views.image[mine]],
         poses.T_camera_board[mine],
         poses.error[mine],
-        np.random.default_rng(32),
+        draws,
         scaled=scaled,
     )
     camera, board = divmod(best, len(reading.corners.boards))

@@ -43,11 +43,11 @@ def _board(reading: Reading, result: Adjusted, lens: Sequence[str]) -> Iterator[
             continue
         number = f"{1.0 + value:.4f} ± {sd:.1g}"
         sentence = (
-            f"Board and robot disagree about lengths: the robot's make the board's pitch {number} of "
-            "the stated one. Measure the print, or state the pitch as a parameter."
+            f"Board and robot disagree about lengths: the robot's make the board's pitch {number} "
+            "of the stated one. Measure the print, or state the pitch as a parameter."
             if name == "pitch"
-            else f"Height and width of the board fit as {number} of the stated ratio, if pixels are "
-            "square. Measure both on the print."
+            else f"Height and width of the board fit as {number} of the stated ratio, if pixels "
+            "are square. Measure both on the print."
         )
         values: dict[str, float | str] = {name: 1.0 + value, "sd": sd, "px": freed.rms}
         yield Fact(f"board-{name}", sentence, values)
@@ -62,12 +62,13 @@ def _centres(reading: Reading, result: Adjusted) -> Iterator[Fact]:
         sds = [result.sds.get((c, name), np.inf) for name in ("cx", "cy")]
         off = np.array([now.cx - lens.cx, now.cy - lens.cy])
         half = np.sign(off) * 0.5
-        if (np.abs(off - half) < 2.0 * np.array(sds)).all() and max(sds) < 0.5 / CLEAR:
+        if (np.abs(off - half) < 3.0 * np.array(sds)).all() and max(sds) < 0.5 / CLEAR:
+            shift = f"({off[0]:+.2f}, {off[1]:+.2f}) px"
             yield Fact(
                 "pixel-centre",
-                f"The principal point of camera {camera!r} is ({off[0]:+.2f}, {off[1]:+.2f}) px off the "
-                "stated one: half a pixel is the difference between the two conventions for the "
-                "centre of the first pixel, 0 and 0.5. Check both files.",
+                f"The principal point of camera {camera!r} is {shift} off the stated one. "
+                "Half a pixel is the difference between the two conventions for the centre of the "
+                "first pixel, 0 and 0.5. Check both files.",
                 {"u_px": float(off[0]), "v_px": float(off[1]), "sd": max(sds), "camera": camera},
             )
         elif lens.image is not None:

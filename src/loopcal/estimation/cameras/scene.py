@@ -2,10 +2,10 @@
 
 View v of camera c, board b and image i has T_v = X_c A_i Y_b with a robot, A held; without one
 T_v = X_c F_ib with a pose F of its own per image and board, and X of the first camera the unit.
-Minimised is sum s^2 rho(|r|^2 / s^2), rho(z) = 2 (sqrt(1 + z) - 1) of pixel residuals r with s three
-times their median, by Levenberg's and Marquardt's method on the sums of each view. A twist d of T_v
-moves a point P by (I | -[P]) d; those of X, Y and F reach it by adjoints. F is eliminated image by
-image (Schur complement).
+Minimised is sum s^2 rho(|r|^2 / s^2), rho(z) = 2 (sqrt(1 + z) - 1), of pixel residuals r with s
+three times their median, by Levenberg's and Marquardt's method on the sums of each view. A twist d
+of T_v moves a point P by (I | -[P]) d; those of X, Y and F reach it by adjoints. F is eliminated
+image by image (Schur complement).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Scene:
     def points(self, xyz: Array) -> Array:
         """(N, 3) [m] points of a board with its pitch and aspect."""
         pitch, aspect = self.board
-        return xyz * np.array([1.0, 1.0 + aspect, 1.0]) * (1.0 + pitch)
+        return np.asarray(xyz * np.array([1.0, 1.0 + aspect, 1.0]) * (1.0 + pitch))
 
     def in_camera(self, corners: Corners) -> Array:
         """(N, 3) [m] each corner's point in the frame of its camera."""
@@ -299,8 +299,8 @@ class _Columns:
         Ad = adjoint(T) if self.robot else adjoint(scene.X[views.camera])
         for c in range(len(scene.intrinsics)):
             mine = views.camera == c
-            if self.X[c] is not None:
-                D[mine, :6, self.X[c] : self.X[c] + 6] = np.eye(6)
+            if (first := self.X[c]) is not None:
+                D[mine, :6, first : first + 6] = np.eye(6)
             D[mine, 6 : 6 + k, self.K[c] : self.K[c] + k] = np.eye(k)
         for o, column in enumerate(self.Y):
             mine = views.board == o
@@ -333,7 +333,7 @@ class _Columns:
             QB = np.linalg.solve(Q, np.concatenate([system.B, system.h[:, :, None]], axis=2))
             N = N - np.tensordot(system.B, QB[:, :, :-1], axes=([0, 1], [0, 1]))
             g = g - np.einsum("fin,fi->n", system.B, QB[:, :, -1])
-        d = np.linalg.lstsq(N, g, rcond=1e-15)[0] if self.size else np.zeros(0)
+        d = np.asarray(np.linalg.lstsq(N, g, rcond=1e-15)[0]) if self.size else np.zeros(0)
         if len(system.Q):
             assert F is not None
             F = moved(F, QB[:, :, -1] - QB[:, :, :-1] @ d)

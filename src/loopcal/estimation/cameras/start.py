@@ -27,6 +27,8 @@ from loopcal.estimation.cameras.twists import inverse
 from loopcal.mechanisms.cameras.lens import Intrinsics
 
 Array = NDArray[np.float64]
+PER_VIEW = 24
+"""Corners per view that the adjustment of a start takes."""
 FITS = 3.0
 """A guessed lens is taken without trying another if the robot adds no more than this factor."""
 FREE = ("f", "cx", "cy", "k1", "k2")
@@ -114,9 +116,9 @@ def start(
     """Start a calibration of cameras from nothing.
 
     T_base_flange: (n, 4, 4) [m], a row per `corners.poses`, rows with NaN are left out; None
-    without a robot. intrinsics: as stated, by camera; image_sizes: width and height [px]; held: the
-    board is on the flange (True), the camera is (False), or unknown (None). lens: of cameras without
-    stated intrinsics.
+    without a robot. intrinsics: as stated, by camera; image_sizes: width and height [px]; held:
+    the board is on the flange (True), the camera is (False), or unknown (None). lens: of cameras
+    without stated intrinsics.
 
     Raises InputError where no view shows four corners of a board.
     """
@@ -136,7 +138,7 @@ def start(
     if best is None:
         raise InputError(
             "no image shows four corners of a board",
-            code="too-few-readings",
+            code="not-identifiable",
             remedy="state more corners, or check image, board and point of each",
         )
     reading, facts, rough = best
@@ -158,7 +160,8 @@ def start(
 def _with_poses(corners: Corners, T: Array | None) -> Corners:
     if T is None:
         return corners
-    return corners.where(np.isfinite(T).all(axis=(1, 2))[corners.image])
+    complete = np.asarray(np.isfinite(T.reshape(len(T), 16)).all(axis=1))
+    return corners.where(complete[corners.image])
 
 
 def _lens_choices(
@@ -187,17 +190,20 @@ def _rough(reading: Reading) -> Adjusted | None:
 
 
 def _adjusted(reading: Reading, rough: Adjusted) -> Adjusted:
-    """All corners, from the placement of a part of them."""
-    free = _free(reading)
-    if len(rough.residuals) == len(reading.corners):
-        return rough
+    """All images, from the placement of a part of them; corners beyond 24 per view add little.
+
+    An image gives about six numbers, those of a pose, however many corners it has.
+    """
+    free, few = _free(reading), reading.thinned(len(reading.corners.poses), PER_VIEW)
     if reading.A is not None:
         scene = replace(rough.scene, A=reading.A)
-        return adjusted(reading.corners, scene, free, iterations=20)
-    adapted = replace(reading, lenses=rough.scene.intrinsics)
-    result = placed(adapted, view_poses(adapted), free, iterations=8)
-    assert result is not None
-    return result
+        result = adjusted(few.corners, scene, free, iterations=20)
+    else:
+        adapted = replace(few, lenses=rough.scene.intrinsics)
+        placement = placed(adapted, view_poses(adapted), free, iterations=8)
+        assert placement is not None
+        result = placement
+    return Adjusted(result.scene, result.scene.residuals(reading.corners), result.sds)
 
 
 def _free(reading: Reading) -> Sequence[str]:
@@ -207,9 +213,8 @@ def _free(reading: Reading) -> Sequence[str]:
 def _start_of(reading: Reading, result: Adjusted, facts: Sequence[Fact]) -> CameraStart:
     corners, scene = reading.corners, result.scene
     T = scene.of_views(corners.views)
-    poses: BoardPoses = view_poses(
-        Reading(corners, None, scene.intrinsics, reading.held, reading.stated)
-    )
+    few = replace(reading, lenses=scene.intrinsics).thinned(len(corners.poses), PER_VIEW)
+    poses: BoardPoses = view_poses(few)
     near = np.linalg.norm((poses.T_camera_board - T[:, None])[:, :, :3, :3], axis=(2, 3))
     return CameraStart(
         corners,

@@ -53,7 +53,7 @@ def inverse(T: Array) -> Array:
 
 
 def adjoint(T: Array) -> Array:
-    """(..., 6, 6): the twist in front of T that equals a small one, translation first, behind it."""
+    """(..., 6, 6): the twist before T that equals a small one behind it, translation first."""
     out = np.zeros((*T.shape[:-2], 6, 6))
     out[..., :3, :3] = out[..., 3:, 3:] = T[..., :3, :3]
     out[..., :3, 3:] = skew(T[..., :3, 3]) @ T[..., :3, :3]
