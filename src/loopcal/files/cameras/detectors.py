@@ -50,12 +50,16 @@ def packed(path: str, pattern: dict[str, Any]) -> bytes:
     return json.dumps({"size": [width, height], "points": rows}).encode()
 
 
+_CLASSIC = 1 | 2 | 8
+"""CALIB_CB_ADAPTIVE_THRESH, NORMALIZE_IMAGE and FAST_CHECK."""
+
+
 def _checkerboard(cv2: Any, grey: Any, pattern: dict[str, Any]) -> Points:
     size = (pattern["columns"], pattern["rows"])
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
     seen, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
     if not seen:
-        seen, corners = cv2.findChessboardCorners(grey, size)
+        seen, corners = cv2.findChessboardCorners(grey, size, flags=_CLASSIC)
     if not seen:
         return {}
     # On rendered boards of known corners the refined ones scatter by a tenth of those of SB.
@@ -71,7 +75,8 @@ def _shade(grey: Any, uv: Any) -> float:
     inner = (uv[:-1, :-1] + uv[1:, :-1] + uv[:-1, 1:] + uv[1:, 1:]) / 4.0
     u, v = np.rint(inner).astype(int).transpose(2, 0, 1)
     signs = (-1.0) ** np.add.outer(np.arange(u.shape[0]), np.arange(u.shape[1]))
-    return float(np.sum(signs * grey[v, u]))
+    shade: float = (signs * grey[v, u]).sum()
+    return shade
 
 
 def _circles(cv2: Any, grey: Any, pattern: dict[str, Any]) -> Points:
