@@ -18,7 +18,7 @@ for every pose.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,6 +115,13 @@ def linear_model(
         columns = values.by_quantity[unmeasured]
         if problem.weighting is Weighting.READ:
             D = sweeper.loop_values(pattern, block.read).by_parameter.copy()
+        sd = np.broadcast_to(noise.sd[list(noise.own)], (len(noise.own), block.count))
+        missing = np.isinf(sd)  # empty but for images
+        if missing.any():
+            J, columns = J * ~missing, columns * ~missing
+            f[missing] = 0.0
+            D[:, missing] = 0.0
+            noise = replace(noise, uncertainty=noise.uncertainty.of_read)
         skip = len(unmeasured)
         if skip:
             reflections = eliminate(columns)
@@ -124,6 +131,11 @@ def linear_model(
         rows = [[measured.index(i) for i in c if i in noise.measured] for c in components]
         members = [i for c in rows for i in c]
         rest = G[:, :, [i for i in range(len(measured)) if i not in members]]
+        if missing.any():
+            # They say nothing, and get a variance of 1 on which nothing depends.
+            silent = missing * np.eye(len(missing))[:, :, None]
+            silent = reflections.apply(silent) if skip else silent
+            rest = np.concatenate([rest, silent[:, skip:].transpose(2, 1, 0)], axis=2)
         blocks.append(
             ModelBlock(
                 np.ascontiguousarray(e.T),
