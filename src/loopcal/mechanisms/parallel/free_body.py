@@ -3,48 +3,66 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from loopcal.expressions.vectors import vector
+from loopcal.keys import Key
 from loopcal.mechanisms.frame import BodyFrame, Frame, Values
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import Name, starts
 
 POSITION, TURNS = ("x", "y", "z"), ("wx", "wy", "wz")
+BEGIN = ("x0", "y0", "z0")
 COLUMNS = ("qw", "qx", "qy", "qz")
 
 
-def free_body(*, home: Mapping[str, float] | None = None, name: Name = "free-body") -> Machine:
+def free_body(
+    *,
+    read: Annotated[
+        bool,
+        Key(
+            "Whether somebody reads the pose; else x0, y0, z0 and the quaternion say where the "
+            "search for it begins."
+        ),
+    ] = True,
+    home: Mapping[str, float] | None = None,
+    name: Name = "free-body",
+) -> Machine:
     """A body with six freedoms: T_base_body = (x, y, z), R(qw, qx, qy, qz) Exp(wx, wy, wz).
 
     x, y, z [m] are read; the orientation is a quaternion of known constants with small turns w
-    [rad] about the body's axes, which are read as 0: their sds say how well the orientation is
-    known. Where nobody reads the pose of the body, all six have the sd inf, and the readings are
-    where the search for it begins; home: where it begins without any reading. There are no
-    parameters.
+    [rad] about the body's axes, which are read as 0: their sds say how well it is known. There are
+    no parameters. A robot that states the pose of its flange is such a body.
 
-    A robot that states the pose of its flange is such a body, and so is a board in front of a
-    camera.
+    read: False for a body whose pose nobody reads, as a board that is held in front of a camera.
+    The known constants then say where the search begins, at (x0 + x, y0 + y, z0 + z), and all six
+    quantities have the sd inf. home: where they begin, by default at 0.
     """
     written = Orientation.of("quaternion", None, TURNS)
+    constants = dict.fromkeys(COLUMNS, "1")
+    begun: Mapping[str, float] = {}
+    if not read:
+        constants = {**dict.fromkeys(BEGIN, "m"), **constants}
+        begun = dict.fromkeys((*POSITION, *TURNS), 0.0)
 
     def frame(x: Values, p: Values) -> Frame:
         ex, ey, ez = written.axes(x)
         R = np.array([[ex[i], ey[i], ez[i]] for i in range(3)])
-        return BodyFrame(R @ _turned(*(x[w] for w in TURNS)), vector(*(x[c] for c in POSITION)))
+        at = [x[c] if read else x[f"{c}0"] + x[c] for c in POSITION]
+        return BodyFrame(R @ _turned(*(x[w] for w in TURNS)), vector(*at))
 
     return Machine(
         name,
         {**dict.fromkeys(POSITION, "m"), **dict.fromkeys(TURNS, "rad")},
         {},
         frame,
-        pose_constants=dict.fromkeys(COLUMNS, "1"),
-        home=starts({}, home, (*POSITION, *TURNS), name),
-        implied=dict.fromkeys(TURNS, 0.0),
-        description={"type": "free-body", "home": dict(home or {})},
+        pose_constants=constants,
+        home=starts(begun, home, (*POSITION, *TURNS), name),
+        implied=dict.fromkeys(TURNS, 0.0) if read else {},
+        description={"type": "free-body", "read": read, "home": dict(home or {})},
     )
 
 

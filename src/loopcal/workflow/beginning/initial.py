@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import Any, TypedDict, Unpack
@@ -50,6 +51,7 @@ from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
 from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.delays import Delay, delays
+from loopcal.workflow.beginning.from_images import InitialImages, are_images, initial_images
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,
@@ -199,7 +201,7 @@ def init(
     out: str | Path | None = None,
     sheet: str | None = None,
     **options: Unpack[InitOptions],
-) -> InitialProject:
+) -> InitialProject | InitialImages:
     """Recognise readings and a robot, and make a finished project of them.
 
     readings: paths, or Datasets, dicts of arrays, DataFrames and arrays (N, k), joined by pose ids
@@ -225,11 +227,15 @@ def initial_project(
     out: str | Path | None,
     sheet: str | None = None,
     ask: Ask | None = None,
-) -> InitialProject:
+) -> InitialProject | InitialImages:
     """`init`, where a user can be asked what remains open."""
     if not readings:
         raise UsageError("no readings are named", remedy="name one or several files of readings")
     folder = Path() if out is None else Path(out)
+    if are_images(readings):
+        described = any((robot.urdf, robot.dh, robot.machine))
+        describe = partial(_described, robot, folder) if described else None
+        return initial_images(readings, describe, robot.joints, out=out)
     if out is not None:
         from_files = all(isinstance(entry, str | Path) for entry in readings)
         names = (PROJECT,) if from_files else (PROJECT, READINGS)
@@ -282,6 +288,10 @@ def initial_project(
     files = {PROJECT: text.encode("utf-8"), **tables}
     write_files(folder, files)
     return replace(done, written=tuple(folder / name for name in files))
+
+
+def _described(robot: RobotFile, folder: Path, fields: Sequence[Field]) -> Robot:
+    return _robot(robot, Fields((), (), tuple(fields)), folder)
 
 
 def _robot(robot: RobotFile, fields: Fields, folder: Path) -> Robot:
