@@ -81,16 +81,6 @@ def test_a_hand_eye_calibration_is_read_back_the_same(tmp_path: Path) -> None:
     assert one.names["robot_base_frame"] == "arm: base"
 
 
-def test_a_static_transform_states_all_its_numbers() -> None:
-    line = written.static_transform("tool0", "eye_optical_frame", T)
-    words = line.split()
-    assert words[:4] == ["ros2", "run", "tf2_ros", "static_transform_publisher"]
-    stated = {words[i][2:]: words[i + 1] for i in range(4, len(words), 2)}
-    assert (stated["frame-id"], stated["child-frame-id"]) == ("tool0", "eye_optical_frame")
-    assert float(stated["y"]) == -1e-7
-    assert np.isclose(float(stated["qz"]), np.sin(0.5 * np.arccos(0.6)))
-
-
 def test_numbers_are_those_of_yaml_1_1() -> None:
     import yaml
 

@@ -173,6 +173,7 @@ _LACKS = {
     "chain": "it is not a serial arm in space",
     "origins": "its joints are not described by origins, as those of a URDF are",
     "zeros": "it is not a serial arm in space, or nothing measures it",
+    "cameras": "it has no camera",
 }
 
 
@@ -212,6 +213,7 @@ def _of_format(
         "chain": machine.chain is not None,
         "origins": bool(machine.origins),
         "zeros": bool(machine.zeros),
+        "cameras": any(p.role == "lens" for p in machine.parameters),
     }
     if not holds[one.needs]:
         raise InputError(

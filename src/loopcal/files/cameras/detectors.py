@@ -9,6 +9,7 @@ dg_i. The noise itself is estimated as by Immerkær (1996).
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -75,8 +76,7 @@ def _shade(grey: Any, uv: Any) -> float:
     inner = (uv[:-1, :-1] + uv[1:, :-1] + uv[:-1, 1:] + uv[1:, 1:]) / 4.0
     u, v = np.rint(inner).astype(int).transpose(2, 0, 1)
     signs = (-1.0) ** np.add.outer(np.arange(u.shape[0]), np.arange(u.shape[1]))
-    shade: float = (signs * grey[v, u]).sum()
-    return shade
+    return float(np.sum(signs * grey[v, u]))
 
 
 def _circles(cv2: Any, grey: Any, pattern: dict[str, Any]) -> Points:
@@ -176,7 +176,7 @@ def _noise(grey: Any) -> float:
     rough = np.abs(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:])
     # Normal noise of sd 1 has sd 6 in these differences, half of them below 0.6745 of it; grey
     # values are rounded besides, whose sd is 1 / sqrt(12).
-    return max(float(np.median(rough)) / (6.0 * 0.6745), 12.0**-0.5)
+    return max(float(np.median(rough)) / (6.0 * 0.6745), math.sqrt(1.0 / 12.0))
 
 
 def _gain(grey: Any, u: float, v: float, half: int) -> float:

@@ -116,15 +116,6 @@ def easy_handeye(name: str, T: Array, *, on_hand: bool, frames: Mapping[str, str
     return "\n".join([*lines, ""])
 
 
-def static_transform(parent: str, child: str, T: Array) -> str:
-    """A command line of ROS 2 that publishes a place (4, 4) [m] of `child` in `parent`."""
-    numbers = " ".join(f"--{key} {_number(value)}" for key, value in _place(T))
-    return (
-        f"ros2 run tf2_ros static_transform_publisher {numbers} "
-        f"--frame-id {parent} --child-frame-id {child}\n"
-    )
-
-
 def _place(T: Array) -> list[tuple[str, float]]:
     w, x, y, z = quaternion(T[:3, :3])
     keys = ("x", "y", "z", "qx", "qy", "qz", "qw")
