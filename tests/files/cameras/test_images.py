@@ -95,6 +95,8 @@ def test_images_are_named_by_view_and_camera_and_faults_by_image(tmp_path: Path)
     assert done.corners.cameras == ("left", "right")
     assert list(done.missed) == ["left/04.png", "left/05.png", "left/06.png"]
     assert "600 x 480" in done.missed["left/05.png"]
+    two = detect([tmp_path / "right/03.png", tmp_path / "left/03.png"], board).corners
+    assert (two.images, two.cameras) == (("03",), ("right", "left"))
 
 
 def test_a_bomb_is_named_and_the_other_images_are_read(tmp_path: Path) -> None:

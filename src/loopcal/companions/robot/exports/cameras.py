@@ -50,7 +50,7 @@ def cameras_of(exported: Exported, source: Path | None = None) -> dict[str, Came
         keys = {p.name.removeprefix(f"{name}_") for p in exported.parameters if p.owner == name}
         # The largest lens whose coefficients are all there; a fisheye has no p1.
         lens = max(
-            (one for one, known in LENSES.items() if {*known} <= keys),
+            (one for one, coefficients in LENSES.items() if {*coefficients} <= keys),
             key=lambda one: len(LENSES[one]),
         )
         values = {key: exported.values[f"{name}_{key}"] for key in (*FRAME, *LENSES[lens])}
