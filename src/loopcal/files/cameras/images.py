@@ -60,8 +60,9 @@ def detect(images: str | Path | Iterable[str | Path], board: Board) -> Detection
         )
     files = _files(images)
     # Images of one camera each may lie in a folder that has its name.
-    stated = isinstance(images, str | Path) and Path(images).is_dir()
-    parents = [images] if stated else [path.parent for path in files]
+    parents = [path.parent for path in files]
+    if isinstance(images, str | Path) and Path(images).is_dir():
+        parents = [Path(images)]
     folder = Path(os.path.commonpath([os.path.abspath(one) for one in parents]))
     rows: list[tuple[str, str, str, float, float, float]] = []
     missed: dict[str, str] = {}
