@@ -195,8 +195,11 @@ def predictive(
         densities = _densities(block, W, total.matrix, free, limit / scale)
         if densities is None:
             return None
-        density[poses], squares[poses] = densities
-        loops[poses], denominator[poses] = r, total.denominator
+        # Rows of an image on which nothing acts but the corners' noise, and the division by it.
+        spare = block.equations - r
+        aside = spare * math.log(2.0 * math.pi * (unit_variance or 1.0)) + block.scale
+        density[poses], squares[poses] = densities[0] - 0.5 * aside, densities[1]
+        loops[poses], denominator[poses] = block.equations, total.denominator
     return Predictive(density, squares, loops, denominator)
 
 

@@ -128,9 +128,7 @@ def _best_two(T: Array, error: Array, usable: NDArray[np.bool_]) -> tuple[Array,
     alike = np.einsum("vij,vsij->vs", best[:, :3, :3], T[:, :, :3, :3])
     # tr(R^T R') = 1 + 2 cos: below 2.9 the rotations differ by more than 18 degrees.
     second = np.argmin(np.where(alike > 2.9, np.inf, error), axis=1)
-    return _ranked(
-        [(best, error[rows, first]), (T[rows, second], error[rows, second])], usable
-    )
+    return _ranked([(best, error[rows, first]), (T[rows, second], error[rows, second])], usable)
 
 
 def _ranked(both: list[tuple[Array, Array]], usable: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -47,9 +47,7 @@ def frame(corners: Corners, size: tuple[int, int] | None) -> tuple[Array, float]
     return (low + high) / 2.0, float(max(high - low))
 
 
-def _focal_lengths(
-    corners: Corners, centre: Array, width: float, lens: str
-) -> Iterator[float]:
+def _focal_lengths(corners: Corners, centre: Array, width: float, lens: str) -> Iterator[float]:
     if lens == "fisheye":
         yield from (width / np.radians(field) for field in WIDE)
         return

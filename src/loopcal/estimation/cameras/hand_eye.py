@@ -59,9 +59,7 @@ def park(A: Array, C: Array, weight: Array) -> list[tuple[Array, Array]]:
     """(R_X, R_Y) from the axes of relative motions: log(C_i^-1 C_j) = R_Y^T log(A_i^-1 A_j)."""
     a, c, w = _relative(A, C, weight)
     R_Y = nearest_rotation(np.einsum("i,ij,ik->jk", w, rotation_vector(a), rotation_vector(c)))
-    R_X = nearest_rotation(
-        np.einsum("i,iab,bc,idc->ad", weight, C[:, :3, :3], R_Y.T, A[:, :3, :3])
-    )
+    R_X = nearest_rotation(np.einsum("i,iab,bc,idc->ad", weight, C[:, :3, :3], R_Y.T, A[:, :3, :3]))
     return [(R_X, R_Y)]
 
 
@@ -82,9 +80,7 @@ def daniilidis(A: Array, C: Array, weight: Array) -> list[tuple[Array, Array]]:
     normal = np.einsum("i,ijk,ijl->kl", w, rows, rows)
     q = np.linalg.eigh(normal)[1][:, 0]
     R_Y = Rotation.from_quat([*q[1:], q[0]]).as_matrix()
-    R_X = nearest_rotation(
-        np.einsum("i,iab,bc,idc->ad", weight, C[:, :3, :3], R_Y.T, A[:, :3, :3])
-    )
+    R_X = nearest_rotation(np.einsum("i,iab,bc,idc->ad", weight, C[:, :3, :3], R_Y.T, A[:, :3, :3]))
     return [(R_X, R_Y)]
 
 

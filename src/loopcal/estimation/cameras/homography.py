@@ -64,7 +64,9 @@ def _direct(views: Views, xy: Array, uv: Array, weight: Array) -> Array:
     rows = np.stack(
         [np.hstack([p, none, -b[:, :1] * p]), np.hstack([none, p, -b[:, 1:] * p])], axis=1
     )
-    H = np.linalg.eigh(views.products(np.sqrt(weight)[:, None, None] * rows))[1][:, :, 0].reshape(-1, 3, 3)
+    H = np.linalg.eigh(views.products(np.sqrt(weight)[:, None, None] * rows))[1][:, :, 0].reshape(
+        -1, 3, 3
+    )
     return np.asarray(np.linalg.inv(B) @ H @ A)
 
 
@@ -92,9 +94,7 @@ def focal_length(H: Array, centre: Array) -> float | None:
     h1, h2 = np.moveaxis((shift @ H)[:, :, :2], 2, 0)
     length = 0.5 * (np.linalg.norm(h1[:, :2], axis=1) + np.linalg.norm(h2[:, :2], axis=1))
     h1, h2 = h1 / length[:, None], h2 / length[:, None]
-    a = np.append(
-        (h1 * h2)[:, :2].sum(axis=1), (h1[:, :2] ** 2 - h2[:, :2] ** 2).sum(axis=1) / 2.0
-    )
+    a = np.append((h1 * h2)[:, :2].sum(axis=1), (h1[:, :2] ** 2 - h2[:, :2] ** 2).sum(axis=1) / 2.0)
     b = -np.append(h1[:, 2] * h2[:, 2], (h1[:, 2] ** 2 - h2[:, 2] ** 2) / 2.0)
     # a / f^2 = b: of a board that is not tilted both vanish, and noise alone decides.
     usable = (a * b > 0.0) & np.isfinite(a) & np.isfinite(b)

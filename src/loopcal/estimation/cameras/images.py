@@ -90,9 +90,7 @@ def _beside(one: Corners, scene: Scene, limit: float) -> int | None:
     if scene.A is None:
         return None
     some = one.where(np.arange(min(len(one), 12)))
-    sizes = [
-        _median(some, replace(scene, A=np.broadcast_to(A, scene.A.shape))) for A in scene.A
-    ]
+    sizes = [_median(some, replace(scene, A=np.broadcast_to(A, scene.A.shape))) for A in scene.A]
     row = int(np.argmin(sizes))
     return row if sizes[row] < limit and row != int(one.image[0]) else None
 

@@ -234,14 +234,23 @@ def _in_unit(reading: Reading, factor: float, unit: str) -> tuple[Reading, list[
     if reach > FARTHEST_HAND if large else size < LARGEST_BOARD:
         T[:, :3, 3] /= factor
         way = f"are in {unit}" if large else f"are in metres, and were converted from {unit}"
-        fact = Fact("unit-of-poses", f"The positions of the flange {way}. State their unit.", values, applied=True)
+        fact = Fact(
+            "unit-of-poses",
+            f"The positions of the flange {way}. State their unit.",
+            values,
+            applied=True,
+        )
         return replace(reading, T_base_flange=T), [fact]
     boards = tuple(
-        Board(b.name, {k: (x * factor, y * factor, z * factor) for k, (x, y, z) in b.points.items()})
+        Board(
+            b.name, {k: (x * factor, y * factor, z * factor) for k, (x, y, z) in b.points.items()}
+        )
         for b in corners.boards
     )
     way = f"are in metres, and were converted from {unit}" if large else f"are in {unit}"
-    fact = Fact("unit-of-board", f"The points of the board {way}. State their unit.", values, applied=True)
+    fact = Fact(
+        "unit-of-board", f"The points of the board {way}. State their unit.", values, applied=True
+    )
     return replace(reading, corners=replace(corners, boards=boards)), [fact]
 
 

@@ -55,7 +55,9 @@ class Reading:
         # Slots are taken in steps of the golden section, which spreads them over rows and columns.
         rank = (slot * 0.6180339887498949) % 1.0
         share = np.minimum(1.0, per_view / views.sizes)[views.of_corner]
-        return replace(self, corners=corners.where((rank < share) | (views.sizes < per_view)[views.of_corner]))
+        return replace(
+            self, corners=corners.where((rank < share) | (views.sizes < per_view)[views.of_corner])
+        )
 
 
 def view_poses(reading: Reading) -> BoardPoses:
@@ -98,9 +100,7 @@ def placed(
 
 def _apart(order: list[int], sizes: list[float]) -> list[int]:
     """Without those that the closed forms left as large as the one before: they are the same."""
-    return [
-        i for k, i in enumerate(order) if k == 0 or sizes[i] > 1.01 * sizes[order[k - 1]]
-    ]
+    return [i for k, i in enumerate(order) if k == 0 or sizes[i] > 1.01 * sizes[order[k - 1]]]
 
 
 def usable_part(reading: Reading, poses: BoardPoses) -> tuple[Reading, BoardPoses]:
@@ -109,16 +109,16 @@ def usable_part(reading: Reading, poses: BoardPoses) -> tuple[Reading, BoardPose
         return reading, poses
     keep = poses.usable
     corners = reading.corners.where(keep[reading.corners.views.of_corner])
-    return replace(reading, corners=corners), BoardPoses(poses.T_camera_board[keep], poses.error[keep])
+    return replace(reading, corners=corners), BoardPoses(
+        poses.T_camera_board[keep], poses.error[keep]
+    )
 
 
 def _core(corners: Corners, scene: Scene) -> float:
     return Adjusted(scene, scene.residuals(corners), {}).core
 
 
-def _settled(
-    reading: Reading, scene: Scene, lens: Sequence[str], iterations: int
-) -> Adjusted:
+def _settled(reading: Reading, scene: Scene, lens: Sequence[str], iterations: int) -> Adjusted:
     """Placements first, then with the named values of lenses."""
     result = adjusted(reading.corners, scene, iterations=iterations)
     if lens:

@@ -65,7 +65,9 @@ class Scene:
     def in_camera(self, corners: Corners) -> Array:
         """(N, 3) [m] each corner's point in the frame of its camera."""
         T = self.of_views(corners.views)[corners.views.of_corner]
-        return np.asarray((T[:, :3, :3] @ self.points(corners.xyz)[:, :, None])[:, :, 0] + T[:, :3, 3])
+        return np.asarray(
+            (T[:, :3, :3] @ self.points(corners.xyz)[:, :, None])[:, :, 0] + T[:, :3, 3]
+        )
 
     def residuals(self, corners: Corners, P: Array | None = None) -> Array:
         """(N, 2) [px] pixel read minus pixel predicted; one image's width behind the camera."""

@@ -201,9 +201,7 @@ def _adjusted(reading: Reading, rough: Adjusted) -> Adjusted:
 
 
 def _free(reading: Reading) -> Sequence[str]:
-    return tuple(
-        name for name in FREE if all(name in lens.values for lens in reading.lenses)
-    )
+    return tuple(name for name in FREE if all(name in lens.values for lens in reading.lenses))
 
 
 def _start_of(reading: Reading, result: Adjusted, facts: Sequence[Fact]) -> CameraStart:

@@ -348,11 +348,7 @@ def whiten_own(values: LoopValues, block: Block, *, exact: bool = False) -> Whit
     slope, sd = J[own, np.arange(m)], np.broadcast_to(noise.sd[own], (m, b))
     missing = np.isinf(sd)
     weight = np.where(missing, 0.0, 1.0 if exact else 1.0 / (np.abs(slope) * sd))
-    loads = J[shared] * noise.sd[shared][:, None]
-    for covariance in noise.blocks if s else ():
-        rows = [shared.index(i) for i in covariance.indices]
-        subscripts = "crb,cd->drb" if covariance.factor.ndim == 2 else "crb,bcd->drb"
-        loads[rows] = np.einsum(subscripts, J[list(covariance.indices)], covariance.factor)
+    loads = shared_loads(J, noise) if s else J[:0]
     columns = np.zeros((u + s, m + s, b))
     columns[:u, :m], columns[u:, :m] = J[unmeasured] * weight, loads * weight
     columns[np.arange(u, u + s), np.arange(m, m + s)] = 1.0
@@ -388,3 +384,14 @@ def whiten_own(values: LoopValues, block: Block, *, exact: bool = False) -> Whit
     rest /= slope
     new[own] = np.where(missing, correction[own] + rest, new[own]) if exact else rest
     return Whitened(reduced, np.zeros((m - u, 0, b)), new, np.zeros(b, dtype=bool))
+
+
+def shared_loads(J: Array, noise: BlockNoise) -> Array:
+    """J_s S_s, (s, m, b), of the readings that all loops of an image share."""
+    shared = list(noise.shared)
+    loads: Array = J[shared] * noise.sd[shared][:, None]
+    for covariance in noise.blocks:
+        rows = [shared.index(i) for i in covariance.indices]
+        subscripts = "crb,cd->drb" if covariance.factor.ndim == 2 else "crb,bcd->drb"
+        loads[rows] = np.einsum(subscripts, J[list(covariance.indices)], covariance.factor)
+    return loads

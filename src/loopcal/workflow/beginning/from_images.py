@@ -1,12 +1,11 @@
-"""A finished project from corners that cameras saw: boards, poses and lenses found by themselves."""
+"""A project from corners that cameras saw: boards, poses and lenses found by themselves."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.start import CameraStart, start
-from loopcal.files.atomic import write_files
 from loopcal.files.cameras.boards import read_boards
 from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.corners import is_corners, read_corners
@@ -23,7 +21,6 @@ from loopcal.files.cameras.images import ENDINGS, detect
 from loopcal.files.cameras.intrinsics import read_intrinsics
 from loopcal.files.cameras.places import read_places, read_samples
 from loopcal.files.machines.mechanism_file import mechanism_from_data
-from loopcal.files.outputs import refuse_foreign
 from loopcal.files.recognition.expressions import joint_columns
 from loopcal.files.recognition.fields import Field, sources_of
 from loopcal.files.recognition.joint_sets import joint_sets
@@ -32,13 +29,16 @@ from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.files.toml.writer import document
+from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
+from loopcal.mechanisms.instruments.camera import PIXEL
 from loopcal.mechanisms.placement import yaw_pitch_roll
 from loopcal.units import from_si, unit
 
 Array = NDArray[np.float64]
 PROJECT, READINGS, CORNERS = "project.toml", "readings.csv", "corners.csv"
+USUAL_LENS = "brown5"
 _HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
 CORNER, ENCODER, PLACE, TURN = 0.3, 50e-6, 1e-4, 1e-4
 """Where the learning of sds begins: a corner [px], a joint [rad], a stated pose [m], [rad]."""
@@ -53,6 +53,10 @@ _FEWEST = 3
 """Points that say where a board is which nobody reads."""
 
 
+Describe = Callable[[Sequence[Field]], Robot]
+"""The robot by the columns of its joints."""
+
+
 @dataclass(frozen=True, eq=False)
 class Files:
     """What a folder holds: corners, boards, lenses, and tables of poses or joints."""
@@ -65,35 +69,20 @@ class Files:
 
 
 @dataclass(frozen=True, eq=False)
-class InitialImages:
-    """A project as it was understood from images. text: of the project file; tables: files beside
-    it; remarks: what was found; rms: [px] at which it begins."""
+class FromImages:
+    """What was understood: the tables of the project file, the files beside it, what was found in
+    words, the readings, and in a line how many there are and how well they begin to fit."""
 
-    text: str
-    tables: Mapping[str, bytes]
+    tables: Mapping[str, Any]
+    beside: Mapping[str, bytes]
     remarks: tuple[str, ...]
-    counts: tuple[int, int]
-    rms: float
-    written: tuple[Path, ...] = field(default=())
+    dataset: Dataset
+    words: str
 
     @property
-    def command(self) -> str:
-        """What to type next."""
-        project = self.written[0].as_posix() if self.written else PROJECT
-        return f"loopcal calibrate {quote(project)}"
-
-    def __str__(self) -> str:
-        images, corners = self.counts
-        parts = [f"{images} images with {corners} corners", ""]
-        parts += [*(f"- {words}" for words in self.remarks), ""]
-        parts.append(f"the calibration begins at {self.rms:.2f} px rms")
-        if self.written:
-            parts += ["", f"written: {', '.join(map(str, self.written))}", "next:"]
-            parts.append(f"  {self.command}")
-        return "\n".join(parts)
-
-    def __repr__(self) -> str:
-        return f"<InitialImages: {self.counts[0]} images, {self.rms:.2f} px>"
+    def text(self) -> str:
+        """Of the project file."""
+        return document(self.tables, (_HEAD,), {"data": self.remarks})
 
 
 def files_of(entries: Sequence[Any]) -> list[Path]:
@@ -219,46 +208,34 @@ class Hand:
     remarks: tuple[str, ...] = ()
 
 
-def initial_images(
-    entries: Sequence[Any],
-    describe: Callable[[Sequence[Field]], Robot] | None,
-    joints: str | None,
-    *,
-    out: str | Path | None,
-) -> InitialImages:
+def from_images(
+    entries: Sequence[Any], describe: Describe | None, joints: str | None, folder: Path
+) -> FromImages:
     """`init` of a folder or files that hold corners.
 
     describe: the robot by the columns of its joints, None where nothing describes one; joints:
-    these columns, as in `init`. Raises InputError where something remains open.
+    these columns, as in `init`; folder: where the project will lie. Raises InputError where
+    something remains open.
     """
-    folder = Path() if out is None else Path(out)
-    if out is not None:
-        refuse_foreign(*(folder / name for name in (PROJECT, READINGS, CORNERS)))
     files = read_files(entries)
     table = files.corners
     hand = _hand(files, describe, joints, folder)
     boards = [_named(files.boards, name) for name in table.boards]
     corners = _corners(table, boards, hand.poses)
-    begun = start(
-        corners,
-        hand.T_base_flange,
-        _by_camera(files.lenses, table.cameras),
-        dict(table.sizes),
-    )
+    lenses = _by_camera(files.lenses, table.cameras)
+    begun = start(corners, hand.T_base_flange, lenses, dict(table.sizes))
     if hand.T_base_flange is None:
         hand = _unread(begun, hand)
     elif begun.T_base_flange is not None and "x" in hand.readings:
         hand = replace(hand, readings=_flange(begun.T_base_flange))
-    project = _Project(begun, hand, table)
+    project = _Project(begun, hand, table, lenses)
     remarks = (*files.remarks, *hand.remarks, *(fact.sentence for fact in begun.facts))
-    text = document(project.tables, (_HEAD,), {"data": remarks})
+    words = (
+        f"{len(project.kept)} images with {len(begun.corners)} corners; the calibration begins at "
+        f"{begun.rms:.2f} px rms"
+    )
     beside = {READINGS: project.readings(), CORNERS: project.corners()}
-    done = InitialImages(text, beside, remarks, (len(project.kept), len(begun.corners)), begun.rms)
-    if out is None:
-        return done
-    written = {PROJECT: text.encode("utf-8"), **beside}
-    write_files(folder, written)
-    return replace(done, written=tuple(folder / name for name in written))
+    return FromImages(project.tables, beside, remarks, project.dataset, words)
 
 
 def _named(boards: Mapping[str, Board], name: str) -> Board:
@@ -274,7 +251,11 @@ def _named(boards: Mapping[str, Board], name: str) -> Board:
 
 
 def _by_camera(lenses: Mapping[str, Intrinsics], cameras: Sequence[str]) -> dict[str, Intrinsics]:
-    """The stated lenses under the names of the corners' cameras."""
+    """The stated lenses under the names of the corners' cameras; a pinhole may be bent."""
+    lenses = {
+        name: replace(lens, lens=USUAL_LENS, distortion=()) if lens.lens == "pinhole" else lens
+        for name, lens in lenses.items()
+    }
     if set(cameras) <= set(lenses):
         return {name: lenses[name] for name in cameras}
     if len(lenses) == len(cameras):  # in their order, where names differ
@@ -314,9 +295,6 @@ def _corners(table: CornerTable, boards: Sequence[Board], poses: tuple[str, ...]
             ids.append(i)
     uv = np.stack([some.u, some.v], axis=1)
     return Corners.of([np.array(ids) for ids in index], uv, table.cameras, boards, poses)
-
-
-Describe = Callable[[Sequence[Field]], Robot]
 
 
 def _hand(files: Files, describe: Describe | None, joints: str | None, folder: Path) -> Hand:
@@ -363,7 +341,8 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
         raise InputError(
             f"{source.name} has no {robot.joints} columns that may be joints",
             code="missing-column",
-            remedy=f"name them: --joints COLUMNS; there are {listed([f.label for f in fields], 20)}",
+            remedy="name them: --joints COLUMNS; there are "
+            + listed([f.label for f in fields], 20),
         )
     columns, how = every[0]
     mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
@@ -430,8 +409,10 @@ def _word(name: str, kind: str) -> str:
 class _Project:
     """The tables of the project, and the files beside it."""
 
-    def __init__(self, begun: CameraStart, hand: Hand, table: CornerTable) -> None:
-        self.begun, self.hand, self.table = begun, hand, table
+    def __init__(
+        self, begun: CameraStart, hand: Hand, table: CornerTable, stated: Collection[str]
+    ) -> None:
+        self.begun, self.hand, self.table, self.stated = begun, hand, table, stated
         corners = begun.corners
         seen = np.unique(corners.image, return_counts=True)
         enough = seen[1] >= (_FEWEST if hand.table.get("read") is False else 1)
@@ -506,7 +487,12 @@ class _Project:
             X = begun.X[c] @ np.linalg.inv(begun.X[0]) if free else begun.X[c]
             place = X if held else np.linalg.inv(X)
             stated |= _six(eye, place, fixed=free and c == 0)
-            lens = begun.intrinsics[camera]
+            # What was stated is nominal: what the images add to it is for the calibration to say.
+            lens = (
+                begun.intrinsics_stated[camera]
+                if camera in self.stated
+                else begun.intrinsics[camera]
+            )
             for key, value in lens.values.items():
                 entry: dict[str, Any] = {"value": float(value)}
                 if key in ("f", "cx", "cy"):
@@ -520,9 +506,9 @@ class _Project:
                 Y = np.linalg.inv(begun.Y[0]) @ Y
             place = Y if held else np.linalg.inv(Y)
             stated |= _six(self.boards[board.name], place, fixed=free and b == 0)
-            if free:  # nothing but the board says how large anything is
-                if board.planar and len(board.points) > _FEWEST:
-                    stated[f"{self.boards[board.name]}_scale"] = {"value": 0.0, "fixed": True}
+            if free and board.planar and len(board.points) > _FEWEST:
+                # nothing but the board says how large anything is
+                stated[f"{self.boards[board.name]}_scale"] = {"value": 0.0, "fixed": True}
             if not board.planar:
                 for point in np.unique(corners.point[corners.board == b]):
                     for axis in "xyz":
@@ -535,6 +521,24 @@ class _Project:
             name: {"sd": CORNER, "unit": "px", "estimate": "group"}
             for name in self._names().values()
         }
+
+    @property
+    def dataset(self) -> Dataset:
+        """The readings, under the names that they have in the project."""
+        corners, kept = self.begun.corners, self.kept
+        readings = {name: values[kept] for name, values in self.hand.readings.items()}
+        ids = [list(b.points) for b in corners.boards]
+        row = {image: i for i, image in enumerate(kept)}
+        pairs = zip(corners.image, corners.camera, corners.board, corners.point, strict=True)
+        for (image, camera, board, point), pixel in zip(pairs, corners.uv, strict=True):
+            label = f"{corners.cameras[camera]}:{corners.boards[board].name}:{ids[board][point]}"
+            for axis, value in zip(PIXEL, pixel, strict=True):
+                column = readings.setdefault(f"{label}:{axis}", np.full(len(kept), np.nan))
+                if image in row:
+                    column[row[image]] = value
+        units = {name: "px" for name in readings if name.endswith((":u", ":v"))}
+        poses = [corners.poses[i] for i in kept]
+        return Dataset.from_arrays(readings, units=units, poses=poses)
 
     def readings(self) -> bytes:
         """The poses that show enough, a row each."""
