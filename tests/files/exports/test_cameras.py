@@ -121,8 +121,14 @@ def test_the_largest_lens_is_exported_whole(tmp_path: Path) -> None:
     fisheye = Intrinsics("fisheye", 400.0, 400.0, 3.0, 2.0, (-0.03, 0.01, -0.004, 6e-4))
     (path,) = files("opencv", machine("placement", lens=fisheye), tmp_path)
     assert read_intrinsics(path)["camera"] == fisheye
-    with refused("unsupported", "camera"):
-        files("opencv", machine("placement", ()), tmp_path)
+
+
+def test_ros_gets_the_optical_frame_as_a_static_transform(tmp_path: Path) -> None:
+    (path,) = files("tf", machine("mounting"), tmp_path)
+    words = path.read_text("utf-8").replace('"', " ").split()
+    stated = {word[2:]: words[i + 1] for i, word in enumerate(words) if word.startswith("--")}
+    assert (stated["frame-id"], stated["child-frame-id"]) == ("flange", "eye_optical_frame")
+    assert float(stated["x"]) == PLACE["x"]
 
 
 @pytest.mark.parametrize(("role", "on"), [("mounting", "tool0"), ("placement", "world")])

@@ -131,16 +131,16 @@ def _image(name: str, camera: Intrinsics) -> tuple[int, int]:
         raise InputError(
             f"the image size of the camera {name!r} is not known",
             code="missing-key",
-            remedy="state image = [width, height] of the camera",
+            remedy="name a file that states it, as the camera_info of before: --source FILE",
         )
     return camera.image
 
 
 def _unwritable(name: str, camera: Intrinsics, what: str, other: str) -> InputError:
     return InputError(
-        f"{what} has no lens {camera.lens!r}, which the camera {name!r} has",
+        f"{what} has no lens {camera.lens!r}, which the camera {name!r} has; it would take {other}",
         code="unsupported",
-        remedy=f"calibrate it as {other}, or write OpenCV's file",
+        remedy=f"calibrate the camera as {other}",
     )
 
 

@@ -38,10 +38,7 @@ class Camera:
 
 
 def cameras_of(exported: Exported, source: Path | None = None) -> dict[str, Camera]:
-    """The cameras of a machine by name; source: a file with the sizes of their images.
-
-    Raises InputError for a machine without cameras.
-    """
+    """The cameras of a machine by name, none of others; source: a file with their images' sizes."""
     stated = {} if source is None else read_intrinsics(source)
     owners = dict.fromkeys(p.owner for p in exported.parameters if p.role == "lens")
     roles = {p.name: p.role for p in exported.parameters}
@@ -62,8 +59,6 @@ def cameras_of(exported: Exported, source: Path | None = None) -> dict[str, Came
             T = product(steps, {}, exported.values)
             T = T if on_hand else inverse(T)
         cameras[name] = Camera(Intrinsics.of(lens, values, image), on_hand, T)
-    if not cameras:
-        raise InputError(f"{exported.name!r} has no camera", code="unsupported")
     return cameras
 
 
@@ -172,9 +167,8 @@ def camera_origins(path: str | Path, exported: Exported) -> CameraOrigins:
 
     The frame of a camera is the link NAME_optical_frame, or the only one that ends so.
     """
-    try:
-        cameras = cameras_of(exported)
-    except InputError:
+    cameras = cameras_of(exported)
+    if not cameras:
         return CameraOrigins()
     tree = _Tree.of(path)
     if not exported.origins or exported.origins[0].joint.name not in tree.ends:
