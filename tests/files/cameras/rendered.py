@@ -39,7 +39,9 @@ def charuco(cv2: Any, squares: tuple[int, int], ratio: float, *, legacy: bool) -
     return np.pad(grey, RIM, constant_values=255), points
 
 
-def aprilgrid(cv2: Any, columns: int, rows: int, side: int = 80, gap: int = 24) -> Print:
+def aprilgrid(
+    cv2: Any, columns: int, rows: int, *, squares: bool = True, side: int = 80, gap: int = 24
+) -> Print:
     """A grid as Kalibr prints it: two black bits around each code, black squares between tags."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     step = side + gap
@@ -52,7 +54,7 @@ def aprilgrid(cv2: Any, columns: int, rows: int, side: int = 80, gap: int = 24) 
         grey[bottom - side : bottom, left : left + side] = np.kron(tag, np.ones((side // 10,) * 2))
         for k, (x, y) in enumerate(((0, 0), (side, 0), (side, side), (0, side))):
             points[f"{number}.{k}"] = (left + x - 0.5, bottom - y - 0.5)
-    for row, column in np.ndindex(rows + 1, columns + 1):
+    for row, column in np.ndindex(rows + 1, columns + 1) if squares else ():
         left, bottom = RIM + column * step, height - RIM - row * step
         grey[bottom - gap : bottom, left : left + gap] = 0
     return grey, points

@@ -42,8 +42,7 @@ def detect(images: str | Path | Iterable[str | Path], board: Board) -> Detection
 
     images: a folder, or files. Pixels are those of the file: a turn that a camera only notes (EXIF)
     is left out. sds are those that the noise of the image explains, NaN where it cannot be known.
-    Corners of tags without a black square beside them, which Kalibr prints, are seen nearer to the
-    tag's middle by a fifth of the blur. Raises InputError without OpenCV, without images, for a
+    Raises InputError without OpenCV, without images, for a
     board whose pattern is not stated, and where no image shows it.
     """
     if find_spec("cv2") is None:
