@@ -169,9 +169,9 @@ _SQUARE = 20.0
 
 
 def _edge(grey: Any, corner: Array, other: Array, away: Array) -> Array:
-    """n (2,), d, Var d of the line n . x = d along a tag's edge near a corner; NaN where it is short
-    or faint.
+    """n (2,), d, Var d of the line n . x = d along a tag's edge near a corner.
 
+    NaN where the edge is short or faint.
     At each pixel along the edge it lies at the mean of the steps of grey across it. The scatter
     about the line gives its variance, at the corner.
     """
