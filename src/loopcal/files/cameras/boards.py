@@ -57,21 +57,23 @@ def board_of(described: Part | Mapping[str, Any], name: str = "board") -> Board:
     with placed(part.place, unless_stated=True):
         match kind.lower().removesuffix("targetfinder").removesuffix("grid").strip("_ "):
             case "april" | "apriltag":
-                size = _size(part, "tagSize", "tag_size", "size")
-                spacing = part.part("tagSpacing", "tag_spacing", "spacing").number
-                return printed.aprilgrid(*_counts(part, "tag"), size, spacing, name)
+                counts = _counts(part, "tag")
+                size = _size(part, "size", "tagSize", "tag_size")
+                spacing = part.part("spacing", "tagSpacing", "tag_spacing").number
+                return printed.aprilgrid(*counts, size, spacing, name)
             case "checkerboard" | "chessboard":
+                counts = _counts(part, "corner")
                 pitch = (
-                    _size(part, "colSpacingMeters", *_SQUARE),
-                    _size(part, "rowSpacingMeters", *_SQUARE),
+                    _size(part, *_SQUARE, "colSpacingMeters"),
+                    _size(part, *_SQUARE, "rowSpacingMeters"),
                 )
-                return printed.checkerboard(*_counts(part, "corner"), pitch, name)
+                return printed.checkerboard(*counts, pitch, name)
             case "charuco":
                 return _charuco(part, name)
             case "circle" | "circles" | "asymmetric circles" | "modifiedcircle":
                 flag = part.get("asymmetricGrid", "asymmetric")
                 asymmetric = kind == "asymmetric circles" or bool(flag and flag.flag)
-                spacing = _size(part, "spacingMeters", "spacing", "pitch", "circle_spacing")
+                spacing = _size(part, "spacing", "spacingMeters", "pitch", "circle_spacing")
                 return printed.circles(
                     *_counts(part, "circle"), spacing, name, asymmetric=asymmetric
                 )

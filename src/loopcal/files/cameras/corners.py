@@ -22,6 +22,7 @@ from loopcal.errors import InputError, listed
 from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.document import Part, read_document
 from loopcal.files.recognition.headers import heading, own_words, words
+from loopcal.files.tables.raw import bytes_of
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.table import Table
 
@@ -53,8 +54,7 @@ def read_corners(path: str | Path, first_pixel: float | None = None) -> CornerTa
     if path.suffix.lower() == ".json":
         return _made(*_tags(read_document(path)), first_pixel or 0.0, path.name)
     if first_pixel is None and path.is_file():
-        with path.open("rb") as stream:
-            stated = _FIRST_PIXEL.search(stream.read(_HEAD).lower())
+        stated = _FIRST_PIXEL.search(bytes_of(path, _HEAD).lower())
         first_pixel = float(stated[1]) if stated else 0.0
     return corners_of(read_table(path), own_words(path.parent), first_pixel or 0.0)
 

@@ -9,6 +9,7 @@ dg_i. The noise itself is estimated as by Immerkær (1996).
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -18,7 +19,8 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 
 Array = NDArray[np.float64]
-Points = dict[str, tuple[float, float]]
+Points = dict[str, tuple[float, ...]]
+"""By id u and v [px], and the sd [px] where the finder knows it."""
 _MOST_PIXELS = 200_000_000
 """Of an image; the largest sensors of industrial cameras have 150 million."""
 _APRIL = (1, 0, 3, 2)
@@ -41,13 +43,18 @@ def packed(path: str, pattern: dict[str, Any]) -> bytes:
     if grey is None or grey.size > _MOST_PIXELS:
         raise InputError("it is no image that OpenCV reads", code="wrong-file-type")
     points = _FINDERS[pattern["kind"]](cv2, grey, pattern)
-    uv = np.array(list(points.values())).reshape(-1, 2)
+    uv = np.array([one[:2] for one in points.values()]).reshape(-1, 2)
     # Centres of circles are no corners.
     corners = "circles" not in pattern["kind"]
     sds = corner_sds(grey, uv) if corners else np.full(len(uv), np.nan)
-    rows = [[name, *uv, sd] for (name, uv), sd in zip(points.items(), sds.tolist(), strict=True)]
+    every = zip(points.items(), sds.tolist(), strict=True)
+    rows = [[name, *([*one, sd] if len(one) == 2 else one)] for (name, one), sd in every]
     height, width = grey.shape
     return json.dumps({"size": [width, height], "points": rows}).encode()
+
+
+_CLASSIC = 1 | 2 | 8
+"""CALIB_CB_ADAPTIVE_THRESH, NORMALIZE_IMAGE and FAST_CHECK."""
 
 
 def _checkerboard(cv2: Any, grey: Any, pattern: dict[str, Any]) -> Points:
@@ -55,7 +62,7 @@ def _checkerboard(cv2: Any, grey: Any, pattern: dict[str, Any]) -> Points:
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
     seen, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
     if not seen:
-        seen, corners = cv2.findChessboardCorners(grey, size)
+        seen, corners = cv2.findChessboardCorners(grey, size, flags=_CLASSIC)
     if not seen:
         return {}
     # On rendered boards of known corners the refined ones scatter by a tenth of those of SB.
@@ -114,9 +121,10 @@ def _aprilgrid(cv2: Any, grey: Any, pattern: dict[str, Any]) -> Points:
         points: Points = {}
         for tag, number in zip(tags, () if ids is None else np.ravel(ids).tolist(), strict=True):
             if number < most:
-                uv = _refined(cv2, grey, tag, _TAG_SHARE)
+                uv = tag_corners(cv2, grey, np.reshape(tag, (4, 2)).astype(float))
                 for k, i in enumerate(order):
-                    points[f"{number}.{k}"] = tuple(np.reshape(uv[i], 2).astype(float).tolist())
+                    u, v, sd = uv[i].tolist()
+                    points[f"{number}.{k}"] = (u, v) if math.isnan(sd) else (u, v, sd)
         best = points if len(points) > len(best) else best
     return best
 
@@ -128,6 +136,79 @@ _FINDERS: dict[str, Callable[[Any, Any, dict[str, Any]], Points]] = {
     "circles": _circles,
     "asymmetric circles": _circles,
 }
+
+
+# Where two black squares touch, blur leaves a corner in its place. Where a tag's corner stands
+# alone in white, blur rounds it off: then the corner is where the edges meet.
+
+
+def tag_corners(cv2: Any, grey: Any, rough: Array) -> Array:
+    """(4, 3) u, v and sd [px] of the corners of a tag; sd is NaN of those that touch a square."""
+    corners = _refined(cv2, grey, rough, _TAG_SHARE).reshape(4, 2).astype(float)
+    away = corners - corners.mean(axis=0)
+    middles = 0.5 * (away + np.roll(away, -1, axis=0))
+    beyond, within = (_grey_at(grey, corners + share * away) for share in (0.1, -0.08))
+    white = _grey_at(grey, corners - away + 1.15 * middles)
+    alone = beyond > 0.5 * (within + 0.5 * (white + np.roll(white, 1)))
+    sharp: Array = np.hstack([corners, np.full((4, 1), np.nan)])
+    for i in np.flatnonzero(alone):
+        ends = (corners[i - 1], corners[(i + 1) % 4])
+        edges = np.array([_edge(grey, corners[i], end, away[i]) for end in ends])
+        N, d, variances = edges[:, :2], edges[:, 2], edges[:, 3]
+        if np.isfinite(edges).all() and np.linalg.cond(N) < _SQUARE:
+            inverse = np.linalg.inv(N)
+            sharp[i, :2] = inverse @ d
+            sharp[i, 2] = math.sqrt(0.5 * np.trace(inverse @ np.diag(variances) @ inverse.T))
+    return sharp
+
+
+_FAINT = 10.0
+"""Grey values across an edge, of 255, below which its place is that of noise."""
+_SQUARE = 20.0
+"""Condition of the normals of two edges, beyond which they hardly meet; 1 where they are square."""
+
+
+def _edge(grey: Any, corner: Array, other: Array, away: Array) -> Array:
+    """n (2,), d, Var d of the line n . x = d along a tag's edge near a corner.
+
+    NaN where the edge is short or faint.
+    At each pixel along the edge it lies at the mean of the steps of grey across it. The scatter
+    about the line gives its variance, at the corner.
+    """
+    length = float(np.linalg.norm(other - corner))
+    along = (other - corner) / length
+    across = np.array([-along[1], along[0]])
+    across *= np.sign(across @ away)
+    half = float(np.clip(0.08 * length, 2.0, 5.0))
+    # Beyond what blur rounds off, and so near that no lens bends the edge.
+    t = np.arange(max(half, 0.1 * length), 0.45 * length)
+    s = np.arange(-half, half + 0.25, 0.5)
+    if len(t) < 5:
+        return np.full(4, np.nan)
+    points = corner + t[:, None, None] * along + s[:, None] * across
+    steps = np.diff(_grey_at(grey, points))
+    if steps.sum(axis=1).min() < _FAINT:
+        return np.full(4, np.nan)
+    at = steps @ (0.5 * (s[1:] + s[:-1])) / steps.sum(axis=1)
+    slope, offset = np.polyfit(t, at, 1)
+    # A value between pixels, the share a of one and 1 - a of the other, scatters by
+    # E(a^2 + (1 - a)^2) = 2/3 of what it adds to sums along the edge.
+    scatter = 1.5 * np.square(at - offset - slope * t).sum() / (len(t) - 2)
+    variance = scatter * (1.0 / len(t) + t.mean() ** 2 / np.square(t - t.mean()).sum())
+    n = across - slope * along
+    return np.array([*n, n @ (corner + offset * across), variance])
+
+
+def _grey_at(grey: Any, points: Array) -> Array:
+    """(...) grey values at points (..., 2), linear between pixels."""
+    height, width = grey.shape
+    u = np.clip(points[..., 0], 0.0, width - 1.001)
+    v = np.clip(points[..., 1], 0.0, height - 1.001)
+    i, j = u.astype(int), v.astype(int)
+    a, b = u - i, v - j
+    above = (1.0 - a) * grey[j, i] + a * grey[j, i + 1]
+    below = (1.0 - a) * grey[j + 1, i] + a * grey[j + 1, i + 1]
+    return np.asarray((1.0 - b) * above + b * below, dtype=float)
 
 
 def _dictionary(cv2: Any, pattern: dict[str, Any]) -> Any:
@@ -171,7 +252,7 @@ def _noise(grey: Any) -> float:
     rough = np.abs(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:])
     # Normal noise of sd 1 has sd 6 in these differences, half of them below 0.6745 of it; grey
     # values are rounded besides, whose sd is 1 / sqrt(12).
-    return max(float(np.median(rough)) / (6.0 * 0.6745), 12.0**-0.5)
+    return max(float(np.median(rough)) / (6.0 * 0.6745), math.sqrt(1.0 / 12.0))
 
 
 def _gain(grey: Any, u: float, v: float, half: int) -> float:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed, short
 from loopcal.files.json_reader import json_bytes, whole_number
 
-MOST_BYTES, MOST_VALUES, DEEPEST = 2_000_000, 100_000, 40
+MOST_BYTES, MOST_VALUES, DEEPEST = 1_000_000, 100_000, 40
 """Of YAML: bytes, values, and values within values. JSON is bounded as that of loopcal."""
 _REMEDY = "name the file with the camera, board, corners or poses alone"
 _TRUE, _FALSE = frozenset(("true", "1", "yes", "on")), frozenset(("false", "0", "no", "off"))
@@ -147,7 +147,7 @@ class Part:
 def read_document(path: str | Path) -> Part:
     """The first document of a YAML file, or that of a JSON file, by its content.
 
-    Raises InputError for what is neither, for YAML larger than 2 MB or with more than 100,000
+    Raises InputError for what is neither, for YAML larger than 1 MB or with more than 100,000
     values, an alias or one key twice, for JSON beyond the bounds of `json_bytes`, and for values
     deeper than 40 levels.
     """
@@ -179,48 +179,52 @@ def _check_depth(data: Any, name: str, depth: int = 0) -> None:
 
 
 def _yaml(text: str, name: str) -> Any:
+    """The first document, made of the events of its parser as they come."""
     import yaml
 
-    # Lines keep their numbers.
-    text = _DIRECTIVE.sub("", text)
-    count, depth = 0, 0
+    # What is open: lists, and mappings with the key whose value comes next.
+    opened: list[list[Any] | dict[str, Any]] = [[]]
+    keys: list[str | None] = [None]
+    count = 0
     try:
-        for event in yaml.parse(text, yaml.BaseLoader):
+        # Lines keep their numbers.
+        for event in yaml.parse(_DIRECTIVE.sub("", text), yaml.BaseLoader):
             count += 1
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
-            if isinstance(event, yaml.AliasEvent):
-                place = f"{name}, line {event.start_mark.line + 1}"
-                raise _syntax(place, "an alias stands there, which is not read")
-            if count > MOST_VALUES or depth > DEEPEST:
+            if count > MOST_VALUES or len(opened) > DEEPEST:
                 raise _too_large(
                     name, f"holds more than {MOST_VALUES:,} values or {DEEPEST} levels"
                 )
+            place = f"{name}, line {event.start_mark.line + 1}"
+            if isinstance(event, yaml.AliasEvent):
+                raise _syntax(place, "an alias stands there, which is not read")
             if isinstance(event, yaml.DocumentEndEvent):
                 break
-        loader = yaml.BaseLoader(text)
-        node = loader.get_node() if loader.check_node() else None
+            if isinstance(event, yaml.CollectionEndEvent):
+                opened.pop()
+                keys.pop()
+            if not isinstance(event, yaml.NodeEvent):
+                continue
+            value: Any = getattr(event, "value", None)
+            if isinstance(event, yaml.CollectionStartEvent):
+                value = {} if isinstance(event, yaml.MappingStartEvent) else []
+            inside, key = opened[-1], keys[-1]
+            if isinstance(inside, list):
+                inside.append(value)
+            elif key is None:
+                if not isinstance(value, str) or not value or value in inside:
+                    raise _syntax(place, f"{short(repr(value))} is no key, or stands there twice")
+                keys[-1] = value
+            else:
+                inside[key], keys[-1] = value, None
+            if isinstance(event, yaml.CollectionStartEvent):
+                opened.append(value)
+                keys.append(None)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"{name}, line {mark.line + 1}, column {mark.column + 1}" if mark else name
         why = str(getattr(error, "problem", None) or "a character that YAML does not allow")
         raise _syntax(place, why) from None
-    return None if node is None else _plain(node, name)
-
-
-def _plain(node: Any, name: str) -> Any:
-    if isinstance(node.value, str):
-        return node.value
-    if node.id == "sequence":
-        return [_plain(child, name) for child in node.value]
-    data: dict[str, Any] = {}
-    for key, child in node.value:
-        word = key.value if isinstance(key.value, str) else ""
-        if not word or word in data:
-            place = f"{name}, line {key.start_mark.line + 1}"
-            raise _syntax(place, f"the key {short(word)!r} stands twice" if word else "no key")
-        data[word] = _plain(child, name)
-    return data
+    return next(iter(opened[0]), None)
 
 
 def _syntax(place: str, why: str) -> InputError:

@@ -7,6 +7,7 @@ others are read all the same.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
@@ -41,9 +42,8 @@ def detect(images: str | Path | Iterable[str | Path], board: Board) -> Detection
 
     images: a folder, or files. Pixels are those of the file: a turn that a camera only notes (EXIF)
     is left out. sds are those that the noise of the image explains, NaN where it cannot be known.
-    Corners of tags without a black square beside them (Kalibr prints those) lie further out by a
-    seventh of the blur. Raises InputError without OpenCV, without images, for a board whose pattern
-    is not stated, and where no image shows it.
+    Raises InputError without OpenCV, without images, for a
+    board whose pattern is not stated, and where no image shows it.
     """
     if find_spec("cv2") is None:
         raise InputError(
@@ -57,12 +57,17 @@ def detect(images: str | Path | Iterable[str | Path], board: Board) -> Detection
             code="missing-key",
             remedy='state its type: board = { type = "checkerboard", columns = 9, ... }',
         )
-    folder, files = _files(images)
+    files = _files(images)
+    # Images of one camera each may lie in a folder that has its name.
+    parents = [path.parent for path in files]
+    if isinstance(images, str | Path) and Path(images).is_dir():
+        parents = [Path(images)]
+    folder = Path(os.path.commonpath([os.path.abspath(one) for one in parents]))
     rows: list[tuple[str, str, str, float, float, float]] = []
     missed: dict[str, str] = {}
     sizes: dict[str, tuple[int, int]] = {}
     for path in files:
-        name = path.relative_to(folder).as_posix() if folder else path.name
+        name = Path(os.path.abspath(path)).relative_to(folder).as_posix()
         arguments = {"path": str(path.absolute()), "pattern": asdict(board.pattern)}
         try:
             answer = guarded(f"{_READER}:packed", arguments, path.stat().st_size)
@@ -106,23 +111,23 @@ def detect(images: str | Path | Iterable[str | Path], board: Board) -> Detection
 _READER = "loopcal.files.cameras.detectors"
 
 
-def _files(images: str | Path | Iterable[str | Path]) -> tuple[Path | None, list[Path]]:
-    """The folder, if one is stated, and the files of images in it or as stated."""
-    folder = None
-    if isinstance(images, str | Path):
-        if not Path(images).is_dir():
-            return None, [existing_file(images)]
-        folder = Path(images)
-        patterns = ["/".join("*" * level) for level in range(1, _FOLDERS + 1)]
-        every = sorted(one for pattern in patterns for one in folder.glob(pattern))
-        files = [existing_file(one) for one in every if one.suffix.lower() in ENDINGS]
-    else:
+def _files(images: str | Path | Iterable[str | Path]) -> list[Path]:
+    """The files of images as stated, or those in a folder."""
+    place = None
+    if not isinstance(images, str | Path):
         files = [existing_file(one) for one in images]
+    elif not Path(images).is_dir():
+        files = [existing_file(images)]
+    else:
+        place = str(images)
+        patterns = ["/".join("*" * level) for level in range(1, _FOLDERS + 1)]
+        every = sorted(one for pattern in patterns for one in Path(images).glob(pattern))
+        files = [existing_file(one) for one in every if one.suffix.lower() in ENDINGS]
     if not files:
         raise InputError(
             "there is no image",
             code="no-data",
-            place=str(folder) if folder else None,
+            place=place,
             remedy=f"name a folder with images ({listed(sorted(ENDINGS))})",
         )
-    return folder, files
+    return files

@@ -126,7 +126,11 @@ def _by_name(part: Part, first_pixel: float) -> Intrinsics:
     stated = part.get("lens")
     names = {key for key, _ in part.items()}
     # The smallest lens that has all the coefficients stated; k1 alone does not tell a fisheye.
-    lens = next(one for one, known in LENSES.items() if names & {*LENSES["brown12"]} <= {*known})
+    lens = next(
+        one
+        for one, coefficients in LENSES.items()
+        if names & {*LENSES["brown12"]} <= {*coefficients}
+    )
     if stated and stated.text not in LENSES:
         raise _unsupported(stated, ", ".join(LENSES))
     lens = stated.text if stated else lens
@@ -253,10 +257,10 @@ def _places(part: Part) -> Iterator[tuple[str, Array]]:
             yield match["of"], transform(Part(values.tolist(), inner.place))
 
 
-def _unsupported(part: Part, known: str) -> InputError:
+def _unsupported(part: Part, models: str) -> InputError:
     return InputError(
         f"the model {part.text!r} is not read",
         code="unsupported",
         place=part.place,
-        remedy=f"calibrate the camera as one of {known}",
+        remedy=f"calibrate the camera as one of {models}",
     )

@@ -116,15 +116,6 @@ def easy_handeye(name: str, T: Array, *, on_hand: bool, frames: Mapping[str, str
     return "\n".join([*lines, ""])
 
 
-def static_transform(parent: str, child: str, T: Array) -> str:
-    """A command line of ROS 2 that publishes a place (4, 4) [m] of `child` in `parent`."""
-    numbers = " ".join(f"--{key} {_number(value)}" for key, value in _place(T))
-    return (
-        f"ros2 run tf2_ros static_transform_publisher {numbers} "
-        f"--frame-id {parent} --child-frame-id {child}\n"
-    )
-
-
 def _place(T: Array) -> list[tuple[str, float]]:
     w, x, y, z = quaternion(T[:3, :3])
     keys = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -140,16 +131,16 @@ def _image(name: str, camera: Intrinsics) -> tuple[int, int]:
         raise InputError(
             f"the image size of the camera {name!r} is not known",
             code="missing-key",
-            remedy="state image = [width, height] of the camera",
+            remedy="name a file that states it, as the camera_info of before: --source FILE",
         )
     return camera.image
 
 
 def _unwritable(name: str, camera: Intrinsics, what: str, other: str) -> InputError:
     return InputError(
-        f"{what} has no lens {camera.lens!r}, which the camera {name!r} has",
+        f"{what} has no lens {camera.lens!r}, which the camera {name!r} has; it would take {other}",
         code="unsupported",
-        remedy=f"calibrate it as {other}, or write OpenCV's file",
+        remedy=f"calibrate the camera as {other}",
     )
 
 
