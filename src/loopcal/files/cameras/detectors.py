@@ -148,7 +148,9 @@ def _charuco(cv2: Any, grey: Any, pattern: dict[str, Any]) -> Points:
     else:
         return {}
     if legacy != pattern["legacy"]:
-        raise InputError(f"the board is seen with legacy = {str(legacy).lower()} alone")
+        raise InputError(
+            f"the board is seen with legacy = {str(legacy).lower()} alone", code="conflicting-keys"
+        )
     # No marker reaches into the window: it ends half the rest of a square away from the corner.
     uv = _refined(cv2, grey, corners, 0.45 * (1.0 - pattern["marker"])).reshape(-1, 2).astype(float)
     return {str(i): (u, v) for i, (u, v) in zip(np.ravel(ids).tolist(), uv.tolist(), strict=True)}
@@ -259,7 +261,7 @@ def _grey_at(grey: Any, points: Array) -> Array:
 def _dictionary(cv2: Any, pattern: dict[str, Any]) -> Any:
     number = getattr(cv2.aruco, f"DICT_{pattern['dictionary']}", None)
     if number is None:
-        raise InputError(f"OpenCV has no dictionary {pattern['dictionary']!r}")
+        raise InputError(f"OpenCV has no dictionary {pattern['dictionary']!r}", code="unknown-name")
     return cv2.aruco.getPredefinedDictionary(number)
 
 
