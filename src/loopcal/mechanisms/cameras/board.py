@@ -16,11 +16,32 @@ from loopcal.errors import InputError
 
 
 @dataclass(frozen=True)
+class Pattern:
+    """How a board is printed, for those who look for it in an image.
+
+    kind: one of `printed.KINDS`; columns, rows: of inner corners, circles, tags, or squares of a
+    ChArUco board; marker: its side over that of a square, or a tag's over the step from tag to
+    tag; dictionary: of markers, as in OpenCV; legacy: ChArUco as OpenCV printed it before 4.6.
+    """
+
+    kind: str
+    columns: int
+    rows: int
+    marker: float = 0.0
+    dictionary: str = ""
+    legacy: bool = False
+
+
+@dataclass(frozen=True)
 class Board:
-    """Named points (x, y, z) [m] of one rigid thing. Raises InputError for one without points."""
+    """Named points (x, y, z) [m] of one rigid thing; pattern: None where nobody stated it.
+
+    Raises InputError for one without points.
+    """
 
     name: str
     points: Mapping[str, tuple[float, float, float]]
+    pattern: Pattern | None = None
 
     def __post_init__(self) -> None:
         if not self.points:
