@@ -74,8 +74,8 @@ def multiples(linearisation: Linearisation) -> Multiples:
             operations.append(sign if one == _ONE else ("neg", (one,)))
     common = [position[part] for column in shared for part in column]
     members = {parameter for some in shared.values() for parameter, _ in some}
-    last = [begin + p * m + i for p in sorted(members) for i in range(m)]
-    first = [i for i in range(end) if i not in set(last)]
+    last = dict.fromkeys(begin + p * m + i for p in sorted(members) for i in range(m))
+    first = [i for i in range(end) if i not in last]
     outputs = [*tape.outputs, *common, *factors]
     order = [*first, *range(end, len(outputs)), *last]
     place = {i: at for at, i in enumerate(order)}

@@ -18,6 +18,7 @@ for every pose.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -260,36 +261,49 @@ class _Solved:
 
 def _solved(model: LinearModel, joined: Joined) -> _Solved:
     """The whitened columns with the prior, solved for the parameters."""
-    by_products = _by_products(model, joined)
-    return _by_rows(model, joined) if by_products is None else by_products
-
-
-def _by_products(model: LinearModel, joined: Joined) -> _Solved | None:
-    """By the triangle of the products; None where their rounding would show."""
     prior = _prior_rows(model)
     total = joined.total + prior.T @ prior
     scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
-    try:
+    solved = None
+    with suppress(np.linalg.LinAlgError):
         R = np.asarray(np.linalg.cholesky(total * scale * scale[:, None]).T, dtype=np.float64)
-    except np.linalg.LinAlgError:
+        solved = _by_triangle(R, scale, WELL_CONDITIONED)
+    if solved is None:
+        # products would square the condition and leave the criterion some seven digits
+        R = _triangle(prior, joined)
+        solved = _by_triangle(R * scale, scale, 1.0 / KEPT) or _by_directions(R)
+    return solved
+
+
+def _by_triangle(R: Array, scale: Array, most: float) -> _Solved | None:
+    """By the triangle of [J e] with its columns scaled; None where its condition is not surely at
+    most so much."""
+    n = len(scale) - 1
+    if len(R) <= n or not np.diag(R)[:n].all():
         return None
-    n = len(R) - 1
     inverse = inverse_of_upper(R[:n, :n])
     # In Frobenius' norm the product is no less than the condition number.
-    if not np.linalg.norm(R[:n, :n]) * np.linalg.norm(inverse) <= WELL_CONDITIONED:
+    if not np.linalg.norm(R[:n, :n]) * np.linalg.norm(inverse) <= most:
         return None
     column_scale, size = scale[:n], 1.0 / scale[n]
-    log_volume = 2.0 * float(np.log(np.diag(R)[:n]).sum() - np.log(column_scale).sum())
+    log_volume = 2.0 * float(np.log(np.abs(np.diag(R)[:n])).sum() - np.log(column_scale).sum())
     # The last pivot of the triangle of [J e] is the length of what J leaves of e.
     residual = float(R[n, n] * size) ** 2
     return _Solved(column_scale[:, None] * inverse, R[:n, n] * size, residual, log_volume, True)
 
 
-def _by_rows(model: LinearModel, joined: Joined) -> _Solved:
-    # products would square the condition and leave the criterion some seven digits
-    R, n = _prior_rows(model), len(model.precision)
+def _triangle(prior: Array, joined: Joined) -> Array:
+    """R of the QR decomposition of [J e] with the prior."""
+    R = prior
     for rows in joined.rows:
-        R = np.asarray(np.linalg.qr(np.concatenate([R, rows.reshape(-1, n + 1)]), mode="r"))
+        flat = rows.reshape(-1, R.shape[1])
+        R = np.asarray(np.linalg.qr(np.concatenate([R, flat]), mode="r"))
+    return R
+
+
+def _by_directions(R: Array) -> _Solved:
+    """By the singular values of the triangle, where some directions may not be determined."""
+    n = R.shape[1] - 1
     scale = 1.0 / np.maximum(np.linalg.norm(R[:, :n], axis=0), 1e-150)
     U, values, Vt = np.linalg.svd(R[:, :n] * scale, full_matrices=False)
     kept = values > KEPT * values[0]
