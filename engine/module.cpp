@@ -315,8 +315,11 @@ private:
             width += (ends_of_common_[c + 1] - ends_of_common_[c] + 3) / 4 * 4;
             columns_.push_back(n + c);
         }
+        // sums of numbers take the room of sums in lanes
+        if (!commons) width = 0;
+        require(static_cast<size_t>(width) * width <= static_cast<size_t>(SUMS) * (n + 1) * (n + 1), "common columns have too few members");
         program_.multiples = {commons, static_cast<int>(factors_.size()), alone, factors_.data(), members_.data(),
-                              factor_of_.data(), ends_of_common_.data(), columns_.data(), places_.data(), commons ? width : 0};
+                              factor_of_.data(), ends_of_common_.data(), columns_.data(), places_.data(), width};
     }
 
     // number >= 0: that row; -1 - i: number i

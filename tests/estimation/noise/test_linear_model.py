@@ -14,7 +14,8 @@ def test_a_determined_triangle_is_solved_as_by_its_directions(condition: float) 
     columns, n = rng.normal(size=(40, 7)), 6
     U, _, Vt = np.linalg.svd(columns[:, :n], full_matrices=False)
     columns[:, :n] = (U * np.geomspace(1.0, 1.0 / condition, n)) @ Vt
-    R = np.linalg.qr(columns * np.array([1e3, 1.0, 1e-2, 10.0, 1.0, 1.0, 1.0]), mode="r")
+    sizes = np.array([1e3, 1.0, 1e-2, 10.0, 1.0, 1.0, 1.0])
+    R = np.asarray(np.linalg.qr(columns * sizes, mode="r"))
     scale = 1.0 / np.linalg.norm(R, axis=0)
     one, other = _by_triangle(R * scale, scale, 1.0 / KEPT), _by_directions(R)
     assert one is not None
@@ -32,6 +33,6 @@ def test_a_determined_triangle_is_solved_as_by_its_directions(condition: float) 
 def test_a_triangle_with_an_open_direction_is_left_to_its_directions() -> None:
     columns = np.random.default_rng(2).normal(size=(40, 5))
     columns[:, 1] = columns[:, 0]
-    R = np.linalg.qr(columns, mode="r")
+    R = np.asarray(np.linalg.qr(columns, mode="r"))
     assert _by_triangle(R, np.ones(5), 1.0 / KEPT) is None
     assert _by_directions(R).root.shape == (4, 3)

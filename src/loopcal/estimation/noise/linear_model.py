@@ -9,7 +9,7 @@ their stated sds. s_j is its variance ratio (1 at the stated sds), V_0 the covar
 whose sds are given. The misclosure then has the covariance V = V_0 + sum_j s_j G_j G_j^T. Searle,
 Casella and McCulloch, Variance Components (1992), chapter 6.
 
-All columns are joined, [J e G], and whitened together. The products of [J e] reduce the poses to a
+All columns [J e] and G are whitened. The products of [J e] reduce the poses to a
 triangle, or its QR decomposition where their rounding would show; prior terms are further rows of
 it. Sums over poses go by loadings: a component with one column costs one column, not a matrix V_j
 for every pose.
@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,21 +42,29 @@ KEPT = 1e-7
 
 @dataclass(frozen=True)
 class ModelBlock:
-    """b poses: e (b, r), J (b, r, n), fixed (b, r, r) = V_0 and the loadings G (b, r, K).
+    """b poses: rows [J e] (b, r, n + 1), fixed (b, r, r) = V_0 and the loadings G (b, r, K).
 
     owner: (K,) the component of each column of G, in ascending order.
     """
 
-    e: Array
-    J: Array
+    rows: Array
     fixed: Array
     G: Array
     owner: NDArray[np.intp]
 
-    @cached_property
-    def columns(self) -> Array:
-        """[J e G], (b, r, n + 1 + K)."""
-        return np.concatenate([self.J, self.e[:, :, None], self.G], axis=2)
+    def by(self, J: Array) -> ModelBlock:
+        """The same poses with derivatives (b, r, n) by other parameters."""
+        return replace(self, rows=np.concatenate([J, self.e[:, :, None]], axis=2))
+
+    @property
+    def J(self) -> Array:
+        """(b, r, n)."""
+        return self.rows[:, :, :-1]
+
+    @property
+    def e(self) -> Array:
+        """(b, r)."""
+        return self.rows[:, :, -1]
 
 
 @dataclass(frozen=True)
@@ -112,26 +120,27 @@ def linear_model(
     for pattern, block in sweeper.blocks(parameters, corrections):
         noise, values = block.noise, sweeper.loop_values(pattern, block)
         unmeasured, measured = list(noise.unmeasured), list(noise.measured)
-        f, J, D = values.f.copy(), values.by_quantity[measured], values.by_parameter.copy()
+        f, J, D = values.f.copy(), values.by_quantity[measured], values.by_parameter
         columns = values.by_quantity[unmeasured]
         if problem.weighting is Weighting.READ:
-            D = sweeper.loop_values(pattern, block.read).by_parameter.copy()
+            D = sweeper.loop_values(pattern, block.read).by_parameter
         skip = len(unmeasured)
         if skip:
             reflections = eliminate(columns)
             f, J, D = (reflections.apply(part) for part in (f, J, D))
         e = np.einsum("kmb,kb->mb", J[:, skip:], block.corrections[measured]) - f[skip:]
         G = loadings(J[:, skip:], noise).transpose(2, 0, 1)
-        rows = [[measured.index(i) for i in c if i in noise.measured] for c in components]
-        members = [i for c in rows for i in c]
+        joined = np.empty((*e.T.shape, len(D) + 1))
+        joined[:, :, :-1], joined[:, :, -1] = D[:, skip:].transpose(2, 1, 0), e.T
+        places = [[measured.index(i) for i in c if i in noise.measured] for c in components]
+        members = [i for c in places for i in c]
         rest = G[:, :, [i for i in range(len(measured)) if i not in members]]
         blocks.append(
             ModelBlock(
-                np.ascontiguousarray(e.T),
-                np.ascontiguousarray(D[:, skip:].transpose(2, 1, 0)),
+                joined,
                 rest @ rest.transpose(0, 2, 1),
                 np.ascontiguousarray(G[:, :, members]),
-                np.array([j for j, c in enumerate(rows) for _ in c], dtype=np.intp),
+                np.array([j for j, c in enumerate(places) for _ in c], dtype=np.intp),
             )
         )
     present = parameters[problem.free]
@@ -325,8 +334,7 @@ def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Jo
 
     sums: [J e]^T [J e] of all poses, where a fit at these ratios has added them up.
     """
-    n = len(model.precision)
-    rows, W, log_V = [], [], 0.0
+    every, W, log_V = [], [], 0.0
     for block in model.blocks:
         V = block.fixed + (block.G * ratios[block.owner]) @ block.G.transpose(0, 2, 1)
         try:
@@ -335,12 +343,17 @@ def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Jo
             return None
         log_V += 2.0 * float(np.log(np.einsum("brr->br", L)).sum())
         # NumPy solves no stacks of triangles: an inverse and a product serve the whole block.
-        whitened = np.linalg.inv(L) @ block.columns
-        if not np.abs(whitened).max(initial=0.0) < _LARGEST:
+        inverse = np.linalg.inv(L)
+        rows, turned = inverse @ block.rows, inverse @ block.G
+        # not of absolute values, which are as large an array again
+        ends = [
+            end for one in (rows, turned) for end in (-one.min(initial=0.0), one.max(initial=0.0))
+        ]
+        if not all(end < _LARGEST for end in ends):
             return None
-        rows.append(np.ascontiguousarray(whitened[:, :, : n + 1]))
-        W.append(whitened[:, :, n + 1 :])
-    return Joined(ratios, rows, W, log_V, sums)
+        every.append(rows)
+        W.append(turned)
+    return Joined(ratios, every, W, log_V, sums)
 
 
 def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected:
