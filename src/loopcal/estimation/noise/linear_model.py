@@ -61,7 +61,7 @@ class ModelBlock:
     @property
     def equations(self) -> Array:
         """(b,) or (1,) rows, spare ones with them."""
-        return self.e.shape[1] + self.spare.sum(axis=1)
+        return np.asarray(self.e.shape[1] + self.spare.sum(axis=1))
 
     def spare_of(self, components: int) -> Array:
         """(c,) spare rows of the components over all poses."""
@@ -222,7 +222,7 @@ def _of_own_readings(
         spare[:, j] -= missing[of_row == j].sum(axis=0)
         if rows.shape[1] > width:
             spare[:, j] += rows.shape[1] - width
-            rows = np.linalg.qr(rows, mode="r")
+            rows = np.asarray(np.linalg.qr(rows, mode="r"))
         parts.append(rows)
         loaded.append(rows.shape[1])
         owners += [j] * rows.shape[1]
