@@ -205,8 +205,8 @@ class Stacked:
         inverse = inverse_of_upper(self.matrix)
         flat, back = self.matrix.ravel(), inverse.ravel()
         # As in `Summed.solution`: the condition is no larger.
-        known = bool((flat @ flat) * (back @ back) < RANK_TOLERANCE**-2)
-        return np.asarray(inverse @ self.right) if known else None
+        determined = bool((flat @ flat) * (back @ back) < RANK_TOLERANCE**-2)
+        return np.asarray(inverse @ self.right) if determined else None
 
 
 @dataclass(frozen=True)
