@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
-from loopcal.estimation.cameras.start import CameraStart, start
+from loopcal.estimation.cameras.start import CameraStart, start, with_stated_lenses
 from loopcal.files.cameras.boards import read_boards
 from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.corners import is_corners, read_corners
@@ -242,6 +242,9 @@ def from_images(
     corners = _corners(table, boards, hand.poses)
     lenses, turned = _upright(_by_camera(files.lenses, table.cameras), table)
     begun = start(corners, hand.T_base_flange, lenses, dict(table.sizes))
+    if set(lenses) >= set(table.cameras):
+        # What was stated is nominal: what the images add to it is for the calibration to say.
+        begun = with_stated_lenses(begun)
     if hand.T_base_flange is None:
         hand = _unread(begun, hand)
     elif begun.T_base_flange is not None and "x" in hand.readings:
@@ -545,12 +548,7 @@ class _Project:
             X = begun.X[c] @ np.linalg.inv(begun.X[0]) if free else begun.X[c]
             place = X if held else np.linalg.inv(X)
             stated |= _six(eye, place, fixed=free and c == 0, known=blind and not held)
-            # What was stated is nominal: what the images add to it is for the calibration to say.
-            lens = (
-                begun.intrinsics_stated[camera]
-                if camera in self.stated
-                else begun.intrinsics[camera]
-            )
+            lens = begun.intrinsics[camera]
             for key, value in lens.values.items():
                 entry: dict[str, Any] = {"value": float(value)}
                 if key in ("f", "cx", "cy"):
