@@ -231,7 +231,10 @@ def _meaning(fields: Fields, one: SourceInstrument, stations: Field | None) -> M
     )
     form = {4: "quaternion", 9: "matrix"}.get(len(turned), "turns" if turned else "")
     sds = tuple(f for column in one.sd if (f := _column(fields, column)))
-    sds = tuple(_in_unit(f, one.sd_unit or one.unit)[0] for f in sds)
+    sds = tuple(
+        replace(_in_unit(f, one.sd_unit or one.unit)[0], values=f.values / one.coverage)
+        for f in sds
+    )
     seen = Seen(kind, placed, turned, form, sds if len(sds) == len(one.sd) else ())
     if one.station is not None and stations is not None:
         rows = np.array([stations.words(v) == one.station for v in stations.values])

@@ -236,7 +236,7 @@ def _of_file(path: Path, number: int, sheet: str | None) -> tuple[Source, ...]:
             code="missing-key",
             place=path.name,
             remedy=f"name one: --sheet {sheets[0][0].sheet!r}",
-        )
+        ).offering("--sheet", str(sheets[0][0].sheet))
     if len(sheets) > 1:
         read = "the first is read" if len(taken) == 1 else f"{len(taken)} are joined"
         remark = f"{path.name} has several sheets: {which}; {read}. {taken[0].remark}".strip()
@@ -536,19 +536,28 @@ def _width(table: Table) -> int:
 def _pose_column(
     table: Table, headings: Sequence[Heading | None], numeric: Sequence[int]
 ) -> int | None:
-    """The column of ids: by its name, or a count that begins a table without a header."""
+    """The column of ids: by its name, a count that begins a table without a header, or the first
+    column of texts that differ in all rows."""
     repeated: dict[int, int] = {}
     for i in table.columns:
         if _stem(headings, i) not in _IDS or len(table.rows) < 2:
             continue
         ids = table.ids(i)
         kinds = len(set(ids))
+        if i in numeric and not all(map(_WHOLE.fullmatch, ids)):
+            continue
         if kinds == len(ids):
             return i
-        if i not in numeric or (kinds > 1 and all(map(_WHOLE.fullmatch, ids))):
+        if i not in numeric or kinds > 1:
             repeated[i] = kinds
     if repeated:  # of poses and reflectors in rows of their own, poses are the more
         return max(repeated, key=lambda i: repeated[i])
+    for i in table.columns:
+        if i in numeric or _stem(headings, i) in TIMES | STATIONS | TOOLS | _TARGETS:
+            continue
+        ids = table.ids(i)
+        if len(ids) > 2 and all(ids) and len(set(ids)) == len(ids) and seconds_of(ids) is None:
+            return i
     if not table.names and numeric and numeric[0] == 0:
         first = table.numbers(0, np.arange(len(table.rows)))
         steps = np.diff(first)

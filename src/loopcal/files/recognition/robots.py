@@ -13,7 +13,12 @@ from loopcal.files.machines.urdf import Branch, branches
 from loopcal.files.recognition.dh_table import DhTable, Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
 from loopcal.files.recognition.headers import words
-from loopcal.files.recognition.joint_sets import affixed_joints, named_joints, usual_joints
+from loopcal.files.recognition.joint_sets import (
+    affixed_joints,
+    joint_sets,
+    named_joints,
+    usual_joints,
+)
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.rest import roll_pitch_yaw
@@ -164,7 +169,9 @@ def _of_table(path: Path, table: DhTable, fields: Sequence[Field]) -> Robot:
             place=path.name,
             remedy="give a row per joint",
         )
-    columns = [f.heading.text if f.heading else "" for f in usual_joints(fields)]
+    # Commanded and actual joints would give the machine the names of one of them.
+    usual = usual_joints(fields) if len(joint_sets(fields, count, ())) < 2 else ()
+    columns = [f.heading.text if f.heading else "" for f in usual]
     names = joint_names(rows, [c for c in columns if c])
     joints: list[dict[str, Any]] = []
     ahead: dict[str, float] = {}

@@ -262,7 +262,7 @@ def initial_project(
     if weak := _weakest(poses, dataset):
         statement = statement.remarked("mechanism", weak)
     odd = (*odd, *(one.words for one in poses.findings if one.code == ORDERED))
-    tables = {READINGS: _table(fields, statement)} if statement.converted else {}
+    tables = {READINGS: _table(dataset, statement)} if statement.converted else {}
     remarks = tuple(source.remark for source in sources if source.remark)
     remarks += tuple(row for rows in statement.remarks.values() for row in rows) + odd
     text = statement.text
@@ -287,10 +287,13 @@ def initial_project(
 def _robot(robot: RobotFile, fields: Fields, folder: Path) -> Robot:
     named = [k for k in ("urdf", "dh", "machine") if getattr(robot, k) is not None]
     if len(named) != 1:
-        raise UsageError(
+        error = UsageError(
             f"{' and '.join(named) or 'nothing'} describes the robot",
             remedy="name exactly one of --urdf FILE, --dh FILE and --machine TYPE",
         )
+        folders = {source.path.parent for source in fields.sources if source.path}
+        near = [str(urdf) for folder in folders for urdf in folder.glob("*.urdf")]
+        raise error.offering("--urdf", *near) if len(near) == 1 and not named else error
     if robot.urdf is not None:
         path = Path(robot.urdf)
         return urdf_robot(path, relative(path, folder), fields.fields, robot.base, robot.tip)
@@ -379,11 +382,12 @@ def _without(fields: Fields, names: str | None) -> Fields:
     return replace(fields, fields=tuple(kept))
 
 
-def _table(fields: Fields, statement: Statement) -> bytes:
-    """The readings in SI units, for the file beside the project."""
+def _table(dataset: Dataset, statement: Statement) -> bytes:
+    """The readings and their sds in SI units, for the file beside the project."""
     columns = statement.tables["data"]["columns"]
-    values = {columns[n]["column"]: r.values for n, r in statement.readings.items()}
-    return table_bytes({"pose": fields.poses, **values})
+    values = {columns[n]["column"]: v for n, v in dataset.readings.items()}
+    sds = {columns[n]["sd_column"]: v for n, v in dataset.sds.items()}
+    return table_bytes({"pose": dataset.poses, **values, **sds})
 
 
 def _read(statement: Statement, folder: Path) -> Project:
@@ -435,9 +439,9 @@ def _weakest(made: Check, dataset: Dataset) -> str:
     drawing = replace(predictor, covariance=LearntCovariance.certain(np.diag(np.square(sds))))
     joints = dict.fromkeys(step.joint for step in machine.chain if step.joint)
     ranges = ranges_of(machine, {name: dataset[name] for name in joints}, {})
-    both = zip(
-        output_groups(machine), sds_in(predictor, ranges), sds_in(drawing, ranges), strict=True
-    )
+    known = {name: float(np.median(dataset[name])) for name in machine.tape.pose_constants}
+    made_sds, drawn_sds = (sds_in(one, ranges, known) for one in (predictor, drawing))
+    both = zip(output_groups(machine), made_sds, drawn_sds, strict=True)
     worse = [(group, sd, drawn) for group, sd, drawn in both if sd > drawn]
     if not worse:
         return ""

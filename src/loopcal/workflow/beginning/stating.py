@@ -29,8 +29,8 @@ from loopcal.units import from_si, to_si, unit
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
 
 Array = NDArray[np.float64]
-READINGS = "readings.csv"
-"""The file beside the project that holds converted readings."""
+READINGS, SDS = "readings.csv", " sd"
+"""The file beside the project that holds converted readings, and the end of its columns of sds."""
 ENCODER = 50e-6
 """Guess of an encoder's sd at the joint [rad], that of 17 bits (2 pi / 2^17 = 48 urad)."""
 SLIDE, WIRE, CAMERA, TURN = 10e-6, 0.2e-3, 1e-3, 2e-3
@@ -349,7 +349,10 @@ class _Instrument:
         position = [columns[n] for n in self.names()]
         if all(r.sds is not None for r in position):
             names = ", ".join(self.names())
-            guesses.append(f"The sds of {names} stand in columns of the file (sd_column above).")
+            guesses.append(
+                f"The sds of {names} stand in columns of the file (sd_column above). For expanded "
+                "uncertainties (k = 2) add coverage = 2 there, and to [[data.source.instrument]]."
+            )
         else:
             sd, source = self._guess(position)
             shown = "mm" if sd > 1e-4 else "um"
@@ -429,6 +432,7 @@ def _data(
         labels = {f.label for f in fields.fields}
         columns = {
             n: {"column": converted_name(n, r.si, labels), "unit": r.si}
+            | ({} if r.sds is None else {"sd_column": f"{n}{SDS}"})
             for n, r in readings.items()
         }
         return [{"file": READINGS, "pose": "pose", "columns": columns}]
