@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.fields import Field, Source, counted, pooled
+from loopcal.files.recognition.fields import Field, Source, counted
 from loopcal.files.recognition.headers import sd_of
+from loopcal.files.recognition.shots import pooled
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]

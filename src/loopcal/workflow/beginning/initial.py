@@ -25,7 +25,7 @@ from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import Conditions, apart
 from loopcal.files.recognition.converting import dataset_of
 from loopcal.files.recognition.expressions import joint_columns
-from loopcal.files.recognition.fields import Field, Source, sources_of
+from loopcal.files.recognition.fields import Field, Source
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import Layout, layouts
 from loopcal.files.recognition.logs import at_rest
@@ -36,6 +36,7 @@ from loopcal.files.recognition.robots import (
     typed_robot,
     urdf_robot,
 )
+from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset, refuse_lost
 from loopcal.measurements.dataset import Dataset

@@ -191,21 +191,24 @@ def _joined_by(fields: Fields) -> tuple[str, str]:
 def _coordinates(case: Case) -> Iterator[Explanation]:
     """A mirrored frame, and one coordinate in another unit than the others."""
     for way in case.ways:
-        yield from _mirrored(case, way)
+        signs = _mirrored(case, way)
+        if signs is not None:
+            yield signs
         for meaning in way.seen:
             fields = meaning.seen.position
             if meaning.position.ndim < 2 or len(fields) != 3 or meaning.seen.kind == "spherical":
                 continue
             # One mirror is enough: two differ by a rotation, which the placement takes.
             share = _scaled(way, meaning, _MIRROR)
-            yield Explanation(
-                share,
-                "implausible-readings",
-                f"{names_of(fields)} form a left-handed frame: mirrored, the nominal machine "
-                f"misses the readings by {_percent(share)} of their spread, as read by "
-                f"{_percent(way.share)}",
-                "two of the columns are exchanged, or one has the wrong sign: correct it",
-            )
+            if signs is None:
+                yield Explanation(
+                    share,
+                    "implausible-readings",
+                    f"{names_of(fields)} form a left-handed frame: mirrored, the nominal machine "
+                    f"misses the readings by {_percent(share)} of their spread, as read by "
+                    f"{_percent(way.share)}",
+                    "two of the columns are exchanged, or one has the wrong sign: correct it",
+                )
             for axis, field in enumerate(fields):
                 for other in LENGTHS:
                     factors = np.ones(3)
@@ -221,7 +224,7 @@ def _coordinates(case: Case) -> Iterator[Explanation]:
                     )
 
 
-def _mirrored(case: Case, way: Understood) -> Iterator[Explanation]:
+def _mirrored(case: Case, way: Understood) -> Explanation | None:
     """The fewest joints that, counted the other way round, leave what mirrored frames leave.
 
     A machine whose drawing has a plane of symmetry mirrors its motion so. No reading tells the two
@@ -235,26 +238,27 @@ def _mirrored(case: Case, way: Understood) -> Iterator[Explanation]:
     shares = [_scaled(way, m, _MIRROR) for m in points]
     share = max(shares, default=1.0)
     if not (share <= PLAUSIBLE and CLEARLY * share < way.share):
-        return
+        return None
     joints, few = case.machine.joints, _few(len(points[0].position))
     for names in (n for k in range(len(joints)) for n in combinations(joints, k + 1)):
         bodies = case.machine.bodies({n: -q if n in names else q for n, q in way.joints.items()})
         fits = (m.fitted(bodies, few, 2).share for m in points)
         if all(fit < CLEARLY * mirror for fit, mirror in zip(fits, shares, strict=True)):
             pairs = zip(joints, way.layout.joints, strict=True)
-            columns = [f"-{f.label}" if n in names else f.label for n, f in pairs]
+            columns = [_signed(f.label, -1 if n in names else 1) for n, f in pairs]
+            count = "counts" if len(names) == 1 else "count"
             frames = " and ".join(names_of(m.seen.position) for m in points)
-            yield Explanation(
-                0.0,  # before the mirrored frame
+            return Explanation(
+                share,
                 "implausible-readings",
-                f"{', '.join(names)} count the other way round, or {frames} have a left-handed "
+                f"{', '.join(names)} {count} the other way round, or {frames} have a left-handed "
                 f"frame: so the nominal machine misses the readings by {_percent(share)} of their "
                 f"spread, as read by {_percent(way.share)}",
                 "state --joints, or correct the frame: two columns are exchanged, or one has the "
                 "wrong sign",
                 ("--joints", ",".join(columns)),
             )
-            return
+    return None
 
 
 def _scaled(way: Understood, meaning: Meaning, factors: Array) -> float:
@@ -367,13 +371,18 @@ def _counted(case: Case, counting: Mapping[str, Counting]) -> tuple[float, tuple
     columns = []
     for name, of in zip(case.machine.joints, best.units, strict=True):
         one = counting.get(name, Counting())
-        text = f"{'-' if one.sign < 0 else ''}{label[name]}"
+        text = _signed(label[name], one.sign)
         if one.zero:
             text += f"{from_si(one.zero, of):+.6g}"
         if one.other:
             text += f"{'+' if one.factor > 0 else '-'}{label[one.other]}"
         columns.append(text)
     return best.share, ("--joints", ",".join(columns))
+
+
+def _signed(label: str, sign: int) -> str:
+    """A column as --joints states it, which may be counted the other way round already."""
+    return label if sign > 0 else label[1:] if label.startswith("-") else f"-{label}"
 
 
 def _nothing(case: Case) -> Explanation:

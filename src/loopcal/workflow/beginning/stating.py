@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,6 +39,7 @@ SLIDE, WIRE, CAMERA, TURN = 10e-6, 0.2e-3, 1e-3, 2e-3
 _HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
 _TRACKER = "leica-at500"
 _POINTS = ("point", "spherical")
+_EXPANDED = re.compile(r"u(nc|ncertainty)?(_?(95|exp|k_?2))?|expanded_uncertainty|messunsicherheit")
 _SAME = 5e-3
 """Points of a body that lie so near [m] each other, found from the nominal machine, are one."""
 
@@ -265,7 +267,14 @@ def _inferred(understood: Understood) -> tuple[str, ...]:
 
 def _left_out(understood: Understood) -> tuple[str, ...]:
     ignored = understood.layout.ignored
-    return (f"Columns that take no part: {names_of(ignored)}.",) if ignored else ()
+    words = [f"Columns that take no part: {names_of(ignored)}."] if ignored else []
+    for f in ignored:
+        if f.unit and unit(f.unit).si == "m" and _EXPANDED.fullmatch(f.stem):
+            words.append(
+                f"{f.label} may be the uncertainty of each point. Then write for each coordinate "
+                f"sd_column = {f.label!r}, and coverage = 2 where it is expanded (k = 2)."
+            )
+    return tuple(words)
 
 
 @dataclass(frozen=True, eq=False)

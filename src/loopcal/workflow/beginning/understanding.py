@@ -130,7 +130,7 @@ def _alternatives(best: Understood, ways: Sequence[Understood]) -> tuple[str, ..
     return tuple(
         f"Alternative, next best: {words}: misfit {significant(100.0 * share, 2)} %."
         for words, share in likely
-        if words and share < max(CLEARLY * best.share, PLAUSIBLE)
+        if words and share < max(CLEARLY * best.share, USUAL)
     )
 
 
