@@ -122,7 +122,7 @@ def test_the_delay_of_an_instrument_is_said_with_its_sd(
     assert result.converged
     assert result.rms is not None
     assert result.rms < 3e-4
-    assert "</html>" in lc.report(result).read_text("utf-8")
+    assert "</html>" in lc.report(result, tmp_path / "report.html").read_text("utf-8")
 
 
 def test_an_instrument_may_be_half_a_second_late(tmp_path: Path, urdf: Path) -> None:

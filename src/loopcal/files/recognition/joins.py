@@ -136,12 +136,11 @@ def _one_row_per_pose(sources: Sequence[Source]) -> Sequence[Source]:
     for source in sources:
         shots, rest = divmod(len(source), least)
         blocks = np.repeat(np.arange(least), shots).tolist()
-        means = pooled(source.fields, blocks) if shots > 1 and not rest and not source.ids else None
+        means = pooled(source.fields, blocks) if shots > 1 and not rest else None
         if means:
             remark = f"{source.remark} {source.name}: {means.remark}".strip()
-            source = replace(
-                source, path=None, label=source.name, fields=means.fields, remark=remark
-            )
+            made.append(Source(None, None, means.fields, None, None, (), source.name, remark))
+            continue
         made.append(source)
     return made
 
