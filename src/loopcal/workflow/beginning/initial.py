@@ -440,8 +440,8 @@ def _weakest(made: Check, dataset: Dataset) -> str:
     drawing = replace(predictor, covariance=LearntCovariance.certain(np.diag(np.square(sds))))
     joints = dict.fromkeys(step.joint for step in machine.chain if step.joint)
     ranges = ranges_of(machine, {name: dataset[name] for name in joints}, {})
-    known = {name: float(np.median(dataset[name])) for name in machine.tape.pose_constants}
-    made_sds, drawn_sds = (sds_in(one, ranges, known) for one in (predictor, drawing))
+    constants = {name: float(np.median(dataset[name])) for name in machine.tape.pose_constants}
+    made_sds, drawn_sds = (sds_in(one, ranges, constants) for one in (predictor, drawing))
     both = zip(output_groups(machine), made_sds, drawn_sds, strict=True)
     worse = [(group, sd, drawn) for group, sd, drawn in both if sd > drawn]
     if not worse:
