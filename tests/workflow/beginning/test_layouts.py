@@ -110,10 +110,27 @@ def test_joints_that_nothing_distinguishes_are_asked_for(tmp_path: Path) -> None
     assert np.allclose(joint_readings(named), world.read, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("name", "sign", "made"),
+    [
+        # The table of the robot turns a joint round, so it stays as the controller counts it.
+        ("one joint reversed", -1.0, ("J4", "\ndirection = -1\n")),
+        # Files of later days are read by the same expression.
+        (
+            "J3 counts from the horizon (Fanuc)",
+            1.0,
+            ("theta_4", 'theta_3 = { column = "J3-J2", unit = "deg" }'),
+        ),
+    ],
+)
 def test_the_next_command_of_a_refusal_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    sign: float,
+    made: tuple[str, str],
 ) -> None:
-    robot, maker = LAYOUTS["one joint reversed"]
+    robot, maker = LAYOUTS[name]
     world = World(robot, 1)
     described(world, tmp_path)
     maker(world, tmp_path)
@@ -124,9 +141,9 @@ def test_the_next_command_of_a_refusal_goes_on(
     assert command is not None
     assert begin(command[1:], tmp_path)[0] == 0
     project = lc.read_project("out/project.toml")
-    assert np.allclose(lc.load_dataset(project).dataset["theta_4"], world.read[:, 3], atol=1e-6)
-    # Files of later days are read by the same expression.
-    assert 'theta_4 = { column = "-J4", unit = "deg" }' in Path("out/project.toml").read_text()
+    joint, line = made
+    assert np.allclose(lc.load_dataset(project).dataset[joint], sign * world.read[:, 3], atol=1e-6)
+    assert line in Path("out/project.toml").read_text()
 
 
 def test_expressions_of_columns() -> None:
@@ -159,7 +176,9 @@ def test_signs_of_a_maker_are_told_from_a_mirrored_frame(tmp_path: Path) -> None
     option, columns = caught.value.options
     assert (option, columns) == ("--joints", "-A1,A2,A3,-A4,A5,-A6")
     made = lc.init(*paths, dh=tmp_path / "dh.csv", joints=columns, out=tmp_path / "project")
-    assert np.allclose(joint_readings(made), world.read, atol=1e-6)
+    assert np.allclose(joint_readings(made), world.read * flip, atol=1e-6)
+    assert made.text.count("\ndirection = -1") == 3
+    assert all(fit.rms < 3e-3 for fit in made.fits.values())
     np.testing.assert_allclose(made.dataset.sds["x"], 3e-5)
     loaded = lc.load_dataset(lc.read_project(tmp_path / "project" / "project.toml"))
     np.testing.assert_allclose(loaded.dataset.sds["x"], 3e-5)

@@ -43,6 +43,10 @@ class Row:
     kind: str = "revolute"
     direction: int = 1
 
+    def turned(self, sign: int) -> Row:
+        """The row of a joint that counts the other way round where sign is -1."""
+        return replace(self, direction=self.direction * sign)
+
 
 @dataclass(frozen=True)
 class DhTable:

@@ -145,13 +145,17 @@ def _which_chain(path: Path, every: Sequence[Branch], fitting: Sequence[Branch])
     )
 
 
-def dh_robot(path: Path, fields: Sequence[Field]) -> Robot:
-    """The machine of a table of Denavit-Hartenberg parameters.
+def dh_robot(path: Path, fields: Sequence[Field], signs: Sequence[int] = ()) -> Robot:
+    """The machine of a table of Denavit-Hartenberg parameters; signs: how its joints count.
 
     Where two axes are nominally parallel the form of Hayati replaces the classical one, in which d
     could not be determined. Raises InputError for a table that cannot be read.
     """
     table = read_dh(path)
+    if signs and len(signs) == table.moving:
+        each = iter(signs)
+        turned = [row if row.kind == "fixed" else row.turned(next(each)) for row in table.rows]
+        table = replace(table, rows=tuple(turned))
     robot = _of_table(path, table, fields)
     if table.stated:
         return robot
@@ -188,6 +192,9 @@ def _of_table(path: Path, table: DhTable, fields: Sequence[Field]) -> Robot:
     if table.modified:
         remarks.append(f"{path.name} is of the modified convention, written here in the classical")
     moving_names = tuple(row.name for row in rows if row.kind != "fixed")
+    turned = [joint["name"] for joint in joints if "direction" in joint]
+    if turned:
+        remarks.append(f"{', '.join(turned)} count the other way round (direction = -1)")
     stated = moving_names if len(named_joints(fields, moving_names)) == count else ()
     made = {"type": "serial", "units": {"length": "mm", "angle": "deg"}, "fix_redundant": True}
     return Robot({**made, "joint": joints}, count, stated, tuple(remarks))

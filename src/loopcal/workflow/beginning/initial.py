@@ -24,7 +24,7 @@ from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import Conditions, apart
 from loopcal.files.recognition.converting import dataset_of
-from loopcal.files.recognition.expressions import joint_columns
+from loopcal.files.recognition.expressions import joint_columns, turned_columns
 from loopcal.files.recognition.fields import Field, Source
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import Layout, layouts
@@ -241,8 +241,8 @@ def initial_project(
     sources, by_time = at_rest(sources, joints_of(robot.urdf))
     every = _joined(sources, robot, folder)
     fields = _without(every, robot.leave_out)
-    columns = joint_columns(fields.fields, robot.joints) if robot.joints else ()
-    made = _robot(robot, replace(fields, fields=columns or fields.fields), folder)
+    columns, signs = _joints(fields, robot)
+    made = _robot(robot, replace(fields, fields=columns or fields.fields), folder, signs)
     one = _readable(made, fields, columns, folder)
     if made.otherwise is not None and not one.share <= NEAR_ENOUGH:
         other = _readable(made.otherwise, fields, columns, folder)
@@ -285,7 +285,16 @@ def initial_project(
     return replace(done, written=tuple(folder / name for name in files))
 
 
-def _robot(robot: RobotFile, fields: Fields, folder: Path) -> Robot:
+def _joints(fields: Fields, robot: RobotFile) -> tuple[tuple[Field, ...], tuple[int, ...]]:
+    """The columns that are stated as joints, and how each counts; none where none are stated.
+
+    A table of the robot holds directions, so its readings and zeros stay those of the controller.
+    """
+    columns = joint_columns(fields.fields, robot.joints) if robot.joints else ()
+    return turned_columns(fields.fields, columns) if robot.dh else (columns, ())
+
+
+def _robot(robot: RobotFile, fields: Fields, folder: Path, signs: Sequence[int]) -> Robot:
     named = [k for k in ("urdf", "dh", "machine") if getattr(robot, k) is not None]
     if len(named) != 1:
         error = UsageError(
@@ -301,7 +310,7 @@ def _robot(robot: RobotFile, fields: Fields, folder: Path) -> Robot:
     if robot.base is not None or robot.tip is not None:
         raise UsageError("base and tip are links of a URDF", remedy="remove them, or name --urdf")
     if robot.dh is not None:
-        return dh_robot(Path(robot.dh), fields.fields)
+        return dh_robot(Path(robot.dh), fields.fields, signs)
     return typed_robot(str(robot.machine))
 
 
@@ -321,8 +330,8 @@ def _joined(sources: Sequence[Source], robot: RobotFile, folder: Path) -> Fields
 
         def read(fields: Fields) -> tuple[Machine, Sequence[Layout]]:
             kept = _without(fields, robot.leave_out)
-            columns = joint_columns(kept.fields, robot.joints) if robot.joints else ()
-            made = _robot(robot, kept, folder)
+            columns, signs = _joints(kept, robot)
+            made = _robot(robot, kept, folder, signs)
             some = layouts(kept.fields, made.joints, made.names, columns)
             return _machine(made, kept, folder), some
 
