@@ -81,18 +81,19 @@ struct NoiseOfBlock {
     std::vector<int32_t> unmeasured, measured;
     std::vector<std::vector<int32_t>> places;
     std::vector<Factors> factors;
+    std::vector<int32_t> own, shared;
 
     // `to` refers into this object; poses: how many the block has
     Noise plain(size_t quantities, size_t poses, std::vector<Covariance>& to) const {
         require(sd.shape(0) == quantities && (sd.shape(1) == 1 || sd.shape(1) == poses), "sd has a wrong shape");
         require(measured.size() + unmeasured.size() == quantities, "every quantity is measured or not");
-        for (auto* some : {&unmeasured, &measured})
+        for (auto* some : {&unmeasured, &measured, &own, &shared})
             for (int32_t q : *some) require(q >= 0 && static_cast<size_t>(q) < quantities, "there is no such quantity");
         require(places.size() == factors.size(), "a covariance needs its quantities");
         for (size_t i = 0; i < places.size(); i++) {
             const size_t size = places[i].size(), dimensions = factors[i].ndim();
             for (int32_t place : places[i])
-                require(place >= 0 && static_cast<size_t>(place) < measured.size(), "there is no such measured quantity");
+                require(place >= 0 && static_cast<size_t>(place) < (own.empty() ? measured : shared).size(), "there is no such measured quantity");
             require(dimensions == 2 || dimensions == 3, "a factor has two or three dimensions");
             require(factors[i].shape(dimensions - 1) == size && factors[i].shape(dimensions - 2) == size, "a factor has a wrong shape");
             require(dimensions == 2 || factors[i].shape(0) == poses, "a factor has a wrong number of poses");
@@ -101,7 +102,7 @@ struct NoiseOfBlock {
         }
         return {sd.data(), static_cast<ptrdiff_t>(sd.stride(0)), sd.shape(1) == 1 ? 0 : static_cast<ptrdiff_t>(sd.stride(1)),
                 unmeasured.data(), static_cast<int>(unmeasured.size()), measured.data(), static_cast<int>(measured.size()),
-                to.data(), static_cast<int>(to.size())};
+                to.data(), static_cast<int>(to.size()), own.empty() ? nullptr : own.data(), shared.data(), static_cast<int>(shared.size())};
     }
 };
 
@@ -211,6 +212,7 @@ public:
         std::vector<Covariance> blocks;
         const Noise plain = noise.plain(k, poses, blocks);
         require(plain.unmeasured_count <= program_.loops, "more unmeasured quantities than loops");
+        require(noise.own.empty() || static_cast<int>(noise.own.size()) == program_.loops, "every loop has a reading of its own, or none has");
         const int r = program_.loops - plain.unmeasured_count, n = by_parameter ? program_.parameters : 0;
         require(!rows || (static_cast<int>(rows->shape(0)) == n + 1 && static_cast<int>(rows->shape(1)) == r && rows->shape(2) == poses), "rows have a wrong shape");
         require(!total || (total->shape(0) == total->shape(1) && static_cast<int>(total->shape(0)) == n + 1 && total->stride(1) == 1), "the total has a wrong shape");
@@ -236,6 +238,7 @@ public:
         std::vector<Covariance> blocks;
         const Noise plain = noise.plain(k, poses, blocks);
         require(plain.unmeasured_count <= program_.loops, "more unmeasured quantities than loops");
+        require(noise.own.empty() || static_cast<int>(noise.own.size()) == program_.loops, "every loop has a reading of its own, or none has");
         const Closing job{{&program_, &plain, rows_of(readings, k, poses, "readings have a wrong shape"),
                            rows_of(corrections, k, poses, "corrections have a wrong shape"), known_rows(known, poses), exact, false, false,
                            correction.data(), static_cast<ptrdiff_t>(correction.stride(0)), step.data(), nullptr, nullptr, 0,
@@ -252,6 +255,7 @@ public:
         std::vector<Covariance> blocks;
         const Noise plain = noise.plain(k, poses, blocks);
         require(plain.unmeasured_count <= program_.loops, "more unmeasured quantities than loops");
+        require(noise.own.empty() || static_cast<int>(noise.own.size()) == program_.loops, "every loop has a reading of its own, or none has");
         require(static_cast<int>(change.shape(0)) == plain.unmeasured_count && change.shape(1) == poses && (poses <= 1 || change.stride(1) == 1), "the change has a wrong shape");
         const Search job{&program_, &plain, rows_of(readings, k, poses, "readings have a wrong shape"),
                          rows_of(corrections, k, poses, "corrections have a wrong shape"), known_rows(known, poses),
@@ -333,7 +337,7 @@ private:
 NB_MODULE(_compiled, m) {
     nb::set_leak_warnings(false);  // a process that ends leaves what it has to the system
     // Raised, here and in loopcal/expressions/choice.py, with every change of a signature or of what it means.
-    m.attr("INTERFACE") = 1;
+    m.attr("INTERFACE") = 2;
     m.doc() = "The compiled engine: tapes over blocks of poses, see loopcal.expressions.compiled.";
     m.def("codes", &codes, "Names of the operations; an operation's number is its place.");
     m.def("widths", &widths, "Names of the vector widths that this processor has, narrow to wide.");
@@ -343,8 +347,10 @@ NB_MODULE(_compiled, m) {
     m.def("use_threads", [](int count) { require(count >= 1, "at least one thread"); threads = count; }, nb::arg("count"),
           "Let so many threads share a block.");
     nb::class_<NoiseOfBlock>(m, "Noise")
-        .def(nb::init<Matrix, std::vector<int32_t>, std::vector<int32_t>, std::vector<std::vector<int32_t>>, std::vector<Factors>>(),
-             nb::arg("sd"), nb::arg("unmeasured"), nb::arg("measured"), nb::arg("places"), nb::arg("factors"));
+        .def(nb::init<Matrix, std::vector<int32_t>, std::vector<int32_t>, std::vector<std::vector<int32_t>>, std::vector<Factors>,
+                      std::vector<int32_t>, std::vector<int32_t>>(),
+             nb::arg("sd"), nb::arg("unmeasured"), nb::arg("measured"), nb::arg("places"), nb::arg("factors"), nb::arg("own"),
+             nb::arg("shared"));
     nb::class_<Engine>(m, "Engine")
         .def(nb::init<Table, std::vector<int>, std::vector<int32_t>, std::vector<int>, std::vector<int>, int, Table, Numbers, std::vector<int32_t>>())
         .def("at", &Engine::at, nb::arg("parameters"))

@@ -73,8 +73,11 @@ struct Noise {
     int unmeasured_count;
     const int32_t* measured;
     int measured_count;
-    const Covariance* blocks;
+    const Covariance* blocks;  // places: among the shared, where loops have readings of their own
     int block_count;
+    const int32_t* own;     // for each loop the reading that it predicts, or null
+    const int32_t* shared;  // the measured quantities beside these
+    int shared_count;
 };
 
 // Poses to evaluate: outputs[0 .. count) of each pose to out.at[i * out_row + pose].

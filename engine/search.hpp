@@ -26,7 +26,7 @@ static void weigh(const Linear& part, const Noise& noise, const double* weight, 
 }
 
 // 1 / the sd of each loop (m) that the sds of measured quantities give it; 1 where that is none.
-static void weights(const Linear& part, const double* sds, double* weight) {
+static void weights(const Linear& part, const double* sds, const int32_t* own, double* weight) {
     const int m = part.program->loops, k = part.program->quantities;
     for (int i = 0; i < m; i++) {
         vec square[TV] = {};
@@ -39,7 +39,10 @@ static void weights(const Linear& part, const double* sds, double* weight) {
         EACH {
             const vec spread = root(square[v]);
             const ivec usable = (spread > all(0.0)) & (spread < all(INFINITY));
-            store(weight + i * TILE + v * LANES, all(1.0) / choose(usable, spread, all(1.0)));
+            vec one = all(1.0);
+            // what is missing says nothing
+            if (own) one = choose(load(sds + own[i] * TILE + v * LANES) == all(INFINITY), all(0.0), one);
+            store(weight + i * TILE + v * LANES, one / choose(usable, spread, all(1.0)));
         }
     }
 }
@@ -114,7 +117,7 @@ static void search_tile(const Search& job, int pose, int count, double* workspac
     for (int i = 0; i < k * TILE; i += LANES) store(x + i, load(x + i) + load(start + i));
     run(program, workspace, 1);
 
-    weights(part, sds, weight);
+    weights(part, sds, job.noise->own, weight);
     weigh(part, noise, weight, now);
     ivec active[TV];
     EACH active[v] = ~ivec{};

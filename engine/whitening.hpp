@@ -13,6 +13,7 @@ struct Whitening {
     double *G, *L, *inverse;  // (r, K), (r, r), (r, r)
     double *again, *more;     // (K), (r)
     double *rows, *normalised;  // (r), (K)
+    Own own;                    // where loops have readings of their own: no row but readings and f is used beside it
 };
 
 static Whitening whitening(const Program& program, const Noise& noise, Room& room) {
@@ -20,6 +21,10 @@ static Whitening whitening(const Program& program, const Noise& noise, Room& roo
     Whitening found{};
     found.now = room.rows(k), found.correction = room.rows(k);
     found.f = room.rows(m), found.rest = room.rows(m), found.readings = room.rows(k);
+    if (noise.own) {
+        found.own = own_rows(program, noise, room);
+        return found;
+    }
     if (u) {
         found.reflections = reflections(u, m, room);
         found.left = room.rows(r * m), found.combined = room.rows(K * r);
@@ -365,7 +370,9 @@ static void whiten_at(const Reduction& job, double* now, int pose, int count, do
 
     take_values(job, part, pose, count, to.readings, to.f);
     if (job.rounding) memset(now, 0, sizeof(double) * k * TILE);
-    if (job.exact)
+    if (job.noise->own)
+        whiten_own(job, part, now, uncertainty, to.f, to.own, out, correction);
+    else if (job.exact)
         leave_unweighted(job, part, now, to, out, correction);
     else
         whiten_uncertain(job, part, now, uncertainty, to, out, correction, singular);

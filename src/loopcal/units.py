@@ -41,6 +41,7 @@ _TABLE: dict[str, dict[str, float]] = {
         "arcsec": math.pi / 180 / 3600,
         "turn": 2 * math.pi,
     },
+    "pixel": {"px": 1.0},
     "number": {"1": 1.0, "ppm": 1e-6},
     "mass": {"kg": 1.0, "g": 1e-3},
     "force": {"N": 1.0},

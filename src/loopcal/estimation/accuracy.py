@@ -138,7 +138,7 @@ def _apart(mechanism: Mechanism, seen: Seen, measured: Array, differences: Array
         gap = differences[index]
         if seen.form in POLAR:
             gap = cartesian(measured[index] + gap) - cartesian(measured[index])
-        position = _lengths(gap)
+        position = _lengths(gap) if seen.points == 1 else _of_points(gap)
     if seen.turns:
         off = differences[[names.index(q) for q in seen.turns]]
         if not seen.small:
@@ -147,6 +147,15 @@ def _apart(mechanism: Mechanism, seen: Seen, measured: Array, differences: Array
         # Small turns have the length 2 tan(angle / 2).
         angle = 2.0 * np.arctan(0.5 * size) if seen.small else size
     return Apart(seen, position, angle)
+
+
+def _of_points(gap: Array) -> Array:
+    """(N,) root mean square, over the points of an image that were seen, of (2 points, N)."""
+    squares = np.square(gap).reshape(-1, 2, gap.shape[1]).sum(axis=1)
+    seen = np.isfinite(squares)
+    count = seen.sum(axis=0)
+    mean = np.where(seen, squares, 0.0).sum(axis=0) / np.maximum(count, 1)
+    return np.where(count > 0, np.sqrt(mean), np.nan)
 
 
 def _lengths(gap: Array) -> Array:

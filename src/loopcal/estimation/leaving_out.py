@@ -92,6 +92,7 @@ class _SensorSums:
                 flat = (part.transpose(0, 2, 1) @ rows).reshape(-1, n)
                 products[j] += flat.T @ flat
                 squares[j] += np.square(part).sum()
+            squares += block.spare_of(c) / np.maximum(whole.estimate.ratios, 1e-300)
         return cls(products, squares)
 
     def less(self, other: _SensorSums) -> _SensorSums:

@@ -117,6 +117,9 @@ def output_differences(
     differences = np.full((len(compared), len(problem.poses)), np.nan)
     predicting = set(mechanism.predicting().tape.loops)
     for pattern in problem.patterns:
+        if pattern.own:
+            _of_own_readings(problem, pattern, parameters, corrections, differences)
+            continue
         loops = tuple(i for i in pattern.loops if mechanism.tape.loops[i] in predicting)
         inputs = frozenset().union(*(depends[i] for i in loops))
         present = [row for row in outputs if row not in pattern.absent]
@@ -143,6 +146,36 @@ def output_differences(
                 row = mechanism.compared.index(mechanism.tape.loops[loop])
                 differences[row, pattern.poses] = value
     return differences
+
+
+def _of_own_readings(
+    problem: Problem,
+    pattern: Pattern,
+    parameters: Array,
+    corrections: Array | None,
+    differences: Array,
+) -> None:
+    """Of images, into the rows (c, N) of what is compared: values of the loops, whose slope by
+    their own readings is -1."""
+    mechanism = problem.mechanism
+    x = problem.readings[:, pattern.poses]
+    if corrections is not None and pattern.unmeasured:
+        x = x.copy()
+        x[list(pattern.unmeasured)] += corrections[list(pattern.unmeasured)][:, pattern.poses]
+    values = _loop_values(
+        held_loops(mechanism.tape, pattern.loops),
+        parameters,
+        x,
+        problem.pose_constants[:, pattern.poses],
+        tuple(mechanism.parameters.names[i] for i in problem.free),
+    )
+    sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
+    compared = {name: row for row, name in enumerate(mechanism.compared)}
+    for reading, value in zip(pattern.own, values, strict=True):
+        row = compared.get(mechanism.tape.quantities[reading])
+        if row is not None:
+            missing = np.isinf(sd[reading, pattern.poses])
+            differences[row, pattern.poses] = np.where(missing, np.nan, value)
 
 
 def _loop_values(

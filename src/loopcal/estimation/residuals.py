@@ -33,6 +33,11 @@ def residuals(
         values = sweeper.loop_values(pattern, block, Stage.VALUES)
         for row, loop in enumerate(pattern.loops):
             out[loop, block.poses] = values.f[row]
+        if pattern.own:
+            sd = np.broadcast_to(block.noise.sd, block.readings.shape)[list(pattern.own)]
+            part = out[np.ix_(pattern.loops, np.arange(problem.count)[block.poses])]
+            part[np.isinf(sd)] = np.nan
+            out[np.ix_(pattern.loops, np.arange(problem.count)[block.poses])] = part
     return by_name(loops, out)
 
 

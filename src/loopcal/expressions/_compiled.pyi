@@ -23,6 +23,8 @@ class Noise:
         measured: Sequence[int],
         places: Sequence[Sequence[int]],
         factors: Sequence[_Array],
+        own: Sequence[int],
+        shared: Sequence[int],
     ) -> None: ...
 
 class Engine:

@@ -23,7 +23,7 @@ def read_json(path: str | Path, kind: str, *schemas: int) -> dict[str, Any]:
     remedy = f"name a {kind} that loopcal wrote"
     content = json_bytes(path, remedy)
     try:
-        document = json.loads(content, parse_constant=_refused, parse_int=_whole)
+        document = json.loads(content, parse_constant=_refused, parse_int=whole_number)
     except json.JSONDecodeError as error:
         raise InputError(
             f"this is not valid JSON: {error.msg}",
@@ -83,7 +83,7 @@ def json_bytes(path: str | Path, remedy: str) -> bytes:
     return content
 
 
-def _whole(digits: str) -> int:
+def whole_number(digits: str) -> int:
     # A double ends at 309 digits, and int() costs the square of the digits.
     if len(digits) > 300:
         raise ValueError(f"it holds a number of {len(digits)} digits")

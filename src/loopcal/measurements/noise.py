@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -192,6 +192,11 @@ class ReadingUncertainty:
             return self
         sd = self.sd if self.sd.shape[1] == 1 else self.sd[:, chosen]
         return ReadingUncertainty(sd, tuple(b.of(chosen) for b in self.blocks), self.sources)
+
+    @property
+    def of_read(self) -> ReadingUncertainty:
+        """The same with missing readings as exact: for loops from which they were taken."""
+        return replace(self, sd=np.where(np.isinf(self.sd), 0.0, self.sd))
 
     def through(self, S: Array) -> Array:
         """(N, o, k) a square root of the covariance of S (N, o, k) times the readings; what is

@@ -26,7 +26,7 @@ from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import Frame, Values, Vector, forward_kinematics
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
-from loopcal.mechanisms.parameters import Gauge, Parameter, fixed, held, stated
+from loopcal.mechanisms.parameters import OF_CAMERAS, Gauge, Parameter, fixed, held, stated
 from loopcal.presentation.brief import brief
 
 if TYPE_CHECKING:
@@ -48,11 +48,12 @@ class Machine:
     quantities: joints, passive joints and platform coordinates, name -> SI unit; parameters by
     name; frame(x, p): T_base_body; equations(x, p): values of the closure loops, named in
     `loops`; home: a typical value [SI] of the quantities that no sensor may read, from which the
-    search for them begins; pose_constants: those that vary by pose; dimension: 2 for a machine that
-    moves in the plane z = 0; gauge: parameters that only say where its frames lie; chain: the
-    steps from the base to the body, where it is a serial arm; lines(x, p): what draws it, polylines
-    of points (3,) [m] in its base frame; masses: known ones of its links; description: what a
-    mechanism file says to build it, empty where none can.
+    search for them begins; pose_constants: those that vary by pose; implied: quantities that have
+    the same reading in every pose; dimension: 2 for a machine that moves in the plane z = 0; gauge:
+    parameters that only say where its frames lie; chain: the steps from the base to the body, where
+    it is a serial arm; lines(x, p): what draws it, polylines of points (3,) [m] in its base frame;
+    masses: known ones of its links; description: what a mechanism file says to build it, empty
+    where none can.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Machine:
     equations: Callable[[Values, Values], Sequence[Any]] = lambda x, p: ()
     home: Mapping[str, float] = field(default_factory=dict)
     pose_constants: Mapping[str, str] = field(default_factory=dict)
+    implied: Mapping[str, float] = field(default_factory=dict)
     dimension: int = 3
     gauge: Gauge = field(default_factory=Gauge)
     chain: tuple[Step, ...] = ()
@@ -215,7 +217,7 @@ def assemble(
         variables=tuple(replace(v, first=firsts.get(v.name)) for v in made.variables),
         families=tuple(_families(machine, instruments, ends)),
         home=_home(machine, ends),
-        implied={q: v for i in instruments for q, v in i.implied.items()},
+        implied={**machine.implied, **{q: v for i in instruments for q, v in i.implied.items()}},
         orientations=tuple(i.orientation for i in instruments if i.orientation),
         chain=machine.chain,
         masses=machine.masses,
@@ -253,7 +255,9 @@ def _body(
 def _placed(instrument: Instrument, part: Mapping[str, Parameter]) -> dict[str, Parameter]:
     """Parameters of an instrument: the place of something on the body, or beside it."""
     return {
-        name: p.of("mounting", p.owner or TOOL)
+        name: p
+        if p.role in OF_CAMERAS
+        else p.of("mounting", p.owner or TOOL)
         if name in instrument.mounted
         else p.of("placement", p.owner or instrument.name)
         for name, p in part.items()

@@ -48,6 +48,10 @@ class Placement(Protocol):
         """What is wrong with describing the machine by these values [SI], and the remedy."""
 
 
+PIXELS = "pixels"
+"""The form of a family whose readings are an image: many, of which some may be missing."""
+
+
 @dataclass(frozen=True)
 class Family:
     """Loops that stand or fall together: there only in the poses in which their readings are.
@@ -302,6 +306,11 @@ class Mechanism:
             return self.outputs
         if key == "model" and self.disturbances:
             return self.disturbances
+        images = [
+            q for f in self.families if f.form == PIXELS and key == f.name for q in f.readings
+        ]
+        if images:
+            return tuple(images)
         return matching(key, self.quantities, "quantity")
 
     @property

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
 from loopcal.mechanisms.station import Station
 
 Array = NDArray[np.float64]
@@ -22,7 +22,8 @@ class Seen:
 
     position: outputs that make one distance, of `unit` [SI]; turns: outputs that are angles, or,
     if `small`, the turns 2 tan(theta/2) u from a measured to the computed orientation, by names.
-    station: where the instrument stands, if anything says so.
+    station: where the instrument stands, if anything says so; points: of how many points of an
+    image these are the pixels, whose distances count by their root mean square.
     """
 
     instrument: str
@@ -32,6 +33,7 @@ class Seen:
     unit: str
     turns: tuple[str, ...]
     small: bool = False
+    points: int = 1
 
 
 def seen_outputs(mechanism: Mechanism) -> tuple[Seen, ...]:
@@ -63,7 +65,8 @@ def _seen(mechanism: Mechanism, family: Family) -> Iterator[Seen]:
         return  # nothing that could be added up
     position = tuple(q for q in outputs if mechanism.quantities[q] == unit)
     turns = tuple(small or angles)
-    yield Seen(family.name, station, family.form, position, unit, turns, bool(small))
+    count = _points(family, len(position))
+    yield Seen(family.name, station, family.form, position, unit, turns, bool(small), count)
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,8 @@ class OutputGroup:
     outputs: tuple[str, ...]
     rows: tuple[int, ...]
     """Their positions among all outputs."""
+    points: int = 1
+    """Of how many points of an image these are the pixels."""
 
 
 def output_groups(mechanism: Mechanism) -> tuple[OutputGroup, ...]:
@@ -86,8 +91,13 @@ def output_groups(mechanism: Mechanism) -> tuple[OutputGroup, ...]:
         for unit in dict.fromkeys(mechanism.quantities[q] for q in outputs):
             alike = tuple(q for q in outputs if mechanism.quantities[q] == unit)
             rows = tuple(mechanism.outputs.index(q) for q in alike)
-            groups.append(OutputGroup(family.name, _station(family), unit, alike, rows))
+            points = _points(family, len(alike))
+            groups.append(OutputGroup(family.name, _station(family), unit, alike, rows, points))
     return tuple(groups)
+
+
+def _points(family: Family, coordinates: int) -> int:
+    return coordinates // 2 if family.form == PIXELS else 1
 
 
 def _families(mechanism: Mechanism) -> tuple[Family, ...]:

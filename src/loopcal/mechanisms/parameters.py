@@ -21,15 +21,28 @@ from loopcal.lazy import cached_property
 from loopcal.units import to_si, unit
 
 Role = Literal[
-    "placement", "mounting", "length", "twist", "zero", "angle", "scale", "effect", "model error"
+    "placement",
+    "mounting",
+    "lens",
+    "print",
+    "length",
+    "twist",
+    "zero",
+    "angle",
+    "scale",
+    "effect",
+    "model error",
 ]
 ROLES: tuple[Role, ...] = get_args(Role)
 """What a parameter says: "placement", where a machine or an instrument stands, and an instrument's
-own zeros; "mounting", where something sits on the body; of the machine "length"; "scale"; "twist"
+own zeros; "mounting", where something sits on the body; "lens" and "print", of a camera and of the
+board that it sees; of the machine "length"; "scale"; "twist"
 (a turn between two axes); "zero" (added to a joint's reading); "angle" (twist or zero, where only
 its unit is known); "effect" beyond geometry; "model error", of the structured one."""
 GEOMETRY: frozenset[Role] = frozenset({"length", "twist", "zero", "angle", "scale"})
 """Roles of what a drawing of the machine states."""
+OF_CAMERAS: frozenset[Role] = frozenset({"lens", "print"})
+"""Roles of what a camera is, and of what is printed."""
 BEYOND: frozenset[Role] = frozenset({"effect", "model error"})
 """Roles of what no drawing states."""
 _BY_UNIT: dict[str, Role] = {"m": "length", "rad": "angle"}

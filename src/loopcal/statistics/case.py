@@ -28,7 +28,7 @@ from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.effects.effect import RUN_DRIFT
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.structure.structured import mounted, without
 
 Array = NDArray[np.float64]
@@ -177,7 +177,10 @@ def entrants(
         error_fit = with_error.changed(method=method, prior=None)
         name = f"{method.name} with model error"
         yield Entrant(name, replace(case, mechanism=made, fit=error_fit), True)
+    images = any(f.form == PIXELS for f in case.mechanism.families)
     for method in methods:
+        if images and method.weighting is Weighting.READ:
+            continue  # the weights of an image cost as much as its fit
         plain = fit.changed(method=method, model_error="none")
         yield Entrant(method.name, replace(case, fit=plain))
     if case.mechanism.outputs:

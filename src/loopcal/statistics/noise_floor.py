@@ -95,7 +95,11 @@ def _squares(
     both = np.concatenate([moved, reading_sds], axis=2)
     if seen.form in POLAR:
         both = _turned(x[rows]) @ both
-    return np.asarray(np.square(both).sum(axis=(1, 2)), dtype=np.float64)
+    squares = np.square(both).sum(axis=2)
+    if seen.points > 1:  # of the points that were seen
+        squares = np.where(np.isfinite(squares), squares, np.nan)
+        return np.asarray(2.0 * np.nanmean(squares, axis=1), dtype=np.float64)
+    return np.asarray(squares.sum(axis=1), dtype=np.float64)
 
 
 def _turned(readings: Array) -> Array:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from loopcal.chi_squared import tail
 from loopcal.estimation.dependence.dependence import joint_rows, pose_order
-from loopcal.estimation.dependence.seen import instruments, units_of
+from loopcal.estimation.dependence.seen import Errors, instruments
 from loopcal.estimation.problem.pose_equations import rounding_left
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import FitResult
@@ -113,9 +113,9 @@ class OrderedSystem:
 
     def waves(self, count: int) -> list[Array]:
         """(N, R, q) each: slow cosines over the run along the readings of the instruments."""
-        N, names = len(self.E), self.problem.mechanism.tape.quantities
+        N = len(self.E)
         readings = [q for family in instruments(self.problem) for q in family.readings]
-        along = self.columns(readings) * units_of(self.problem, [names.index(q) for q in readings])
+        along = self.columns(readings) @ Errors.of(self.problem, readings).modes
         # The cosines of DCT-II: orthogonal to each other and to a constant over the poses.
         phase = np.pi * (np.arange(N) + 0.5) / N
         return [np.cos(j * phase)[:, None, None] * along for j in range(1, count + 1)]
@@ -429,7 +429,7 @@ def _smooth_columns(problem: Problem, X: Array) -> Array:
     features = np.array(smooth.features({names[i]: problem.readings[i] for i in joints}))
     columns = []
     for family in instruments(problem):
-        rows = [names.index(q) for q in family.readings]
-        along = X[:, :, rows] * units_of(problem, rows)
+        errors = Errors.of(problem, family.readings)
+        along = X[:, :, errors.rows] @ errors.modes
         columns.append(along[:, :, :, None] * features.T[:, None, None, :])
     return np.concatenate([c.reshape(*X.shape[:2], -1) for c in columns], axis=2)

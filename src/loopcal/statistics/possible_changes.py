@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from loopcal.estimation.problem.problem import Problem
+from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
@@ -140,7 +141,10 @@ def _readings(problem: Problem) -> Iterator[Possible]:
     """The zeros of all that an instrument reads in one unit at once, and of each along the run."""
     mechanism = problem.mechanism
     aside = {*mechanism.disturbances, *mechanism.turns}
-    read = [f.readings for f in mechanism.families if f.form != "closure"] or [mechanism.outputs]
+    # Of an image nothing has a zero: what moves is the camera, or what it sees.
+    read = [f.readings for f in mechanism.families if f.form not in ("closure", PIXELS)]
+    if not mechanism.families:
+        read = [mechanism.outputs]
     by_instrument = [[q for q in group if q not in aside] for group in read]
     for group in by_instrument:
         units = [mechanism.quantities[q] for q in group]

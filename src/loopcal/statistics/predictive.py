@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.dependence.dependence import Drifting
-from loopcal.estimation.dependence.seen import seen, units_of
+from loopcal.estimation.dependence.seen import Errors, seen
 from loopcal.estimation.fit import used_noise, weighed
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.noise.learning import with_model
@@ -195,8 +195,11 @@ def predictive(
         densities = _densities(block, W, total.matrix, free, limit / scale)
         if densities is None:
             return None
-        density[poses], squares[poses] = densities
-        loops[poses], denominator[poses] = r, total.denominator
+        # Rows of an image on which nothing acts but the corners' noise, and the division by it.
+        spare = block.equations - r
+        aside = spare * math.log(2.0 * math.pi * (unit_variance or 1.0)) + block.scale
+        density[poses], squares[poses] = densities[0] - 0.5 * aside, densities[1]
+        loops[poses], denominator[poses] = block.equations, total.denominator
     return Predictive(density, squares, loops, denominator)
 
 
@@ -312,14 +315,11 @@ def _kernel(lengths: Array, sizes: Array, rows: Positions, columns: Positions) -
 
 def _effects(fit: FitResult, held: Problem, corrections: Array, readings: tuple[str, ...]) -> Array:
     """(n, R, q) what an error of one sd of these readings does to the whitened equations."""
-    rows = [held.mechanism.tape.quantities.index(name) for name in readings]
+    errors = Errors.of(fit.problem, readings)
     equations = pose_equations(held, held.start, corrections)
     most = max((block.E.shape[1] for block in equations), default=0)
-    effects = np.zeros((len(held.poses), most, len(rows)))
-    units = units_of(fit.problem, rows)
-    missing = np.isinf(np.broadcast_to(held.uncertainty.sd, held.readings.shape)[rows])
+    effects = np.zeros((len(held.poses), most, errors.modes.shape[1]))
     for block in equations:
         # What was not read carries no drift.
-        whitened = block.X[:, :, rows] * units * ~missing.T[block.poses][:, None, :]
-        effects[block.poses, : block.E.shape[1]] = whitened
+        effects[block.poses, : block.E.shape[1]] = errors.effects(held, block)
     return effects

@@ -325,6 +325,7 @@ def by_parameters(calibrated: Predictor, S: Array, *, measured: bool = False) ->
 
 
 def trace_sd(covariance: Array, group: OutputGroup) -> Array:
-    """(N,) root of the trace over the outputs of a group [its unit]."""
+    """(N,) root of the trace over the outputs of a group [its unit], of an image by point."""
     variance = np.einsum("noo->no", covariance)[:, list(group.rows)].sum(axis=1)
+    variance = variance / group.points
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))  # rounding leaves less than none

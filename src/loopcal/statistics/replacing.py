@@ -305,7 +305,7 @@ class _Search:
 
     def rows(self, values: Array, corrections: Array) -> list[Rows]:
         problem = self.problem
-        model = linear_model(problem, values, corrections, self.components)
+        model = linear_model(problem, values, corrections, self.components, compressed=False)
         everything = np.arange(len(problem.poses))
         by_block = []
         for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):

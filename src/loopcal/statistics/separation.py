@@ -114,6 +114,7 @@ def separate(
         problem.start,
         np.zeros_like(problem.readings),
         [[names.index(q) for q in group.quantities] for group in groups],
+        compressed=False,
     )
     lengths = [len(one) for one in whole]
     offsets = _with_offsets(model, np.repeat(np.arange(len(whole)), lengths), len(whole))

@@ -179,7 +179,9 @@ class Earlier:
         parameters (n_all,)."""
         problem = self._poses(calibrated)
         assert problem is not None
-        return linear_model(problem, parameters, self._closed(parameters), components).blocks
+        return linear_model(
+            problem, parameters, self._closed(parameters), components, compressed=False
+        ).blocks
 
     def wider(self, calibrated: Calibrated) -> Array:
         """(r, r) by how much the stated covariance is larger, in shares of the own one."""
@@ -253,7 +255,9 @@ class Earlier:
 
 
 def _blocks(problem: Problem, parameters: Array) -> Sequence[ModelBlock]:
-    return linear_model(problem, parameters, np.zeros_like(problem.readings), ()).blocks
+    return linear_model(
+        problem, parameters, np.zeros_like(problem.readings), (), compressed=False
+    ).blocks
 
 
 def _rows(roots: Sequence[Array], parts: Sequence[Array]) -> Array:

@@ -424,7 +424,9 @@ def _model(
     today = day_problem(reference, result.dataset, noise_of(reference))
     positions = [component.quantities for component in components]
     parameters = result.solution.parameters
-    new = linear_model(today, parameters, result.solution.corrections, positions).blocks
+    new = linear_model(
+        today, parameters, result.solution.corrections, positions, compressed=False
+    ).blocks
     parameters_then = earlier.parameters_then(parameters, anew)
     old = earlier.linear(reference, parameters_then, positions)
     free = np.array([not p.fixed for p in result.mechanism.parameters])

@@ -186,6 +186,8 @@ _LACKS = {
     "chain": "it is not a serial arm in space",
     "origins": "its joints are not described by origins, as those of a URDF are",
     "zeros": "it is not a serial arm in space, or nothing measures it",
+    "cameras": "it has no camera",
+    "places": "it is no serial arm in space that something measures, and has no camera",
 }
 
 
@@ -220,11 +222,14 @@ def _of_format(
 ) -> ExportFiles:
     """The files of a format. Raises InputError for a machine that it cannot hold, and for a lacking
     source."""
+    has_cameras = any(p.role == "lens" for p in machine.parameters)
     holds = {
         "parameters": True,
         "chain": machine.chain is not None,
         "origins": bool(machine.origins),
         "zeros": bool(machine.zeros),
+        "cameras": has_cameras,
+        "places": bool(machine.zeros) or has_cameras,
     }
     if not holds[one.needs]:
         raise InputError(

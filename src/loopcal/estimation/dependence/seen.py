@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
-from loopcal.mechanisms.mechanism import Family
+from loopcal.mechanisms.mechanism import PIXELS, Family
 
 Array = NDArray[np.float64]
 
@@ -56,18 +56,78 @@ def seen(
     problem: Problem, equations: Sequence[PoseEquations], root: Array, readings: Sequence[str]
 ) -> Seen:
     """The poses as these readings see them; root: (n, k) directions of the parameters [SI]."""
-    rows = [problem.mechanism.tape.quantities.index(q) for q in readings]
-    N, q, k = len(problem.poses), len(rows), root.shape[1]
+    errors = Errors.of(problem, readings)
+    N, q, k = len(problem.poses), errors.modes.shape[1], root.shape[1]
     view = Seen(np.zeros((N, q)), np.zeros((N, q, k)), np.zeros((N, q, q)))
-    units = units_of(problem, rows)
-    missing = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows])
     for block in equations:
-        X = block.X[:, :, rows] * units * ~missing.T[block.poses][:, None, :]
+        X = errors.effects(problem, block)
         turned = X.transpose(0, 2, 1)
         view.y[block.poses] = np.einsum("bqr,br->bq", turned, block.E)
         view.A[block.poses] = turned @ rows_times(block.D, root)
         view.M[block.poses] = turned @ X
     return view
+
+
+@dataclass(frozen=True)
+class Errors:
+    """How readings err together: rows, their positions (R,); modes (R, q), columns in units of
+    their sds. Every reading errs by itself; those of an image, shifted and stretched as a whole.
+    """
+
+    rows: list[int]
+    modes: Array
+
+    @classmethod
+    def of(cls, problem: Problem, readings: Sequence[str]) -> Errors:
+        """Of these readings, in the units of the sds of a fit."""
+        rows = [problem.mechanism.tape.quantities.index(q) for q in readings]
+        units = units_of(problem, rows)
+        image = {
+            q: family
+            for family in problem.mechanism.families
+            if family.form == PIXELS
+            for q in family.readings
+        }
+        columns = [np.eye(len(rows))[i] for i, q in enumerate(readings) if q not in image]
+        families = {family.name: family for q in readings if (family := image.get(q))}
+        for family in families.values():
+            columns += _shifted(problem, family, list(readings))
+        modes = np.array(columns).reshape(-1, len(rows)).T
+        return cls(rows, units[:, None] * modes)
+
+    def effects(self, problem: Problem, block: PoseEquations) -> Array:
+        """(b, r, q) what they do to the equations of some poses of a problem; nothing where a
+        reading is missing."""
+        sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[self.rows]
+        missing = np.isinf(sd).T[block.poses]
+        return np.asarray((block.X[:, :, self.rows] * ~missing[:, None, :]) @ self.modes)
+
+
+def _shifted(problem: Problem, family: Family, readings: list[str]) -> list[Array]:
+    """(6,) columns (R,): an image shifted along u and v, and stretched linearly over the points.
+
+    x and y of a point are the mean of its pixels over the poses, from the middle of all.
+    """
+    names = problem.mechanism.tape.quantities
+    index = [names.index(q) for q in family.readings]
+    sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[index]
+    pixels = np.where(np.isinf(sd), np.nan, problem.readings[index])
+    seen = np.isfinite(pixels)
+    mean = np.where(seen, pixels, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    xy = mean.reshape(-1, 2)
+    xy = xy - xy.mean(axis=0)
+    over = np.column_stack([np.ones(len(xy)), xy])
+    over /= np.maximum(np.sqrt(np.square(over).mean(axis=0)), 1e-12)
+    columns = []
+    place = {q: i for i, q in enumerate(readings)}
+    for axis in (0, 1):
+        for function in over.T:
+            column = np.zeros(len(readings))
+            for value, q in zip(function, family.readings[axis::2], strict=True):
+                if q in place:
+                    column[place[q]] = value
+            columns.append(column)
+    return columns
 
 
 def units_of(problem: Problem, rows: Sequence[int]) -> Array:

@@ -34,7 +34,7 @@ from loopcal.estimation.problem.alignment import can_be_placed, seen_points
 from loopcal.estimation.problem.constants import standing
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.mechanism import Family
+from loopcal.mechanisms.mechanism import PIXELS, Family
 from loopcal.presentation.shown import enumerated, size, unit_shown
 
 if TYPE_CHECKING:
@@ -88,6 +88,8 @@ def column_faults(
     noise may; stated: the sds say what that is, because none of them is learnt.
     """
     file = _File(problem, stated)
+    if any(f.form == PIXELS for f in problem.mechanism.families):
+        return ()  # faults of images are those of single ones, or were found with their start
     if not (suspected or file.suspicious) or file.blind:
         return ()  # loops that unread quantities close meet altered readings as well
     still = file.still

@@ -16,7 +16,7 @@ from loopcal.estimation.problem.constants import standing
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.presentation.shown import with_unit
 
@@ -110,6 +110,12 @@ def entries(
     """
     learnt = estimate.components if estimate else ()
     owner = {i: j for j, component in enumerate(learnt) for i in component.quantities}
+    images = {
+        q: -1 - number
+        for number, family in enumerate(problem.mechanism.families)
+        if family.form == PIXELS
+        for q in family.readings
+    }
     quantities = problem.mechanism.tape.quantities
     groups: dict[tuple[int, float], list[str]] = {}
     named_entries: list[tuple[NoiseEntry, list[str]]] = []
@@ -126,6 +132,11 @@ def entries(
             role="disturbance" if quantity in problem.mechanism.disturbances else "reading",
         )
         names = [quantity]
+        if i not in owner and quantity in images:
+            group = groups.setdefault((images[quantity], sd), names)
+            if group is not names:
+                group.append(quantity)
+                continue
         if i in owner:
             begun = typical_sd(stated, i) or 0.0
             group = groups.setdefault((owner[i], begun), names)

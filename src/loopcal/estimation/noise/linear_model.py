@@ -18,16 +18,18 @@ for every pose.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.products import rows_times, rows_times_upper
-from loopcal.estimation.solve.kernel import eliminate, loadings
+from loopcal.estimation.solve.block import Block
+from loopcal.estimation.solve.kernel import eliminate, loadings, shared_loads
 from loopcal.estimation.solve.reduction import WELL_CONDITIONED, inverse_of_upper
 from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.expressions.engine import LoopValues
 from loopcal.lazy import cached_property
 
 Array = NDArray[np.float64]
@@ -43,7 +45,9 @@ KEPT = 1e-7
 class ModelBlock:
     """b poses: e (b, r), J (b, r, n), fixed (b, r, r) = V_0 and the loadings G (b, r, K).
 
-    owner: (K,) the component of each column of G, in ascending order.
+    owner: (K,) the component of each column of G, in ascending order; spare: (b, c + 1) further
+    rows on which nothing acts but the noise of one component, last that of none, with the variance
+    1 at its stated sd; scale: (b,) log of the product of the variances by which rows were divided.
     """
 
     e: Array
@@ -51,6 +55,17 @@ class ModelBlock:
     fixed: Array
     G: Array
     owner: NDArray[np.intp]
+    spare: Array = field(default_factory=lambda: np.zeros((1, 0)))
+    scale: Array = field(default_factory=lambda: np.zeros(1))
+
+    @property
+    def equations(self) -> Array:
+        """(b,) or (1,) rows, spare ones with them."""
+        return self.e.shape[1] + self.spare.sum(axis=1)
+
+    def spare_of(self, components: int) -> Array:
+        """(c,) spare rows of the components over all poses."""
+        return self.spare.sum(axis=0)[:components] if self.spare.size else np.zeros(components)
 
     @cached_property
     def columns(self) -> Array:
@@ -100,11 +115,15 @@ def linear_model(
     corrections: Array,
     components: Sequence[Sequence[int]],
     spreads: Sequence[float] = (),
+    *,
+    compressed: bool = True,
 ) -> LinearModel:
     """The linearised model with one variance component for each list of quantity positions.
 
     spreads: of the components (see `LinearModel`), by default all inf.
     The reweighted fit has J_p where the readings stand, all others where they were corrected to.
+    compressed: without the rows of images on which nothing but their own noise acts; otherwise the
+    rows are the loops of each pose.
     """
     sweeper = Sweeper(problem)
     blocks = []
@@ -115,6 +134,16 @@ def linear_model(
         columns = values.by_quantity[unmeasured]
         if problem.weighting is Weighting.READ:
             D = sweeper.loop_values(pattern, block.read).by_parameter.copy()
+        if noise.own and compressed:
+            blocks.append(_of_own_readings(values, D, block, components, problem.loops_alike))
+            continue
+        sd = np.broadcast_to(noise.sd[list(noise.own)], (len(noise.own), block.count))
+        missing = np.isinf(sd)  # empty but for images
+        if missing.any():
+            J, columns = J * ~missing, columns * ~missing
+            f[missing] = 0.0
+            D[:, missing] = 0.0
+            noise = replace(noise, uncertainty=noise.uncertainty.of_read)
         skip = len(unmeasured)
         if skip:
             reflections = eliminate(columns)
@@ -124,6 +153,11 @@ def linear_model(
         rows = [[measured.index(i) for i in c if i in noise.measured] for c in components]
         members = [i for c in rows for i in c]
         rest = G[:, :, [i for i in range(len(measured)) if i not in members]]
+        if missing.any():
+            # They say nothing, and get a variance of 1 on which nothing depends.
+            silent = missing * np.eye(len(missing))[:, :, None]
+            silent = reflections.apply(silent) if skip else silent
+            rest = np.concatenate([rest, silent[:, skip:].transpose(2, 1, 0)], axis=2)
         blocks.append(
             ModelBlock(
                 np.ascontiguousarray(e.T),
@@ -138,6 +172,72 @@ def linear_model(
     offset = problem.nominal - present
     by_component = np.array(spreads or [np.inf] * len(components), dtype=float)
     return LinearModel(tuple(blocks), precision, offset, by_component)
+
+
+def _of_own_readings(
+    values: LoopValues,
+    D: Array,
+    block: Block,
+    components: Sequence[Sequence[int]],
+    exact: bool,
+) -> ModelBlock:
+    """The block of images, a row for each direction in which more acts than the corners' noise.
+
+    Rows are divided by the sds of their own readings, whose loadings are then 1: any rotation of
+    the rows of one component leaves them so. By the triangle of all other columns, of which there
+    are few, they keep as many rows as there are columns. A missing reading counts as a row of
+    nothing but noise, and is taken off again.
+    """
+    noise, corrections = block.noise, block.corrections
+    own, unmeasured = list(noise.own), list(noise.unmeasured)
+    shared = [] if exact else list(noise.shared)
+    J = values.by_quantity
+    m, b = values.f.shape
+    slope, sd = J[own, np.arange(m)], np.broadcast_to(noise.sd[own], (m, b))
+    missing = np.isinf(sd)
+    weight = np.where(missing, 0.0, 1.0 if exact else 1.0 / (np.abs(slope) * sd))
+    e = -values.f
+    if not exact:
+        e = e + slope * corrections[own]
+        e += np.einsum("smb,sb->mb", J[shared], corrections[shared])
+    loads = shared_loads(J, noise) if shared else J[:0]
+    every = np.concatenate([J[unmeasured], loads, D, e[None]]) * weight
+    owner = {q: j for j, positions in enumerate(components) for q in positions}
+    of_row = np.array([owner.get(q, -1) for q in own])
+    parts, loaded, owners = [], [], []
+    spare = np.zeros((b, len(components) + 1))
+    width = len(every)
+    for j in sorted({*of_row.tolist()}):
+        rows = every[:, of_row == j].transpose(2, 1, 0)
+        spare[:, j] -= missing[of_row == j].sum(axis=0)
+        if rows.shape[1] > width:
+            spare[:, j] += rows.shape[1] - width
+            rows = np.linalg.qr(rows, mode="r")
+        parts.append(rows)
+        loaded.append(rows.shape[1])
+        owners += [j] * rows.shape[1]
+    stacked = np.concatenate(parts, axis=1).transpose(2, 1, 0)
+    alone = np.repeat(np.eye(len(owners))[:, :, None], b, axis=2) * (0.0 if exact else 1.0)
+    u, s = len(unmeasured), len(shared)
+    columns = np.concatenate([stacked[u:], alone])
+    if u:
+        reflections = eliminate(stacked[:u])
+        columns = reflections.apply(columns)[:, u:]
+    of_column = np.array([*(owner.get(q, -1) for q in shared), *owners], dtype=np.intp)
+    G = np.concatenate([columns[:s], columns[-len(owners) :]]).transpose(2, 1, 0)
+    order = np.argsort(of_column, kind="stable")
+    G, of_column = G[:, :, order], of_column[order]
+    rest = G[:, :, of_column < 0]
+    scale = np.where(missing, 0.0, -2.0 * np.log(np.where(missing, 1.0, weight))).sum(axis=0)
+    return ModelBlock(
+        np.ascontiguousarray(columns[s + len(D)].T),
+        np.ascontiguousarray(columns[s : s + len(D)].transpose(2, 1, 0)),
+        rest @ rest.transpose(0, 2, 1),
+        np.ascontiguousarray(G[:, :, of_column >= 0]),
+        of_column[of_column >= 0],
+        spare,
+        scale,
+    )
 
 
 @dataclass(frozen=True)
@@ -314,6 +414,10 @@ def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Jo
     n = len(model.precision)
     rows, W, log_V = [], [], 0.0
     for block in model.blocks:
+        spare = block.spare_of(model.components)
+        if np.any(spare[ratios == 0.0]):
+            return None
+        log_V += float(spare @ np.log(_above_zero(ratios)) + block.scale.sum())
         V = block.fixed + (block.G * ratios[block.owner]) @ block.G.transpose(0, 2, 1)
         try:
             L = np.linalg.cholesky(V)
@@ -349,6 +453,8 @@ def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected
     flat = first.reshape(count, rank * rank)
     owners = tuple(block.owner for block in model.blocks)
     information = 0.5 * (pairs + flat @ flat.T)
+    spare = sum(block.spare_of(count) for block in model.blocks)
+    information += np.diag(0.5 * spare / np.square(_above_zero(joined.ratios)))
     # curvature of the prior in the logarithm
     information += np.diag(np.square(0.5 / model.spreads / _above_zero(joined.ratios)))
     return Projected(root, tuple(every), tuple(joined.W), owners, first, information)
@@ -377,4 +483,5 @@ def _score(model: LinearModel, joined: Joined, dp: Array, taken_up: Array) -> Ar
         misfit = np.square(np.einsum("brk,br->bk", W, r)).sum(axis=0)
         members = np.equal.outer(np.arange(model.components), block.owner).astype(float)
         score += 0.5 * members @ (misfit - np.square(W).sum(axis=(0, 1)))
+        score -= 0.5 * block.spare_of(model.components) / _above_zero(joined.ratios)
     return np.asarray(score)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.expressions.tape import Tape
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.measurements.noise import ReadingUncertainty
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 
 Poses = slice | NDArray[np.intp]
 
@@ -20,20 +21,24 @@ class Pattern:
     """Poses in which the same loops hold and the same of their quantities are unmeasured.
 
     loops, unmeasured, absent: positions of these loops, of the unmeasured quantities in them, and
-    of the quantities that are in none of them.
+    of the quantities that are in none of them. own: for each loop the position of the reading that
+    it predicts, where poses with many readings are reduced by these (`own_kernel`); such a reading
+    may be missing in some of the poses, and its loop then counts nothing there.
     """
 
     loops: tuple[int, ...]
     unmeasured: tuple[int, ...]
     absent: tuple[int, ...]
     poses: Poses
+    own: tuple[int, ...] = ()
 
     def count(self, poses: int) -> int:
         """How many poses these are, of so many."""
         return poses if isinstance(self.poses, slice) else len(self.poses)
 
     def equations(self, poses: int) -> int:
-        """Loop equations in these poses, less the unmeasured quantities they determine."""
+        """Loop equations in these poses, less the unmeasured quantities they determine; those of
+        missing readings of their own count as well."""
         return self.count(poses) * (len(self.loops) - len(self.unmeasured))
 
 
@@ -44,20 +49,26 @@ def held_loops(tape: Tape, loops: tuple[int, ...]) -> Tape:
 
 
 def patterns_of(
-    mechanism: Mechanism, unmeasured: NDArray[np.bool_], blind: NDArray[np.bool_] | None = None
+    mechanism: Mechanism, uncertainty: ReadingUncertainty, blind: NDArray[np.bool_] | None = None
 ) -> tuple[Pattern, ...]:
-    """Poses by what is unmeasured in them, (k, N) or (k, 1), and by the loops that then hold.
+    """Poses by what is unmeasured in them, by sds that are inf, and by the loops that then hold.
 
-    A family's loops go where all its own readings are `blind`, by default unmeasured: eliminating
-    these readings would leave nothing of the loops.
+    A family's loops go where all its own readings are `blind` (k, N), by default unmeasured:
+    eliminating these readings would leave nothing of the loops.
     """
+    unmeasured = np.isinf(uncertainty.sd)
+    own = _own_readings(mechanism, uncertainty)
+    if own:
+        unmeasured = unmeasured.copy()
+        unmeasured[list(own)] = False
+        blind = unmeasured
     codes = np.concatenate([unmeasured, unmeasured if blind is None else blind])
     if (codes == codes[:, :1]).all():
-        common = _pattern(mechanism, codes[:, 0])
+        common = _pattern(mechanism, codes[:, 0], own)
         return (common,) if common.loops else ()
     unique, inverse = np.unique(codes.T, axis=0, return_inverse=True)
     alike: dict[tuple[tuple[int, ...], ...], list[int]] = {}
-    patterns = [_pattern(mechanism, code) for code in unique]
+    patterns = [_pattern(mechanism, code, own) for code in unique]
     for i, pattern in enumerate(patterns):
         alike.setdefault((pattern.loops, pattern.unmeasured), []).append(i)
     return tuple(
@@ -67,7 +78,29 @@ def patterns_of(
     )
 
 
-def _pattern(mechanism: Mechanism, code: NDArray[np.bool_]) -> Pattern:
+def _own_readings(mechanism: Mechanism, uncertainty: ReadingUncertainty) -> tuple[int, ...]:
+    """For each loop the position of the reading that it predicts, where an image is read.
+
+    Empty without images, and where such a reading shares a covariance or some of them are exact:
+    these are reduced like any loops.
+    """
+    tape = mechanism.tape
+    predicted = {
+        loop: reading
+        for family in mechanism.families
+        for loop, reading in zip(family.loops, family.readings, strict=False)
+    }
+    if not any(f.form == PIXELS for f in mechanism.families) or len(predicted) < len(tape.loops):
+        return ()
+    own = tuple(tape.quantities.index(predicted[loop]) for loop in tape.loops)
+    if any(set(own).intersection(block.indices) for block in uncertainty.blocks):
+        return ()
+    sd = uncertainty.sd[list(own)]
+    exact = sd == 0.0
+    return () if exact.any() and not (exact | np.isinf(sd)).all() else own
+
+
+def _pattern(mechanism: Mechanism, code: NDArray[np.bool_], own: tuple[int, ...]) -> Pattern:
     """The pattern of all poses in which this is unmeasured and, in the second half, blind."""
     tape = mechanism.tape
     unmeasured, blind = code.reshape(2, -1).tolist()
@@ -83,4 +116,5 @@ def _pattern(mechanism: Mechanism, code: NDArray[np.bool_]) -> Pattern:
         tuple(i for i, name in places if name in missing and name in present),
         tuple(i for i, name in enumerate(tape.quantities) if name not in present),
         slice(None),
+        tuple([own[i] for i in loops]) if own else (),
     )

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.solve.sweep import Sweeper
 
@@ -57,10 +58,22 @@ def pose_equations(
                 everything[block.poses],
                 whitened.E.T.copy(),
                 np.einsum("crb,ncb->brn", T, values.by_parameter if J_p is None else J_p),
-                np.einsum("crb,kcb->brk", T, values.by_quantity),
+                _by_readings(T, values.by_quantity, pattern),
             )
         )
     return tuple(equations)
+
+
+def _by_readings(T: Array, J: Array, pattern: Pattern) -> Array:
+    """X = T J_x, (b, r, k); a reading of its own is in one loop alone."""
+    if not pattern.own:
+        return np.asarray(np.einsum("crb,kcb->brk", T, J))
+    own = list(pattern.own)
+    shared = [i for i in range(len(J)) if i not in set(own)]
+    X = np.empty((T.shape[2], T.shape[1], len(J)))
+    X[:, :, own] = (T * J[own, np.arange(len(own))][:, None, :]).transpose(2, 1, 0)
+    X[:, :, shared] = T.transpose(2, 1, 0) @ J[shared].transpose(2, 1, 0)
+    return X
 
 
 def rounding_left(problem: Problem, equations: Sequence[PoseEquations]) -> float:

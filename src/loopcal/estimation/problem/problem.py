@@ -26,7 +26,7 @@ from loopcal.expressions.tape import Tape
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 
 # What the loops of a pose count in a fit, and where they are linearised for it.
 
@@ -114,7 +114,12 @@ class Problem:
     @cached_property
     def equations(self) -> int:
         """Loop equations over all poses, less the unmeasured quantities they determine."""
-        return sum(pattern.equations(len(self.poses)) for pattern in self.patterns)
+        return sum(p.equations(len(self.poses)) - self._missing(p) for p in self.patterns)
+
+    def _missing(self, pattern: Pattern) -> int:
+        """Loops of a pattern that count nothing, because their own reading is missing."""
+        sd = np.broadcast_to(self.uncertainty.sd, self.readings.shape)[list(pattern.own)]
+        return int(np.isinf(sd[:, pattern.poses]).sum())
 
     @property
     def count(self) -> int:
@@ -203,7 +208,7 @@ def build_problem(
         np.array([p.nominal for p in estimated]),
         np.array([p.prior_sd for p in estimated]),
         dataset.poses,
-        patterns_of(mechanism, np.isinf(uncertainty.sd)),
+        patterns_of(mechanism, uncertainty),
     )
     refuse_without_redundancy(mechanism, problem.patterns, problem.poses)
     if whole:
@@ -221,7 +226,7 @@ def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
         pose_constants=problem.pose_constants[:, index],
         uncertainty=uncertainty,
         poses=tuple(problem.poses[i] for i in index),
-        patterns=patterns_of(problem.mechanism, np.isinf(uncertainty.sd)),
+        patterns=patterns_of(problem.mechanism, uncertainty),
         first_corrections=None
         if problem.first_corrections is None
         else problem.first_corrections[:, index],
@@ -235,8 +240,9 @@ def left_unmeasured(problem: Problem, without: NDArray[np.bool_]) -> Problem:
     """
     sd = np.where(without, np.inf, problem.uncertainty.sd)
     blind = np.broadcast_to(np.isinf(problem.uncertainty.sd), sd.shape)
-    patterns = patterns_of(problem.mechanism, np.isinf(sd), blind)
-    return replace(problem, uncertainty=replace(problem.uncertainty, sd=sd), patterns=patterns)
+    uncertainty = replace(problem.uncertainty, sd=sd)
+    patterns = patterns_of(problem.mechanism, uncertainty, blind)
+    return replace(problem, uncertainty=uncertainty, patterns=patterns)
 
 
 def _exact(mechanism: Mechanism, dataset: Dataset) -> Noise:
@@ -246,7 +252,9 @@ def _exact(mechanism: Mechanism, dataset: Dataset) -> Noise:
     """
     names = mechanism.tape.quantities
     unread = {q for q in names if not np.isfinite(dataset.readings.get(q, np.nan)).any()}
-    instruments = [f.readings for f in mechanism.families if unread.issuperset(f.readings)]
+    instruments = [
+        f.readings for f in mechanism.families if f.form == PIXELS or unread.issuperset(f.readings)
+    ]
     unmeasured = unread & {*mechanism.home, *(q for readings in instruments for q in readings)}
     for name in names:
         if name in unread - unmeasured:

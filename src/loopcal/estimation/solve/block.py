@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BlockNoise:
-    """The uncertainty of a block, and the positions of its unmeasured and measured quantities."""
+    """The uncertainty of a block, and the positions of its unmeasured and measured quantities.
+
+    own: for each loop the reading that it predicts, where blocks are reduced by these
+    (`own_kernel`); shared: the measured quantities beside these.
+    """
 
     uncertainty: ReadingUncertainty
     unmeasured: tuple[int, ...]
     measured: tuple[int, ...]
+    own: tuple[int, ...] = ()
+    shared: tuple[int, ...] = ()
 
     @property
     def sd(self) -> Array:
@@ -37,12 +43,13 @@ class BlockNoise:
     @cached_property
     def native(self) -> Any:
         """The same as the compiled engine takes it, made once for all its calls."""
-        blocks = [([self.measured.index(i) for i in b.indices], b.factor) for b in self.blocks]
-        return native_noise(self.sd, self.unmeasured, self.measured, blocks)
+        among = self.shared if self.own else self.measured
+        blocks = [([among.index(i) for i in b.indices], b.factor) for b in self.blocks]
+        return native_noise(self.sd, self.unmeasured, self.measured, blocks, self.own, self.shared)
 
     def of(self, chosen: NDArray[np.intp] | slice) -> BlockNoise:
         """The noise of some poses of the block."""
-        return BlockNoise(self.uncertainty.of(chosen), self.unmeasured, self.measured)
+        return replace(self, uncertainty=self.uncertainty.of(chosen))
 
 
 @dataclass(frozen=True)

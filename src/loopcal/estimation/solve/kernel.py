@@ -75,6 +75,8 @@ def whiten(values: LoopValues, block: Block) -> Whitened:
 
     values: at the corrected readings of the block.
     """
+    if block.noise.own:
+        return whiten_own(values, block)
     correction, noise = block.corrections, block.noise
     f, D = values.f, values.by_parameter
     J, now = _measured(values.by_quantity, noise), _measured(correction, noise)
@@ -144,6 +146,8 @@ def unweighted(values: LoopValues, block: Block) -> Whitened:
 
     Unmeasured quantities are still eliminated, and found in the least squares of their loops.
     """
+    if block.noise.own:
+        return whiten_own(values, block, exact=True)
     correction, noise = block.corrections, block.noise
     f, D = values.f, values.by_parameter
     new = correction
@@ -313,3 +317,81 @@ def eliminate(columns: Array) -> Elimination:
         scales.append(scale)
     triangle = tuple(tuple(A[j, i] for j in range(i, u)) for i in range(u))
     return Elimination(tuple(vectors), tuple(scales), triangle)
+
+
+# Poses with many loops, each of which predicts a reading of its own: images.
+
+
+def whiten_own(values: LoopValues, block: Block, *, exact: bool = False) -> Whitened:
+    """The same equations where each loop i has its own reading y_i, with the slope a_i.
+
+        f + a y + J_s dx_s + J_u du + J_p dp = 0,   y_i ~ N(0, sd_i),   x_s = S_s z,  z ~ N(0, 1).
+
+    Weighted by w_i = 1 / (|a_i| sd_i), 0 where y_i is missing, the columns of unmeasured
+    quantities and, above ones of their own, of shared readings are triangularised:
+
+        [ w J_u  w J_s S_s ]         [ R ]
+        [   0        1     ]  =  H   [ 0 ],
+
+    and what H leaves of w J_p and w e below R are D and E. This is Woodbury's inverse of the
+    covariance sd^2 + J_s S_s S_s^T J_s^T in the form that squares nothing; it costs some
+    m (u + s) operations for each parameter, where the covariance of m loops costs m^2.
+
+    exact: every reading is, and only missing ones are found. G is empty.
+    """
+    noise, correction = block.noise, block.corrections
+    f, J, D = values.f, values.by_quantity, values.by_parameter
+    own, unmeasured = list(noise.own), list(noise.unmeasured)
+    shared = [] if exact else list(noise.shared)
+    u, s = len(unmeasured), len(shared)
+    m, b = f.shape
+    slope, sd = J[own, np.arange(m)], np.broadcast_to(noise.sd[own], (m, b))
+    missing = np.isinf(sd)
+    weight = np.where(missing, 0.0, 1.0 if exact else 1.0 / (np.abs(slope) * sd))
+    loads = shared_loads(J, noise) if s else J[:0]
+    columns = np.zeros((u + s, m + s, b))
+    columns[:u, :m], columns[u:, :m] = J[unmeasured] * weight, loads * weight
+    columns[np.arange(u, u + s), np.arange(m, m + s)] = 1.0
+    misclosure = -f
+    if not exact:
+        misclosure += slope * correction[own]
+        misclosure += np.einsum("smb,sb->mb", J[shared], correction[shared])
+    reflections = eliminate(columns)
+
+    def left(part: Array) -> Array:
+        return reflections.apply(
+            np.concatenate([part * weight, np.zeros((*part.shape[:-2], s, b))], axis=-2)
+        )
+
+    turned = left(misclosure)
+    reduced = np.empty((len(D) + 1, m - u, b))
+    reduced[-1] = turned[u + s :]
+    if len(D):
+        reduced[:-1] = left(D)[:, u + s :]
+        if u:
+            length = np.sqrt(np.square(D * weight).sum(axis=1))[:, None, :]
+            reduced[:-1][np.abs(reduced[:-1]) < ROUNDED_AWAY * length] = 0.0
+    steps = reflections.solve(turned[: u + s])
+    new = correction.copy() if exact else np.zeros_like(correction)
+    new[unmeasured] = correction[unmeasured] + steps[:u]
+    new[shared] = noise.sd[shared] * steps[u:]
+    for covariance in noise.blocks if s else ():
+        places = [u + shared.index(i) for i in covariance.indices]
+        subscripts = "cd,db->cb" if covariance.factor.ndim == 2 else "bcd,db->cb"
+        new[list(covariance.indices)] = np.einsum(subscripts, covariance.factor, steps[places])
+    rest = misclosure - np.einsum("umb,ub->mb", J[unmeasured], steps[:u])
+    rest -= np.einsum("smb,sb->mb", J[shared], new[shared])
+    rest /= slope
+    new[own] = np.where(missing, correction[own] + rest, new[own]) if exact else rest
+    return Whitened(reduced, np.zeros((m - u, 0, b)), new, np.zeros(b, dtype=bool))
+
+
+def shared_loads(J: Array, noise: BlockNoise) -> Array:
+    """J_s S_s, (s, m, b), of the readings that all loops of an image share."""
+    shared = list(noise.shared)
+    loads: Array = J[shared] * noise.sd[shared][:, None]
+    for covariance in noise.blocks:
+        rows = [shared.index(i) for i in covariance.indices]
+        subscripts = "crb,cd->drb" if covariance.factor.ndim == 2 else "crb,bcd->drb"
+        loads[rows] = np.einsum(subscripts, J[list(covariance.indices)], covariance.factor)
+    return loads

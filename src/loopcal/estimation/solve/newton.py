@@ -28,6 +28,8 @@ from loopcal.expressions.tape import Tape
 Array = NDArray[np.float64]
 # Chosen, not derived: a cap of the iterations, and poses whose second derivatives fit the cache.
 _MOST, _BLOCK = 60, 256
+_MISSING = 1e6
+"""Of a missing reading, as its sd [SI]: so far off it costs nothing beside the others."""
 _LENGTHS = tuple(0.5 ** np.arange(*some) for some in ((0, 1), (1, 5), (5, 25)))
 """Shares of a step that are tried, those of a group at once: evaluations cost by their number."""
 _SHORTEST = 0.75 * 0.5**24
@@ -68,7 +70,7 @@ def close_by_newton(
 
 def _scaling(noise: BlockNoise) -> Array:
     """T, (1, k, k) or (b, k, k): columns of unmeasured quantities are scaled units."""
-    sd = np.where(np.isinf(noise.sd), UNMEASURED_SCALE, noise.sd)
+    sd = np.where(np.isinf(noise.sd), _MISSING if noise.own else UNMEASURED_SCALE, noise.sd)
     sd[list(noise.unmeasured)] = UNMEASURED_SCALE
     T = sd.T[:, :, None] * np.eye(len(sd))
     for covariance in noise.blocks:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from loopcal.files.tables.table import Table
@@ -24,12 +24,27 @@ class Layout:
     delimiter: Annotated[str | None, Key("Text: between the cells.", example=";")] = None
     decimal: Annotated[str | None, Key("Text: decimal mark.", choices=(".", ","))] = None
     encoding: Annotated[str | None, Key("Text: its encoding.", example="utf-8")] = None
+    spread: Annotated[
+        Mapping[str, str] | None,
+        Key(
+            "Columns of a table that has a row for each point of an image: pose, camera, board, "
+            "point, u, v. Its readings are then CAMERA:BOARD:POINT:u and :v, without what has no "
+            "column.",
+            choices=("pose", "camera", "board", "point", "u", "v"),
+            example={"pose": "pose", "camera": "camera", "point": "corner", "u": "u", "v": "v"},
+        ),
+    ] = None
 
     @property
     def keywords(self) -> dict[str, Any]:
         """What is stated, as keywords of `read_dataset`."""
         options = {key: getattr(self, key) for key in Layout.__dataclass_fields__}
         return {key: value for key, value in options.items() if value is not None}
+
+    @property
+    def as_it_stands(self) -> Layout:
+        """How the file itself is written."""
+        return replace(self, spread=None)
 
 
 RECOGNISED = Layout()

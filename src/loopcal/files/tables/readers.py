@@ -23,6 +23,7 @@ from loopcal.files.tables.columns import (
 from loopcal.files.tables.isolated import read_isolated
 from loopcal.files.tables.reader import Layout
 from loopcal.files.tables.registry import reader_of, refuse_other_options
+from loopcal.files.tables.spread import spread_rows
 from loopcal.files.tables.table import ROW, Table
 from loopcal.measurements.dataset import Array, Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
@@ -192,6 +193,8 @@ def _table(
     """The columns asked for; rows: which of them to read from Parquet, others are read whole."""
     if isinstance(path, Table):
         return path
+    if layout.spread is not None:
+        return spread_rows(_table(path, layout.as_it_stands, None), layout.spread)
     reader = reader_of(path)
     refuse_other_options(reader, path, layout)
     if reader.guarded:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from loopcal.keys import by_type
+from loopcal.mechanisms.instruments.camera import camera
 from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
 from loopcal.mechanisms.instruments.inclinometer import inclinometer
 from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
@@ -12,6 +13,7 @@ from loopcal.mechanisms.instruments.spherical import spherical
 
 __all__ = [
     "ball_bar",
+    "camera",
     "distance",
     "draw_wire",
     "inclinometer",

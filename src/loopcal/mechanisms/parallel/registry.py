@@ -6,12 +6,14 @@ from loopcal.keys import by_type
 from loopcal.mechanisms.parallel.delta import linear_delta, rotary_delta
 from loopcal.mechanisms.parallel.five_bar import five_bar
 from loopcal.mechanisms.parallel.four_bar import four_bar
+from loopcal.mechanisms.parallel.free_body import free_body
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.parallel.three_rrr import three_rrr
 
 __all__ = [
     "five_bar",
     "four_bar",
+    "free_body",
     "linear_delta",
     "rotary_delta",
     "stewart_gough",

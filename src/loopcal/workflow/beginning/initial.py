@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import Any, TypedDict, Unpack
@@ -51,6 +52,7 @@ from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
 from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.delays import Delay, delays
+from loopcal.workflow.beginning.from_images import CORNERS, are_images, from_images
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,
@@ -108,7 +110,8 @@ class InitialProject:
     mechanism, dataset, noise: for `calibrate`; text: of the project file, inputs: the same as data;
     tables: further files beside it; fits: what the nominal machine misses, by instrument; remarks:
     what was inferred, and why; delays: of instruments that were recorded by time;
-    written: the files on the disk, empty where none were asked for.
+    words: what was read, where poses are images; written: the files on the disk, empty where none
+    were asked for.
     """
 
     mechanism: Mechanism
@@ -120,6 +123,7 @@ class InitialProject:
     fits: Mapping[str, Mounted]
     remarks: tuple[str, ...]
     delays: tuple[Delay, ...] = ()
+    words: str = ""
     written: tuple[Path, ...] = ()
 
     @property
@@ -141,8 +145,7 @@ class InitialProject:
         return f"loopcal calibrate {quote(project)}"
 
     def __str__(self) -> str:
-        parts = [f"{len(self.dataset)} poses as understood, in mm and deg; the first {_ROWS}:"]
-        parts += [*in_columns(self._rows()), ""]
+        parts = [self.words, ""] if self.words else self._first_rows()
         parts += [*(f"- {words}" for words in self.remarks), ""]
         for name, fit in self.fits.items():
             turned = ""
@@ -153,13 +156,20 @@ class InitialProject:
                 f"{name}: the nominal machine, placed by alignment, misses the readings by "
                 f"{with_unit(fit.rms, 'm')}{turned} rms (without the worst tenth of the poses)"
             )
-        parts += ["worst poses: " + ", ".join(self._worst_words())]
+        if self.fits:
+            parts += ["worst poses: " + ", ".join(self._worst_words())]
         if self.written:
             parts += ["", f"written: {', '.join(map(str, self.written))}"]
             parts += ["next:", f"  {self.command}"]
         return "\n".join(parts)
 
+    def _first_rows(self) -> list[str]:
+        head = f"{len(self.dataset)} poses as understood, in mm and deg; the first {_ROWS}:"
+        return [head, *in_columns(self._rows()), ""]
+
     def __repr__(self) -> str:
+        if self.words:
+            return f"<InitialProject: {self.words}>"
         miss = ", ".join(f"{name} {with_unit(f.rms, 'm')}" for name, f in self.fits.items())
         return f"<InitialProject: {len(self.dataset)} poses, nominal machine misses {miss}>"
 
@@ -231,6 +241,8 @@ def initial_project(
     if not readings:
         raise UsageError("no readings are named", remedy="name one or several files of readings")
     folder = Path() if out is None else Path(out)
+    if are_images(readings):
+        return _of_images(readings, robot, folder, write=out is not None)
     if out is not None:
         from_files = all(isinstance(entry, str | Path) for entry in readings)
         names = (PROJECT,) if from_files else (PROJECT, READINGS)
@@ -292,6 +304,38 @@ def _joints(fields: Fields, robot: RobotFile) -> tuple[tuple[Field, ...], tuple[
     """
     columns = joint_columns(fields.fields, robot.joints) if robot.joints else ()
     return turned_columns(fields.fields, columns) if robot.dh else (columns, ())
+
+
+def _of_images(
+    readings: Sequence[Any], robot: RobotFile, folder: Path, *, write: bool
+) -> InitialProject:
+    """The project of a folder or files with corners of boards, or images of them."""
+    if write:
+        refuse_foreign(*(folder / name for name in (PROJECT, READINGS, CORNERS)))
+    described = any((robot.urdf, robot.dh, robot.machine))
+    describe = partial(_described, robot, folder) if described else None
+    made = from_images(readings, describe, robot.joints, folder)
+    project = read_project(folder / PROJECT, text=made.text)
+    done = InitialProject(
+        project.mechanism,
+        made.dataset,
+        project.noise.noise(),
+        made.text,
+        project.inputs,
+        made.beside,
+        {},
+        made.remarks,
+        words=made.words,
+    )
+    if not write:
+        return done
+    files = {PROJECT: made.text.encode("utf-8"), **made.beside}
+    write_files(folder, files)
+    return replace(done, written=tuple(folder / name for name in files))
+
+
+def _described(robot: RobotFile, folder: Path, fields: Sequence[Field]) -> Robot:
+    return _robot(robot, Fields((), (), tuple(fields)), folder, ())
 
 
 def _robot(robot: RobotFile, fields: Fields, folder: Path, signs: Sequence[int]) -> Robot:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from loopcal.companions.robot.exports import geometry_json, simulators, tables, tf, ur, urdf, xacro
+from loopcal.companions.robot.exports import (
+    cameras,
+    geometry_json,
+    simulators,
+    tables,
+    tf,
+    ur,
+    urdf,
+    xacro,
+)
 from loopcal.companions.robot.exports.format import Format
 from loopcal.errors import unknown_name
 
 EXPORTS: dict[str, Format] = {
     one.name: one
-    for module in (urdf, xacro, ur, tf, tables, simulators, geometry_json)
+    for module in (urdf, xacro, ur, tf, tables, simulators, geometry_json, cameras)
     for one in module.FORMATS
 }
 

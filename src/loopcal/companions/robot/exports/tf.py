@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from xml.sax.saxutils import quoteattr
 
+from loopcal.companions.robot.exports.cameras import cameras_of
 from loopcal.companions.robot.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.companions.robot.exports.urdf import decimal
 from loopcal.document.exported import Exported, Placed
@@ -20,10 +21,17 @@ _PARENTS = ("base", "flange")
 
 def tf(exported: Exported, options: ExportOptions) -> ExportFiles:
     """static_transforms.launch.xml: what stands in the base or is mounted on the flange."""
+    cameras = {n: c for n, c in cameras_of(exported).items() if c.T is not None}
+    named = {word for name in cameras for word in (name, f"{name} in base")}
     frames = [
         placed
         for placed in exported.frames
-        if placed.model == "geometry" and placed.seen_in in _PARENTS
+        if placed.model == "geometry" and placed.seen_in in _PARENTS and placed.name not in named
+    ]
+    frames += [
+        Placed(f"{n}_optical_frame", "flange" if c.on_hand else "base", c.T, True, "geometry")
+        for n, c in cameras.items()
+        if c.T is not None
     ]
     lines = ["<launch>", *map(_node, frames), "</launch>", ""]
     points = [placed.name for placed in frames if not placed.turned]
@@ -56,6 +64,6 @@ FORMATS = (
         "ROS 2 with a tracker or camera that has to know where it stands",
         "include the launch file; name your links in place of `base` and `flange`",
         tf,
-        "zeros",
+        "places",
     ),
 )

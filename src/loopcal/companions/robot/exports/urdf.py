@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from loopcal.companions.robot.exports.cameras import camera_origins
 from loopcal.companions.robot.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.companions.robot.programs.program import Place, Span, replaced
 from loopcal.document.exported import Exported
@@ -195,9 +196,10 @@ def decimal(value: float) -> str:
 def urdf(exported: Exported, options: ExportOptions) -> ExportFiles:
     """The user's URDF patched, and offsets.csv where zero offsets stand apart."""
     assert options.source is not None
-    done = patched_urdf(options.source, exported.origins)
+    hung = camera_origins(options.source, exported)
+    done = patched_urdf(options.source, (*exported.origins, *hung.origins))
     files = {options.source.name: done.content} | offsets(exported)
-    return ExportFiles(files, done.warnings)
+    return ExportFiles(files, (*done.warnings, *hung.warnings))
 
 
 def offsets(exported: Exported) -> dict[str, bytes]:

@@ -1,0 +1,267 @@
+"""Calibrated cameras for ROS, Kalibr, OpenCV and easy_handeye, and their frames in a URDF."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.companions.robot.exports.format import ExportFiles, ExportOptions, Format
+from loopcal.document.exported import Exported
+from loopcal.errors import InputError, listed
+from loopcal.files.cameras import written
+from loopcal.files.cameras.intrinsics import read_intrinsics
+from loopcal.files.machines.safe_xml import children, read_xml
+from loopcal.files.machines.urdf import NO_URDF, joint_elements
+from loopcal.files.toml.reader import shown
+from loopcal.mechanisms.cameras.lens import FRAME, LENSES, Intrinsics
+from loopcal.mechanisms.chain import product
+from loopcal.mechanisms.origins import CalibratedOrigin, LinkJoint
+from loopcal.mechanisms.placement import inverse
+from loopcal.mechanisms.station import Station
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """on_hand: whether it is mounted on the flange; T: its place (4, 4) in the flange's frame, or
+    in the base's; None where the result does not hold it."""
+
+    intrinsics: Intrinsics
+    on_hand: bool
+    T: Array | None
+
+
+def cameras_of(exported: Exported, source: Path | None = None) -> dict[str, Camera]:
+    """The cameras of a machine by name, none of others; source: a file with their images' sizes."""
+    stated = {} if source is None else read_intrinsics(source)
+    owners = dict.fromkeys(p.owner for p in exported.parameters if p.role == "lens")
+    roles = {p.name: p.role for p in exported.parameters}
+    cameras = {}
+    for name in owners:
+        keys = {p.name.removeprefix(f"{name}_") for p in exported.parameters if p.owner == name}
+        # The largest lens whose coefficients are all there; a fisheye has no p1.
+        lens = max(
+            (one for one, coefficients in LENSES.items() if {*coefficients} <= keys),
+            key=lambda one: len(LENSES[one]),
+        )
+        values = {key: exported.values[f"{name}_{key}"] for key in (*FRAME, *LENSES[lens])}
+        sizes = [stated[name]] if name in stated else list(stated.values())
+        image = sizes[0].image if len(sizes) == 1 else None
+        steps, on_hand = Station(name).steps, roles.get(f"{name}_x") == "mounting"
+        T = None
+        if all(step.parameter in exported.values for step in steps):
+            T = product(steps, {}, exported.values)
+            T = T if on_hand else inverse(T)
+        cameras[name] = Camera(Intrinsics.of(lens, values, image), on_hand, T)
+    return cameras
+
+
+def camera_info(exported: Exported, options: ExportOptions) -> ExportFiles:
+    """NAME.yaml for each camera, as camera_info_manager loads it."""
+    return _each(exported, options, "{}.yaml", written.camera_info)
+
+
+def opencv(exported: Exported, options: ExportOptions) -> ExportFiles:
+    """NAME_opencv.yaml for each camera, as cv::FileStorage reads it."""
+    return _each(exported, options, "{}_opencv.yaml", lambda _, one: written.opencv_storage(one))
+
+
+def camchain(exported: Exported, options: ExportOptions) -> ExportFiles:
+    """camchain.yaml with all cameras; places only where one thing carries all of them."""
+    cameras = cameras_of(exported, options.source)
+    together = len({one.on_hand for one in cameras.values()}) == 1
+    places = {n: inverse(c.T) for n, c in cameras.items() if together and c.T is not None}
+    text = written.camchain({name: one.intrinsics for name, one in cameras.items()}, places)
+    return ExportFiles({"camchain.yaml": text})
+
+
+def easy_handeye(exported: Exported, options: ExportOptions) -> ExportFiles:
+    """NAME_eye_on_hand.yaml or NAME_eye_on_base.yaml for each camera."""
+    files = {}
+    for name, one in cameras_of(exported).items():
+        if one.T is None:
+            raise InputError(
+                f"the place of the camera {name!r} is not in the result", code="unsupported"
+            )
+        where = "hand" if one.on_hand else "base"
+        files[f"{name}_eye_on_{where}.yaml"] = written.easy_handeye(
+            name, one.T, on_hand=one.on_hand, frames={}
+        )
+    words = "The frames are named base_link, tool0 and NAME_optical_frame. Rename them to yours."
+    return ExportFiles(files, (words,))
+
+
+def _each(
+    exported: Exported,
+    options: ExportOptions,
+    file: str,
+    text: Callable[[str, Intrinsics], str],
+) -> ExportFiles:
+    cameras = cameras_of(exported, options.source)
+    return ExportFiles({file.format(n): text(n, one.intrinsics) for n, one in cameras.items()})
+
+
+_SIZES = "a file with the sizes of the images, as the camera_info that was there before"
+FORMATS = (
+    Format(
+        "camera_info",
+        "camera matrix and distortion (camera_info YAML)",
+        "ROS camera drivers and image_proc",
+        "name the file in `camera_info_url` of the driver",
+        camera_info,
+        "cameras",
+        _SIZES,
+        optional=True,
+    ),
+    Format(
+        "opencv",
+        "camera matrix and distortion (cv::FileStorage YAML)",
+        "programs with OpenCV",
+        "read `camera_matrix` and `distortion_coefficients`",
+        opencv,
+        "cameras",
+        _SIZES,
+        optional=True,
+    ),
+    Format(
+        "camchain",
+        "cameras and their places beside each other (Kalibr camchain)",
+        "Kalibr, visual-inertial odometry",
+        "name the file as the camera chain",
+        camchain,
+        "cameras",
+        _SIZES,
+        optional=True,
+    ),
+    Format(
+        "easy_handeye",
+        "hand-eye calibration as easy_handeye keeps it",
+        "ROS with easy_handeye's publisher",
+        "put the file where easy_handeye looks for calibrations, and rename its frames",
+        easy_handeye,
+        "cameras",
+    ),
+)
+
+
+# The optical frame of a camera in a URDF hangs by fixed joints on a link of the robot. The first of
+# these joints takes up the calibrated place; what a driver defines behind it stays.
+
+
+@dataclass(frozen=True)
+class CameraOrigins:
+    """origins: of the joints that cameras hang on; warnings: of cameras that the URDF lacks."""
+
+    origins: tuple[CalibratedOrigin, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def camera_origins(path: str | Path, exported: Exported) -> CameraOrigins:
+    """The joints of a URDF that carry cameras, with their calibrated origins.
+
+    The frame of a camera is the link NAME_optical_frame, or the only one that ends so.
+    """
+    cameras = cameras_of(exported)
+    if not cameras:
+        return CameraOrigins()
+    tree = _Tree.of(path)
+    if not exported.origins or exported.origins[0].joint.name not in tree.ends:
+        return CameraOrigins()
+    base = tree.ends[exported.origins[0].joint.name][0]
+    tip = tree.ends[exported.origins[-1].joint.name][1]
+    calibrated = {one.joint.name for one in exported.origins}
+    origins, warnings = [], []
+    for name, one in cameras.items():
+        if one.T is None:
+            continue
+        frame = tree.optical(name, alone=len(cameras) == 1)
+        if frame is None:
+            warnings.append(
+                f"The URDF has no link {name + '_optical_frame'!r}: the place of the camera "
+                f"{name!r} is not in it. Links: {listed(tree.links)}."
+            )
+            continue
+        carried = tree.hung(frame, tip if one.on_hand else base, one.T, calibrated)
+        if carried is None:
+            warnings.append(
+                f"The link {frame!r} does not hang by fixed joints on what carries the camera "
+                f"{name!r}: its place is not in the URDF."
+            )
+        else:
+            origins.append(carried)
+    return CameraOrigins(tuple(origins), tuple(warnings))
+
+
+@dataclass(frozen=True)
+class _Tree:
+    """ends: joint -> parent and child link; fixed: those that do not move; read: joint -> its
+    element and the joint."""
+
+    ends: Mapping[str, tuple[str, str]]
+    fixed: frozenset[str]
+    read: Mapping[str, Callable[[], tuple[Any, LinkJoint]]]
+
+    @classmethod
+    def of(cls, path: str | Path) -> _Tree:
+        root = read_xml(path, "robot", NO_URDF)
+        read = joint_elements(root, shown(path))
+        elements = {element.get("name"): element for element in children(root, "joint")}
+        ends = {
+            name: (_link(element, "parent"), _link(element, "child"))
+            for name, element in elements.items()
+        }
+        fixed = frozenset(n for n, element in elements.items() if element.get("type") == "fixed")
+        return cls(ends, fixed, read)
+
+    @property
+    def links(self) -> list[str]:
+        return [child for _, child in self.ends.values()]
+
+    def optical(self, name: str, *, alone: bool) -> str | None:
+        """The link that is a camera's frame; None where none is, or several may be."""
+        stated = [link for link in (f"{name}_optical_frame", name) if link in self.links]
+        usual = [link for link in self.links if link.endswith("optical_frame")]
+        if stated or not (alone and len(usual) == 1):
+            return next(iter(stated), None)
+        return usual[0]
+
+    def hung(
+        self, frame: str, holder: str, T_holder_camera: Array, calibrated: Collection[str]
+    ) -> CalibratedOrigin | None:
+        """The origin of the first fixed joint from what carries a camera to its frame; None where
+        a moving or a calibrated joint is between."""
+        carried = {holder: np.eye(4)}
+        link = holder
+        for joint, parent in self._up(holder, calibrated):
+            carried[parent] = joint.drawn @ carried[link]
+            link = parent
+        T_link_frame = np.eye(4)
+        for joint, parent in self._up(frame, calibrated):
+            if parent in carried:
+                T = carried[parent] @ T_holder_camera @ inverse(T_link_frame)
+                return replace(joint, T=T)
+            T_link_frame = joint.drawn @ T_link_frame
+        return None
+
+    def _up(self, link: str, calibrated: Collection[str]) -> Iterator[tuple[CalibratedOrigin, str]]:
+        """The fixed joints above a link, each as drawn with its parent link."""
+        above = {child: name for name, (_, child) in self.ends.items()}
+        met: set[str] = set()
+        while link in above and link not in met:
+            met.add(link)
+            name = above[link]
+            if name not in self.fixed or name in calibrated:
+                return
+            joint = self.read[name]()[1]
+            link = self.ends[name][0]
+            yield CalibratedOrigin(joint, np.eye(4), joint.axis), link
+
+
+def _link(element: Any, tag: str) -> str:
+    return next((str(one.get("link")) for one in children(element, tag)), "")

@@ -1,0 +1,165 @@
+"""Images and corners that do not fit: in another order, beside another pose, or simply wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.cameras.corners import Corners
+from loopcal.estimation.cameras.facts import Fact
+from loopcal.estimation.cameras.orders import image_orders, renumbered
+from loopcal.estimation.cameras.placing import Reading
+from loopcal.estimation.cameras.scene import Adjusted, Scene
+
+Array = NDArray[np.float64]
+FAR = 5.0
+"""Lengths of plane normal errors exceed k medians with probability 2^-(k^2): here 3e-8."""
+NEAR = 3.0
+"""The same: one of 500 is farther."""
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A reading with what single images were corrected, and the facts about them."""
+
+    reading: Reading
+    facts: tuple[Fact, ...]
+
+
+def explained(reading: Reading, result: Adjusted) -> Explained:
+    """Each image that does not fit, tried in other orders and beside other poses."""
+    corners, views = reading.corners, reading.corners.views
+    medians = views.medians(result.distance)
+    typical = max(float(np.median(medians)), 1e-6)
+    scene, facts = result.scene, []
+    orders: dict[int, list[str]] = {}
+    rows: dict[int, int] = {}
+    wrong: list[int] = []
+    new = corners
+    for v in np.flatnonzero(medians > FAR * typical):
+        one = corners.where(views.of_corner == v)
+        name, ordered = _in_order(one, scene, NEAR * typical)
+        image = int(views.image[v])
+        if ordered is not None:
+            new = _replaced(new, one, ordered)
+            orders.setdefault(image, []).append(name)
+        elif (row := _beside(one, scene, NEAR * typical)) is not None:
+            rows[image] = row
+        else:
+            wrong.append(image)
+    facts += _order_facts(corners, orders)
+    facts += _row_facts(corners, rows)
+    if wrong:
+        names = _names(corners, sorted(set(wrong)))
+        sentence = (
+            f"{_count(names)} not fit, neither in another order nor beside another pose. "
+            "Inspect corners and poses."
+        )
+        facts.append(Fact("image-unexplained", sentence, {"images": len(names)}, names))
+    facts += _corner_facts(corners, result, FAR * typical)
+    reading = replace(reading, corners=new)
+    if rows and reading.T_base_flange is not None:
+        T = reading.T_base_flange.copy()
+        T[list(rows)] = reading.T_base_flange[list(rows.values())]
+        reading = replace(reading, T_base_flange=T)
+    return Explained(reading, tuple(facts))
+
+
+def _in_order(one: Corners, scene: Scene, limit: float) -> tuple[str, Corners | None]:
+    """The order in which a view's corners fit the pose that the others predict."""
+    best, name, ordered = limit, "", None
+    b = int(one.board[0])
+    for order in image_orders(one.boards[b]):
+        other = renumbered(one, {b: order})
+        if len(other) < max(3, len(one) // 2):
+            continue
+        size = _median(other, scene)
+        if size < best:
+            best, name, ordered = size, order.name, other
+    return name, ordered
+
+
+def _median(corners: Corners, scene: Scene) -> float:
+    return float(np.median(np.linalg.norm(scene.residuals(corners), axis=1)))
+
+
+def _beside(one: Corners, scene: Scene, limit: float) -> int | None:
+    """The image beside whose pose a view fits."""
+    if scene.A is None:
+        return None
+    some = one.where(np.arange(min(len(one), 12)))
+    sizes = [_median(some, replace(scene, A=np.broadcast_to(A, scene.A.shape))) for A in scene.A]
+    row = int(np.argmin(sizes))
+    return row if sizes[row] < limit and row != int(one.image[0]) else None
+
+
+def _replaced(corners: Corners, old: Corners, new: Corners) -> Corners:
+    """Corners with those of one view as other points; the ones without a point are left out."""
+    mine = (corners.image == old.image[0]) & (corners.camera == old.camera[0])
+    mine &= corners.board == old.board[0]
+    rest = corners.where(~mine)
+    index = [
+        np.concatenate([getattr(rest, k), getattr(new, k)])
+        for k in ("image", "camera", "board", "point")
+    ]
+    uv = np.concatenate([rest.uv, new.uv])
+    return Corners.of(index, uv, corners.cameras, corners.boards, corners.poses)
+
+
+def _names(corners: Corners, images: list[int]) -> tuple[str, ...]:
+    return tuple(corners.poses[i] for i in images)
+
+
+def _count(names: tuple[str, ...]) -> str:
+    few = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+    return f"Image {few} does" if len(names) == 1 else f"{len(names)} images ({few}) do"
+
+
+def _order_facts(corners: Corners, orders: dict[int, list[str]]) -> list[Fact]:
+    by_name: dict[str, list[int]] = {}
+    for image, names in orders.items():
+        for name in set(names):
+            by_name.setdefault(name, []).append(image)
+    facts = []
+    for name, images in by_name.items():
+        poses = _names(corners, sorted(images))
+        sentence = (
+            f"{_count(poses)} not number the points as the others do: {name}. "
+            "Correct the detection, or exclude them."
+        )
+        values: dict[str, float | str] = {"order": name, "images": len(poses)}
+        facts.append(Fact("points-in-another-order", sentence, values, poses, applied=True))
+    return facts
+
+
+def _row_facts(corners: Corners, rows: dict[int, int]) -> list[Fact]:
+    facts = []
+    for image, row in sorted(rows.items()):
+        values: dict[str, float | str] = {"pose": corners.poses[row]}
+        sentence = (
+            f"Image {corners.poses[image]} fits the pose of {corners.poses[row]}, not its row's. "
+            "Check which pose belongs to it."
+        )
+        names = (corners.poses[image],)
+        facts.append(Fact("pose-of-another-image", sentence, values, names, applied=True))
+    return facts
+
+
+def _corner_facts(corners: Corners, result: Adjusted, limit: float) -> list[Fact]:
+    """Single corners beyond their view's median by `FAR`, where the view itself fits."""
+    views = corners.views
+    medians = views.medians(result.distance)
+    within = (medians <= limit)[views.of_corner]
+    wrong = within & (result.distance > np.maximum(FAR * medians[views.of_corner], limit))
+    if not wrong.any():
+        return []
+    images = _names(corners, sorted(set(corners.image[wrong].tolist())))
+    share = float(wrong.mean())
+    sentence = (
+        f"{int(wrong.sum())} of {len(corners)} corners are more than {limit:.2g} px off, "
+        f"in {len(images)} images. Inspect them, or leave them to the search for outliers."
+    )
+    values: dict[str, float | str] = {"corners": int(wrong.sum()), "share": share, "px": limit}
+    return [Fact("wrong-corners", sentence, values, images)]

@@ -1,0 +1,456 @@
+"""Mistakes in files of cameras: each tried as another reading of the same files.
+
+A reading is preferred where it divides the reprojection by more than `CLEAR`, and only then: the
+corrected reading goes on, and a fact says what was changed. What explains the corners equally well
+is never changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.cameras.board_pose import BoardPoses
+from loopcal.estimation.cameras.facts import Fact
+from loopcal.estimation.cameras.homography import homographies, spread, transfer_errors
+from loopcal.estimation.cameras.orders import consistent_orders, mirrored, renumbered
+from loopcal.estimation.cameras.placing import Reading, closed_forms, placed, view_poses
+from loopcal.estimation.cameras.twists import inverse
+from loopcal.mechanisms.cameras.board import Board
+
+Array = NDArray[np.float64]
+CLEAR = 0.6
+"""Twenty images of two residuals each: log likelihood ratio 40 ln(1 / 0.6) = 20."""
+THINNED = (60, 12)
+"""Images and corners per view of a trial: far more than a mistake needs to show."""
+FITS = 1.3
+"""If the robot adds less than this to what single images leave, nothing is suspected."""
+DRAWS = 2
+"""Random starts of a trial: a wrong reading fails with all of them."""
+HOPELESS = 40.0
+"""Closed forms leave two to six times what the adjustment does; of few markers up to sixty."""
+CLEAR_PLANE = 0.85
+"""The same for homographies, which no error of the robot enters: 60 views of 12 corners have a log
+likelihood ratio of 700 ln(1 / 0.85) = 110."""
+UNITS = {
+    1000.0: "mm",
+    100.0: "cm",
+    1.0 / 0.0254: "inches",
+}
+"""How many of a unit one metre has."""
+NEAR_UNIT = 1.1
+"""A ratio of lengths within 10 % of a unit's: prints and robots are wrong by 3 % at most."""
+LARGEST_BOARD = 5.0
+"""Half a diagonal [m] above which a board was not stated in metres."""
+FARTHEST_HAND = 20.0
+"""Spread of positions [m] above which a hand was not stated in metres."""
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """Another reading of the files, or None where it makes no sense for them."""
+
+    code: str
+    sentence: str
+    change: Callable[[Reading], Reading | None]
+
+
+def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]:
+    """The reading of the files that fits, and what had to be changed for it.
+
+    held: whether the board is on the flange, None where that is to be found out. Of all suspicions
+    the best one is taken, at most two in a row.
+    """
+    reading, facts = _better(reading, list(_planar_suspicions(reading)), plane_misfit)
+    sizes = [misfit(reading)]
+    if reading.T_base_flange is not None:
+        reading, more, sizes = _mounted(reading, held)
+        facts += more
+    before = min(sizes)
+    for _ in range(2):
+        enough = FITS * image_misfit(reading)
+        if before < enough:
+            break
+        mounts = [reading]
+        if held is None and reading.T_base_flange is not None:
+            mounts.append(replace(reading, held=not reading.held))
+        tried = [
+            _better(one, list(_suspicions(one, held)), before=before, enough=enough)
+            for one in mounts
+        ]
+        tried = [pair for pair in tried if pair[1]]
+        if not tried:
+            break
+        reading, more = min(tried, key=lambda pair: float(pair[1][0].values["px_after"]))
+        facts, sizes, before = [*facts, *more], [], float(more[0].values["px_after"])
+    if reading.T_base_flange is not None and held is None:
+        facts.append(_mount(reading, sizes))
+    return reading, facts
+
+
+def misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = np.inf) -> float:
+    """Core rms [px] of a reading, thinned and adjusted shortly; inf where nothing fits.
+
+    poses: of a reading that is thinned; limit: what is clearly above it need not be exact.
+    """
+    few = reading if poses is not None else reading.thinned(*THINNED)
+    free = () if reading.stated else ("f", "k1")
+    poses = view_poses(few) if poses is None else poses
+    best = placed(few, poses, free, iterations=8, hopeless=HOPELESS * limit, draws=DRAWS)
+    return np.inf if best is None else best.core
+
+
+def patient_misfit(reading: Reading, poses: BoardPoses) -> float:
+    """The same with as many iterations as it takes: what a suspicion has to beat."""
+    free = () if reading.stated else ("f", "k1")
+    best = placed(reading, poses, free, iterations=40)
+    return np.inf if best is None else best.core
+
+
+def image_misfit(reading: Reading) -> float:
+    """Median over the views of the rms [px] that a free pose leaves, by its degrees of freedom."""
+    few = reading.thinned(*THINNED)
+    poses, views = view_poses(few), few.corners.views
+    # Four corners of a plane fit always.
+    full = poses.usable & (views.sizes >= min(6, int(views.sizes.max())))
+    if not full.any():
+        return np.inf
+    f = np.array([lens.fx for lens in reading.lenses])[views.camera]
+    freedom = 1.0 / np.sqrt(np.maximum(1.0 - 3.0 / views.sizes, 0.1))
+    return float(np.median((poses.error[:, 0] * f * freedom)[full]))
+
+
+def plane_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = 0.0) -> float:
+    """Median over the views of planes of what homographies leave [px], by degrees of freedom.
+
+    Of each view exp(mean log sqrt(r^2 + m^2)), m the median of the distances r: a seventh of the
+    corners far off doubles it, for numbers displaced by one are wrong at the ends of rows only.
+    """
+    corners = reading.corners if poses is not None else reading.thinned(*THINNED).corners
+    flat = np.array([board.planar for board in corners.boards])[corners.board]
+    corners = corners.where(flat)
+    if not len(corners):
+        return np.inf
+    views, xy = corners.views, corners.xyz[:, :2]
+    H, _ = homographies(views, xy, corners.uv)
+    r = transfer_errors(views, H, xy, corners.uv)
+    floor = views.medians(r)[views.of_corner] + 1e-9
+    middle = np.exp(views.sums(0.5 * np.log(r**2 + floor**2)) / views.sizes)
+    # Four corners fit always.
+    freedom = np.sqrt(np.maximum(1.0 - 4.0 / views.sizes, 0.0))
+    rest = (middle / np.maximum(freedom, 1e-9))[(freedom > 0.0) & spread(views, xy)]
+    return float(np.median(rest)) if rest.size else np.inf
+
+
+def _better(
+    reading: Reading,
+    suspicions: list[Suspicion],
+    size: Callable[[Reading, BoardPoses, float], float] = misfit,
+    before: float = 0.0,
+    enough: float = 0.0,
+) -> tuple[Reading, list[Fact]]:
+    """The reading after the suspicion that is clearly better than all is, if one is.
+
+    before: what is left now [px]; 0 to measure it. enough: what leaves no other suspicion to try.
+    """
+    few = reading.thinned(*THINNED)
+    poses = view_poses(few)
+    before = before or size(few, poses, np.inf)
+    after, reason = (CLEAR if size is misfit else CLEAR_PLANE) * before, None
+    for suspicion in suspicions:
+        other = suspicion.change(few)
+        if other is None:
+            continue
+        same = other.corners is few.corners and other.lenses is few.lenses
+        needed = poses if same or size is not misfit else view_poses(other)
+        value = size(other, needed, after)
+        if value < after:
+            after, reason = value, suspicion
+        if after < enough:
+            break
+    if reason is not None and size is misfit and after > CLEAR * patient_misfit(few, poses):
+        return reading, []
+    best = None if reason is None else reason.change(reading)
+    if best is None or reason is None:
+        return reading, []
+    values: dict[str, float | str] = {"px_before": before, "px_after": after}
+    return best, [Fact(reason.code, reason.sentence, values, applied=True)]
+
+
+def _planar_suspicions(reading: Reading) -> Iterator[Suspicion]:
+    """Numberings that a single image of a plane shows."""
+    for b, board in enumerate(reading.corners.boards):
+        if board.planar:
+            yield from _numberings(b, board)
+
+
+def _suspicions(reading: Reading, held: bool | None) -> Iterator[Suspicion]:
+    """All that shows in the images together."""
+    if reading.T_base_flange is not None:
+        yield from _hand_suspicions(held)
+    if reading.stated:
+        yield from _lens_suspicions()
+    for b, board in enumerate(reading.corners.boards):
+        if not board.planar:
+            yield from _numberings(b, board)
+    if not all(board.planar for board in reading.corners.boards):
+        yield Suspicion(
+            "board-mirrored",
+            "The points fit the board only as in a mirror. Check the signs of its points, "
+            "and whether u and v are exchanged.",
+            lambda one: replace(one, corners=mirrored(one.corners)),
+        )
+
+
+def _numberings(b: int, board: Board) -> Iterator[Suspicion]:
+    for order in consistent_orders(board):
+        yield Suspicion(
+            "board-numbering",
+            f"The points of the board {board.name!r} are numbered in another way: "
+            f"{order.name}. Correct the board or its kind.",
+            lambda one, order=order: replace(  # type: ignore[misc]
+                one, corners=renumbered(one.corners, {b: order})
+            ),
+        )
+
+
+def _mounted(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact], list[float]]:
+    """The mount that fits, with the units of lengths, and what each mount leaves [px]."""
+    mounts = [replace(reading, held=h) for h in ((True, False) if held is None else (held,))]
+    tried = [_scale(one) for one in mounts]
+    sizes = [misfit(one) for one, _ in tried]
+    best, facts = tried[sizes.index(min(sizes))]
+    return best, facts, sizes
+
+
+def _mount(reading: Reading, misfits: list[float]) -> Fact:
+    where = "the board is on the flange" if reading.held else "the camera is on the flange"
+    other = "camera" if reading.held else "board"
+    clear = len(misfits) < 2 or min(misfits) < CLEAR * max(misfits)
+    doubt = (
+        f"If the {other} is on the flange, the poses are inverted (base in the flange)."
+        if clear
+        else f"The {other} on the flange fits as well: state which one it is."
+    )
+    values: dict[str, float | str] = {"held": "board" if reading.held else "camera"}
+    if misfits:
+        values |= {"px": min(misfits), "px_other": max(misfits)}
+    return Fact("mount", f"The images fit if {where}. {doubt}", values, applied=True)
+
+
+def _scale(reading: Reading) -> tuple[Reading, list[Fact]]:
+    """Units and mirrors, by the ratio of the robot's lengths to the board's."""
+    few = reading.thinned(60, 24)
+    poses = view_poses(few)
+    if not poses.usable.any():
+        return reading, []
+    scales = [candidate.scale for _, _, candidate in closed_forms(few, poses, DRAWS, scaled=True)]
+    best, facts, value = reading, [], None
+    for scale in scales:
+        if not np.isfinite(scale) or scale == 0.0:
+            continue
+        other: Reading = reading
+        more: list[Fact] = []
+        size = abs(scale)
+        for many, unit in UNITS.items():
+            for factor in (many, 1.0 / many):
+                if 1.0 / NEAR_UNIT < size * factor < NEAR_UNIT:
+                    other, more = _in_unit(reading, factor, unit)
+        if scale < 0.0:
+            other, more = _unmirrored(other, more)
+        if not more:
+            continue
+        if value is None:
+            value = CLEAR * misfit(reading)
+        if (px := misfit(other, limit=value)) < value:
+            best, facts, value = other, more, px
+    return best, facts
+
+
+def _in_unit(reading: Reading, factor: float, unit: str) -> tuple[Reading, list[Fact]]:
+    """Lengths of the hand divided by the factor, or those of the board multiplied."""
+    assert reading.T_base_flange is not None
+    T, corners = reading.T_base_flange.copy(), reading.corners
+    reach = float(np.linalg.norm(np.ptp(T[:, :3, 3], axis=0)))
+    size = max(float(np.linalg.norm(board.half)) for board in corners.boards)
+    values: dict[str, float | str] = {"factor": factor, "unit": unit}
+    large = factor > 1.0
+    if reach > FARTHEST_HAND if large else size < LARGEST_BOARD:
+        T[:, :3, 3] /= factor
+        way = f"are in {unit}" if large else f"are in metres, and were converted from {unit}"
+        fact = Fact(
+            "unit-of-poses",
+            f"The positions of the flange {way}. State their unit.",
+            values,
+            applied=True,
+        )
+        return replace(reading, T_base_flange=T), [fact]
+    boards = tuple(
+        Board(
+            b.name, {k: (x * factor, y * factor, z * factor) for k, (x, y, z) in b.points.items()}
+        )
+        for b in corners.boards
+    )
+    way = f"are in metres, and were converted from {unit}" if large else f"are in {unit}"
+    fact = Fact(
+        "unit-of-board", f"The points of the board {way}. State their unit.", values, applied=True
+    )
+    return replace(reading, corners=replace(corners, boards=boards)), [fact]
+
+
+def _unmirrored(reading: Reading, facts: list[Fact]) -> tuple[Reading, list[Fact]]:
+    """u and v exchanged, or u reversed, whichever the lens and the image's size allow."""
+    choices = [("uv-exchanged", "Columns u and v are exchanged.", _exchanged(reading))]
+    if all(lens.image is not None for lens in reading.lenses):
+        sentence = "Images are mirrored: u runs from right to left."
+        choices.append(("u-reversed", sentence, _reversed(reading)))
+    measured = [(misfit(other), i) for i, (_, _, other) in enumerate(choices)]
+    px, i = min(measured)
+    if i == 1 and px > CLEAR * measured[0][0] and _inside(choices[0][2]):
+        i = 0
+    code, sentence, other = choices[i]
+    fact = Fact(code, f"{sentence} Correct the columns.", {"px_after": px}, applied=True)
+    return other, [*facts, fact]
+
+
+def _exchanged(reading: Reading) -> Reading:
+    lenses = reading.lenses
+    if not reading.stated:
+        # A principal point guessed from the corners is exchanged with them.
+        lenses = tuple(
+            one if one.image is not None else replace(one, cx=one.cy, cy=one.cx) for one in lenses
+        )
+    uv = reading.corners.uv[:, ::-1].copy()
+    return replace(reading, corners=reading.corners.at(uv), lenses=lenses)
+
+
+def _reversed(reading: Reading) -> Reading:
+    uv = reading.corners.uv.copy()
+    width = np.array([(lens.image or (0, 0))[0] for lens in reading.lenses], dtype=float)
+    uv[:, 0] = width[reading.corners.camera] - 1.0 - uv[:, 0]
+    return replace(reading, corners=reading.corners.at(uv))
+
+
+def _inside(reading: Reading) -> bool:
+    """Whether all corners are in their images, as far as the sizes are stated."""
+    for c, lens in enumerate(reading.lenses):
+        uv = reading.corners.uv[reading.corners.camera == c]
+        if lens.image is not None and (uv.max(axis=0) > np.array(lens.image)).any():
+            return False
+    return True
+
+
+def _hand_suspicions(held: bool | None) -> Iterator[Suspicion]:
+    if held is not None:
+        where = "board" if held else "camera"
+        yield Suspicion(
+            "poses-inverted",
+            "The poses fit as the base in the flange, the inverse of the flange in the base. "
+            f"Invert them, or check whether the {where} really is on the flange.",
+            lambda one: _with_hand(one, inverse),
+        )
+    yield Suspicion(
+        "rotations-transposed",
+        "The rotations of the poses fit only when transposed. Check the order of their elements.",
+        lambda one: _with_hand(one, _transposed),
+    )
+    for name, order in (("w, x, y, z", (3, 0, 1, 2)), ("x, y, z, w", (1, 2, 3, 0))):
+        yield Suspicion(
+            "quaternion-order",
+            f"The quaternions fit in the order {name}, not in the order that was read.",
+            lambda one, order=order: _with_hand(one, lambda T: _requaternioned(T, order)),  # type: ignore[misc]
+        )
+    for shift in (1, -1, 2, -2):
+        where = "later" if shift > 0 else "earlier"
+        rows = "one row" if abs(shift) == 1 else f"{abs(shift)} rows"
+        yield Suspicion(
+            "poses-shifted",
+            f"Each image fits the pose that stands {rows} {where}. Check which pose belongs to "
+            "which image.",
+            lambda one, shift=shift: _shifted(one, shift),  # type: ignore[misc]
+        )
+
+
+def _with_hand(reading: Reading, change: Callable[[Array], Array]) -> Reading:
+    assert reading.T_base_flange is not None
+    return replace(reading, T_base_flange=change(reading.T_base_flange))
+
+
+def _transposed(T: Array) -> Array:
+    T = T.copy()
+    T[:, :3, :3] = np.swapaxes(T[:, :3, :3], 1, 2)
+    return T
+
+
+def _requaternioned(T: Array, order: tuple[int, ...]) -> Array:
+    """The rotations whose quaternions have the elements of those of T in another order."""
+    from scipy.spatial.transform import Rotation
+
+    T = T.copy()
+    q = Rotation.from_matrix(T[:, :3, :3]).as_quat()
+    T[:, :3, :3] = Rotation.from_quat(q[:, list(order)]).as_matrix()
+    return T
+
+
+def _shifted(reading: Reading, shift: int) -> Reading | None:
+    assert reading.T_base_flange is not None
+    T, n = reading.T_base_flange, len(reading.T_base_flange)
+    if n < 4 + abs(shift):
+        return None
+    row = np.arange(n) + shift
+    inside = (row >= 0) & (row < n)
+    corners = reading.corners.where(inside[reading.corners.image])
+    return replace(reading, corners=corners, T_base_flange=T[np.clip(row, 0, n - 1)])
+
+
+def _lens_suspicions() -> Iterator[Suspicion]:
+    for turn in ("exchanged", "clockwise", "counterclockwise", "half"):
+        angle = "180" if turn == "half" else "90"
+        yield Suspicion(
+            "intrinsics-turned",
+            f"The stated intrinsics fit images turned by {angle} degrees. State them for the "
+            "images as they are: the principal point moves.",
+            lambda one, turn=turn: _turned(one, turn),  # type: ignore[misc]
+        )
+    for factor in (0.5, 2.0):
+        yield Suspicion(
+            "intrinsics-of-another-size",
+            f"The stated intrinsics fit images of {1.0 / factor:g} times this size: multiply "
+            f"f and c by {factor:g}.",
+            lambda one, factor=factor: _resized(one, factor),  # type: ignore[misc]
+        )
+
+
+def _turned(reading: Reading, turn: str) -> Reading | None:
+    """Lenses of images on their side; a real turn needs the images' size."""
+    if turn != "exchanged" and any(lens.image is None for lens in reading.lenses):
+        return None
+    lenses = []
+    for lens in reading.lenses:
+        width, height = lens.image or (0, 0)
+        cx, cy = {
+            "exchanged": (lens.cy, lens.cx),
+            "clockwise": (lens.cy, height - 1.0 - lens.cx),
+            "counterclockwise": (width - 1.0 - lens.cy, lens.cx),
+            "half": (width - 1.0 - lens.cx, height - 1.0 - lens.cy),
+        }[turn]
+        fx, fy = (lens.fx, lens.fy) if turn == "half" else (lens.fy, lens.fx)
+        lenses.append(replace(lens, fx=fx, fy=fy, cx=cx, cy=cy))
+    return replace(reading, lenses=tuple(lenses))
+
+
+def _resized(reading: Reading, factor: float) -> Reading:
+    lenses = tuple(
+        replace(
+            lens,
+            fx=lens.fx * factor,
+            fy=lens.fy * factor,
+            cx=(lens.cx + 0.5) * factor - 0.5,
+            cy=(lens.cy + 0.5) * factor - 0.5,
+        )
+        for lens in reading.lenses
+    )
+    return replace(reading, lenses=lenses)

@@ -1,0 +1,69 @@
+"""From pixels to rays and back, with derivatives, for any lens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.mechanisms.cameras.lens import Intrinsics, project
+
+Array = NDArray[np.float64]
+_STEP = 1e-6
+"""Central differences of smooth functions of order 1: errors of 1e-12 and of 1e-10 by rounding."""
+
+
+def pixels(lens: str, P: Array, values: Mapping[str, float]) -> Array:
+    """(N, 2) [px] of points (N, 3) in the camera's frame."""
+    return np.stack(project(lens, (P[:, 0], P[:, 1], P[:, 2]), values), axis=1)
+
+
+def by_point(lens: str, P: Array, values: Mapping[str, float]) -> Array:
+    """(N, 2, 3) [px/m]: derivatives by the point; a pixel depends on P/Z alone."""
+    x = np.column_stack([P[:, :2] / P[:, 2:], np.ones(len(P))])
+    out = np.empty((len(P), 2, 3))
+    for i in (0, 1):
+        step = np.zeros(3)
+        step[i] = _STEP
+        difference = pixels(lens, x + step, values) - pixels(lens, x - step, values)
+        out[:, :, i] = difference / (2.0 * _STEP) / P[:, 2:]
+    out[:, :, 2] = -(out[:, :, 0] * x[:, :1] + out[:, :, 1] * x[:, 1:2])
+    return out
+
+
+def by_value(lens: str, P: Array, values: Mapping[str, float], names: Sequence[str]) -> Array:
+    """(N, 2, k): derivatives by the named values of a lens."""
+    columns = []
+    for name in names:
+        step = _STEP * max(1.0, abs(values[name]))
+        high, low = ({**values, name: values[name] + s} for s in (step, -step))
+        columns.append((pixels(lens, P, high) - pixels(lens, P, low)) / (2.0 * step))
+    return np.stack(columns, axis=2) if columns else np.zeros((len(P), 2, 0))
+
+
+def rays(intrinsics: Intrinsics, uv: Array, *, iterations: int = 12) -> Array:
+    """(N, 2): X/Z and Y/Z whose pixels are uv, by Newton's method.
+
+    Where the lens turns back before a pixel, the last iterate stands: a corner there is an
+    outlier for all that follows.
+    """
+    values = intrinsics.values
+    centre = np.array([intrinsics.cx, intrinsics.cy])
+    x = (uv - centre) / np.array([intrinsics.fx, intrinsics.fy])
+    if intrinsics.lens == "pinhole":
+        return np.asarray(x)
+    if intrinsics.lens == "fisheye":
+        # Without distortion the distance from the centre is the angle itself.
+        angle = np.linalg.norm(x, axis=1, keepdims=True)
+        x = x * np.tan(np.minimum(angle, 1.4)) / np.maximum(angle, 1e-12)
+    most = 2.0 * np.abs(x).max(initial=1.0)
+    for _ in range(iterations):
+        P = np.column_stack([x, np.ones(len(x))])
+        J = by_point(intrinsics.lens, P, values)[:, :, :2]
+        J = J + 1e-12 * intrinsics.fx * np.eye(2)
+        step = np.linalg.solve(J, (uv - pixels(intrinsics.lens, P, values))[:, :, None])[:, :, 0]
+        x = np.clip(x + step, -most, most)
+        if np.abs(step).max(initial=0.0) < 1e-12:
+            break
+    return np.asarray(x)

@@ -1,0 +1,232 @@
+"""Cameras, boards and lenses from corners and poses alone: the start of a calibration.
+
+Guess lenses where none are stated, correct the mistakes that leave no doubt, place everything in
+closed form, adjust it by a soft loss with the robot held, and name what the images cannot tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.cameras.board_pose import BoardPoses
+from loopcal.estimation.cameras.corners import Corners
+from loopcal.estimation.cameras.facts import Fact
+from loopcal.estimation.cameras.focal import guessed
+from loopcal.estimation.cameras.images import explained
+from loopcal.estimation.cameras.mistakes import CLEAR, corrected, image_misfit
+from loopcal.estimation.cameras.motions import motion_facts
+from loopcal.estimation.cameras.placing import Reading, placed, usable_part, view_poses
+from loopcal.estimation.cameras.scale import scale_facts
+from loopcal.estimation.cameras.scene import Adjusted, adjusted
+from loopcal.estimation.cameras.twists import inverse
+from loopcal.mechanisms.cameras.lens import Intrinsics
+
+Array = NDArray[np.float64]
+PER_VIEW = 24
+"""Corners per view that the adjustment of a start takes."""
+FITS = 3.0
+"""A guessed lens is taken without trying another if the robot adds no more than this factor."""
+FREE = ("f", "cx", "cy", "k1", "k2")
+"""What a start adjusts of a lens of the family brown; a fisheye has the same names."""
+
+
+@dataclass(frozen=True)
+class CameraStart:
+    """Where everything stands, and what was found out about the files.
+
+    corners, T_base_flange: as corrected; the arrays per corner and view follow these corners.
+    held: the board is on the flange; None without a robot. T_camera_board: (V, 4, 4) of each view
+    in the order of `corners.views`; branches: (V, 2, 4, 4) both poses that the view alone allows,
+    chosen: (V,) which of them is nearer. residuals: (N, 2) [px].
+    """
+
+    corners: Corners
+    T_base_flange: Array | None
+    held: bool | None
+    intrinsics: Mapping[str, Intrinsics]
+    intrinsics_stated: Mapping[str, Intrinsics]
+    X: Array
+    Y: Array
+    T_camera_board: Array
+    branches: Array
+    chosen: NDArray[np.intp]
+    residuals: Array
+    facts: tuple[Fact, ...]
+
+    @property
+    def T_camera_base(self) -> dict[str, Array]:
+        """By camera, of a board on the flange; else empty."""
+        return self._by_camera(self.X) if self.held is True else {}
+
+    @property
+    def T_flange_camera(self) -> dict[str, Array]:
+        """By camera, of a camera on the flange; else empty."""
+        return self._by_camera(inverse(self.X)) if self.held is False else {}
+
+    @property
+    def T_flange_board(self) -> dict[str, Array]:
+        """By board, of a board on the flange; else empty."""
+        return self._by_board() if self.held is True else {}
+
+    @property
+    def T_base_board(self) -> dict[str, Array]:
+        """By board, of a camera on the flange; else empty."""
+        return self._by_board() if self.held is False else {}
+
+    @property
+    def rigs(self) -> dict[str, Array]:
+        """T_c_c1 by camera: each camera's frame from that of the first."""
+        return self._by_camera(self.X @ inverse(self.X[0]))
+
+    @property
+    def rms(self) -> float:
+        """Rms [px] of the residuals' lengths over all corners, wrong ones included."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
+
+    @property
+    def rms_by_image(self) -> dict[str, float]:
+        """The same for each image with corners."""
+        square, image = np.sum(self.residuals**2, axis=1), self.corners.image
+        return {
+            self.corners.poses[i]: float(np.sqrt(np.mean(square[image == i])))
+            for i in np.unique(image)
+        }
+
+    def _by_camera(self, T: Array) -> dict[str, Array]:
+        return dict(zip(self.corners.cameras, T, strict=True))
+
+    def _by_board(self) -> dict[str, Array]:
+        return {board.name: T for board, T in zip(self.corners.boards, self.Y, strict=True)}
+
+
+def start(
+    corners: Corners,
+    T_base_flange: Array | None,
+    intrinsics: Mapping[str, Intrinsics] | None = None,
+    image_sizes: Mapping[str, tuple[int, int]] | None = None,
+    held: bool | None = None,
+    *,
+    lens: str = "brown5",
+) -> CameraStart:
+    """Start a calibration of cameras from nothing.
+
+    T_base_flange: (n, 4, 4) [m], a row per `corners.poses`, rows with NaN are left out; None
+    without a robot. intrinsics: as stated, by camera; image_sizes: width and height [px]; held:
+    the board is on the flange (True), the camera is (False), or unknown (None). lens: of cameras
+    without stated intrinsics.
+
+    Raises InputError where no view shows four corners of a board.
+    """
+    corners = _with_poses(corners, T_base_flange)
+    stated, sizes = dict(intrinsics or {}), dict(image_sizes or {})
+    best: tuple[Reading, list[Fact], Adjusted] | None = None
+    complete = all(camera in stated for camera in corners.cameras)
+    for lenses in _lens_choices(corners, stated, sizes, lens):
+        first = Reading(corners, T_base_flange, lenses, held is not False, complete)
+        reading, facts = corrected(first, held)
+        rough = _rough(reading)
+        if rough is None or (best is not None and rough.core > CLEAR * best[2].core):
+            continue
+        best = reading, facts, rough
+        if rough.core < FITS * image_misfit(reading):
+            break
+    if best is None:
+        raise InputError(
+            "no image shows four corners of a board",
+            code="not-identifiable",
+            remedy="state more corners, or check image, board and point of each",
+        )
+    reading, facts, rough = best
+    if reading.A is None:
+        reading, _ = usable_part(reading, view_poses(reading))
+    result = _adjusted(reading, rough)
+    after = explained(reading, result)
+    if any(fact.applied for fact in after.facts):
+        reading = after.reading
+        again = _rough(reading)
+        assert again is not None
+        result = _adjusted(reading, again)
+    facts += after.facts
+    facts += motion_facts(reading, result.scene, stated=reading.stated)
+    facts += scale_facts(reading, result, FREE)
+    return _start_of(reading, result, facts)
+
+
+def _with_poses(corners: Corners, T: Array | None) -> Corners:
+    if T is None:
+        return corners
+    complete = np.asarray(np.isfinite(T.reshape(len(T), 16)).all(axis=1))
+    return corners.where(complete[corners.image])
+
+
+def _lens_choices(
+    corners: Corners,
+    stated: Mapping[str, Intrinsics],
+    sizes: Mapping[str, tuple[int, int]],
+    lens: str,
+) -> list[tuple[Intrinsics, ...]]:
+    """Lenses of all cameras: as stated, or the two best guesses."""
+    choices: list[list[Intrinsics]] = []
+    for c, camera in enumerate(corners.cameras):
+        size = sizes.get(camera)
+        if camera in stated:
+            one = stated[camera]
+            choices.append([Intrinsics.of(one.lens, one.values, one.image or size)])
+        else:
+            choices.append(guessed(corners, c, size, lens)[:2])
+    count = max(len(each) for each in choices)
+    return [tuple(each[min(i, len(each) - 1)] for each in choices) for i in range(count)]
+
+
+def _rough(reading: Reading) -> Adjusted | None:
+    """A part of the images and corners, with lenses adjusted."""
+    few = reading.thinned(100, 24)
+    return placed(few, view_poses(few), _free(reading))
+
+
+def _adjusted(reading: Reading, rough: Adjusted) -> Adjusted:
+    """All images, from the placement of a part of them; corners beyond 24 per view add little.
+
+    An image gives about six numbers, those of a pose, however many corners it has.
+    """
+    free, few = _free(reading), reading.thinned(len(reading.corners.poses), PER_VIEW)
+    if reading.A is not None:
+        scene = replace(rough.scene, A=reading.A)
+        result = adjusted(few.corners, scene, free, iterations=20)
+    else:
+        adapted = replace(few, lenses=rough.scene.intrinsics)
+        placement = placed(adapted, view_poses(adapted), free, iterations=8)
+        assert placement is not None
+        result = placement
+    return Adjusted(result.scene, result.scene.residuals(reading.corners), result.sds)
+
+
+def _free(reading: Reading) -> Sequence[str]:
+    return tuple(name for name in FREE if all(name in lens.values for lens in reading.lenses))
+
+
+def _start_of(reading: Reading, result: Adjusted, facts: Sequence[Fact]) -> CameraStart:
+    corners, scene = reading.corners, result.scene
+    T = scene.of_views(corners.views)
+    few = replace(reading, lenses=scene.intrinsics).thinned(len(corners.poses), PER_VIEW)
+    poses: BoardPoses = view_poses(few)
+    near = np.linalg.norm((poses.T_camera_board - T[:, None])[:, :, :3, :3], axis=(2, 3))
+    return CameraStart(
+        corners,
+        reading.T_base_flange,
+        None if reading.T_base_flange is None else reading.held,
+        dict(zip(corners.cameras, scene.intrinsics, strict=True)),
+        dict(zip(corners.cameras, reading.lenses, strict=True)),
+        scene.X,
+        scene.Y,
+        T,
+        poses.T_camera_board,
+        np.argmin(near, axis=1),
+        result.residuals,
+        tuple(facts),
+    )

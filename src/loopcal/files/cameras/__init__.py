@@ -1,0 +1,1 @@
+"""Files about cameras: intrinsics, boards, corners, poses and images of others' programs."""

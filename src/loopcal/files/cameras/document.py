@@ -1,0 +1,286 @@
+"""YAML and JSON of others' programs as plain data, bounded, with a place for every complaint.
+
+Of YAML only what calibration files use is read: mappings, lists and scalars of one document. Tags
+are passed over, nothing is constructed from them, and aliases are refused: with them a file of a
+kilobyte unfolds to gigabytes (docs/decisions/0137).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, listed, short
+from loopcal.files.json_reader import json_bytes, whole_number
+
+MOST_BYTES, MOST_VALUES, DEEPEST = 1_000_000, 100_000, 40
+"""Of YAML: bytes, values, and values within values. JSON is bounded as that of loopcal."""
+_REMEDY = "name the file with the camera, board, corners or poses alone"
+_TRUE, _FALSE = frozenset(("true", "1", "yes", "on")), frozenset(("false", "0", "no", "off"))
+# OpenCV writes %YAML:1.0, which is no directive of YAML.
+_DIRECTIVE = re.compile(r"\A\s*%YAML[: ][^\n]*")
+
+
+@dataclass(frozen=True)
+class Part:
+    """A value in a document; place: file and keys, for messages. Scalars of YAML are texts."""
+
+    data: Any
+    place: str
+
+    def __contains__(self, name: str) -> bool:
+        return isinstance(self.data, dict) and name in self.data
+
+    def get(self, *names: str) -> Part | None:
+        """The value of the first key of these that is there."""
+        name = next((n for n in names if n in self), None)
+        return None if name is None else Part(self.data[name], f"{self.place}: {name}")
+
+    def part(self, *names: str) -> Part:
+        """As `get`. Raises InputError where none of the keys is there."""
+        part = self.get(*names)
+        if part is None:
+            keys = [str(key) for key in self.data] if isinstance(self.data, dict) else []
+            raise InputError(
+                f"{names[0]} is missing",
+                code="missing-key",
+                place=self.place,
+                remedy=f"state it; the keys are {listed(keys, 20)}" if keys else "state it",
+            )
+        return part
+
+    def items(self) -> Iterator[tuple[str, Part]]:
+        """Keys and values of a mapping; of other values none."""
+        for name, value in self.data.items() if isinstance(self.data, dict) else ():
+            yield str(name), Part(value, f"{self.place}: {name}")
+
+    def parts(self) -> list[Part]:
+        """The values of a list. Raises InputError for anything else."""
+        if not isinstance(self.data, list):
+            raise self.wrong("a list")
+        return [Part(value, f"{self.place}[{i}]") for i, value in enumerate(self.data)]
+
+    @property
+    def text(self) -> str:
+        """A scalar as text. Raises InputError for a list or mapping."""
+        if isinstance(self.data, dict | list):
+            raise self.wrong("a text")
+        return "" if self.data is None else str(self.data).strip()
+
+    @property
+    def number(self) -> float:
+        """A finite number. Raises InputError for anything else."""
+        try:
+            value = math.nan if isinstance(self.data, bool) else float(self.data)
+        except (TypeError, ValueError, OverflowError):
+            value = math.nan
+        if not math.isfinite(value):
+            raise self.wrong("a finite number")
+        return value
+
+    @property
+    def length(self) -> float:
+        """A positive number. Raises InputError for anything else."""
+        if not self.number > 0.0:
+            raise self.wrong("a positive number")
+        return self.number
+
+    @property
+    def count(self) -> int:
+        """A whole number from 1 to a million. Raises InputError for anything else."""
+        if not (1.0 <= self.number <= 1e6 and self.number == int(self.number)):
+            raise self.wrong("a whole number from 1 on")
+        return int(self.number)
+
+    @property
+    def flag(self) -> bool:
+        """Whether it is true. Raises InputError for what is neither true nor false."""
+        word = self.text.lower()
+        if word not in _TRUE | _FALSE:
+            raise self.wrong("true or false")
+        return word in _TRUE
+
+    def numbers(self, *counts: int) -> tuple[float, ...]:
+        """Numbers of a list, of nested lists row by row, or of the `data` of a matrix.
+
+        counts: how many there may be. Raises InputError for another number of them.
+        """
+        values = tuple(self._numbers())
+        if counts and len(values) not in counts:
+            wanted = " or ".join(map(str, counts))
+            raise InputError(
+                f"{len(values)} numbers are stated, where {wanted} are expected",
+                code="wrong-shape",
+                place=self.place,
+                remedy="correct the list",
+            )
+        return values
+
+    def _numbers(self) -> Iterator[float]:
+        if "data" in self:
+            yield from self.part("data")._numbers()
+            return
+        for part in self.parts():
+            if isinstance(part.data, list):
+                yield from part._numbers()
+            else:
+                yield part.number
+
+    def wrong(self, wanted: str) -> InputError:
+        """The error for a value that is not what is wanted."""
+        return InputError(
+            f"{short(repr(self.data))} is not {wanted}",
+            code="invalid-value",
+            place=self.place,
+            remedy=f"state {wanted}",
+        )
+
+
+def read_document(path: str | Path) -> Part:
+    """The first document of a YAML file, or that of a JSON file, by its content.
+
+    Raises InputError for what is neither, for YAML larger than 1 MB or with more than 100,000
+    values, an alias or one key twice, for JSON beyond the bounds of `json_bytes`, and for values
+    deeper than 40 levels.
+    """
+    name = Path(path).name
+    content = json_bytes(path, _REMEDY)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise _syntax(name, f"it is no text in UTF-8 at byte {error.start}") from None
+    if text.lstrip()[:1] in ("{", "["):
+        try:
+            data = json.loads(text, parse_int=whole_number)
+        except (ValueError, RecursionError):
+            pass  # a flow mapping of YAML begins alike
+        else:
+            _check_depth(data, name)
+            return Part(data, name)
+    if len(content) > MOST_BYTES:
+        raise _too_large(name, f"is larger than {MOST_BYTES // 1_000_000} MB")
+    return Part(_yaml(text, name), name)
+
+
+def _check_depth(data: Any, name: str, depth: int = 0) -> None:
+    if depth > DEEPEST:
+        raise _too_large(name, f"is deeper than {DEEPEST} levels")
+    if isinstance(data, dict | list):
+        for value in data.values() if isinstance(data, dict) else data:
+            _check_depth(value, name, depth + 1)
+
+
+def _yaml(text: str, name: str) -> Any:
+    """The first document, made of the events of its parser as they come."""
+    import yaml
+
+    # What is open: lists, and mappings with the key whose value comes next.
+    opened: list[list[Any] | dict[str, Any]] = [[]]
+    keys: list[str | None] = [None]
+    count = 0
+    try:
+        # Lines keep their numbers.
+        for event in yaml.parse(_DIRECTIVE.sub("", text), yaml.BaseLoader):
+            count += 1
+            if count > MOST_VALUES or len(opened) > DEEPEST:
+                raise _too_large(
+                    name, f"holds more than {MOST_VALUES:,} values or {DEEPEST} levels"
+                )
+            place = f"{name}, line {event.start_mark.line + 1}"
+            if isinstance(event, yaml.AliasEvent):
+                raise _syntax(place, "an alias stands there, which is not read")
+            if isinstance(event, yaml.DocumentEndEvent):
+                break
+            if isinstance(event, yaml.CollectionEndEvent):
+                opened.pop()
+                keys.pop()
+            if not isinstance(event, yaml.NodeEvent):
+                continue
+            value: Any = getattr(event, "value", None)
+            if isinstance(event, yaml.CollectionStartEvent):
+                value = {} if isinstance(event, yaml.MappingStartEvent) else []
+            inside, key = opened[-1], keys[-1]
+            if isinstance(inside, list):
+                inside.append(value)
+            elif key is None:
+                if not isinstance(value, str) or not value or value in inside:
+                    raise _syntax(place, f"{short(repr(value))} is no key, or stands there twice")
+                keys[-1] = value
+            else:
+                inside[key], keys[-1] = value, None
+            if isinstance(event, yaml.CollectionStartEvent):
+                opened.append(value)
+                keys.append(None)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"{name}, line {mark.line + 1}, column {mark.column + 1}" if mark else name
+        why = str(getattr(error, "problem", None) or "a character that YAML does not allow")
+        raise _syntax(place, why) from None
+    return next(iter(opened[0]), None)
+
+
+def _syntax(place: str, why: str) -> InputError:
+    return InputError(
+        f"this is no YAML or JSON that can be read: {why}",
+        code="invalid-syntax",
+        place=place,
+        remedy="correct the file, or name another one",
+    )
+
+
+def _too_large(name: str, how: str) -> InputError:
+    return InputError(
+        f"the file {how}",
+        code="too-large",
+        place=name,
+        remedy=_REMEDY,
+    )
+
+
+# Places in files: x, y, z with a quaternion, or a matrix of 4 x 4.
+
+
+def transform(part: Part) -> NDArray[np.float64]:
+    """T (4, 4) [m] of a mapping with x, y, z and qx, qy, qz, qw, with translation and rotation as
+    ROS has them, or of a matrix.
+
+    Raises InputError for a quaternion of no length and for a matrix that is no rigid motion.
+    """
+    from scipy.spatial.transform import Rotation
+
+    if isinstance(part.data, list) or "data" in part:
+        T = np.array(part.numbers(12, 16)).reshape(-1, 4)
+        whole = np.vstack([T[:3], [0.0, 0.0, 0.0, 1.0]])
+        R = whole[:3, :3]
+        if np.abs(T - whole[: len(T)]).max() > 1e-6 or (
+            np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0
+        ):
+            raise part.wrong("a matrix of rotation and translation, its last row 0, 0, 0, 1")
+        # The nearest rotation: decimals of a file leave it off by their rounding.
+        whole[:3, :3] = Rotation.from_matrix(R).as_matrix()
+        return whole
+    moved = part.get("translation", "position") or part
+    turned = part.get("rotation", "orientation", "quaternion") or part
+    # A bare part holds x, y, z of the translation, so that there its quaternion has other names.
+    q = [turned.part(f"q{c}", *([] if turned is part else [c])).number for c in "xyzw"]
+    if not 1e-9 < float(np.linalg.norm(q)) < 1e9:
+        raise turned.wrong("a quaternion of length 1")
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(q).as_matrix()
+    T[:3, 3] = [moved.part(c).number for c in "xyz"]
+    return T
+
+
+def is_transform(part: Part) -> bool:
+    """Whether a mapping holds x, y, z and a quaternion."""
+    return ({"x", "y", "z"} <= {n for n, _ in part.items()} and "qw" in part) or (
+        "translation" in part and "rotation" in part
+    )

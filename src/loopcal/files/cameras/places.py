@@ -1,0 +1,178 @@
+"""Poses of robots and hand-eye samples as other programs write them.
+
+easy_handeye samples      samples: robot and tracking, each translation and rotation; or
+                          hand_world_samples and camera_marker_samples, each transforms
+easy_handeye result       parameters, and transformation or transform
+industrial_calibration    x, y, z, qx, qy, qz, qw; several in a list, in a mapping, or in files
+                          that `data` lists beside their images
+a table of poses          pose, x, y, z and a quaternion, units in the header, [m] without
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.files.cameras.corners import split_name
+from loopcal.files.cameras.document import Part, is_transform, read_document, transform
+from loopcal.files.recognition.layouts import instruments
+from loopcal.files.recognition.meanings import rotations
+from loopcal.files.recognition.sources import sources_of
+from loopcal.units import unit
+
+Array = NDArray[np.float64]
+_LISTED = 10_000
+"""Files of poses that one file lists."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceTable:
+    """Places by image or pose: names, and T (N, 4, 4) [m] of each as the file states it."""
+
+    name: tuple[str, ...]
+    T: Array
+    file: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Hand-eye samples: the robot's pose as its driver states it, and the board in the camera.
+
+    robot, tracking: (N, 4, 4) [m]; easy_handeye has the flange in the base, and the marker in the
+    camera.
+    """
+
+    robot: Array
+    tracking: Array
+    file: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class HandEye:
+    """A hand-eye calibration as easy_handeye keeps it.
+
+    T: place (4, 4) [m] of the camera in the flange's frame, or in the base's where it stands
+    beside the robot; on_hand: which of both; names: of the frames and others, as in the file.
+    """
+
+    T: Array
+    on_hand: bool
+    names: dict[str, str]
+
+
+def read_places(path: str | Path) -> PlaceTable:
+    """The poses of a file by name; a table, or YAML and JSON of industrial_calibration.
+
+    Raises InputError for a file without poses, and for quaternions and matrices that are none.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".yaml", ".yml", ".json"):
+        return _of_table(path)
+    document = read_document(path)
+    every = list(_of_document(document, path, "1"))
+    if not every:
+        raise InputError(
+            "no pose is recognised in this file",
+            code="missing-key",
+            place=path.name,
+            remedy="state x, y, z [m] and qx, qy, qz, qw of each pose",
+        )
+    return PlaceTable(tuple(name for name, _ in every), np.array([T for _, T in every]), path.name)
+
+
+def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[tuple[str, Array]]:
+    if is_transform(part):
+        yield name, transform(part)
+        return
+    if not depth:
+        return
+    listed = part.get("data", "poses")
+    if listed is not None and isinstance(listed.data, list) and len(listed.data) > _LISTED:
+        raise listed.wrong(f"a list of at most {_LISTED:,} poses")
+    inner = listed.parts() if listed is not None and isinstance(listed.data, list) else None
+    if inner is None and isinstance(part.data, list):
+        inner = part.parts()
+    for i, one in enumerate(inner or ()):
+        image, pose = one.get("image", "name"), one.get("pose", "transform")
+        label = split_name(Path(image.text).name)[0] if image else str(i)
+        if pose is not None and not isinstance(pose.data, dict | list):
+            # The path stands relative to the file that lists it.
+            yield label, transform(read_document(path.parent / pose.text))
+        else:
+            yield from _of_document(pose or one, path, label, depth - 1)
+    if inner is None:
+        for key, one in part.items():
+            yield from _of_document(one, path, key, depth - 1)
+
+
+def _of_table(path: Path) -> PlaceTable:
+    source = sources_of(path, 0)[0]
+    seen = next((s for s in instruments(source.fields) if s.kind == "pose"), None)
+    if seen is None or seen.form == "turns":
+        raise InputError(
+            "no pose with a quaternion or a matrix is recognised among the columns",
+            code="missing-column",
+            place=path.name,
+            remedy="name them x_m, y_m, z_m, qx, qy, qz, qw",
+        )
+    by_stem = {f.stem: i for i, f in enumerate(seen.turned)}
+    order = tuple(range(len(seen.turned)))
+    if seen.form == "quaternion":
+        # The letters at the end of the names say which is which; without them w comes first.
+        letters = {stem[-1]: i for stem, i in by_stem.items() if stem}
+        order = tuple(letters[c] for c in "wxyz") if set("wxyz") <= set(letters) else order
+    T = np.tile(np.eye(4), (len(source), 1, 1))
+    T[:, :3, :3] = rotations(seen, "rad", seen.form, order)
+    T[:, :3, 3] = np.array([unit(f.unit or "m").factor * f.values for f in seen.position]).T
+    names = source.ids or tuple(map(str, range(1, len(source) + 1)))
+    wrong = np.flatnonzero(~np.isfinite(T).all(axis=(1, 2)))
+    if wrong.size:
+        raise InputError(
+            f"the pose {names[wrong[0]]!r} is not complete",
+            code="missing-reading",
+            place=path.name,
+            remedy="state all its numbers, or remove its row",
+        )
+    return PlaceTable(names, T, path.name)
+
+
+def read_samples(path: str | Path) -> Samples:
+    """Hand-eye samples of easy_handeye, of ROS 1 or 2. Raises InputError for another file."""
+    document = read_document(path)
+    pairs = document.get("samples")
+    if pairs is not None:
+        robot = [transform(one.part("robot")) for one in pairs.parts()]
+        tracking = [transform(one.part("tracking", "optical")) for one in pairs.parts()]
+    else:
+        hand = document.part("hand_world_samples", "robot")
+        marker = document.part("camera_marker_samples", "tracking")
+        robot, tracking = (
+            [transform(T) for T in (one.get("transforms") or one).parts()] for one in (hand, marker)
+        )
+    if len(robot) != len(tracking) or not robot:
+        raise InputError(
+            f"the file has {len(robot)} poses of the robot and {len(tracking)} of the board",
+            code="mismatched-poses",
+            place=document.place,
+            remedy="keep the samples of both together",
+        )
+    return Samples(np.array(robot), np.array(tracking), document.place)
+
+
+def read_hand_eye(path: str | Path) -> HandEye:
+    """A calibration of easy_handeye, of ROS 1 or 2. Raises InputError for another file."""
+    document = read_document(path)
+    T = transform(document.part("transformation", "transform"))
+    parameters = document.get("parameters") or Part({}, document.place)
+    kind = parameters.get("calibration_type")
+    on_hand = parameters.get("eye_on_hand", "eye_in_hand")
+    if kind is None and on_hand is None:
+        parameters.part("eye_on_hand", "calibration_type")
+    where = kind.text == "eye_in_hand" if kind is not None else bool(on_hand and on_hand.flag)
+    names = {key: one.text for key, one in parameters.items()}
+    return HandEye(T, where, names)

@@ -1,0 +1,1 @@
+"""Cameras: lenses that project, and boards that they see."""

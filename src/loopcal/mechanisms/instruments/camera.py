@@ -1,0 +1,265 @@
+"""A camera: pixels of the points of a board, on the machine's body or beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+import numpy as np
+
+from loopcal.errors import InputError
+from loopcal.expressions.vectors import cross, dot, vector
+from loopcal.keys import Key
+from loopcal.mechanisms.cameras.board import Board
+from loopcal.mechanisms.cameras.lens import FRAME, LENSES, project
+from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.frame import ChainFrame, Frame, Values, Vector
+from loopcal.mechanisms.machine import Instrument, recorded
+from loopcal.mechanisms.mechanism import PIXELS
+from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.station import MOTIONS, Name, Station, placed_by
+
+HOLDERS = ("base", "body")
+PIXEL = ("u", "v")
+Points = Annotated[
+    Mapping[str, tuple[float, float, float]],
+    Key(
+        "Points of the board by their ids, each x, y, z in the board's frame, z out of the print.",
+        unit="m",
+        least=1,
+        example={"0": [0.0, 0.0, 0.0], "1": [0.03, 0.0, 0.0]},
+    ),
+]
+On = Annotated[
+    str,
+    Key(
+        "What carries the camera: the base (eye to hand; the machine's body carries the board) or "
+        "the body (eye in hand; the board is fixed to the base).",
+        choices=HOLDERS,
+    ),
+]
+Lens = Annotated[
+    str,
+    Key("What the lens does beyond a pinhole.", choices=tuple(LENSES)),
+]
+_INTRINSIC = {
+    "f": ("focal length along u", "px"),
+    "aspect": ("focal length along v over that along u, less 1", "1"),
+    "cx": ("principal point along u", "px"),
+    "cy": ("principal point along v", "px"),
+}
+_SHAPE = {
+    "scale": "size of the print over the stated one, less 1",
+    "aspect": "size along y over that along x, less 1",
+    "warp_x": "height of the middle over the two edges across x",
+    "warp_y": "height of the middle over the two edges across y",
+}
+ASPECT_SD = 1e-3
+"""How square the pixels of a sensor are. Chosen: sensors are made by lithography."""
+PRINT_SD, WARP_SD = 0.01, 1e-3
+"""How far prints are off: 1 % in size, 1 mm in flatness. Chosen: prints are off by 0.5 to 3 %."""
+
+
+@recorded
+def camera(
+    name: Name = "camera",
+    *,
+    points: Points,
+    board: Annotated[
+        str, Key("Name of the board: six parameters BOARD_x, _y, _z, _rz, _ry, _rx.")
+    ] = "board",
+    eye: Annotated[
+        str | None,
+        Key(
+            "Name of the camera, which begins the names of its parameters; entries for several "
+            "boards name the same one. Default: the name of the instrument."
+        ),
+    ] = None,
+    label: Annotated[
+        str | None,
+        Key("What the names of its readings begin with. Default: EYE:BOARD:."),
+    ] = None,
+    on: On = "base",
+    lens: Lens = "brown5",
+    offsets: Annotated[
+        bool, Key("Whether each point has offsets BOARD_POINT_x, _y, _z, with a prior in [prior].")
+    ] = False,
+    shape: Annotated[
+        bool,
+        Key("Whether BOARD_scale, BOARD_aspect, BOARD_warp_x and BOARD_warp_y are estimated."),
+    ] = True,
+    dimension: int = 3,
+) -> Instrument:
+    """Pixels (u, v) at which a camera sees the points of a board; one image is one pose.
+
+    With P the point in the camera's frame (x right, y down, z forward) and pi the lens:
+
+        pi(P) - (u, v) = 0 [px],
+        on the base:  P = T_camera_base T_base_body T_body_board X,
+        on the body:  P = T_body_camera^-1 T_base_body^-1 T_board_base^-1 X.
+
+    On the base EYE_x ... EYE_rx are T_camera_base and BOARD_x ... BOARD_rx T_body_board. On the
+    body EYE_x ... EYE_rx are T_body_camera and BOARD_x ... BOARD_rx T_board_base. EYE_f, _aspect,
+    _cx, _cy and the coefficients of the lens (`loopcal.mechanisms.cameras.lens`) need nominal
+    values. X is the point of the board as printed:
+
+        ((1 + scale) x, (1 + scale) (1 + aspect) y, z + warp_x (1 - (x/a)^2) + warp_y (1 - (y/b)^2))
+
+    about the middle of the board, which is 2a wide and 2b high. Readings are named
+    EYE:BOARD:POINT:u and :v; a point that was not detected is blank. (0, 0) is the centre of the
+    first pixel.
+
+    Raises InputError for a plane machine, another lens, and a board without points.
+    """
+    if dimension != 3:
+        raise InputError(
+            f"the camera {name!r} looks at a planar machine",
+            code="unsupported",
+            remedy="describe the machine in space",
+        )
+    eye = name if eye is None else eye
+    seen = Board(
+        board, {point: (float(x), float(y), float(z)) for point, (x, y, z) in points.items()}
+    )
+    coefficients = LENSES[lens]
+    intrinsic = {
+        **{
+            f"{eye}_{key}": Parameter(
+                f"{eye}_{key}",
+                1000.0 if key == "f" else 0.0,
+                unit,
+                prior_sd=ASPECT_SD if key == "aspect" else np.inf,
+                role="lens",
+                owner=eye,
+                meaning=meaning,
+            )
+            for key, (meaning, unit) in _INTRINSIC.items()
+        },
+        **{
+            f"{eye}_{key}": Parameter(
+                f"{eye}_{key}", 0.0, "1", role="lens", owner=eye, meaning=f"distortion {key}"
+            )
+            for key in coefficients
+        },
+    }
+    printed = _printed(seen, shape=shape, offsets=offsets)
+    camera_on_body = on == "body"
+    stands = Station(board if camera_on_body else eye)
+    mount = tuple(
+        Step(m, f"{eye if camera_on_body else board}_{m[1] if m[0] == 't' else m}")
+        for m in MOTIONS[3]
+    )
+    mounted = placed_by(mount, eye if camera_on_body else board)
+    label = f"{eye}:{board}:" if label is None else label
+    names = {p: [f"{label}{p}:{axis}" for axis in PIXEL] for p in seen.points}
+
+    def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
+        axes = _eye_in_hand if camera_on_body else _eye_to_hand
+        origin, ex, ey, ez = axes(frames[0], stands, mount, p)
+        values = {key: p[f"{eye}_{key}"] for key in (*FRAME, *coefficients)}
+        loops = []
+        for point, pixel in names.items():
+            X, Y, Z = _as_printed(seen, point, printed, p)
+            P = origin + X * ex + Y * ey
+            if not _nothing(Z):
+                P = P + Z * ez
+            predicted = project(lens, P, values)
+            loops += [value - x[reading] for value, reading in zip(predicted, pixel, strict=True)]
+        return loops
+
+    return Instrument(
+        name,
+        {reading: "px" for pixel in names.values() for reading in pixel},
+        mounted | intrinsic | printed,
+        equations,
+        PIXELS,
+        placement=stands.declared,
+        mounted=tuple(mounted),
+        place=stands,
+        remedy=f"the board {board!r} is beside or behind the camera {eye!r}: begin nearer to where "
+        "it is, with `loopcal init`",
+    )
+
+
+def _printed(board: Board, *, shape: bool, offsets: bool) -> dict[str, Parameter]:
+    """What a print may be off by, each with a prior sd."""
+    declared: dict[str, Parameter] = {}
+    if shape and board.planar and len(board.points) > 3:
+        for key, meaning in _SHAPE.items():
+            unit, sd = ("m", WARP_SD) if key.startswith("warp") else ("1", PRINT_SD)
+            declared[key] = Parameter(
+                f"{board.name}_{key}",
+                0.0,
+                unit,
+                prior_sd=sd,
+                role="print",
+                owner=board.name,
+                meaning=meaning,
+            )
+    for point in board.points if offsets else ():
+        for axis in "xyz":
+            key = f"{point}:{axis}"
+            declared[key] = Parameter(
+                f"{board.name}_{point}_{axis}",
+                0.0,
+                "m",
+                prior_sd=WARP_SD,
+                role="print",
+                owner=board.name,
+                meaning=f"offset of the point {point} along {axis}",
+            )
+    return {p.name: p for p in declared.values()}
+
+
+def _as_printed(board: Board, point: str, printed: Mapping[str, Any], p: Values) -> list[Any]:
+    """X, Y, Z of a point of the board."""
+    nominal = board.points[point]
+    X: list[Any] = list(nominal)
+    if f"{board.name}_scale" in printed:
+        (mx, my, _), (a, b) = board.middle, board.half
+        dx, dy = nominal[0] - mx, nominal[1] - my
+        size = 1.0 + p[f"{board.name}_scale"]
+        X[0] = mx + size * dx
+        X[1] = my + size * ((1.0 + p[f"{board.name}_aspect"]) * dy)
+        for warp, across in (("warp_x", dx / a if a else 0.0), ("warp_y", dy / b if b else 0.0)):
+            X[2] = X[2] + (1.0 - across**2) * p[f"{board.name}_{warp}"]
+    for i, axis in enumerate("xyz"):
+        if f"{board.name}_{point}_{axis}" in printed:
+            X[i] = X[i] + p[f"{board.name}_{point}_{axis}"]
+    return X
+
+
+def _nothing(value: Any) -> bool:
+    return isinstance(value, float) and value == 0.0
+
+
+Axes = tuple[Vector, Vector, Vector, Vector]
+
+
+def _eye_to_hand(body: Frame, station: Station, mount: Sequence[Step], p: Values) -> Axes:
+    """Origin and axes of the board in the camera: T_camera_base T_base_body T_body_board."""
+    mounted, stands = ChainFrame(mount, {}, p), ChainFrame(station.steps, {}, p)
+    origin = stands.point(body.point(mounted.point(vector(0.0, 0.0, 0.0))))
+    ex, ey = (
+        stands.direction(body.direction(mounted.direction(vector(*unit))))
+        for unit in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    )
+    return origin, ex, ey, cross(ex, ey)
+
+
+def _eye_in_hand(body: Frame, station: Station, mount: Sequence[Step], p: Values) -> Axes:
+    """The same by T_body_camera^-1 T_base_body^-1 T_board_base^-1."""
+    back = ChainFrame([s.inverse() for s in reversed(station.steps)], {}, p)
+    into = ChainFrame([s.inverse() for s in reversed(mount)], {}, p)
+    bx, by = (body.direction(vector(*u)) for u in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+    bz, at = cross(bx, by), body.point(vector(0.0, 0.0, 0.0))
+
+    def turned(v: Vector) -> Vector:
+        return vector(dot(bx, v), dot(by, v), dot(bz, v))
+
+    origin = into.point(turned(back.point(vector(0.0, 0.0, 0.0)) - at))
+    ex, ey = (
+        into.direction(turned(back.direction(vector(*u))))
+        for u in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    )
+    return origin, ex, ey, cross(ex, ey)

@@ -1,0 +1,578 @@
+"""A project from corners that cameras saw: boards, poses and lenses found by themselves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, listed
+from loopcal.estimation.cameras.corners import Corners
+from loopcal.estimation.cameras.start import CameraStart, start
+from loopcal.files.cameras.boards import read_boards
+from loopcal.files.cameras.corner_table import CornerTable
+from loopcal.files.cameras.corners import is_corners, read_corners
+from loopcal.files.cameras.images import ENDINGS, detect
+from loopcal.files.cameras.intrinsics import read_intrinsics
+from loopcal.files.cameras.places import read_places, read_samples
+from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.files.recognition.expressions import joint_columns
+from loopcal.files.recognition.fields import Field
+from loopcal.files.recognition.joint_sets import joint_sets
+from loopcal.files.recognition.robots import Robot
+from loopcal.files.recognition.sources import sources_of
+from loopcal.files.tables.readers import read_table
+from loopcal.files.tables.writer import table_bytes
+from loopcal.files.toml.reader import SCHEMA
+from loopcal.files.toml.writer import document
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.cameras.board import Board
+from loopcal.mechanisms.cameras.lens import Intrinsics
+from loopcal.mechanisms.instruments.camera import PIXEL
+from loopcal.mechanisms.placement import yaw_pitch_roll
+from loopcal.units import from_si, unit
+
+Array = NDArray[np.float64]
+PROJECT, READINGS, CORNERS = "project.toml", "readings.csv", "corners.csv"
+USUAL_LENS = "brown5"
+_HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
+CORNER, ENCODER, PLACE, TURN = 0.3, 50e-6, 1e-4, 1e-4
+"""Where the learning of sds begins: a corner [px], a joint [rad], a stated pose [m], [rad]."""
+POINT_SD = 0.5e-3
+"""How far markers on a body are from where they are stated [m], as its sd."""
+USUAL = {"k2": 0.5, "p1": 5e-3, "p2": 5e-3, "k3": 1.0} | dict.fromkeys(
+    ("k4", "k5", "k6", "s1", "s2", "s3", "s4"), 1.0
+)
+"""Prior sds of coefficients of distortion that few images determine. Chosen: lenses on sale have
+smaller ones."""
+_FEWEST = 3
+"""Points that say where a board is which nobody reads."""
+
+
+Describe = Callable[[Sequence[Field]], Robot]
+"""The robot by the columns of its joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class Files:
+    """What a folder holds: corners, boards, lenses, and tables of poses or joints."""
+
+    corners: CornerTable
+    boards: Mapping[str, Board]
+    lenses: Mapping[str, Intrinsics]
+    poses: tuple[Path, ...]
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class FromImages:
+    """What was understood: the tables of the project file, the files beside it, what was found in
+    words, the readings, and in a line how many there are and how well they begin to fit."""
+
+    tables: Mapping[str, Any]
+    beside: Mapping[str, bytes]
+    remarks: tuple[str, ...]
+    dataset: Dataset
+    words: str
+
+    @property
+    def text(self) -> str:
+        """Of the project file."""
+        return document(self.tables, (_HEAD,), {"data": self.remarks})
+
+
+def files_of(entries: Sequence[Any]) -> list[Path]:
+    """The files that the entries name, those of folders one by one."""
+    paths: list[Path] = []
+    for entry in entries:
+        if not isinstance(entry, str | Path):
+            return []
+        path = Path(entry)
+        paths += sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
+    return paths
+
+
+def are_images(entries: Sequence[Any]) -> bool:
+    """Whether one of the files holds corners of boards, or is an image."""
+    return any(_kind(path) in ("corners", "image") for path in files_of(entries))
+
+
+def _kind(path: Path) -> str:
+    ending = path.suffix.lower()
+    if ending in ENDINGS:
+        return "image"
+    if ending == ".vnl":
+        return "corners"
+    if ending in (".yaml", ".yml", ".json"):
+        return "document"
+    if ending not in (".csv", ".tsv", ".txt") or not path.is_file():
+        return ""
+    names = _header(path)
+    stems = {re.sub(r"[^a-z]", "", re.sub(r"_?(m|mm|px)$|\[.*|\(.*", "", n.lower())) for n in names}
+    if is_corners(names):
+        return "corners"
+    if {"x", "y", "point"} <= stems or {"x", "y", "id"} <= stems:
+        return "board"
+    return "poses"
+
+
+def _header(path: Path) -> tuple[str, ...]:
+    try:
+        return read_table(path).names
+    except InputError:
+        return ()
+
+
+def read_files(entries: Sequence[Any]) -> Files:
+    """What the files hold, by their contents. Raises InputError where no board is described."""
+    paths = files_of(entries)
+    kinds = {path: _kind(path) for path in paths}
+    boards: dict[str, Board] = {}
+    lenses: dict[str, Intrinsics] = {}
+    poses: list[Path] = []
+    tables: list[CornerTable] = []
+    remarks: list[str] = []
+    for path, kind in kinds.items():
+        if kind == "board":
+            boards |= read_boards(path)
+        elif kind == "corners":
+            tables.append(read_corners(path))
+        elif kind == "poses":
+            poses.append(path)
+        elif kind == "document":
+            what = _document(path, boards, lenses, tables)
+            if what == "poses":
+                poses.append(path)
+    images = [path for path, kind in kinds.items() if kind == "image"]
+    if not boards:
+        raise InputError(
+            "no file describes the board",
+            code="missing-key",
+            remedy="add a CSV file with the columns board, point, x_m, y_m, z_m, or a YAML file "
+            "with its type, counts and sizes",
+        )
+    if images and not tables:
+        found = detect(images, next(iter(boards.values())))
+        tables.append(found.corners)
+        if found.missed:
+            remarks.append(f"no board was seen in {listed(list(found.missed), 5)}")
+    if len(tables) != 1:
+        raise InputError(
+            f"{len(tables)} files hold corners",
+            code="conflicting-keys",
+            remedy="name one of them, with a column of the camera",
+        )
+    return Files(tables[0], boards, lenses, tuple(poses), tuple(remarks))
+
+
+def _document(
+    path: Path,
+    boards: dict[str, Board],
+    lenses: dict[str, Intrinsics],
+    tables: list[CornerTable],
+) -> str:
+    """Take what a YAML or JSON file says; "poses" where it holds these."""
+    for reader, into in ((read_intrinsics, lenses), (read_boards, boards)):
+        try:
+            into.update(reader(path))  # type: ignore[arg-type]
+            return ""
+        except InputError:
+            continue
+    for probe in (read_samples, read_places):
+        try:
+            probe(path)
+            return "poses"
+        except InputError:
+            continue
+    try:
+        tables.append(read_corners(path))
+    except InputError:
+        return ""
+    return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """The body that moves: its columns of readings by quantity [SI], and T_base_flange (N, 4, 4)
+    by pose; table: of the mechanism without instruments; noise: of its readings."""
+
+    poses: tuple[str, ...]
+    table: Mapping[str, Any]
+    readings: Mapping[str, Array]
+    T_base_flange: Array | None
+    noise: Mapping[str, Any]
+    remarks: tuple[str, ...] = ()
+
+
+def from_images(
+    entries: Sequence[Any], describe: Describe | None, joints: str | None, folder: Path
+) -> FromImages:
+    """`init` of a folder or files that hold corners.
+
+    describe: the robot by the columns of its joints, None where nothing describes one; joints:
+    these columns, as in `init`; folder: where the project will lie. Raises InputError where
+    something remains open.
+    """
+    files = read_files(entries)
+    table = files.corners
+    hand = _hand(files, describe, joints, folder)
+    boards = [_named(files.boards, name) for name in table.boards]
+    corners = _corners(table, boards, hand.poses)
+    lenses = _by_camera(files.lenses, table.cameras)
+    begun = start(corners, hand.T_base_flange, lenses, dict(table.sizes))
+    if hand.T_base_flange is None:
+        hand = _unread(begun, hand)
+    elif begun.T_base_flange is not None and "x" in hand.readings:
+        hand = replace(hand, readings=_flange(begun.T_base_flange))
+    project = _Project(begun, hand, table, lenses)
+    remarks = (*files.remarks, *hand.remarks, *(fact.sentence for fact in begun.facts))
+    words = (
+        f"{len(project.kept)} images with {len(begun.corners)} corners; the calibration begins at "
+        f"{begun.rms:.2f} px rms"
+    )
+    beside = {READINGS: project.readings(), CORNERS: project.corners()}
+    return FromImages(project.tables, beside, remarks, project.dataset, words)
+
+
+def _named(boards: Mapping[str, Board], name: str) -> Board:
+    if name in boards:
+        return boards[name]
+    if len(boards) == 1:
+        return replace(next(iter(boards.values())), name=name)
+    raise InputError(
+        f"the corners are of the board {name!r}, which no file describes",
+        code="unknown-name",
+        remedy=f"name it as one of {listed(list(boards), 10)}",
+    )
+
+
+def _by_camera(lenses: Mapping[str, Intrinsics], cameras: Sequence[str]) -> dict[str, Intrinsics]:
+    """The stated lenses under the names of the corners' cameras; a pinhole may be bent."""
+    lenses = {
+        name: replace(lens, lens=USUAL_LENS, distortion=()) if lens.lens == "pinhole" else lens
+        for name, lens in lenses.items()
+    }
+    if set(cameras) <= set(lenses):
+        return {name: lenses[name] for name in cameras}
+    if len(lenses) == len(cameras):  # in their order, where names differ
+        return dict(zip(cameras, lenses.values(), strict=True))
+    return {name: lenses[name] for name in cameras if name in lenses}
+
+
+def _corners(table: CornerTable, boards: Sequence[Board], poses: tuple[str, ...]) -> Corners:
+    """The corners of poses that are there, by indices. Raises InputError for unknown points."""
+    poses = poses or tuple(dict.fromkeys(table.image))
+    where = {pose: i for i, pose in enumerate(poses)}
+    rows = [i for i, image in enumerate(table.image) if image in where]
+    if not rows:
+        raise InputError(
+            "no image has the name of a pose",
+            code="mismatched-poses",
+            remedy=f"name images as poses: {listed(list(poses), 3)}; the images are "
+            f"{listed(list(table.images), 3)}",
+        )
+    some = table.at(rows)
+    camera = {name: i for i, name in enumerate(table.cameras)}
+    board = {name: i for i, name in enumerate(table.boards)}
+    points = [{p: i for i, p in enumerate(b.points)} for b in boards]
+    index: list[list[int]] = [[], [], [], []]
+    for image, cam, name, point in zip(
+        some.image, some.camera, some.board, some.point, strict=True
+    ):
+        b = board[name]
+        if point not in points[b]:
+            raise InputError(
+                f"the board {name!r} has no point {point!r}",
+                code="unknown-name",
+                place=table.file,
+                remedy=f"its points are {listed(list(points[b]), 12)}",
+            )
+        for ids, i in zip(index, (where[image], camera[cam], b, points[b][point]), strict=True):
+            ids.append(i)
+    uv = np.stack([some.u, some.v], axis=1)
+    return Corners.of([np.array(ids) for ids in index], uv, table.cameras, boards, poses)
+
+
+def _hand(files: Files, describe: Describe | None, joints: str | None, folder: Path) -> Hand:
+    """The robot's part of the files."""
+    if describe is not None:
+        return _joints(files, describe, joints, folder)
+    for path in files.poses:
+        try:
+            samples = read_places(path)
+        except InputError:
+            continue
+        noise = {
+            "[xyz]": {"sd": 1e3 * PLACE, "unit": "mm", "estimate": "group"},
+            "w[xyz]": {"sd": 1e3 * TURN, "unit": "mrad", "estimate": "group"},
+        }
+        words = f"{path.name} states the pose of the flange"
+        return Hand(
+            samples.name, {"type": "free-body"}, _flange(samples.T), samples.T, noise, (words,)
+        )
+    remarks: tuple[str, ...] = ()
+    if files.poses:
+        names = listed([path.name for path in files.poses], 3)
+        remarks = (
+            f"{names} states no pose of a flange, and no robot is described (--urdf or --dh), so "
+            "the cameras alone are calibrated",
+        )
+    return Hand((), {"type": "free-body", "read": False}, {}, None, {}, remarks)
+
+
+def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) -> Hand:
+    """The robot's joints by columns of the table of poses."""
+    if not files.poses:
+        raise InputError(
+            "no file holds the joints of the robot",
+            code="no-data",
+            remedy="add a table with a row for each image: pose and its joints",
+        )
+    source = sources_of(files.poses[0], 0)[0]
+    fields = source.fields
+    columns = joint_columns(fields, joints) if joints else ()
+    robot = describe(columns or fields)
+    every = [(columns, "as stated")] if columns else joint_sets(fields, robot.joints, robot.names)
+    if not every:
+        raise InputError(
+            f"{source.name} has no {robot.joints} columns that may be joints",
+            code="missing-column",
+            remedy="name them: --joints COLUMNS; there are "
+            + listed([f.label for f in fields], 20),
+        )
+    columns, how = every[0]
+    mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
+    names = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
+    readings = {
+        name: _si(column, mechanism.quantities[name])
+        for name, column in zip(names, columns, strict=True)
+    }
+    poses = source.ids or tuple(str(i) for i in range(1, len(source) + 1))
+    T = mechanism.fk(np.stack(list(readings.values()), axis=1))
+    slides = [n for n in names if mechanism.quantities[n] == "m"]
+    noise: dict[str, Any] = {name: {"sd": 10, "unit": "um", "estimate": "group"} for name in slides}
+    for name in names:
+        if name not in slides:
+            noise[name] = {"sd": 1e6 * ENCODER, "unit": "urad"}
+    words = f"joints are {', '.join(f.label for f in columns)} of {source.name}, {how}"
+    return Hand(poses, robot.table, readings, T, noise, (*robot.remarks, words))
+
+
+def _si(column: Field, si: str) -> Array:
+    stated = column.unit
+    if stated is None and si == "rad":
+        stated = "deg" if float(np.nanmax(np.abs(column.values))) > 4 * np.pi else "rad"
+    return np.asarray(unit(stated or si).factor * column.values)
+
+
+def _flange(T: Array) -> dict[str, Array]:
+    """x, y, z and the quaternion of poses (N, 4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    xyzw = Rotation.from_matrix(T[:, :3, :3]).as_quat().T
+    named = dict(zip(("qx", "qy", "qz", "qw"), xyzw, strict=True))
+    return {**dict(zip("xyz", T[:, :3, 3].T, strict=True)), **named}
+
+
+def _unread(begun: CameraStart, hand: Hand) -> Hand:
+    """Boards that nobody reads: where the search for each begins, in the first camera."""
+    corners = begun.corners
+    views = corners.views
+    T = np.full((len(corners.poses), 4, 4), np.nan)
+    # Of each image the view that shows most corners says where the first board is.
+    for v in np.argsort(views.sizes, kind="stable"):
+        camera, board = views.camera[v], views.board[v]
+        to_first = np.linalg.inv(begun.X[camera] @ np.linalg.inv(begun.X[0]))
+        T[views.image[v]] = (
+            to_first @ begun.T_camera_board[v] @ np.linalg.inv(begun.Y[board]) @ begun.Y[0]
+        )
+    seen = np.isfinite(T).all(axis=(1, 2))
+    readings = {}
+    for name, some in _flange(T[seen]).items():
+        filled = np.full(len(T), np.nan)
+        filled[seen] = some
+        readings[f"{name}0" if name in "xyz" else name] = filled
+    noise = {"[xyz]": {"sd": np.inf}, "w[xyz]": {"sd": np.inf}}
+    return replace(hand, poses=corners.poses, readings=readings, noise=noise)
+
+
+def _word(name: str, kind: str) -> str:
+    """A name that parameters may begin with."""
+    word = re.sub(r"\W", "_", name)
+    return word if re.match(r"[A-Za-z_]", word) else f"{kind}_{word}"
+
+
+class _Project:
+    """The tables of the project, and the files beside it."""
+
+    def __init__(
+        self, begun: CameraStart, hand: Hand, table: CornerTable, stated: Collection[str]
+    ) -> None:
+        self.begun, self.hand, self.table, self.stated = begun, hand, table, stated
+        corners = begun.corners
+        seen = np.unique(corners.image, return_counts=True)
+        enough = seen[1] >= (_FEWEST if hand.table.get("read") is False else 1)
+        self.kept = [int(i) for i in seen[0][enough]]
+        self.eyes = {c: _word(c, "camera") for c in corners.cameras}
+        self.boards = {b.name: _word(b.name, "board") for b in corners.boards}
+
+    @property
+    def tables(self) -> dict[str, Any]:
+        """Of the project file."""
+        hand = self.hand
+        spread = {k: k for k in ("pose", "camera", "board", "point", "u", "v")}
+        return {
+            "schema": SCHEMA,
+            "title": Path(self.table.file or "images").stem,
+            "mechanism": {
+                **hand.table,
+                "instrument": list(self._instruments()),
+                "parameters": self._parameters(),
+            },
+            "data": {
+                "file": READINGS,
+                "pose": "pose",
+                "join": [{"file": CORNERS, "pose": "pose", "spread": spread}],
+            },
+            "noise": {**hand.noise, **self._noise()},
+        }
+
+    def _pairs(self) -> Iterable[tuple[int, int]]:
+        views = self.begun.corners.views
+        every = zip(views.camera.tolist(), views.board.tolist(), strict=True)
+        return sorted(dict.fromkeys(every))
+
+    def _names(self) -> dict[tuple[int, int], str]:
+        """What each instrument is called: by its camera, and by its board where it sees several."""
+        corners = self.begun.corners
+        several = len(corners.boards) > 1
+        return {
+            (c, b): self.eyes[corners.cameras[c]]
+            + (f"_{self.boards[corners.boards[b].name]}" if several else "")
+            for c, b in self._pairs()
+        }
+
+    def _instruments(self) -> Iterable[dict[str, Any]]:
+        corners = self.begun.corners
+        for (c, b), name in self._names().items():
+            camera, board = corners.cameras[c], corners.boards[b]
+            seen = (corners.camera == c) & (corners.board == b)
+            ids = list(board.points)
+            points = {
+                ids[i]: list(map(float, board.points[ids[i]]))
+                for i in np.unique(corners.point[seen])
+            }
+            yield {
+                "type": "camera",
+                "name": name,
+                "eye": self.eyes[camera],
+                "board": self.boards[board.name],
+                "label": f"{camera}:{board.name}:",
+                "on": "body" if self.begun.held is False else "base",
+                "lens": self.begun.intrinsics[camera].lens,
+                "offsets": not board.planar,
+                "points": points,
+            }
+
+    def _parameters(self) -> dict[str, Any]:
+        begun, corners = self.begun, self.begun.corners
+        stated: dict[str, Any] = {}
+        free = self.hand.table.get("read") is False
+        held = begun.held is not False
+        for c, (camera, eye) in enumerate(self.eyes.items()):
+            X = begun.X[c] @ np.linalg.inv(begun.X[0]) if free else begun.X[c]
+            place = X if held else np.linalg.inv(X)
+            stated |= _six(eye, place, fixed=free and c == 0)
+            # What was stated is nominal: what the images add to it is for the calibration to say.
+            lens = (
+                begun.intrinsics_stated[camera]
+                if camera in self.stated
+                else begun.intrinsics[camera]
+            )
+            for key, value in lens.values.items():
+                entry: dict[str, Any] = {"value": float(value)}
+                if key in ("f", "cx", "cy"):
+                    entry["unit"] = "px"
+                if key in USUAL and lens.lens != "fisheye":
+                    entry["sd"] = USUAL[key]
+                stated[f"{eye}_{key}"] = entry
+        for b, board in enumerate(corners.boards):
+            Y = begun.Y[b]
+            if free:
+                Y = np.linalg.inv(begun.Y[0]) @ Y
+            place = Y if held else np.linalg.inv(Y)
+            stated |= _six(self.boards[board.name], place, fixed=free and b == 0)
+            if free and board.planar and len(board.points) > _FEWEST:
+                # nothing but the board says how large anything is
+                stated[f"{self.boards[board.name]}_scale"] = {"value": 0.0, "fixed": True}
+            if not board.planar:
+                for point in np.unique(corners.point[corners.board == b]):
+                    for axis in "xyz":
+                        name = f"{self.boards[board.name]}_{list(board.points)[point]}_{axis}"
+                        stated[name] = {"value": 0.0, "unit": "mm", "sd": 1e3 * POINT_SD}
+        return stated
+
+    def _noise(self) -> dict[str, Any]:
+        return {
+            name: {"sd": CORNER, "unit": "px", "estimate": "group"}
+            for name in self._names().values()
+        }
+
+    @property
+    def dataset(self) -> Dataset:
+        """The readings, under the names that they have in the project."""
+        corners, kept = self.begun.corners, self.kept
+        readings = {name: values[kept] for name, values in self.hand.readings.items()}
+        ids = [list(b.points) for b in corners.boards]
+        row = {image: i for i, image in enumerate(kept)}
+        pairs = zip(corners.image, corners.camera, corners.board, corners.point, strict=True)
+        for (image, camera, board, point), pixel in zip(pairs, corners.uv, strict=True):
+            label = f"{corners.cameras[camera]}:{corners.boards[board].name}:{ids[board][point]}"
+            for axis, value in zip(PIXEL, pixel, strict=True):
+                column = readings.setdefault(f"{label}:{axis}", np.full(len(kept), np.nan))
+                if image in row:
+                    column[row[image]] = value
+        units = {name: "px" for name in readings if name.endswith((":u", ":v"))}
+        poses = [corners.poses[i] for i in kept]
+        return Dataset.from_arrays(readings, units=units, poses=poses)
+
+    def readings(self) -> bytes:
+        """The poses that show enough, a row each."""
+        columns: dict[str, Any] = {"pose": [self.begun.corners.poses[i] for i in self.kept]}
+        for name, values in self.hand.readings.items():
+            columns[name] = values[self.kept]
+        return table_bytes(columns, ".csv")
+
+    def corners(self) -> bytes:
+        """The corners of these poses."""
+        corners = self.begun.corners
+        rows = np.flatnonzero(np.isin(corners.image, self.kept))
+        ids = [list(b.points) for b in corners.boards]
+        columns: dict[str, Any] = {
+            "pose": [corners.poses[corners.image[i]] for i in rows],
+            "camera": [corners.cameras[corners.camera[i]] for i in rows],
+            "board": [corners.boards[corners.board[i]].name for i in rows],
+            "point": [ids[corners.board[i]][corners.point[i]] for i in rows],
+            "u": corners.uv[rows, 0],
+            "v": corners.uv[rows, 1],
+        }
+        return table_bytes(columns, ".csv")
+
+
+def _six(owner: str, T: Array, *, fixed: bool) -> dict[str, Any]:
+    """The six parameters of a place."""
+    turns = yaw_pitch_roll(T[:3, :3])
+    entries = [(axis, 1e3 * float(v), "mm") for axis, v in zip("xyz", T[:3, 3], strict=True)]
+    entries += [
+        (name, float(from_si(np.array(v), "deg")), "deg")
+        for name, v in zip(("rz", "ry", "rx"), turns, strict=True)
+    ]
+    return {
+        f"{owner}_{name}": {"value": value, "unit": of, **({"fixed": True} if fixed else {})}
+        for name, value, of in entries
+    }

@@ -1,0 +1,153 @@
+"""Each mistake in the files is named, corrected where that leaves no doubt, and nothing else is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from loopcal.estimation.cameras.corners import Corners
+from loopcal.mechanisms.cameras.board import Board
+from loopcal.mechanisms.cameras.lens import Intrinsics
+from tests.estimation.cameras.truth import COLUMNS, ROWS, SIZE, shots
+
+Array = NDArray[np.float64]
+
+
+def transposed(T: Array) -> Array:
+    T = T.copy()
+    T[:, :3, :3] = T[:, :3, :3].transpose(0, 2, 1)
+    return T
+
+
+def scalar_first(T: Array) -> Array:
+    """Quaternions written w, x, y, z and read x, y, z, w."""
+    T = T.copy()
+    q = Rotation.from_matrix(T[:, :3, :3]).as_quat()
+    T[:, :3, :3] = Rotation.from_quat(q[:, [3, 0, 1, 2]]).as_matrix()
+    return T
+
+
+def millimetres(T: Array) -> Array:
+    T = T.copy()
+    T[:, :3, 3] *= 1000.0
+    return T
+
+
+HANDS: dict[str, Callable[[Array], Array]] = {
+    "poses-inverted": np.linalg.inv,
+    "rotations-transposed": transposed,
+    "quaternion-order": scalar_first,
+    "unit-of-poses": millimetres,
+    "poses-shifted": lambda T: np.roll(T, 1, axis=0),
+}
+
+
+def numbered(corners: Corners, label: Callable[[Array], Array]) -> Corners:
+    """The corners labelled anew; labels below 0 were not detected."""
+    point = label(corners.point).astype(np.intp)
+    inside = (point >= 0) & (point < COLUMNS * ROWS)
+    corners = corners.where(inside).numbered(point[inside])
+    index = [corners.image, corners.camera, corners.board, corners.point]
+    return Corners.of(index, corners.uv, corners.cameras, corners.boards, corners.poses)
+
+
+def alternate(point: Array) -> Array:
+    x, y = point % COLUMNS, point // COLUMNS
+    x = x + np.where(y % 2 == 0, 1, -1)
+    return np.where((x >= 0) & (x < COLUMNS), x + COLUMNS * y, -1)
+
+
+LABELS: dict[str, Callable[[Array], Array]] = {
+    "begin at 1": lambda k: k + 1,
+    "along columns": lambda k: (k % COLUMNS) * ROWS + k // COLUMNS,
+    "legacy": alternate,
+}
+
+
+@pytest.mark.parametrize("code", HANDS)
+def test_poses_read_in_another_way(code: str) -> None:
+    true = shots(23)
+    begun = true.start(T=HANDS[code](true.T))
+    assert [fact.code for fact in begun.facts if fact.applied] == [code]
+    np.testing.assert_allclose(begun.X[0], true.X, atol=4e-3)
+
+
+@pytest.mark.parametrize("words", LABELS)
+def test_points_numbered_in_another_way(words: str) -> None:
+    true = shots(29)
+    begun = true.start(corners=numbered(true.corners, LABELS[words]))
+    (fact,) = (fact for fact in begun.facts if fact.applied)
+    assert fact.code == "board-numbering"
+    assert words in fact.sentence
+    np.testing.assert_allclose(begun.X[0], true.X, atol=4e-3)
+
+
+def test_board_in_millimetres() -> None:
+    true = shots(31)
+    points = {k: (1e3 * x, 1e3 * y, z) for k, (x, y, z) in true.corners.boards[0].points.items()}
+    corners = replace(true.corners, boards=(Board("board", points),))
+    begun = true.start(corners=corners)
+    assert [fact.code for fact in begun.facts if fact.applied] == ["unit-of-board"]
+    np.testing.assert_allclose(begun.X[0], true.X, atol=4e-3)
+
+
+def test_u_and_v_exchanged() -> None:
+    true = shots(37)
+    begun = true.start(corners=true.corners.at(true.corners.uv[:, ::-1].copy()))
+    assert [fact.code for fact in begun.facts if fact.applied] == ["uv-exchanged"]
+    np.testing.assert_allclose(begun.X[0], true.X, atol=4e-3)
+
+
+def test_intrinsics_of_an_image_on_its_side() -> None:
+    true = shots(41)
+    lens = true.intrinsics["cam"]
+    # Turned clockwise: u' = H - 1 - v, v' = u.
+    turned = Intrinsics("brown5", lens.fy, lens.fx, SIZE[1] - 1.0 - lens.cy, lens.cx)
+    begun = true.start(intrinsics={"cam": turned})
+    assert [fact.code for fact in begun.facts if fact.applied] == ["intrinsics-turned"]
+    assert begun.intrinsics_stated["cam"].cx == pytest.approx(lens.cx, abs=60.0)
+
+
+def test_one_image_in_another_order() -> None:
+    true = shots(43)
+    point = true.corners.point.copy()
+    one = true.corners.image == 3
+    point[one] = COLUMNS * ROWS - 1 - point[one]
+    begun = true.start(corners=true.corners.numbered(point))
+    (fact,) = (fact for fact in begun.facts if fact.applied)
+    assert (fact.code, fact.images) == ("points-in-another-order", ("image 3",))
+    assert begun.rms < 0.35
+
+
+def test_two_poses_exchanged() -> None:
+    true = shots(47)
+    T = true.T.copy()
+    T[[5, 9]] = T[[9, 5]]
+    begun = true.start(T=T)
+    named = {fact.images: fact.values["pose"] for fact in begun.facts if fact.applied}
+    assert named == {("image 5",): "image 9", ("image 9",): "image 5"}
+    assert begun.rms < 0.35
+
+
+def test_pitch_of_the_print() -> None:
+    true = shots(53)
+    points = {k: (x / 1.01, y / 1.01, z) for k, (x, y, z) in true.corners.boards[0].points.items()}
+    begun = true.start(corners=replace(true.corners, boards=(Board("board", points),)))
+    (fact,) = (fact for fact in begun.facts if fact.code == "board-pitch")
+    assert not fact.applied
+    assert fact.values["pitch"] == pytest.approx(1.01, abs=1e-3)
+
+
+def test_half_a_pixel() -> None:
+    true = shots(59, images=30, noise=0.03)
+    lens = true.intrinsics["cam"]
+    moved = replace(lens, cx=lens.cx + 0.5, cy=lens.cy + 0.5)
+    begun = true.start(intrinsics={"cam": moved})
+    (fact,) = begun.facts
+    assert fact.code == "pixel-centre"
+    assert fact.values["u_px"] == pytest.approx(-0.5, abs=0.1)

@@ -1,0 +1,78 @@
+"""Boards are read from Kalibr's targets, descriptions and tables of points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loopcal.files.cameras.boards import board_of, read_boards
+from loopcal.mechanisms.cameras.board import Pattern
+from tests.refusals import refused
+
+
+def written(folder: Path, text: str, name: str = "board.yaml") -> Path:
+    (folder / name).write_text(text, "utf-8")
+    return folder / name
+
+
+def test_targets_of_kalibr(tmp_path: Path) -> None:
+    text = """target_type: 'aprilgrid' #gridtype
+tagCols: 6               #number of apriltags
+tagRows: 5
+tagSize: 0.088           # edge to edge [m]
+tagSpacing: 0.3
+"""
+    board = read_boards(written(tmp_path, text))["board"]
+    assert len(board.points) == 120
+    assert np.allclose(board.points["6.0"], (0.0, 0.1144, 0.0))
+    text = "target_type: checkerboard\ntargetCols: 6\ntargetRows: 7\n"
+    text += "rowSpacingMeters: 0.06\ncolSpacingMeters: 0.05\n"
+    board = read_boards(written(tmp_path, text))["board"]
+    assert np.allclose(board.points["7"], (0.05, 0.06, 0.0))
+    text = "target_type: circlegrid\ntargetCols: 3\ntargetRows: 4\nspacingMeters: 0.02\n"
+    board = read_boards(written(tmp_path, text + "asymmetricGrid: True\n"))["board"]
+    assert board.pattern == Pattern("asymmetric circles", 3, 4)
+    assert np.allclose(board.points["3"], (0.02, 0.02, 0.0))
+
+
+def test_a_charuco_board_as_a_project_and_others_state_it(tmp_path: Path) -> None:
+    stated = {"type": "charuco", "squares": [5, 7], "square": 36.195, "marker": 18.256}
+    board = board_of({**stated, "unit": "mm", "dictionary": "6X6_250", "legacy": True})
+    text = "rows: 7\ncols: 5\nchessboard_dim: 0.036195\naruco_marker_dim: 0.018256\n"
+    other = read_boards(written(tmp_path, text + "dictionary: 10\nlegacy_pattern: true\n"))["board"]
+    assert np.allclose(board.xyz, other.xyz)
+    assert board.pattern is not None
+    assert other.pattern is not None
+    assert board.pattern.legacy
+    assert (other.pattern.legacy, other.pattern.dictionary) == (True, "6X6_250")
+
+
+def test_points_of_several_boards_in_a_table(tmp_path: Path) -> None:
+    text = "board,point,x [mm],y [mm],z [mm]\nleft,9,1,2,3\nleft,14,4,5,6\nright,9,7,8,9\n"
+    boards = read_boards(written(tmp_path, text, "board.csv"))
+    assert list(boards) == ["left", "right"]
+    assert boards["left"].points["14"] == (0.004, 0.005, 0.006)
+    text = "id;x_m;y_m\n0;0,00;0\n1;0,03;0\n"
+    board = read_boards(written(tmp_path, text, "board.csv"))["board"]
+    assert board.points == {"0": (0.0, 0.0, 0.0), "1": (0.03, 0.0, 0.0)}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "code", "stated"),
+    [
+        ("b.csv", "point,x_m,y_m\n0,0,0\n0,1,1\n", "duplicate-name", ("row 3", "'0'")),
+        ("b.csv", "point,x_m,y_m\n0,0,\n1,1,1\n", "missing-reading", ("row 2",)),
+        ("b.csv", "point,x_m,y_m\n0,0,a\n1,1,1\n", "invalid-number", ("row 2", "'y_m'", "'a'")),
+        ("b.csv", "point,u,v\n0,0,1\n1,1,1\n", "missing-column", ("x_m", "'u'")),
+        ("b.yaml", "type: hexagons\n", "unknown-name", ("'hexagons'", "charuco")),
+        ("b.yaml", "type: checkerboard\ncolumns: 3\n", "missing-key", ("rows",)),
+        ("b.yaml", "type: circles\ncolumns: 3\nrows: 3\nspacing: -1\n", "invalid-value", ("-1",)),
+    ],
+)
+def test_faults_are_named_with_their_place(
+    name: str, text: str, code: str, stated: tuple[str, ...], tmp_path: Path
+) -> None:
+    with refused(code, name, *stated):  # type: ignore[arg-type]
+        read_boards(written(tmp_path, text, name))

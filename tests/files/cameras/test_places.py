@@ -1,0 +1,87 @@
+"""Poses and hand-eye samples of other programs are read as they state them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from loopcal.files.cameras.places import read_hand_eye, read_places, read_samples
+from tests.refusals import refused
+
+TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""A quarter turn about z, the quaternion x, y, z, w = 0, 0, sin 45, cos 45 degrees."""
+Q = {"x": 0.0, "y": 0.0, "z": 0.7071067811865476, "w": 0.7071067811865476}
+
+
+def sample(x: float) -> str:
+    """A transform as ROS writes it."""
+    rotation = ", ".join(f"{axis}: {value}" for axis, value in Q.items())
+    return f"{{translation: {{x: {x}, y: 2.0, z: 3.0}}, rotation: {{{rotation}}}}}"
+
+
+def written(folder: Path, text: str, name: str = "poses.yaml") -> Path:
+    path = folder / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(text, "utf-8")
+    return path
+
+
+def test_samples_of_easy_handeye(tmp_path: Path) -> None:
+    text = "samples:\n" + "".join(
+        f"- robot: {sample(i)}\n  tracking: {sample(10 + i)}\n" for i in range(3)
+    )
+    samples = read_samples(written(tmp_path, text))
+    np.testing.assert_allclose(samples.robot[:, 0, 3], (0, 1, 2))
+    np.testing.assert_allclose(samples.tracking[1, :3, :3], TURNED, atol=1e-15)
+    first = f"hand_world_samples:\n  transforms: [{sample(1)}, {sample(2)}]\n"
+    text = f"{first}camera_marker_samples:\n  transforms: [{sample(3)}, {sample(4)}]\n"
+    np.testing.assert_allclose(read_samples(written(tmp_path, text)).tracking[:, 0, 3], (3, 4))
+    with refused("mismatched-poses", "2", "1"):
+        read_samples(written(tmp_path, text.replace(f"{sample(3)}, ", "")))
+
+
+def test_results_of_easy_handeye_1_and_2(tmp_path: Path) -> None:
+    text = "parameters:\n  eye_on_hand: false\n  robot_base_frame: base\n"
+    text += "transformation: {x: 1, y: 2, z: 3, qx: 0, qy: 0, qz: 0.70710678, qw: 0.70710678}\n"
+    one = read_hand_eye(written(tmp_path, text))
+    assert (one.on_hand, one.names["robot_base_frame"]) == (False, "base")
+    np.testing.assert_allclose(one.T[:3, :3], TURNED, atol=1e-8)
+    text = f"parameters: {{calibration_type: eye_in_hand}}\ntransform: {sample(1)}\n"
+    assert read_hand_eye(written(tmp_path, text)).on_hand
+    with refused("missing-key", "eye_on_hand"):
+        read_hand_eye(written(tmp_path, text.replace("calibration_type", "kind")))
+
+
+def test_poses_of_industrial_calibration_in_files_beside_images(tmp_path: Path) -> None:
+    pose = "x: {}\ny: 2.0\nz: 3.0\nqx: 0.0\nqy: 0.0\nqz: 0.70710678\nqw: 0.70710678\n"
+    for i in range(2):
+        written(tmp_path, pose.format(i), f"poses/{i}.yaml")
+    text = "data:\n- image: images/7.png\n  pose: poses/0.yaml\n"
+    text += "- pose: poses/1.yaml\n  image: images/8.png\n"
+    places = read_places(written(tmp_path, text))
+    assert places.name == ("7", "8")
+    np.testing.assert_allclose(places.T[:, 0, 3], (0, 1))
+    assert read_places(tmp_path / "poses/1.yaml").T.shape == (1, 4, 4)
+    with refused("missing-file", "9.yaml"):
+        read_places(written(tmp_path, text.replace("poses/1", "poses/9")))
+
+
+def test_poses_of_a_table_with_quaternions_in_any_order(tmp_path: Path) -> None:
+    text = "pose,x_mm,y_mm,z_mm,qw,qx,qy,qz\na,1000,2000,3000,0.70710678,0,0,0.70710678\n"
+    text += "b,0,0,0,1,0,0,0\n"
+    places = read_places(written(tmp_path, text, "poses.csv"))
+    assert places.name == ("a", "b")
+    np.testing.assert_allclose(places.T[0, :3], np.c_[TURNED, (1, 2, 3)], atol=1e-8)
+    text = "pose,x_m,y_m,z_m,qx,qy,qz,qw\na,1,2,3,0,0,0.70710678,0.70710678\nb,0,0,0,0,0,0,1\n"
+    other = read_places(written(tmp_path, text, "poses.csv"))
+    np.testing.assert_allclose(other.T, places.T, atol=1e-8)
+
+
+def test_poses_that_are_none_are_refused(tmp_path: Path) -> None:
+    with refused("missing-column", "poses.csv", "qw"):
+        read_places(written(tmp_path, "pose,x_m,y_m,z_m\n1,0,0,1\n2,0,1,1\n", "poses.csv"))
+    with refused("invalid-value", "quaternion"):
+        read_places(written(tmp_path, "{x: 0, y: 0, z: 0, qx: 0, qy: 0, qz: 0, qw: 0}"))
+    with refused("missing-key", "poses.yaml"):
+        read_places(written(tmp_path, "a: 1\n"))
