@@ -152,7 +152,9 @@ def unreadable(path: Path, error: OSError | ValueError) -> InputError:
         missing = InputError(
             "there is no such file", code="missing-file", place=str(path), remedy=remedy
         )
-        return missing.meaning(str(path), str(path.with_name(close))) if close else missing
+        if not close or Path(close).suffix != path.suffix:  # of another kind: no command with it
+            return missing
+        return missing.meaning(str(path), str(path.with_name(close)))
     if isinstance(error, PermissionError):
         return InputError(
             "no permission to read this file",
