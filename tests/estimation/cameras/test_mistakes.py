@@ -16,6 +16,7 @@ from loopcal.mechanisms.cameras.lens import Intrinsics
 from tests.estimation.cameras.truth import COLUMNS, ROWS, SIZE, shots
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
 def transposed(T: Array) -> Array:
@@ -39,7 +40,7 @@ def millimetres(T: Array) -> Array:
 
 
 HANDS: dict[str, Callable[[Array], Array]] = {
-    "poses-inverted": np.linalg.inv,
+    "poses-inverted": lambda T: np.asarray(np.linalg.inv(T)),
     "rotations-transposed": transposed,
     "quaternion-order": scalar_first,
     "unit-of-poses": millimetres,
@@ -47,22 +48,22 @@ HANDS: dict[str, Callable[[Array], Array]] = {
 }
 
 
-def numbered(corners: Corners, label: Callable[[Array], Array]) -> Corners:
+def numbered(corners: Corners, label: Callable[[Indices], Indices]) -> Corners:
     """The corners labelled anew; labels below 0 were not detected."""
-    point = label(corners.point).astype(np.intp)
+    point = label(corners.point)
     inside = (point >= 0) & (point < COLUMNS * ROWS)
     corners = corners.where(inside).numbered(point[inside])
     index = [corners.image, corners.camera, corners.board, corners.point]
     return Corners.of(index, corners.uv, corners.cameras, corners.boards, corners.poses)
 
 
-def alternate(point: Array) -> Array:
+def alternate(point: Indices) -> Indices:
     x, y = point % COLUMNS, point // COLUMNS
     x = x + np.where(y % 2 == 0, 1, -1)
     return np.where((x >= 0) & (x < COLUMNS), x + COLUMNS * y, -1)
 
 
-LABELS: dict[str, Callable[[Array], Array]] = {
+LABELS: dict[str, Callable[[Indices], Indices]] = {
     "begin at 1": lambda k: k + 1,
     "along columns": lambda k: (k % COLUMNS) * ROWS + k // COLUMNS,
     "legacy": alternate,

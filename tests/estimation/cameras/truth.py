@@ -77,7 +77,9 @@ def shots(
     near = motion(random.normal(0.0, 1.5, 3), random.uniform(-0.1, 0.1, 3))
     far = motion(random.normal(0.0, 1.5, 3), random.uniform(0.3, 0.9, 3))
     X, Y = (far, near) if held else (near, far)
-    first, hands, pixels = None, [], []
+    first: Array | None = None
+    hands: list[Array] = []
+    pixels: list[Array] = []
     while len(hands) < images:
         C = _view(random, f, xyz.mean(axis=0))
         A = np.linalg.inv(X) @ C @ np.linalg.inv(Y)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import struct
 import zlib
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from loopcal.files.cameras import detectors
 from loopcal.files.cameras import images as module
 from loopcal.files.cameras.detectors import _refined, corner_sds, tag_corners
 from loopcal.files.cameras.images import detect
@@ -62,6 +65,21 @@ def test_corners_of_a_rendered_board_are_where_they_are(kind: str, tmp_path: Pat
     assert np.abs(errors).max() < 0.1
     assert (corners.sd is None) == ("circles" in kind)
     assert corners.sizes == (("1", (640, 480)),)
+
+
+@pytest.mark.parametrize("kind", ["checkerboard", "circles"])
+def test_a_pattern_is_sought_in_a_smaller_image_and_refined_in_the_whole_one(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    print_, board = BOARDS[kind]
+    image, truth = rendered.seen(cv2, print_)
+    assert board.pattern is not None
+    monkeypatch.setattr(detectors, "_FINE", 100_000)
+    path = write(tmp_path / "1.png", image)
+    seen = json.loads(detectors.packed(str(path), asdict(board.pattern)))
+    errors = [np.subtract((u, v), truth[point]) for point, u, v, _ in seen["points"]]
+    assert len(errors) == len(truth)
+    assert np.abs(errors).max() < 0.1
 
 
 def test_a_board_upside_down_keeps_the_names_of_its_corners(tmp_path: Path) -> None:

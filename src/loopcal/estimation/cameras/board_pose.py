@@ -109,16 +109,25 @@ def _of_body(corners: Corners, ray: Array) -> tuple[Array, Array]:
     # Two of three axes are seen: depth is size over width, times sqrt(2/3).
     depth = np.sqrt(2.0 / 3.0) * size / np.maximum(width, 1e-9)
     toward = np.column_stack([middle, np.ones(len(views))]) * depth[:, None]
-    rough = []
-    for R in starts:
-        T = rigid(np.broadcast_to(R, (len(views), 3, 3)), toward - centre @ R.T)
-        rough.append(refined(views, corners.xyz, ray, T, iterations=4))
+    cube = np.broadcast_to(starts[:, None], (len(starts), len(views), 3, 3))
+    place = toward - np.einsum("sij,vj->svi", starts, centre)
     # Four iterations rank the starts; the best five of each view go on.
-    order = np.argsort([e for _, e in rough], axis=0)[:5]
-    T = np.stack([T for T, _ in rough])[order, np.arange(len(views))]
-    ends = [refined(views, corners.xyz, ray, start) for start in T]
-    poses, errors = (np.stack(part, axis=1) for part in zip(*ends, strict=True))
-    return _best_two(poses, errors, views.sizes >= 4)
+    T, error = _all_refined(corners, ray, rigid(cube, place), iterations=4)
+    order = np.argsort(error, axis=0)[:5]
+    T, error = _all_refined(corners, ray, T[order, np.arange(len(views))], iterations=10)
+    return _best_two(np.swapaxes(T, 0, 1), error.T, views.sizes >= 4)
+
+
+def _all_refined(corners: Corners, ray: Array, T: Array, *, iterations: int) -> tuple[Array, Array]:
+    """`refined` from several poses T (s, V, 4, 4) per view in one go."""
+    count, views, n = len(T), corners.views, len(corners)
+    image, camera, board = (np.tile(k, count) for k in (views.image, views.camera, views.board))
+    first = np.concatenate([views.first + k * n for k in range(count)])
+    of_corner = np.concatenate([views.of_corner + k * len(views) for k in range(count)])
+    repeated = Views(image, camera, board, first, of_corner)
+    xyz, rays = np.tile(corners.xyz, (count, 1)), np.tile(ray, (count, 1))
+    T, error = refined(repeated, xyz, rays, T.reshape(-1, 4, 4), iterations=iterations)
+    return T.reshape(count, -1, 4, 4), error.reshape(count, -1)
 
 
 def _best_two(T: Array, error: Array, usable: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -32,6 +32,8 @@ DRAWS = 2
 """Random starts of a trial: a wrong reading fails with all of them."""
 HOPELESS = 40.0
 """Closed forms leave two to six times what the adjustment does; of few markers up to sixty."""
+WITHOUT_DOUBT = 0.2
+"""The same that ends a search: the images by themselves do not fit better."""
 CLEAR_PLANE = 0.85
 """The same for homographies, which no error of the robot enters: 60 views of 12 corners have a log
 likelihood ratio of 700 ln(1 / 0.85) = 110."""
@@ -41,8 +43,8 @@ UNITS = {
     1.0 / 0.0254: "inches",
 }
 """How many of a unit one metre has."""
-NEAR_UNIT = 1.1
-"""A ratio of lengths within 10 % of a unit's: prints and robots are wrong by 3 % at most."""
+NEAR_UNIT = 1.4
+"""A ratio of lengths that near a unit's: a guessed focal length may be wrong by a third."""
 LARGEST_BOARD = 5.0
 """Half a diagonal [m] above which a board was not stated in metres."""
 FARTHEST_HAND = 20.0
@@ -74,17 +76,16 @@ def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]
         enough = FITS * image_misfit(reading)
         if before < enough:
             break
-        mounts = [reading]
-        if held is None and reading.T_base_flange is not None:
-            mounts.append(replace(reading, held=not reading.held))
-        tried = [
-            _better(one, list(_suspicions(one, held)), before=before, enough=enough)
-            for one in mounts
-        ]
-        tried = [pair for pair in tried if pair[1]]
-        if not tried:
+        either = held is None and reading.T_base_flange is not None
+        reading, more = _better(
+            reading,
+            list(_suspicions(reading, held)),
+            before=before,
+            enough=enough,
+            mounts=(True, False) if either else (reading.held,),
+        )
+        if not more:
             break
-        reading, more = min(tried, key=lambda pair: float(pair[1][0].values["px_after"]))
         facts, sizes, before = [*facts, *more], [], float(more[0].values["px_after"])
     if reading.T_base_flange is not None and held is None:
         facts.append(_mount(reading, sizes))
@@ -151,25 +152,28 @@ def _better(
     size: Callable[[Reading, BoardPoses, float], float] = misfit,
     before: float = 0.0,
     enough: float = 0.0,
+    mounts: tuple[bool, ...] = (),
 ) -> tuple[Reading, list[Fact]]:
     """The reading after the suspicion that is clearly better than all is, if one is.
 
     before: what is left now [px]; 0 to measure it. enough: what leaves no other suspicion to try.
+    mounts: what the flange may hold, for each suspicion anew.
     """
-    few = reading.thinned(*THINNED)
+    few, mounts = reading.thinned(*THINNED), mounts or (reading.held,)
     poses = view_poses(few)
     before = before or size(few, poses, np.inf)
-    after, reason = (CLEAR if size is misfit else CLEAR_PLANE) * before, None
+    after, reason, held = (CLEAR if size is misfit else CLEAR_PLANE) * before, None, few.held
     for suspicion in suspicions:
         other = suspicion.change(few)
         if other is None:
             continue
         same = other.corners is few.corners and other.lenses is few.lenses
         needed = poses if same or size is not misfit else view_poses(other)
-        value = size(other, needed, after)
-        if value < after:
-            after, reason = value, suspicion
-        if after < enough:
+        for mount in mounts:
+            value = size(replace(other, held=mount), needed, after)
+            if value < after:
+                after, reason, held = value, suspicion, mount
+        if reason is not None and after < min(enough, WITHOUT_DOUBT * before):
             break
     if reason is not None and size is misfit and after > CLEAR * patient_misfit(few, poses):
         return reading, []
@@ -177,7 +181,8 @@ def _better(
     if best is None or reason is None:
         return reading, []
     values: dict[str, float | str] = {"px_before": before, "px_after": after}
-    return best, [Fact(reason.code, reason.sentence, values, applied=True)]
+    fact = Fact(reason.code, reason.sentence, values, applied=True)
+    return replace(best, held=held), [fact]
 
 
 def _planar_suspicions(reading: Reading) -> Iterator[Suspicion]:
@@ -248,26 +253,23 @@ def _scale(reading: Reading) -> tuple[Reading, list[Fact]]:
     if not poses.usable.any():
         return reading, []
     scales = [candidate.scale for _, _, candidate in closed_forms(few, poses, DRAWS, scaled=True)]
-    best, facts, value = reading, [], None
-    for scale in scales:
-        if not np.isfinite(scale) or scale == 0.0:
-            continue
-        other: Reading = reading
-        more: list[Fact] = []
-        size = abs(scale)
-        for many, unit in UNITS.items():
-            for factor in (many, 1.0 / many):
-                if 1.0 / NEAR_UNIT < size * factor < NEAR_UNIT:
-                    other, more = _in_unit(reading, factor, unit)
-        if scale < 0.0:
+    best, facts, value = reading, list[Fact](), 0.0
+    for unit, factor, mirror in sorted(set(filter(None, map(_readable, scales)))):
+        other, more = (reading, []) if factor == 1.0 else _in_unit(reading, factor, unit)
+        if mirror:
             other, more = _unmirrored(other, more)
-        if not more:
-            continue
-        if value is None:
-            value = CLEAR * misfit(reading)
+        value = value or CLEAR * misfit(reading)
         if (px := misfit(other, limit=value)) < value:
             best, facts, value = other, more, px
     return best, facts
+
+
+def _readable(scale: float) -> tuple[str, float, bool] | None:
+    """The unit, its factor and whether there is a mirror, of a scale that one of both explains."""
+    for factor, unit in [(1.0, "m"), *UNITS.items(), *((1.0 / k, u) for k, u in UNITS.items())]:
+        if 1.0 / NEAR_UNIT < abs(scale) * factor < NEAR_UNIT and (factor != 1.0 or scale < 0.0):
+            return unit, factor, scale < 0.0
+    return None
 
 
 def _in_unit(reading: Reading, factor: float, unit: str) -> tuple[Reading, list[Fact]]:

@@ -84,7 +84,7 @@ class Adjusted:
     """A scene after its adjustment.
 
     residuals: (N, 2) [px]; sds: of the values that were free, by (camera or -1 for the board,
-    name), from the scatter of the images' gradients: (H^-1 (sum g_i g_i^T) H^-1).
+    name), by leaving out each image in turn.
     """
 
     scene: Scene
@@ -183,7 +183,7 @@ def _cost(r: Array, scale: float) -> float:
 
 @dataclass(frozen=True)
 class _System:
-    """Normal equations N d = g, the free poses' blocks beside them, and gradients per view."""
+    """Normal equations N d = g, the free poses' blocks beside them, and each view's parts."""
 
     N: Array
     g: Array
@@ -191,7 +191,7 @@ class _System:
     B: Array
     h: Array
     gradients: Array
-    T: Array
+    curvature: Array
 
 
 class _Columns:
@@ -309,18 +309,21 @@ class _Columns:
         HD = H @ D
         Dt = np.swapaxes(D, 1, 2)
         gradients = (Dt @ g[:, :, None])[:, :, 0]
-        N = np.tensordot(D, HD, axes=([0, 1], [0, 1])) + prior[1]
+        curvature = Dt @ HD
+        N = curvature.sum(axis=0) + prior[1]
         total = gradients.sum(axis=0) + prior[2]
         if self.robot:
             none = np.zeros((0, 6, 6))
-            return _System(N, total, none, np.zeros((0, 6, n)), np.zeros((0, 6)), gradients, T)
+            return _System(
+                N, total, none, np.zeros((0, 6, n)), np.zeros((0, 6)), gradients, curvature
+            )
         E = np.swapaxes(Ad, 1, 2)
         count = int(self.group.max()) + 1
         Q, B, h = np.zeros((count, 6, 6)), np.zeros((count, 6, n)), np.zeros((count, 6))
         np.add.at(Q, self.group, E @ H[:, :6, :6] @ Ad)
         np.add.at(B, self.group, E @ HD[:, :6])
         np.add.at(h, self.group, (E @ g[:, :6, None])[:, :, 0])
-        return _System(N, total, Q, B, h, gradients, T)
+        return _System(N, total, Q, B, h, gradients, curvature)
 
     def applied(self, scene: Scene, system: _System, damping: float) -> Scene:
         """The scene after one damped step."""
@@ -357,18 +360,27 @@ class _Columns:
         return replace(scene, X=X, Y=Y, F=F, intrinsics=tuple(lenses), board=both)
 
     def sds(self, system: _System) -> dict[tuple[int, str], float]:
-        """Of the named values, from the scatter of the images' gradients."""
-        N, gradients = system.N, system.gradients
-        images = np.zeros((int(self.views.image.max()) + 1, self.size))
+        """Of the named values, by one Newton step without each image in turn (jackknife).
+
+        d_i = (N - N_i)^-1 g_i, with N_i and g_i of image i; var = (n - 1) / n sum d_i^2.
+        """
+        curvature, N = system.curvature, system.N
         if len(system.Q):
             QB = np.linalg.solve(system.Q + 1e-9 * np.eye(6), system.B)
-            N = N - np.tensordot(system.B, QB, axes=([0, 1], [0, 1]))
-        np.add.at(images, self.views.image, gradients)
+            free = np.swapaxes(system.B, 1, 2) @ QB
+            N = N - free.sum(axis=0)
+        image = self.views.image
+        count = int(image.max()) + 1
+        g, N_i = np.zeros((count, self.size)), np.zeros((count, self.size, self.size))
+        np.add.at(g, image, system.gradients)
+        np.add.at(N_i, image, curvature)
+        if len(system.Q):
+            group_image = np.zeros(len(free), dtype=np.intp)
+            group_image[self.group] = image
+            np.subtract.at(N_i, group_image, free)
         scale = np.sqrt(np.maximum(np.diag(N), 1e-300))
-        inverse = np.linalg.pinv(N / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-        spread = inverse @ (images / scale).T
-        sd = np.linalg.norm(spread, axis=1) / scale
-        count = max(len(np.unique(self.views.image)), 1)
-        # As many images as six unknowns leave over; each image's gradient holds its own residual.
-        factor = np.sqrt(count / max(count - self.size / 6.0, 1.0))
-        return {(c, name): float(factor * sd[at]) for c, name, at in self.names}
+        rest = (N - N_i) / np.outer(scale, scale) + 1e-9 * np.eye(self.size)
+        d = np.linalg.solve(rest, (g / scale)[:, :, None])[:, :, 0] / scale
+        n = max(len(np.unique(image)), 1)
+        sd = np.sqrt((n - 1.0) / n * np.sum(d**2, axis=0))
+        return {(c, name): float(sd[at]) for c, name, at in self.names}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ _MOST_PIXELS = 200_000_000
 _APRIL = (1, 0, 3, 2)
 """Kalibr's corners 0 to 3 in what OpenCV finds, whose AprilTags are turned by 180 degrees."""
 _ARUCO = (3, 2, 1, 0)
-_TAG_SHARE = 0.15
+_TAG_SHARE = 0.12
 """Of a tag's side: its black border is at least an eighth of it, the gap about 0.3."""
 
 
@@ -60,13 +60,17 @@ _CLASSIC = 1 | 2 | 8
 def _checkerboard(cv2: Any, grey: Any, pattern: dict[str, Any]) -> Points:
     size = (pattern["columns"], pattern["rows"])
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
-    seen, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
-    if not seen:
-        seen, corners = cv2.findChessboardCorners(grey, size, flags=_CLASSIC)
-    if not seen:
+    for factor, small in _reduced(cv2, grey):
+        seen, corners = cv2.findChessboardCornersSB(small, size, flags=flags)
+        if not seen:
+            seen, corners = cv2.findChessboardCorners(small, size, flags=_CLASSIC)
+        if seen:
+            rough = _enlarged(_refined(cv2, small, corners, 0.25), factor)
+            break
+    else:
         return {}
     # On rendered boards of known corners the refined ones scatter by a tenth of those of SB.
-    uv = _refined(cv2, grey, corners, 0.25).reshape(pattern["rows"], pattern["columns"], 2)
+    uv = _refined(cv2, grey, rough, 0.25).reshape(pattern["rows"], pattern["columns"], 2)
     # Where columns and rows differ in parity, a half turn exchanges black and white: the first
     # square inside is black, as printed boards have it.
     turned = (pattern["columns"] + pattern["rows"]) % 2 and _shade(grey, uv) > 0.0
@@ -85,11 +89,52 @@ def _circles(cv2: Any, grey: Any, pattern: dict[str, Any]) -> Points:
     size = (pattern["columns"], pattern["rows"])
     asymmetric = pattern["kind"].startswith("asymmetric")
     flag = cv2.CALIB_CB_ASYMMETRIC_GRID if asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
-    for more in (0, cv2.CALIB_CB_CLUSTERING):
-        seen, centres = cv2.findCirclesGrid(grey, size, flags=flag | more)
-        if seen:
-            return _in_order(centres)
+    for factor, small in _reduced(cv2, grey):
+        for more in (0, cv2.CALIB_CB_CLUSTERING):
+            seen, centres = cv2.findCirclesGrid(small, size, flags=flag | more)
+            if seen:
+                rough = _enlarged(centres, factor)
+                return _in_order(rough if factor == 1 else _centred(grey, rough))
     return {}
+
+
+def _centred(grey: Any, rough: Array) -> Array:
+    """(n, 2) centres of the dark within windows that hold one circle each, about rough ones."""
+    apart = np.linalg.norm(rough[:, None] - rough, axis=2)
+    least = int(0.45 * apart[apart > 0.0].min())
+    reach = np.arange(-least, least + 1)
+    window = np.stack(np.meshgrid(reach, reach), axis=-1)
+    centres = []
+    for one in rough:
+        values = _grey_at(grey, one + window)
+        dark = np.clip(0.5 * (values.max() + values.min()) - values, 0.0, None)
+        centres.append(one + np.einsum("ij,ijk->k", dark, window) / dark.sum())
+    return np.array(centres)
+
+
+def _reduced(cv2: Any, grey: Any) -> Iterator[tuple[int, Any]]:
+    """The image reduced 2, 4, ... times, the smallest first, whose pixels are at most 8 million.
+
+    A finder of patterns takes many times the memory of an image, and needs no fine one.
+    """
+    factor = 1
+    while grey.size > _FINE * factor**2:
+        factor *= 2
+    while factor and grey.size <= 4 * _FINE * factor**2:
+        height, width = (side // factor for side in grey.shape)
+        part = grey[: height * factor, : width * factor]
+        small = cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA)
+        yield factor, grey if factor == 1 else small
+        factor //= 2
+
+
+_FINE = 2_000_000
+"""Pixels among which any board fit for calibration shows; four times as many are tried as well."""
+
+
+def _enlarged(points: Any, factor: int) -> Array:
+    """(n, 2) pixels of an image in the one that it was reduced from."""
+    return factor * np.reshape(points, (-1, 2)).astype(float) + 0.5 * (factor - 1)
 
 
 def _charuco(cv2: Any, grey: Any, pattern: dict[str, Any]) -> Points:
@@ -103,7 +148,9 @@ def _charuco(cv2: Any, grey: Any, pattern: dict[str, Any]) -> Points:
     else:
         return {}
     if legacy != pattern["legacy"]:
-        raise InputError(f"the board is seen with legacy = {str(legacy).lower()} alone")
+        raise InputError(
+            f"the board is seen with legacy = {str(legacy).lower()} alone", code="conflicting-keys"
+        )
     # No marker reaches into the window: it ends half the rest of a square away from the corner.
     uv = _refined(cv2, grey, corners, 0.45 * (1.0 - pattern["marker"])).reshape(-1, 2).astype(float)
     return {str(i): (u, v) for i, (u, v) in zip(np.ravel(ids).tolist(), uv.tolist(), strict=True)}
@@ -214,7 +261,7 @@ def _grey_at(grey: Any, points: Array) -> Array:
 def _dictionary(cv2: Any, pattern: dict[str, Any]) -> Any:
     number = getattr(cv2.aruco, f"DICT_{pattern['dictionary']}", None)
     if number is None:
-        raise InputError(f"OpenCV has no dictionary {pattern['dictionary']!r}")
+        raise InputError(f"OpenCV has no dictionary {pattern['dictionary']!r}", code="unknown-name")
     return cv2.aruco.getPredefinedDictionary(number)
 
 
@@ -224,18 +271,29 @@ def _in_order(corners: Any) -> Points:
 
 
 def _refined(cv2: Any, grey: Any, corners: Any, share: float) -> Any:
-    """Corners to fractions of a pixel; share: half the window over the distance of corners."""
+    """Corners to fractions of a pixel; share: half the window over the distance of corners.
+
+    Windows shrink: that of the first round reaches as far as a rough corner may be off.
+    """
     corners = np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
-    half = _half_window(corners[:, 0], share)
+    half = _half_window(corners[:, 0], share, most=50)
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
-    return cv2.cornerSubPix(grey, corners, (half, half), (-1, -1), stop)
+    while True:
+        corners = cv2.cornerSubPix(grey, corners, (half, half), (-1, -1), stop)
+        if half <= _WINDOW:
+            return corners
+        half = max(half // 2, _WINDOW)
 
 
-def _half_window(uv: Any, share: float = 0.25) -> int:
-    """A share of the least distance between successive corners [px], from 2 to 7."""
+_WINDOW = 7
+"""Half the last window [px]: twice the blur of any sharp image, and few pixels of its noise."""
+
+
+def _half_window(uv: Any, share: float = 0.25, most: int = _WINDOW) -> int:
+    """A share of the least distance between successive corners [px], at least 2."""
     apart = np.linalg.norm(np.diff(uv, axis=0), axis=1)
     apart = apart[apart > 0.0]
-    return int(np.clip(share * apart.min(), 2, 7)) if apart.size else 2
+    return int(np.clip(share * apart.min(), 2, most)) if apart.size else 2
 
 
 def corner_sds(grey: Any, uv: Array) -> Array:
