@@ -22,9 +22,10 @@ from loopcal.files.cameras.intrinsics import read_intrinsics
 from loopcal.files.cameras.places import read_places, read_samples
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.expressions import joint_columns
-from loopcal.files.recognition.fields import Field, sources_of
+from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.joint_sets import joint_sets
 from loopcal.files.recognition.robots import Robot
+from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
