@@ -1014,10 +1014,9 @@ def error(w: World, folder: Path) -> float:
         method="implicit-loop",
     )
     values = {p.name: p.nominal for p in machine.parameters} | dict(result.value)
-    names = list(dict.fromkeys(step.joint for step in machine.chain if step.joint))
-    bodies = bodies_of(
-        ChainFrame(machine.chain, dict(zip(names, w.fresh.T, strict=True)), values), FRESH
-    )
+    counts = {step.joint: step.direction for step in machine.chain if step.joint}
+    joints = {name: s * q for (name, s), q in zip(counts.items(), w.fresh.T, strict=True)}
+    bodies = bodies_of(ChainFrame(machine.chain, joints, values), FRESH)
     ends = {n[:-2] for n in values if n.endswith("_x") and n.startswith("tool")}
     return min(
         _off(bodies.at(np.array([values[f"{t}_{a}"] for a in "xyz"])), w.target(w.fresh))

@@ -144,9 +144,10 @@ void share(void (*run)(Context&, int begin, int end, int number, double* workspa
 class Engine {
 public:
     Engine(Table instructions, std::vector<int> ends, std::vector<int32_t> outputs, std::vector<int> shape,
-           std::vector<int> inputs, int registers, Table once, Numbers constants, std::vector<int32_t> numbers)
+           std::vector<int> inputs, int registers, Table once, Numbers constants, std::vector<int32_t> numbers,
+           std::vector<int32_t> factors, std::vector<std::vector<int32_t>> members, std::vector<std::vector<int32_t>> factor_of)
         : used_(std::move(numbers)) {
-        require(ends.size() == 3 && shape.size() == 3 && inputs.size() == 2, "three stages, three shapes, two inputs");
+        require(ends.size() == 4 && shape.size() == 3 && inputs.size() == 2, "four stages, three shapes, two inputs");
         require(instructions.shape(1) == 7 && once.shape(1) == 3 && constants.shape(0) == once.shape(0), "tables of a wrong shape");
         for (size_t i = 0; i < once.shape(0); i++) take_once(&once(i, 0), constants(i), static_cast<int>(i));
         for (int32_t number : used_) require(number >= 0 && static_cast<size_t>(number) < once_.size(), "there is no such number");
@@ -154,7 +155,7 @@ public:
         rows_ = inputs[0] + inputs[1] + registers;
         for (size_t i = 0; i < instructions.shape(0); i++) take(&instructions(i, 0));
         for (int32_t output : outputs) outputs_.push_back(operand(output));
-        const int wanted = shape[0] * (1 + shape[1] + shape[2]);
+        const int wanted = shape[0] * (1 + shape[1] + shape[2] + static_cast<int>(members.size()));
         require(static_cast<int>(outputs_.size()) == wanted, "there are not so many outputs");
         for (int i = 0; i < wanted; i++) {
             if (i >= shape[0] && i % shape[0] == 0) ends_of_.push_back(static_cast<int32_t>(loops_of_.size()));
@@ -162,7 +163,7 @@ public:
         }
         ends_of_.push_back(static_cast<int32_t>(loops_of_.size()));
         int before = 0;
-        for (int i = 0; i < 3; i++) {
+        for (int i = 0; i < 4; i++) {
             require(ends[i] >= before && ends[i] <= static_cast<int>(instructions_.size()), "stages out of order");
             program_.ends[i] = before = ends[i];
         }
@@ -171,6 +172,8 @@ public:
         program_.loops_of = loops_of_.data(), program_.ends_of = ends_of_.data();
         program_.loops = shape[0], program_.quantities = shape[1], program_.parameters = shape[2];
         program_.inputs = inputs[0], program_.known = inputs[1];
+        for (int32_t factor : factors) factors_.push_back(operand(factor));
+        share_columns(members, factor_of);
         program_.numbers = numbers_.data();
         program_.count = static_cast<int>(numbers_.size());
         program_.first = program_.count * TILE;
@@ -194,7 +197,8 @@ public:
     void evaluate(Matrix x, std::optional<Matrix> known, int stage, Out out) const {
         const size_t poses = x.shape(1);
         require(stage >= 0 && stage <= 2, "there is no such stage");
-        require(out.shape(0) == outputs_.size() && out.shape(1) >= poses && (out.shape(1) <= 1 || out.stride(1) == 1), "no room for the outputs");
+        const size_t count = program_.loops * (1 + program_.quantities + program_.parameters);
+        require(out.shape(0) == count && out.shape(1) >= poses && (out.shape(1) <= 1 || out.stride(1) == 1), "no room for the outputs");
         const Evaluation job{&program_, rows_of(x, program_.inputs, poses, "x has a wrong shape"), known_rows(known, poses),
                              stage, out.data(), static_cast<ptrdiff_t>(out.stride(0))};
         struct Context { const Evaluation& job; const Width& width; } context{job, *width};
@@ -286,6 +290,42 @@ private:
         return rows_of(*known, program_.known, poses, "known constants have a wrong shape");
     }
 
+    // Members of common columns, their factors, and where their sums stand.
+    void share_columns(const std::vector<std::vector<int32_t>>& members, const std::vector<std::vector<int32_t>>& factor_of) {
+        const int n = program_.parameters;
+        require(members.size() == factor_of.size(), "members need a factor each");
+        std::vector<bool> shared(n, false);
+        ends_of_common_.push_back(0);
+        for (size_t c = 0; c < members.size(); c++) {
+            require(!members[c].empty() && members[c].size() == factor_of[c].size(), "members need a factor each");
+            for (size_t i = 0; i < members[c].size(); i++) {
+                const int32_t p = members[c][i], f = factor_of[c][i];
+                require(p >= 0 && p < n && !shared[p], "a parameter is in one common column");
+                require(f >= 0 && static_cast<size_t>(f) < factors_.size(), "there is no such factor");
+                shared[p] = true;
+                members_.push_back(p), factor_of_.push_back(f);
+            }
+            ends_of_common_.push_back(static_cast<int32_t>(members_.size()));
+        }
+        places_.resize(n + 1);
+        for (int p = 0; p < n; p++)
+            if (!shared[p]) places_[p] = static_cast<int32_t>(columns_.size()), columns_.push_back(p);
+        const int alone = static_cast<int>(columns_.size()), commons = static_cast<int>(members.size());
+        places_[n] = alone;
+        int32_t width = (alone + 1 + 3) / 4 * 4;  // in blocks of their own, of at most four
+        for (int c = 0; c < commons; c++) {
+            for (int i = ends_of_common_[c]; i < ends_of_common_[c + 1]; i++)
+                places_[members_[i]] = width + i - ends_of_common_[c];
+            width += (ends_of_common_[c + 1] - ends_of_common_[c] + 3) / 4 * 4;
+            columns_.push_back(n + c);
+        }
+        // sums of numbers take the room of sums in lanes
+        if (!commons) width = 0;
+        require(static_cast<size_t>(width) * width <= static_cast<size_t>(SUMS) * (n + 1) * (n + 1), "common columns have too few members");
+        program_.multiples = {commons, static_cast<int>(factors_.size()), alone, factors_.data(), members_.data(),
+                              factor_of_.data(), ends_of_common_.data(), columns_.data(), places_.data(), width};
+    }
+
     // number >= 0: that row; -1 - i: number i
     int32_t operand(int32_t place) const {
         if (place < 0) {
@@ -328,6 +368,7 @@ private:
     std::vector<Instruction> instructions_;
     std::vector<int32_t> outputs_;
     std::vector<int32_t> loops_of_, ends_of_;
+    std::vector<int32_t> factors_, members_, factor_of_, ends_of_common_, columns_, places_;
     int rows_ = 0;
     Program program_{};
 };
@@ -337,7 +378,7 @@ private:
 NB_MODULE(_compiled, m) {
     nb::set_leak_warnings(false);  // a process that ends leaves what it has to the system
     // Raised, here and in loopcal/expressions/choice.py, with every change of a signature or of what it means.
-    m.attr("INTERFACE") = 2;
+    m.attr("INTERFACE") = 3;
     m.doc() = "The compiled engine: tapes over blocks of poses, see loopcal.expressions.compiled.";
     m.def("codes", &codes, "Names of the operations; an operation's number is its place.");
     m.def("widths", &widths, "Names of the vector widths that this processor has, narrow to wide.");
@@ -352,7 +393,8 @@ NB_MODULE(_compiled, m) {
              nb::arg("sd"), nb::arg("unmeasured"), nb::arg("measured"), nb::arg("places"), nb::arg("factors"), nb::arg("own"),
              nb::arg("shared"));
     nb::class_<Engine>(m, "Engine")
-        .def(nb::init<Table, std::vector<int>, std::vector<int32_t>, std::vector<int>, std::vector<int>, int, Table, Numbers, std::vector<int32_t>>())
+        .def(nb::init<Table, std::vector<int>, std::vector<int32_t>, std::vector<int>, std::vector<int>, int, Table, Numbers, std::vector<int32_t>,
+                      std::vector<int32_t>, std::vector<std::vector<int32_t>>, std::vector<std::vector<int32_t>>>())
         .def("at", &Engine::at, nb::arg("parameters"))
         .def("evaluate", &Engine::evaluate, nb::arg("x"), nb::arg("known").none(), nb::arg("stage"), nb::arg("out"))
         .def("reduce", &Engine::reduce, nb::arg("readings"), nb::arg("corrections"), nb::arg("known").none(), nb::arg("noise"), nb::arg("exact"),

@@ -56,7 +56,7 @@ static void whiten_own(const Reduction& job, const Linear& part, const double* n
     const Noise& noise = *job.noise;
     const Program& program = *job.program;
     const int m = program.loops, k = program.inputs, u = noise.unmeasured_count;
-    const int s = job.exact ? 0 : noise.shared_count, r = m - u, n = job.by_parameter ? program.parameters : 0;
+    const int s = job.exact ? 0 : noise.shared_count, r = m - u, n = part.n;
     Reflections reflections = to.reflections;
     reflections.u = u + s, reflections.m = m + s;
     weigh_own(job, part, uncertainty, to);

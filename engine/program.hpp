@@ -36,17 +36,30 @@ struct Instruction {
     int32_t out[2], in[4];  // where the rows begin
 };
 
+// Derivatives by parameters that are multiples of common columns: member i, of common column c where
+// ends[c] <= i < ends[c + 1], is the factor factor_of[i] times that column.
+struct Multiples {
+    int commons, factors, alone;
+    const int32_t *factors_at, *members, *factor_of, *ends;
+    // parameters that are multiples of none, then the common columns as further parameters: (alone + commons)
+    const int32_t* columns;
+    // where the sums of each parameter and of E stand: those alone, E, then the members; each part fills blocks of its own
+    const int32_t* places;
+    int width;  // of all places
+};
+
 // A tape ready to run: instructions in stages, and where its outputs stand afterwards: f, then for
-// each quantity its derivatives of all loops, then for each parameter.
+// each quantity its derivatives of all loops, then for each parameter and each common column.
 struct Program {
     const Instruction* instructions;
-    int ends[3];
+    int ends[4];  // of f; with J too; with D but for multiples, common columns and factors; with all
     const int32_t* outputs;
-    // for each quantity and each parameter, the loops in which its derivative is not always zero:
+    // for each quantity, parameter and common column, the loops in which its derivative is not always zero:
     // loops_of[ends_of[c] .. ends_of[c + 1])
     const int32_t *loops_of, *ends_of;
     int loops, quantities, parameters;  // of the outputs
     int inputs, known;                  // rows to be filled: all readings, known constants
+    Multiples multiples;
     const double* numbers;
     int count;    // of numbers
     int first;    // row of the first input

@@ -30,14 +30,16 @@ struct Loops {
     const int32_t *begin, *end;
 };
 
-// What a tape gives, as views: f (m), J (k, m), D (n, m).
+// What a tape gives, as views: f (m), J (k, m), D (n, m) of n parameters, or of what `columns` names in their place.
 struct Linear {
     const View *f, *J, *D;
     const Program* program;
+    const int32_t* columns;
+    int n;
 
     // those in which the derivative by a quantity, or by a parameter, is not always zero
     Loops of_quantity(int q) const { return of_column(q); }
-    Loops of_parameter(int p) const { return of_column(program->quantities + p); }
+    Loops of_parameter(int p) const { return of_column(program->quantities + (columns ? columns[p] : p)); }
     Loops of_column(int c) const { return {program->loops_of + program->ends_of[c], program->loops_of + program->ends_of[c + 1]}; }
 };
 
@@ -45,8 +47,11 @@ static View* linear_views(const Program& program, int parameters, Room& room) {
     return views(room, program.loops * (1 + program.quantities + parameters));
 }
 
-static Linear linear(const Program& program, const double* workspace, int parameters, View* to) {
-    const int m = program.loops, k = program.quantities, outputs = m * (1 + k + parameters);
-    for (int i = 0; i < outputs; i++) to[i] = {workspace + program.outputs[i]};
-    return {to, to + m, to + m * (1 + k), &program};
+static Linear linear(const Program& program, const double* workspace, const int32_t* columns, int n, View* to) {
+    const int m = program.loops, k = program.quantities, before = m * (1 + k);
+    for (int i = 0; i < before; i++) to[i] = {workspace + program.outputs[i]};
+    for (int p = 0; p < n; p++)
+        for (int i = 0; i < m; i++)
+            to[before + p * m + i] = {workspace + program.outputs[before + (columns ? columns[p] : p) * m + i]};
+    return {to, to + m, to + before, &program, columns, n};
 }

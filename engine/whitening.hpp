@@ -284,7 +284,7 @@ static void whiten_uncertain(const Reduction& job, const Linear& part, const dou
                              const Whitening& to, double* out, double* correction, ivec* singular) {
     const Noise& noise = *job.noise;
     const int m = job.program->loops, skip = noise.unmeasured_count, r = m - skip;
-    const int K = noise.measured_count, n = job.by_parameter ? job.program->parameters : 0;
+    const int K = noise.measured_count, n = part.n;
     double* const E = out + (ptrdiff_t)n * r * PIECE;
     double *const rest = to.rest, *const L = to.L;
     memset(rest, 0, sizeof(double) * m * TILE);
@@ -324,7 +324,7 @@ static void leave_unweighted(const Reduction& job, const Linear& part, const dou
                              double* correction) {
     const Noise& noise = *job.noise;
     const int m = job.program->loops, k = job.program->quantities, skip = noise.unmeasured_count;
-    const int r = m - skip, n = job.by_parameter ? job.program->parameters : 0;
+    const int r = m - skip, n = part.n;
     double* const f = to.f;
     memcpy(correction, now, sizeof(double) * k * TILE);
     if (skip) {
@@ -366,7 +366,7 @@ static void whiten_at(const Reduction& job, double* now, int pose, int count, do
     fill(x, job.readings, k, pose, count);
     fill(x + k * TILE, job.known, program.known, pose, count);
     for (int i = 0; i < k * TILE; i += LANES) store(x + i, load(x + i) + load(now + i));
-    run(program, workspace, job.by_parameter ? 2 : 1);
+    run(program, workspace, !job.by_parameter ? 1 : part.columns ? 2 : 3);
 
     take_values(job, part, pose, count, to.readings, to.f);
     if (job.rounding) memset(now, 0, sizeof(double) * k * TILE);
@@ -384,7 +384,7 @@ static void whiten(const Reduction& job, int pose, int count, double* workspace,
                    const Linear& part, const Uncertainty& uncertainty, const Whitening& to) {
     const Program& program = *job.program;
     const int k = program.inputs, r = program.loops - job.noise->unmeasured_count;
-    const int width = job.by_parameter ? program.parameters + 1 : 1;
+    const int width = part.n + 1;
     double *const now = to.now, *const correction = to.correction;
     vec most[TV];
     ivec singular[TV] = {};

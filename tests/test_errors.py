@@ -144,3 +144,24 @@ def test_a_code_survives_a_later_place_and_a_way_between_processes() -> None:
     again = pickle.loads(pickle.dumps(error))
     assert (again.code, again.place) == ("missing-column", "poses.csv: row 3")
     assert InputError("sd is -1 mm").code == "invalid-value"
+
+
+def test_a_refusal_types_the_command_again_with_what_it_decides() -> None:
+    words = ["init", "a b.csv", "--dh", "arm.csv", "--joints=J1,J2"]
+    error = InputError("several").offering("--joints", "-J1,J2")
+    error.next_command(words)
+    assert error.text.endswith(
+        "Next command:\n    loopcal init 'a b.csv' --dh arm.csv --joints -J1,J2"
+    )
+    error = InputError("no file").meaning("arm.csv", "arms.csv")
+    error.next_command(words)
+    assert error.command == "loopcal init 'a b.csv' --dh arms.csv --joints=J1,J2"
+
+
+def test_a_command_stands_where_it_differs_or_files_are_mended_for_it() -> None:
+    again = InputError("a gap", remedy="fill it")
+    again.next_command(["init", "a.csv"])
+    assert again.text.endswith("Then run:\n    loopcal init a.csv")
+    other = InputError("a gap", remedy="fill it")
+    other.next_command(["calibrate", "a.toml"])
+    assert other.command == ""

@@ -220,6 +220,8 @@ _NAMESPACES = ("effects", "instruments", "machines")
 _INSTEAD = {
     "Robot": "lc.load_urdf, or lc.assemble",
     "fit": "lc.calibrate",
+    "monte_carlo": "lc.simulate and lc.calibrate in a loop, or the command loopcal study",
+    "study": "the command loopcal study FILE",
     "load_csv": "lc.read_dataset, or lc.init for columns of any layout",
     "read_csv": "lc.read_dataset, or lc.init for columns of any layout",
     "read_urdf": "lc.load_urdf",

@@ -14,9 +14,10 @@ loopcal.errors.InputError: arm.toml: noise.theta_1: sd is -0.1 mrad; an sd canno
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
+from shlex import join
 from typing import Literal, Self
 
 LONGEST_NAME, LONGEST_TEXT, MOST_NAMES = 80, 2_000, 10
@@ -84,11 +85,15 @@ class LoopcalError(Exception):
     """Root of all errors raised on purpose; by itself it means a fault of ours (exit code 1).
 
     code: its kind, where it is not the usual one of its class; place: file, row and key; remedy:
-    what to do; options: those with which the same command goes on; command: what to type next.
+    what to do; options: those with which the same command goes on; meant: an argument of it, and
+    the words that should stand there; command: what to type next; again: whether that is the same
+    command, once the remedy is done.
     """
 
     options: tuple[str, ...] = ()
+    meant: tuple[str, ...] = ()
     command = ""
+    again = False
     exit_code = 1
     usual_code: Code = "internal"
 
@@ -114,18 +119,38 @@ class LoopcalError(Exception):
         """As the command line prints it; as a text the error names arguments of Python."""
         text = f"{self.place}: {self.message}" if self.place else self.message
         text = f"{text}\n  What to do: {self.remedy}" if self.remedy else text
-        return f"{text}\n  Next command:\n    {self.command}" if self.command else text
+        label = "Then run" if self.again else "Next command"
+        return f"{text}\n  {label}:\n    {self.command}" if self.command else text
 
     def offering(self, *options: str) -> Self:
         """The same error with the options that decide what is open."""
         self.options = options
         return self
 
+    def meaning(self, argument: str, *others: str) -> Self:
+        """The same error with the words that should stand for an argument of the command."""
+        self.meant = (argument, *others)
+        return self
+
+    def next_command(self, words: Sequence[str]) -> None:
+        """Fill in what to type next, where the error shows it; words: of the command that failed.
+
+        `init` alone is typed again once the remedy is done, because files are mended for it.
+        """
+        if self.command:
+            return
+        argument, *others = self.meant or ("",)
+        mended = [m for w in words for m in (others if w == argument else [w])]
+        mended = _with_options(mended, self.options)
+        self.again = mended == [*words]
+        if not self.again or mended[:1] == ["init"]:
+            self.command = join(["loopcal", *mended])
+
     def at(self, place: str) -> LoopcalError:
         """The same error with the place filled in, for callers that know the file."""
         joined = f"{place}: {self.place}" if self.place else place
         error = type(self)(self.message, code=self.code, place=joined, remedy=self.remedy)
-        error.options, error.command = self.options, self.command
+        error.options, error.meant, error.command = self.options, self.meant, self.command
         return error
 
 
@@ -153,7 +178,10 @@ def unknown_name(
     words: str, name: str, names: Iterable[str], place: str | None = None
 ) -> InputError:
     """The error for a name that is none of those there are: what to do names the nearest."""
-    return InputError(words, code="unknown-name", place=place, remedy=nearest(name, names))
+    choices = list(names)
+    error = InputError(words, code="unknown-name", place=place, remedy=nearest(name, choices))
+    close = closest(name, choices)
+    return error.meaning(name, close) if close else error
 
 
 @contextmanager
@@ -217,6 +245,14 @@ def listed(names: Iterable[str], most: int = MOST_NAMES) -> str:
     return f"{shown} and {len(every) - most} more" if len(every) > most else shown
 
 
+def closest(name: str, choices: Sequence[str]) -> str | None:
+    """The known spelling nearest to `name`; None where none is near."""
+    # Bounded in number and length: a damaged file may offer any number of names of any length.
+    folded = {choice[:200].casefold(): choice for choice in reversed(choices[:1000])}
+    close = get_close_matches(name[:200].casefold(), folded, n=1, cutoff=0.6)
+    return folded[close[0]] if close else None
+
+
 def nearest(name: str, candidates: Iterable[str]) -> str:
     """A remedy naming the known spelling nearest to `name`, or the first of them.
 
@@ -224,12 +260,18 @@ def nearest(name: str, candidates: Iterable[str]) -> str:
     "did you mean 'columns'?"
     """
     choices = list(candidates)
-    # Bounded in number and length: a damaged file may offer any number of names of any length.
-    folded = {choice[:200].casefold(): choice for choice in reversed(choices[:1000])}
-    close = get_close_matches(name[:200].casefold(), folded, n=1, cutoff=0.6)
-    if close:
-        return f"did you mean {folded[close[0]]!r}?"
+    if close := closest(name, choices):
+        return f"did you mean {close!r}?"
     return "known are " + listed(choices, 40) if choices else "none is known here"
+
+
+def _with_options(words: Sequence[str], options: Sequence[str]) -> list[str]:
+    """Words of a command line with these options, in place of others of the same name."""
+    names = [option for option in options if option.startswith("--")]
+    kept = [
+        w for i, w in enumerate(words) if not {w.partition("=")[0], *words[i - 1 : i]} & {*names}
+    ]
+    return [*kept, *options]
 
 
 def _bounded(text: str) -> str:

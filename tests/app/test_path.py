@@ -41,7 +41,10 @@ def hand(browser: Any, cell: tuple[Served, Path], request: pytest.FixtureRequest
 
 
 def at_a_desk(hand: Hand) -> bool:
-    """There a path has all poses and the choice of the model; a tablet has the same clicks."""
+    """There a path has all poses and the choice of the model.
+
+    A tablet has the same clicks, and compares with the command line, which fits everything again.
+    """
     return bool(hand.page.viewport_size["width"] == WIDE[0])
 
 
@@ -93,7 +96,7 @@ def test_from_two_files_to_a_urdf_with_a_slipped_reflector_found_by_brushing(
     hand.run("Calibrate")
     expect(hand.page.locator(".provisional")).to_have_count(0)  # nothing moves any more
     after = result_of(hand.folder)["accuracy"]["after"]["rms"]
-    assert after < 0.1e-3 < 0.5e-3 < before
+    assert after < 0.1e-3 < 1e-3 < before
     assert f"at = [{dh_arm.SLIPPED}.0]" in (hand.folder / "project.toml").read_text("utf-8")
     hand.press("Drag selects")
     hand.frame_in_space()
@@ -217,7 +220,8 @@ def test_the_workspace_set_below_half_a_millimetre_without_typing(
     validation = result_of(hand.folder)["validation"]
     assert validation["words"].startswith("10 folds")
     assert validation["accuracy"]["rms"] < 0.5e-3
-    assert_the_command_line_gives_the_same(hand)
+    if not at_a_desk(hand):
+        assert_the_command_line_gives_the_same(hand)
 
 
 @BOTH_WIDE
@@ -236,4 +240,5 @@ def test_a_draw_wire_set(hand: Hand, tmp_path: Path, shared_data: Callable[[str]
     result = result_of(hand.folder)
     judged = result["validation"] if at_a_desk(hand) else {"accuracy": result["accuracy"]["after"]}
     assert judged["accuracy"]["rms"] < result["accuracy"]["before"]["rms"] < 0.5e-3
-    assert_the_command_line_gives_the_same(hand)
+    if not at_a_desk(hand):
+        assert_the_command_line_gives_the_same(hand)

@@ -35,6 +35,19 @@ def test_one_command_leads_from_two_files_to_a_report(folder: Path) -> None:
     again = run_here("init", "poses.csv", "--dh", "dh.csv", cwd=folder)
     assert again.returncode == 3
     assert "was not changed" in again.stderr
+    for typed, meant in (
+        ("init poses.csv --dh dh.csv", "init poses.csv --dh dh.csv --force"),
+        ("init pose.csv --dh dh.csv --out new", "init poses.csv --dh dh.csv --out new"),
+        ("calibrate calibration", "calibrate calibration/project.toml"),
+        ("verify calibration poses.csv", "verify calibration/project-result poses.csv"),
+        ("verify poses.csv dh.csv", "verify calibration/project-result poses.csv dh.csv"),
+        (
+            "calibrate calibration/project.toml --method least-square",
+            "calibrate calibration/project.toml --method least-squares",
+        ),
+    ):
+        refusal = run_here(*typed.split(), cwd=folder).stderr
+        assert refusal.endswith(f"Next command:\n    loopcal {meant}\n"), refusal
 
 
 def test_a_robot_must_be_named(folder: Path) -> None:

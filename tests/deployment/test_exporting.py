@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.companions.robot import exporting
+from loopcal.companions.robot import correct_files, export_files, exporting
 from loopcal.companions.robot.exporting import exported
 from loopcal.companions.robot.refit import Goal, refit, seen_points, separable, traced
+from loopcal.files.project.new_readings import computed_joints
 from loopcal.mechanisms.chain import product
 from loopcal.statistics.predictor import predictor
 from tests.refusals import refused
@@ -71,6 +72,17 @@ def test_zeros_alone_are_worth_everything_where_only_zeros_are_wrong(rigid):
     for name, true in ZEROS.items():
         zero = found[f"q{name[-1]}"]
         assert abs(zero.offset - true) < 2.0 * zero.u95
+
+
+def test_zeros_of_joints_that_the_controller_counts_otherwise_are_warned_of(rigid, monkeypatch):
+    columns = {"q4": {"column": "-J4"}, "q5": {"column": "joint-5"}}
+    assert computed_joints({"data": {"source": {"columns": columns}}}) == ("q4 as -J4",)
+    for module in (correct_files, export_files):
+        monkeypatch.setattr(module, "computed_joints", lambda inputs: ("q4 as -J4",))
+    assert any("q4 as -J4" in words for words in lc.export(rigid, to="zeros").warnings)
+    assert not any("q4 as -J4" in words for words in lc.export(rigid, to="dh").warnings)
+    with refused("unsupported", "q4 as -J4", "direction"):
+        lc.correct(rigid, "program.src")
 
 
 def test_zeros_that_make_an_arm_worse_are_warned_of(rigid, monkeypatch):

@@ -157,9 +157,8 @@ def pages(six_axis: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     folder = tmp_path_factory.mktemp("paper")
     results, days = long_names()
     for name, result in zip(("one", "two", "three"), results, strict=True):
-        write_result(
-            result, folder / name, title=LONG, inputs={"data": {"file": LONG}}, report=True
-        )
+        inputs, paged = {"data": {"file": LONG}}, name == "one"
+        write_result(result, folder / name, title=LONG, inputs=inputs, report=paged)
     html = {
         "six": (six_axis / "report.html").read_text("utf-8"),
         "tables": section_page(

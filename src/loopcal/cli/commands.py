@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from shlex import join, quote
+from shlex import quote
 from typing import Annotated
 
 from loopcal.cli.application import (
@@ -407,18 +407,7 @@ def init(
     from loopcal.workflow.beginning.initial import RobotFile, initial_project
 
     robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out)
-    try:
-        done = initial_project(files, robot, out=out, sheet=sheet, ask=ask_on_terminal())
-    except InputError as error:
-        stated = {"--urdf": urdf, "--dh": dh, "--machine": machine, "--base": base, "--tip": tip}
-        stated |= {"--sheet": sheet, "--joints": joints, "--leave-out": leave_out}
-        stated |= {"--out": None if out == "calibration" else out}
-        stated |= dict(zip(error.options[::2], error.options[1::2], strict=True))
-        words = [word for key, value in stated.items() if value for word in (key, value)]
-        if error.code == "unwritable-file":
-            words.append("--force")
-        error.command = error.command or join(["loopcal", "init", *files, *words])
-        raise
+    done = initial_project(files, robot, out=out, sheet=sheet, ask=ask_on_terminal())
     print_out(str(done))
     if run:
         try:

@@ -44,8 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
+    asked = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        asked = sys.argv[1:] if arguments is None else list(arguments)
         if names := [one for one in asked if _is_bytes(one)]:
             raise _no_text(names[0])
         application = _with_command(asked)
@@ -53,6 +53,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         code = application(asked, prog_name="loopcal", standalone_mode=False, obj=main) or 0
         _flush()
     except LoopcalError as error:
+        error.next_command(asked)
         return _refused(error)
     except TyperException as error:  # arguments that do not parse
         shown = io.StringIO()

@@ -16,7 +16,9 @@ body determine u, others leave it at the body's origin. The misfits are those of
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,18 +67,23 @@ class Bodies:
 class Mounted:
     """What was found.
 
-    targets: (K, 3) [m] on the body; turn: X of a pose, (3, 3); anchor: A, (3,) [m]; zero: c [m];
+    place: computes `targets`; turn: X of a pose, (3, 3); anchor: A, (3,) [m]; zero: c [m];
     away: (N,) distances [m] (of several targets the root of the sum of squares); turned: (N,)
     angles [rad] of a pose; spread: median distance [m] of the readings from their middle.
     """
 
     away: Array
     spread: float
-    targets: Array
+    place: Callable[[], Array]
     turn: Array | None = None
     anchor: Array | None = None
     zero: float = 0.0
     turned: Array | None = None
+
+    @cached_property
+    def targets(self) -> Array:
+        """(K, 3) [m] on the body, held near it as the head of this module says."""
+        return self.place()
 
     @property
     def shares(self) -> Array:
@@ -112,8 +119,11 @@ def see_points(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounte
     for _ in range(rounds):
         targets, away = _points(bodies, measured, targets, good)
         good = _better(away)
-    near, _ = _points(bodies, measured, np.zeros_like(targets), good, COMMON)
-    return Mounted(away, _spread(measured[0]), near)
+
+    def place() -> Array:
+        return _points(bodies, measured, np.zeros_like(targets), good, COMMON)[0]
+
+    return Mounted(away, _spread(measured[0]), place)
 
 
 def _points(
@@ -169,7 +179,7 @@ def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUN
         cosine = np.clip((np.trace(M, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0)
         turned = np.arccos(cosine)
         good = _better(np.hypot(away / spread, turned))
-    return Mounted(away, spread, near[None], turn=X, turned=turned)
+    return Mounted(away, spread, lambda: near[None], turn=X, turned=turned)
 
 
 def _held(J: Array, left: Array, at: Array, count: int, common: float) -> Array:
@@ -252,7 +262,7 @@ def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
         to = bodies.at(u) - A
         away = np.abs(np.sqrt(np.square(to).sum(axis=1)) + c - measured)
         good = _better(away)
-    return Mounted(away, spread, u[None], anchor=A, zero=c)
+    return Mounted(away, spread, lambda: u[None], anchor=A, zero=c)
 
 
 def _better(away: Array) -> NDArray[np.bool_]:

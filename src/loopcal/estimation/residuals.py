@@ -35,9 +35,8 @@ def residuals(
             out[loop, block.poses] = values.f[row]
         if pattern.own:
             sd = np.broadcast_to(block.noise.sd, block.readings.shape)[list(pattern.own)]
-            part = out[np.ix_(pattern.loops, np.arange(problem.count)[block.poses])]
-            part[np.isinf(sd)] = np.nan
-            out[np.ix_(pattern.loops, np.arange(problem.count)[block.poses])] = part
+            for row, loop in enumerate(pattern.loops):
+                out[loop, block.poses] = np.where(np.isinf(sd[row]), np.nan, values.f[row])
     return by_name(loops, out)
 
 

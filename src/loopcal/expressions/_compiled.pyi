@@ -39,6 +39,9 @@ class Engine:
         once: _Table,
         constants: _Array,
         numbers: Sequence[int],
+        factors: Sequence[int],
+        members: Sequence[Sequence[int]],
+        factor_of: Sequence[Sequence[int]],
     ) -> None: ...
     def at(self, parameters: _Array) -> None: ...
     def evaluate(self, x: _Array, known: _Array | None, stage: int, out: _Array) -> None: ...

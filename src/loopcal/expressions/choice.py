@@ -17,7 +17,7 @@ from functools import lru_cache
 
 from loopcal.errors import UsageError, nearest
 
-INTERFACE = 2
+INTERFACE = 3
 """Which calls the compiled engine understands; engine/module.cpp states the same number.
 
 Raise both with every change of a signature or of what it means."""

@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 
 from loopcal.expressions.choice import AVAILABLE
 from loopcal.expressions.derivative import Linearisation
-from loopcal.expressions.domain import LoopValues, Stage, arranged, stage_ends
+from loopcal.expressions.domain import LoopValues, Stage, arranged
 from loopcal.expressions.graph import LEAVES
+from loopcal.expressions.multiples import multiples
 from loopcal.expressions.rewriting import in_stages, varying
 from loopcal.expressions.tape import Tape
 
@@ -106,6 +107,7 @@ def _native(linearisation: Linearisation) -> _compiled.Engine:
 def _tables(linearisation: Linearisation) -> tuple[Any, ...]:
     """What an engine is made from; several threads make one each."""
     tape, varies, program = prepared(linearisation)
+    shared = multiples(linearisation)
     used = sorted(
         {a for one in program.instructions for a in one.arguments if not varies[a]}
         | {output for output in tape.outputs if not varies[output]}
@@ -113,18 +115,23 @@ def _tables(linearisation: Linearisation) -> tuple[Any, ...]:
     # Negative places are numbers of the parameters, rows of poses count from 0.
     place = {position: -1 - i for i, position in enumerate(used)} | program.rows
     once = _Once(tape, varies)
+    outputs = [place[tape.outputs[i]] for i in shared.places]
+    ahead = len(outputs) - shared.factors
     shape = (linearisation.loops, len(linearisation.quantities), len(linearisation.parameters))
     inputs = (len(tape.quantities), len(tape.pose_constants))
     return (
         _instructions(program, place),
         program.ends,
-        [place[output] for output in tape.outputs],
+        outputs[:ahead],
         shape,
         inputs,
         program.count - sum(inputs),
         once.rows,
         once.constants,
         [once.number[position] for position in used],
+        outputs[ahead:],
+        [[parameter for parameter, _ in members] for members in shared.members],
+        [[factor for _, factor in members] for members in shared.members],
     )
 
 
@@ -170,11 +177,14 @@ class _Once:
 
 @lru_cache(maxsize=64)
 def prepared(linearisation: Linearisation) -> tuple[Tape, tuple[bool, ...], Program]:
-    """The tape in stages, the operations that vary by pose, and the instructions."""
-    ends = stage_ends(linearisation)
-    tape = in_stages(linearisation.tape, ends)
+    """The tape in stages, the operations that vary by pose, and the instructions.
+
+    Its outputs are those of `multiples`.
+    """
+    shared = multiples(linearisation)
+    tape = in_stages(shared.tape, shared.ends)
     varies = varying(tape.operations)
-    return tape, varies, program_of(tape, varies, ends)
+    return tape, varies, program_of(tape, varies, shared.ends)
 
 
 Position = int

@@ -57,7 +57,12 @@ def guarded(function: str, arguments: Mapping[str, Any], size: int) -> bytes:
         return answer[1:]
     error_fields = json.loads(answer[1:])
     kind = getattr(errors, error_fields.pop("kind"), None)
-    raise Stopped(error_fields["message"]) if kind is None else kind(**error_fields)
+    if kind is None:
+        raise Stopped(error_fields["message"])
+    options, meant = (tuple(error_fields.pop(key, ())) for key in ("options", "meant"))
+    error = kind(**error_fields)
+    error.options, error.meant = options, meant
+    raise error
 
 
 class _Children:

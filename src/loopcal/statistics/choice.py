@@ -105,6 +105,8 @@ def choose(
 
     Raises InputError where no candidate can be fitted.
     """
+    import scipy.linalg  # noqa: F401  ahead of the copies, each of which would load it
+
     reuse_memory(32)
     case = with_run_drift(case)
     judged, waiting = list[Judged](), list(entrants(case))

@@ -122,11 +122,17 @@ def _poses_in(
     return x
 
 
-def sds_in(calibrated: Predictor, ranges: Sequence[RegionRange]) -> list[float]:
-    """By group of outputs, the sd that the parameters cause: rms over random poses of a box."""
+def sds_in(
+    calibrated: Predictor, ranges: Sequence[RegionRange], constants: Mapping[str, float]
+) -> list[float]:
+    """By group of outputs, the sd that the parameters cause: rms over random poses of a box.
+
+    constants: those of each pose [SI], such as a temperature.
+    """
     x = _poses_in(calibrated, ranges, np.random.default_rng(0))
-    constants = np.zeros((len(calibrated.mechanism.tape.pose_constants), _POSES))
-    covariance = _parts(calibrated, x, constants, []).from_parameters
+    values = [constants[name] for name in calibrated.mechanism.tape.pose_constants]
+    rows = np.repeat(np.reshape(values, (-1, 1)), _POSES, axis=1)
+    covariance = _parts(calibrated, x, rows, []).from_parameters
     sds = [trace_sd(covariance, group) for group in output_groups(calibrated.mechanism)]
     sds = [sd[~np.isnan(sd)] for sd in sds]
     return [float(np.sqrt(np.square(sd).mean())) if len(sd) >= _FEWEST else 0.0 for sd in sds]

@@ -313,11 +313,12 @@ class _Search:
             if self.variance is not None:
                 W = self.variance * np.broadcast_to(np.eye(W.shape[1]), W.shape)
             # NaN makes the merit infinite, and a step to such a place is refused.
-            L, whitened = W, np.full_like(block.columns, np.nan)
+            columns = np.concatenate([block.rows, block.G], axis=2)
+            L, whitened = W, np.full_like(columns, np.nan)
             try:
                 if np.isfinite(W).all():
                     L = np.asarray(np.linalg.cholesky(W))
-                    whitened = np.asarray(np.linalg.solve(L, block.columns))
+                    whitened = np.asarray(np.linalg.solve(L, columns))
             except np.linalg.LinAlgError:
                 _refuse_exact(problem)  # otherwise the machine is so far away that it has no value
             n = block.J.shape[2]

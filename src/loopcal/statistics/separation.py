@@ -210,7 +210,7 @@ def _with_offsets(model: LinearModel, owner: NDArray[np.intp], count: int) -> Li
         poses, r = block.e.shape
         indicator = np.eye(count)[owner[begin : begin + poses]]
         J = np.einsum("bs,rt->brst", indicator, np.eye(r)).reshape(poses, r, count * r)
-        blocks.append(replace(block, J=J))
+        blocks.append(block.by(J))
         begin += poses
     n = blocks[0].J.shape[2]
     return replace(model, blocks=tuple(blocks), precision=np.zeros(n), offset=np.zeros(n))

@@ -95,7 +95,12 @@ def test_parameters_that_are_hardly_told_apart_cost_the_criterion_no_digits() ->
     for ratios in (at, 1.1 * at):
         found = [
             mixed_fit(
-                LinearModel((ModelBlock(e, D, none, G, owner),), flat, flat, np.full(2, np.inf)),
+                LinearModel(
+                    (ModelBlock(np.concatenate([D, e[:, :, None]], axis=2), none, G, owner),),
+                    flat,
+                    flat,
+                    np.full(2, np.inf),
+                ),
                 ratios,
             )
             for D in (J, J @ A)
@@ -206,7 +211,8 @@ def two_alike(shared: float, stated: float = 1.0) -> LinearModel:
     e = 2.0 * G[:, :, 0] * rng.normal(size=(poses, 1)) + 0.3 * rng.normal(size=(poses, 2))
     G[:, :, 1] *= stated
     fixed = np.broadcast_to(0.09 * np.eye(2), (poses, 2, 2))
-    block = ModelBlock(e, rng.normal(size=(poses, 2, n)), fixed, G, np.array([0, 1]))
+    joined = np.concatenate([rng.normal(size=(poses, 2, n)), e[:, :, None]], axis=2)
+    block = ModelBlock(joined, fixed, G, np.array([0, 1]))
     return LinearModel((block,), np.zeros(n), np.zeros(n), np.full(2, np.inf))
 
 

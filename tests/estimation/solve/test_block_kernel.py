@@ -23,6 +23,7 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.choice import AVAILABLE, ENGINES
 from loopcal.expressions.derivative import linearise
 from loopcal.expressions.engine import NumpyEngine, Stage, engine_for
+from loopcal.expressions.multiples import multiples
 from loopcal.expressions.trace import trace
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import CovarianceBlock, Noise, ReadingUncertainty
@@ -298,6 +299,60 @@ def test_rows_of_zeros_that_are_left_out_of_the_sums_add_nothing(loops: int) -> 
         total = kernel.equations(block, summed=True).total
         assert total is not None
         alike(total, flat @ flat.T, 1e-14)
+
+
+def features(x: Any, count: int) -> list[Any]:
+    return [np.cos((i + 1) * x[0] + i * x[2]) for i in range(count)]
+
+
+def moved(x: Any, p: Any) -> list[Any]:
+    """Two motions of which features are multiples, the same ones, some not; others of one loop."""
+    along = sum(c * f for c, f in zip(p[:12], features(x, 12), strict=True))
+    turn = sum(c * f for c, f in zip(p[12:24], features(x, 12), strict=True))
+    other = sum(c * f for c, f in zip(p[24:33], features(x, 9), strict=True))
+    a, b = p[33], p[34]
+    return [
+        x[1] * np.cos(turn + a) - along * x[3] + other * x[2],
+        x[1] * np.sin(turn + a) * b - along * x[1],
+        x[3] + x[1] * turn + along * a + x[2] * b**2,
+    ]
+
+
+@pytest.mark.usefixtures("restored")
+@pytest.mark.parametrize("unmeasured", [(), (3,)])
+@pytest.mark.parametrize("exact", [False, True])
+def test_sums_of_multiples_of_common_columns_are_those_of_their_rows(
+    unmeasured: tuple[int, ...], exact: bool
+) -> None:
+    tape = trace(moved, quantities="abcd", parameters=[f"p{i}" for i in range(35)])
+    shared = multiples(linearise(tape, tape.quantities, tape.parameters))
+    assert sorted(map(len, shared.members)) == [9, 12, 12]
+    engine, rng = engine_for(tape, tape.parameters, 300), np.random.default_rng(4)
+    sd = np.full((4, 1), 0.1)
+    sd[list(unmeasured)] = np.inf
+    measured = tuple(i for i in range(4) if i not in unmeasured)
+    noise = BlockNoise(ReadingUncertainty(sd), unmeasured, measured)
+    x = rng.uniform(-1, 1, (4, 300))
+    block = Block(slice(0, 300), 0.1 * rng.normal(size=35), x, 0.01 * x, x[:0], noise)
+    kernel = kernel_for(engine, unweighted if exact else whiten, alike=exact)
+    rows = kernel.equations(block, summed=False).rows
+    assert rows is not None
+    flat, found = rows.reshape(len(rows), -1).copy(), set()
+    for width in _compiled.widths():
+        for threads in (1, 3):
+            _compiled.use_width(width)
+            _compiled.use_threads(threads)
+            total = kernel.equations(block, summed=True).total
+            assert total is not None
+            assert np.array_equal(total, total.T)
+            found.add(total.tobytes())
+            lengths = np.linalg.norm(flat, axis=1)
+            alike(
+                total / np.outer(lengths, lengths),
+                (flat @ flat.T) / np.outer(lengths, lengths),
+                1e-14,
+            )
+    assert len(found) == 1
 
 
 def test_poses_that_cannot_close_are_marked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,16 +65,21 @@ def test_the_step_is_that_of_least_squares(condition: float, triangular: bool) -
     assert found.predicted() == pytest.approx(removed, rel=digits)
 
 
-@pytest.mark.parametrize("condition", [1.0, 1e2, 1e3])
-def test_a_well_conditioned_step_needs_no_directions_and_is_that_by_them(condition: float) -> None:
+@pytest.mark.parametrize(
+    ("condition", "triangular"),
+    [(1.0, False), (1e2, False), (1e3, False), (1.0, True), (1e4, True), (1e6, True)],
+)
+def test_a_determined_step_needs_no_directions_and_is_that_by_them(
+    condition: float, triangular: bool
+) -> None:
     D, E = system(condition)
-    direct, by_directions = solved(D, E, False), solved(D, E, False)
-    assert direct.well_conditioned
+    direct, by_directions = solved(D, E, triangular), solved(D, E, triangular)
     step, removed = direct.step(), direct.decrement
-    assert "_found" not in vars(direct)  # no eigendecomposition
+    assert direct.rank == by_directions.kept.sum() == N
+    assert "_directions" not in vars(direct)
     z = by_directions.components / by_directions.singular_values
     expected = by_directions.scale * (by_directions.directions @ z)
-    digits = 1e-14 * condition**2 + 1e-13
+    digits = 1e-14 * condition ** (1 if triangular else 2) + 1e-13
     assert step == pytest.approx(expected, rel=digits, abs=digits * np.abs(expected).max())
     assert removed == pytest.approx(float(np.square(by_directions.components).sum()), rel=digits)
 

@@ -118,6 +118,11 @@ def test_the_delay_of_an_instrument_is_said_with_its_sd(
     for said in ("12 poses at rest", "/tracker: 450 readings, 25.0 per s", "/camera", "sd 0.0"):
         assert said in words
     assert lc.read_bag(bag).late == {"/tracker": pytest.approx(0.04, abs=0.011)}
+    result = lc.calibrate(made, method="least-squares")
+    assert result.converged
+    assert result.rms is not None
+    assert result.rms < 3e-4
+    assert "</html>" in lc.report(result, tmp_path / "report.html").read_text("utf-8")
 
 
 def test_an_instrument_may_be_half_a_second_late(tmp_path: Path, urdf: Path) -> None:

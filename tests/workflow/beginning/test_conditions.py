@@ -56,6 +56,7 @@ def test_lengths_expand_with_a_temperature(
 ) -> None:
     made = begun(tmp_path, columns, **{name: WARM + zero})
     assert "is the temperature" in said(made, name)
+    assert not any("worse than its drawing" in words for words in made.remarks)
     project = lc.read_project(tmp_path / "p/project.toml")
     assert project.mechanism.pose_constants == {"temperature": "K"}
     assert project.mechanism.effects == {"thermal": ("thermal_expansion",)}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import loopcal as lc
 from analyses.layouts import (
@@ -13,8 +14,10 @@ from analyses.layouts import (
     World,
     begin,
     described,
+    frames,
     joints,
     next_command,
+    of,
     written,
     xyz,
 )
@@ -22,6 +25,7 @@ from loopcal.errors import InputError
 from loopcal.files.recognition.expressions import joint_columns
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.headers import heading
+from tests.bags import motion
 from tests.refusals import refused
 
 POSES = 36
@@ -106,10 +110,27 @@ def test_joints_that_nothing_distinguishes_are_asked_for(tmp_path: Path) -> None
     assert np.allclose(joint_readings(named), world.read, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("name", "sign", "made"),
+    [
+        # The table of the robot turns a joint round, so it stays as the controller counts it.
+        ("one joint reversed", -1.0, ("J4", "\ndirection = -1\n")),
+        # Files of later days are read by the same expression.
+        (
+            "J3 counts from the horizon (Fanuc)",
+            1.0,
+            ("theta_4", 'theta_3 = { column = "J3-J2", unit = "deg" }'),
+        ),
+    ],
+)
 def test_the_next_command_of_a_refusal_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    sign: float,
+    made: tuple[str, str],
 ) -> None:
-    robot, maker = LAYOUTS["one joint reversed"]
+    robot, maker = LAYOUTS[name]
     world = World(robot, 1)
     described(world, tmp_path)
     maker(world, tmp_path)
@@ -120,9 +141,9 @@ def test_the_next_command_of_a_refusal_goes_on(
     assert command is not None
     assert begin(command[1:], tmp_path)[0] == 0
     project = lc.read_project("out/project.toml")
-    assert np.allclose(lc.load_dataset(project).dataset["theta_4"], world.read[:, 3], atol=1e-6)
-    # Files of later days are read by the same expression.
-    assert 'theta_4 = { column = "-J4", unit = "deg" }' in Path("out/project.toml").read_text()
+    joint, line = made
+    assert np.allclose(lc.load_dataset(project).dataset[joint], sign * world.read[:, 3], atol=1e-6)
+    assert line in Path("out/project.toml").read_text()
 
 
 def test_expressions_of_columns() -> None:
@@ -132,6 +153,69 @@ def test_expressions_of_columns() -> None:
     assert [f.unit for f in made] == ["deg"] * 4
     with refused("unknown-name", "J9"):
         joint_columns(columns, "J1,J9")
+
+
+def test_signs_of_a_maker_are_told_from_a_mirrored_frame(tmp_path: Path) -> None:
+    """A robot that counts joints 1, 4 and 6 the other way round moves as in a mirror, beside its
+    own controller and a tracker. The ids stand under names of the makers, the table of the robot
+    below a title, the sds beside the points of the second file."""
+    world = World("six", 3)
+    flip = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
+    ids = [f"P{i + 1}" for i in range(POSES)]
+    robot = {"Pos": ids, **joints(world, "A{}", world.read * flip), **xyz("{}", world.tcp, "XYZ")}
+    seen = {"Group": ["A"] * POSES, "Point": ids, **xyz("{}", world.points, "XYZ")}
+    sds = {f"U{a}": np.full(POSES, 0.03) for a in "xyz"}
+    written(tmp_path / "robot.csv", robot)
+    written(tmp_path / "tracker.csv", {**seen, **sds})
+    described(world, tmp_path)
+    table = (tmp_path / "dh.csv").read_text()
+    (tmp_path / "dh.csv").write_text(f"Datasheet of the arm\n\n{table}")
+    paths = (tmp_path / "robot.csv", tmp_path / "tracker.csv")
+    with pytest.raises(InputError, match="A1, A4, A6 count the other way round") as caught:
+        lc.init(*paths, dh=tmp_path / "dh.csv")
+    option, columns = caught.value.options
+    assert (option, columns) == ("--joints", "-A1,A2,A3,-A4,A5,-A6")
+    made = lc.init(*paths, dh=tmp_path / "dh.csv", joints=columns, out=tmp_path / "project")
+    assert np.allclose(joint_readings(made), world.read * flip, atol=1e-6)
+    assert made.text.count("\ndirection = -1") == 3
+    assert all(fit.rms < 3e-3 for fit in made.fits.values())
+    np.testing.assert_allclose(made.dataset.sds["x"], 3e-5)
+    loaded = lc.load_dataset(lc.read_project(tmp_path / "project" / "project.toml"))
+    np.testing.assert_allclose(loaded.dataset.sds["x"], 3e-5)
+    assert "Alternative" not in made.text
+
+
+def test_a_log_of_a_controller_beside_a_tracker(tmp_path: Path) -> None:
+    """Commanded and actual joints, velocities, the controller's own pose and two times; the joints
+    that were read are taken, the tracker's delay is estimated by the stamps."""
+    world = World("ur", 5, poses=24)
+    t, s = np.arange(0.0, 36.0, 0.02), np.arange(0.0, 36.0, 0.04)
+    actual = motion(world.q, t) + world.rng.normal(0, 2e-5, (len(t), 6))
+    target = motion(world.command, t)
+    T = frames(world.drawn, world.slides, actual)
+    numbers = range(6)
+    log = {
+        "timestamp": 100.0 + t,
+        **of((f"target_q_{i}" for i in numbers), target),
+        **of((f"actual_q_{i}" for i in numbers), actual),
+        **of((f"actual_qd_{i}" for i in numbers), np.gradient(actual, t, axis=0)),
+        **of(
+            (f"actual_TCP_pose_{i}" for i in numbers),
+            np.hstack([T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()]),
+        ),
+    }
+    points = world.target(motion(world.q, s - 0.025)) + world.rng.normal(0, 3e-5, (len(s), 3))
+    stamps = {"time": 100.7 + s, "header.stamp": 100.0 + s}
+    written(tmp_path / "log.csv", {"stamp": log.pop("timestamp"), **log}, sep=" ", digits=8)
+    written(tmp_path / "tracker.csv", {**stamps, **xyz("{} [mm]", points)})
+    described(world, tmp_path)
+    made = lc.init(tmp_path / "log.csv", tmp_path / "tracker.csv", dh=tmp_path / "dh.csv")
+    assert "The joints are actual_q_0" in made.text
+    assert len(made.fits) == 1
+    assert not any("target" in name for name in made.dataset.readings)
+    (delay,) = made.delays
+    assert delay.sd < 2e-4
+    assert abs(delay.value - 0.025) < 4.0 * delay.sd
 
 
 def test_words_beside_the_readings(tmp_path: Path) -> None:

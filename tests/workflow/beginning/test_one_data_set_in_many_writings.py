@@ -16,9 +16,10 @@ import xlsxwriter
 
 import loopcal as lc
 from loopcal.errors import InputError
-from loopcal.files.recognition.fields import Source, sources_of
+from loopcal.files.recognition.fields import Source
 from loopcal.files.recognition.joins import joined
 from loopcal.files.recognition.layouts import layouts
+from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables.readers import read_dataset
 from tests.reference import dh_arm
 

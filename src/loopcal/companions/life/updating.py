@@ -441,8 +441,8 @@ def _model(
     k = drift.shape[1]
     unit = np.hstack([np.zeros((k, n - k)), np.eye(k)])
     blocks = (
-        *(replace(block, J=block.J @ of_today) for block in new),
-        *(replace(block, J=block.J @ of_then) for block in old),
+        *(block.by(block.J @ of_today) for block in new),
+        *(block.by(block.J @ of_then) for block in old),
         *_rows(Sloped(prior.values, prior.slopes @ of_then)),
         *_rows(Sloped(np.zeros(k), unit)),
     )
@@ -453,7 +453,6 @@ def _rows(prior: Sloped) -> tuple[ModelBlock, ...]:
     """Rows of unit variance, as poses whose covariance is known."""
     q = len(prior.values)
     none = np.zeros(0, dtype=np.intp)
-    block = ModelBlock(
-        prior.values[:, None], prior.slopes[:, None], np.ones((q, 1, 1)), np.zeros((q, 1, 0)), none
-    )
+    rows = np.column_stack([prior.slopes, prior.values])[:, None]
+    block = ModelBlock(rows, np.ones((q, 1, 1)), np.zeros((q, 1, 0)), none)
     return (block,) if q else ()

@@ -37,7 +37,11 @@ from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.outputs import refuse_foreign
-from loopcal.files.project.new_readings import result_columns, result_pose_column
+from loopcal.files.project.new_readings import (
+    computed_joints,
+    result_columns,
+    result_pose_column,
+)
 from loopcal.files.recognition.robots import dh_robot
 from loopcal.files.result.deployed import CORRECTION, note_deployed, result_path, was_corrected
 from loopcal.measurements.dataset import Dataset
@@ -89,6 +93,15 @@ def correct(
     if not isinstance(targets, str | Path):
         asked = later_readings(measured, targets, None, whole=False)
         return _of_table(arms, calibrated, asked, bounds, at)
+    if computed := computed_joints(inputs):
+        raise InputError(
+            f"the calibration reads {', '.join(computed)}, and the program holds the controller's "
+            "joints",
+            code="unsupported",
+            place=str(targets),
+            remedy="calibrate with a robot's table whose column direction has -1 for joints that "
+            "count the other way round, or give converted joints in Python",
+        )
     axes = JointAxes(
         joints,
         result_columns(inputs, calibrated.mechanism),

@@ -20,10 +20,12 @@ from loopcal.companions.robot.exports.geometry_json import accuracy
 from loopcal.companions.robot.exports.registry import EXPORTS, format_named
 from loopcal.companions.robot.exports.tables import ORIENTATIONS
 from loopcal.document.exported import Exported, accuracy_lines
+from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError, listed, nearest
 from loopcal.files.machines.mechanism_writer import source_file
 from loopcal.files.outputs import one_command
+from loopcal.files.project.new_readings import computed_joints
 from loopcal.files.result.deployed import EXPORT, PREVIEW, note_deployed
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import with_unit
@@ -120,10 +122,21 @@ def export(
         *_verdict(document.verdict),
         *_cost(one, machine),
         *_worse(one, machine),
+        *(_computed(document) if one.name == "zeros" else ()),
         *done.warnings,
     )
     placed = None if out is None else place_files(out, files)
     return Export(one.name, files, machine, (*warnings, *machine.warnings), placed)
+
+
+def _computed(document: ResultDocument) -> tuple[str, ...]:
+    """That the zeros are those of joints which the controller counts in another way."""
+    if not (computed := computed_joints(document.inputs)):
+        return ()
+    return (
+        f"The calibration reads {', '.join(computed)}. These zeros count as the machine's joints "
+        "do: convert them before you enter them in the controller.",
+    )
 
 
 def run_export(

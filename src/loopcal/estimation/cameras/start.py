@@ -157,6 +157,15 @@ def start(
     return _start_of(reading, result, facts)
 
 
+def with_stated_lenses(begun: CameraStart) -> CameraStart:
+    """The same placed anew with the lenses as stated, which are held."""
+    lenses = tuple(begun.intrinsics_stated[camera] for camera in begun.corners.cameras)
+    held = begun.held is not False
+    reading = Reading(begun.corners, begun.T_base_flange, lenses, held, True)
+    result = placed(reading, view_poses(reading), ())
+    return begun if result is None else _start_of(reading, result, begun.facts)
+
+
 def _with_poses(corners: Corners, T: Array | None) -> Corners:
     if T is None:
         return corners

@@ -9,7 +9,7 @@ their stated sds. s_j is its variance ratio (1 at the stated sds), V_0 the covar
 whose sds are given. The misclosure then has the covariance V = V_0 + sum_j s_j G_j G_j^T. Searle,
 Casella and McCulloch, Variance Components (1992), chapter 6.
 
-All columns are joined, [J e G], and whitened together. The products of [J e] reduce the poses to a
+All columns [J e] and G are whitened. The products of [J e] reduce the poses to a
 triangle, or its QR decomposition where their rounding would show; prior terms are further rows of
 it. Sums over poses go by loadings: a component with one column costs one column, not a matrix V_j
 for every pose.
@@ -18,6 +18,7 @@ for every pose.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -43,15 +44,14 @@ KEPT = 1e-7
 
 @dataclass(frozen=True)
 class ModelBlock:
-    """b poses: e (b, r), J (b, r, n), fixed (b, r, r) = V_0 and the loadings G (b, r, K).
+    """b poses: rows [J e] (b, r, n + 1), fixed (b, r, r) = V_0 and the loadings G (b, r, K).
 
     owner: (K,) the component of each column of G, in ascending order; spare: (b, c + 1) further
     rows on which nothing acts but the noise of one component, last that of none, with the variance
     1 at its stated sd; scale: (b,) log of the product of the variances by which rows were divided.
     """
 
-    e: Array
-    J: Array
+    rows: Array
     fixed: Array
     G: Array
     owner: NDArray[np.intp]
@@ -61,16 +61,25 @@ class ModelBlock:
     @property
     def equations(self) -> Array:
         """(b,) or (1,) rows, spare ones with them."""
-        return self.e.shape[1] + self.spare.sum(axis=1)
+        return np.asarray(self.e.shape[1] + self.spare.sum(axis=1))
 
     def spare_of(self, components: int) -> Array:
         """(c,) spare rows of the components over all poses."""
         return self.spare.sum(axis=0)[:components] if self.spare.size else np.zeros(components)
 
-    @cached_property
-    def columns(self) -> Array:
-        """[J e G], (b, r, n + 1 + K)."""
-        return np.concatenate([self.J, self.e[:, :, None], self.G], axis=2)
+    def by(self, J: Array) -> ModelBlock:
+        """The same poses with derivatives (b, r, n) by other parameters."""
+        return replace(self, rows=np.concatenate([J, self.e[:, :, None]], axis=2))
+
+    @property
+    def J(self) -> Array:
+        """(b, r, n)."""
+        return self.rows[:, :, :-1]
+
+    @property
+    def e(self) -> Array:
+        """(b, r)."""
+        return self.rows[:, :, -1]
 
 
 @dataclass(frozen=True)
@@ -130,10 +139,10 @@ def linear_model(
     for pattern, block in sweeper.blocks(parameters, corrections):
         noise, values = block.noise, sweeper.loop_values(pattern, block)
         unmeasured, measured = list(noise.unmeasured), list(noise.measured)
-        f, J, D = values.f.copy(), values.by_quantity[measured], values.by_parameter.copy()
+        f, J, D = values.f.copy(), values.by_quantity[measured], values.by_parameter
         columns = values.by_quantity[unmeasured]
         if problem.weighting is Weighting.READ:
-            D = sweeper.loop_values(pattern, block.read).by_parameter.copy()
+            D = sweeper.loop_values(pattern, block.read).by_parameter
         if noise.own and compressed:
             blocks.append(_of_own_readings(values, D, block, components, problem.loops_alike))
             continue
@@ -142,7 +151,7 @@ def linear_model(
         if missing.any():
             J, columns = J * ~missing, columns * ~missing
             f[missing] = 0.0
-            D[:, missing] = 0.0
+            D = np.where(missing, 0.0, D)
             noise = replace(noise, uncertainty=noise.uncertainty.of_read)
         skip = len(unmeasured)
         if skip:
@@ -150,8 +159,10 @@ def linear_model(
             f, J, D = (reflections.apply(part) for part in (f, J, D))
         e = np.einsum("kmb,kb->mb", J[:, skip:], block.corrections[measured]) - f[skip:]
         G = loadings(J[:, skip:], noise).transpose(2, 0, 1)
-        rows = [[measured.index(i) for i in c if i in noise.measured] for c in components]
-        members = [i for c in rows for i in c]
+        joined = np.empty((*e.T.shape, len(D) + 1))
+        joined[:, :, :-1], joined[:, :, -1] = D[:, skip:].transpose(2, 1, 0), e.T
+        places = [[measured.index(i) for i in c if i in noise.measured] for c in components]
+        members = [i for c in places for i in c]
         rest = G[:, :, [i for i in range(len(measured)) if i not in members]]
         if missing.any():
             # They say nothing, and get a variance of 1 on which nothing depends.
@@ -160,11 +171,10 @@ def linear_model(
             rest = np.concatenate([rest, silent[:, skip:].transpose(2, 1, 0)], axis=2)
         blocks.append(
             ModelBlock(
-                np.ascontiguousarray(e.T),
-                np.ascontiguousarray(D[:, skip:].transpose(2, 1, 0)),
+                joined,
                 rest @ rest.transpose(0, 2, 1),
                 np.ascontiguousarray(G[:, :, members]),
-                np.array([j for j, c in enumerate(rows) for _ in c], dtype=np.intp),
+                np.array([j for j, c in enumerate(places) for _ in c], dtype=np.intp),
             )
         )
     present = parameters[problem.free]
@@ -212,7 +222,7 @@ def _of_own_readings(
         spare[:, j] -= missing[of_row == j].sum(axis=0)
         if rows.shape[1] > width:
             spare[:, j] += rows.shape[1] - width
-            rows = np.linalg.qr(rows, mode="r")
+            rows = np.asarray(np.linalg.qr(rows, mode="r"))
         parts.append(rows)
         loaded.append(rows.shape[1])
         owners += [j] * rows.shape[1]
@@ -230,8 +240,7 @@ def _of_own_readings(
     rest = G[:, :, of_column < 0]
     scale = np.where(missing, 0.0, -2.0 * np.log(np.where(missing, 1.0, weight))).sum(axis=0)
     return ModelBlock(
-        np.ascontiguousarray(columns[s + len(D)].T),
-        np.ascontiguousarray(columns[s : s + len(D)].transpose(2, 1, 0)),
+        np.ascontiguousarray(columns[s : s + len(D) + 1].transpose(2, 1, 0)),
         rest @ rest.transpose(0, 2, 1),
         np.ascontiguousarray(G[:, :, of_column >= 0]),
         of_column[of_column >= 0],
@@ -360,36 +369,49 @@ class _Solved:
 
 def _solved(model: LinearModel, joined: Joined) -> _Solved:
     """The whitened columns with the prior, solved for the parameters."""
-    by_products = _by_products(model, joined)
-    return _by_rows(model, joined) if by_products is None else by_products
-
-
-def _by_products(model: LinearModel, joined: Joined) -> _Solved | None:
-    """By the triangle of the products; None where their rounding would show."""
     prior = _prior_rows(model)
     total = joined.total + prior.T @ prior
     scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
-    try:
+    solved = None
+    with suppress(np.linalg.LinAlgError):
         R = np.asarray(np.linalg.cholesky(total * scale * scale[:, None]).T, dtype=np.float64)
-    except np.linalg.LinAlgError:
+        solved = _by_triangle(R, scale, WELL_CONDITIONED)
+    if solved is None:
+        # products would square the condition and leave the criterion some seven digits
+        R = _triangle(prior, joined)
+        solved = _by_triangle(R * scale, scale, 1.0 / KEPT) or _by_directions(R)
+    return solved
+
+
+def _by_triangle(R: Array, scale: Array, most: float) -> _Solved | None:
+    """By the triangle of [J e] with its columns scaled; None where its condition is not surely at
+    most so much."""
+    n = len(scale) - 1
+    if len(R) <= n or not np.diag(R)[:n].all():
         return None
-    n = len(R) - 1
     inverse = inverse_of_upper(R[:n, :n])
     # In Frobenius' norm the product is no less than the condition number.
-    if not np.linalg.norm(R[:n, :n]) * np.linalg.norm(inverse) <= WELL_CONDITIONED:
+    if not np.linalg.norm(R[:n, :n]) * np.linalg.norm(inverse) <= most:
         return None
     column_scale, size = scale[:n], 1.0 / scale[n]
-    log_volume = 2.0 * float(np.log(np.diag(R)[:n]).sum() - np.log(column_scale).sum())
+    log_volume = 2.0 * float(np.log(np.abs(np.diag(R)[:n])).sum() - np.log(column_scale).sum())
     # The last pivot of the triangle of [J e] is the length of what J leaves of e.
     residual = float(R[n, n] * size) ** 2
     return _Solved(column_scale[:, None] * inverse, R[:n, n] * size, residual, log_volume, True)
 
 
-def _by_rows(model: LinearModel, joined: Joined) -> _Solved:
-    # products would square the condition and leave the criterion some seven digits
-    R, n = _prior_rows(model), len(model.precision)
+def _triangle(prior: Array, joined: Joined) -> Array:
+    """R of the QR decomposition of [J e] with the prior."""
+    R = prior
     for rows in joined.rows:
-        R = np.asarray(np.linalg.qr(np.concatenate([R, rows.reshape(-1, n + 1)]), mode="r"))
+        flat = rows.reshape(-1, R.shape[1])
+        R = np.asarray(np.linalg.qr(np.concatenate([R, flat]), mode="r"))
+    return R
+
+
+def _by_directions(R: Array) -> _Solved:
+    """By the singular values of the triangle, where some directions may not be determined."""
+    n = R.shape[1] - 1
     scale = 1.0 / np.maximum(np.linalg.norm(R[:, :n], axis=0), 1e-150)
     U, values, Vt = np.linalg.svd(R[:, :n] * scale, full_matrices=False)
     kept = values > KEPT * values[0]
@@ -411,8 +433,7 @@ def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Jo
 
     sums: [J e]^T [J e] of all poses, where a fit at these ratios has added them up.
     """
-    n = len(model.precision)
-    rows, W, log_V = [], [], 0.0
+    every, W, log_V = [], [], 0.0
     for block in model.blocks:
         spare = block.spare_of(model.components)
         if np.any(spare[ratios == 0.0]):
@@ -425,12 +446,17 @@ def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Jo
             return None
         log_V += 2.0 * float(np.log(np.einsum("brr->br", L)).sum())
         # NumPy solves no stacks of triangles: an inverse and a product serve the whole block.
-        whitened = np.linalg.inv(L) @ block.columns
-        if not np.abs(whitened).max(initial=0.0) < _LARGEST:
+        inverse = np.linalg.inv(L)
+        rows, turned = inverse @ block.rows, inverse @ block.G
+        # not of absolute values, which are as large an array again
+        ends = [
+            end for one in (rows, turned) for end in (-one.min(initial=0.0), one.max(initial=0.0))
+        ]
+        if not all(end < _LARGEST for end in ends):
             return None
-        rows.append(np.ascontiguousarray(whitened[:, :, : n + 1]))
-        W.append(whitened[:, :, n + 1 :])
-    return Joined(ratios, rows, W, log_V, sums)
+        every.append(rows)
+        W.append(turned)
+    return Joined(ratios, every, W, log_V, sums)
 
 
 def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected:

@@ -126,6 +126,10 @@ class Summed:
         components = np.divide(vectors.T @ self.gradient, s, out=np.zeros(len(s)), where=kept)
         return Directions(vectors, s, components, kept)
 
+    def removed(self, solution: Array) -> float:
+        """How much of chi-squared the full step is predicted to remove."""
+        return float(solution @ self.gradient)
+
     @overflowing
     def solution(self) -> Array | None:
         """The full step (n,), if the matrix is well conditioned; costs a fifth of `directions`.
@@ -189,9 +193,20 @@ class Stacked:
         kept = _kept(s, RANK_TOLERANCE)
         return Directions(Vt.T, s, np.where(kept, U.T @ self.right, 0.0), kept)
 
+    def removed(self, solution: Array) -> float:
+        """How much of chi-squared the full step is predicted to remove: it leaves nothing."""
+        return float(self.right @ self.right)
+
+    @overflowing
     def solution(self) -> Array | None:
-        """None: triangles are kept only where the directions are needed."""
-        return None
+        """The full step (n,), if all directions are determined; costs a tenth of `directions`."""
+        if not np.diag(self.matrix).all():
+            return None
+        inverse = inverse_of_upper(self.matrix)
+        flat, back = self.matrix.ravel(), inverse.ravel()
+        # As in `Summed.solution`: the condition is no larger.
+        determined = bool((flat @ flat) * (back @ back) < RANK_TOLERANCE**-2)
+        return np.asarray(inverse @ self.right) if determined else None
 
 
 @dataclass(frozen=True)
@@ -202,8 +217,8 @@ class Spectrum:
     singular_values * z = components; scale: (n,) [SI], singular_values, components: (n,).
     kept: which directions data and prior determine; components of the others are 0.
 
-    The directions are computed when first used. The full step of a well-conditioned system
-    needs none.
+    The directions are computed when first used. The full step of normal equations that are well
+    conditioned needs none, nor does that of a triangle whose directions are all determined.
     """
 
     __repr__ = brief
@@ -242,7 +257,7 @@ class Spectrum:
     @property
     def rank(self) -> int:
         """Number of directions that are determined."""
-        return int(self.kept.sum())
+        return len(self.scale) if self._solution is not None else int(self.kept.sum())
 
     @property
     def condition(self) -> float:
@@ -253,13 +268,14 @@ class Spectrum:
     @property
     def well_conditioned(self) -> bool:
         """Whether normal equations lose nothing that iterating cannot recover."""
-        return self._solution is not None or self.condition <= WELL_CONDITIONED
+        summed = isinstance(self.equations, Summed)
+        return (summed and self._solution is not None) or self.condition <= WELL_CONDITIONED
 
     @cached_property
     def decrement(self) -> float:
         """How much of chi-squared the full step is predicted to remove."""
-        if self._solution is not None and isinstance(self.equations, Summed):
-            return float(self._solution @ self.equations.gradient)
+        if self._solution is not None:
+            return self.equations.removed(self._solution)
         return float(self.components @ self.components)
 
     def step(self, damping: float = 0.0, after: Array | None = None) -> Array:

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.files.cameras.corners import split_name
 from loopcal.files.cameras.document import Part, is_transform, read_document, transform
-from loopcal.files.recognition.fields import sources_of
 from loopcal.files.recognition.layouts import instruments
 from loopcal.files.recognition.meanings import rotations
+from loopcal.files.recognition.sources import sources_of
 from loopcal.units import unit
 
 Array = NDArray[np.float64]

@@ -120,6 +120,17 @@ def result_columns(inputs: Mapping[str, Any], mechanism: Mechanism) -> dict[str,
     return {**columns, **{q: Column(one.column, one.unit) for q, one in joints.items()}}
 
 
+def computed_joints(inputs: Mapping[str, Any]) -> tuple[str, ...]:
+    """Joints that the project of a result computes from the user's columns, each with how."""
+    columns = ((inputs.get("data") or {}).get("source") or {}).get("columns") or {}
+    stated = {joint: str(one["column"]) for joint, one in columns.items()}
+    return tuple(
+        f"{joint} as {text}"
+        for joint, text in stated.items()
+        if text.startswith("-") or "+" in text or "*" in text
+    )
+
+
 def result_pose_column(inputs: Mapping[str, Any], mechanism: Mechanism) -> str | int:
     """The column of pose ids in the project of a result; "pose" without one."""
     return _spec(inputs, mechanism).pose or "pose"

@@ -52,6 +52,13 @@ class SourceInstrument:
     ] = None
     sd: Annotated[tuple[str | int, ...], Key("Columns of the sds of a point or length.")] = ()
     sd_unit: Annotated[str | None, Key("Unit of those sds; default: unit.", is_unit=True)] = None
+    coverage: Annotated[
+        float,
+        Key(
+            "Coverage factor of those columns, where they hold expanded uncertainties.",
+            positive=True,
+        ),
+    ] = 1.0
 
 
 @dataclass(frozen=True)

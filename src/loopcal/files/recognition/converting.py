@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed
 from loopcal.files.project.source_table import SourceInstrument, SourceTable
 from loopcal.files.recognition.expressions import computed_column
-from loopcal.files.recognition.fields import STATIONS, Field, Source, sources_of, unnamed
+from loopcal.files.recognition.fields import STATIONS, Field, Source, unnamed
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import Seen, at_station
 from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.meanings import Meaning, inverse, polar, positions, rotations
+from loopcal.files.recognition.sources import sources_of
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
 from loopcal.units import to_si, unit
@@ -231,7 +232,10 @@ def _meaning(fields: Fields, one: SourceInstrument, stations: Field | None) -> M
     )
     form = {4: "quaternion", 9: "matrix"}.get(len(turned), "turns" if turned else "")
     sds = tuple(f for column in one.sd if (f := _column(fields, column)))
-    sds = tuple(_in_unit(f, one.sd_unit or one.unit)[0] for f in sds)
+    sds = tuple(
+        replace(_in_unit(f, one.sd_unit or one.unit)[0], values=f.values / one.coverage)
+        for f in sds
+    )
     seen = Seen(kind, placed, turned, form, sds if len(sds) == len(one.sd) else ())
     if one.station is not None and stations is not None:
         rows = np.array([stations.words(v) == one.station for v in stations.values])
@@ -273,7 +277,8 @@ def _needed(fields: Fields, key: str | int) -> Field:
             f"there is no column {key!r} among {unnamed(fields.fields)}",
             code="missing-column",
             place=fields.sources[0].name,
-            remedy="give the columns of the first files, as [data.source] of the project has them",
+            remedy="name all files of the day, with the columns of the first ones, which "
+            "[data.source] of the project lists",
         )
     return column
 

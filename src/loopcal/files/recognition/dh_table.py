@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.headers import Heading, heading, meanings, words
+from loopcal.files.recognition.headers import Heading, below_titles, heading, meanings, words
 from loopcal.files.tables.cells import is_missing
-from loopcal.files.tables.readers import read_table
 from loopcal.units import unit
 
 _KEYS = meanings("dh")
+_LENGTHS_AND_TWIST = ("a", "d", "alpha")
+"""Columns that every table has."""
 _CELL = re.compile(
     r"(?P<variable>(?!pi)[a-zθϑ][a-zθϑ_]*_?\d*\*?)?\s*(?P<sign>[-+])?\s*"
     r"(?P<number>\d+\.?\d*(?:e[-+]?\d+)?|\.\d+)?\s*\*?\s*"
@@ -42,6 +43,10 @@ class Row:
     kind: str = "revolute"
     direction: int = 1
 
+    def turned(self, sign: int) -> Row:
+        """The row of a joint that counts the other way round where sign is -1."""
+        return replace(self, direction=self.direction * sign)
+
 
 @dataclass(frozen=True)
 class DhTable:
@@ -65,7 +70,7 @@ def read_dh(path: str | Path) -> DhTable:
     Raises InputError for a missing column, a row that is no joint, and units that nothing shows.
     """
     path = Path(path)
-    table = read_table(path)
+    table, _ = below_titles(path, None, len(_LENGTHS_AND_TWIST))
     if not table.names:
         raise InputError(
             "the table of the robot has no header",
@@ -81,7 +86,7 @@ def read_dh(path: str | Path) -> DhTable:
         modified |= header.stem in _MODIFIED
         if key is not None and key not in headings:
             headings[key] = (i, header)
-    for key in ("a", "d", "alpha"):
+    for key in _LENGTHS_AND_TWIST:
         if key not in headings:
             raise InputError(
                 f"the table of the robot has no column {key!r}",

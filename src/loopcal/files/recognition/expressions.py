@@ -35,6 +35,16 @@ def joint_columns(fields: Sequence[Field], text: str) -> tuple[Field, ...]:
     return tuple(columns)
 
 
+def turned_columns(
+    fields: Sequence[Field], columns: Sequence[Field]
+) -> tuple[tuple[Field, ...], tuple[int, ...]]:
+    """The columns as the file has them, and -1 for each that an expression only turns round."""
+    by_label = {f"-{f.label}": f for f in fields}
+    plain = [by_label.get(c.label) if c.computed else None for c in columns]
+    kept = tuple(p or c for p, c in zip(plain, columns, strict=True))
+    return kept, tuple(-1 if p else 1 for p in plain)
+
+
 def computed_column(fields: Sequence[Field], text: str) -> Field | None:
     """The column of this name, or one computed as the expression says; None where it says nothing.
 

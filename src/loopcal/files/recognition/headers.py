@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from io import BytesIO
@@ -124,6 +124,23 @@ def heading(text: str, spoken: Mapping[str, str] = MappingProxyType({})) -> Head
     return Heading(text, "_".join(parts), unit)
 
 
+_SD_BEFORE = re.compile(r"^(?:u|sd|std|sigma|unc|uncertainty|stddev|sig)_?(?P<of>.+)$")
+_SD_AFTER = re.compile(r"^(?P<of>.+?)_?(?:sd|std|sigma|unc|uncertainty|stddev)$")
+
+
+def sd_of(name: str, names: Container[str]) -> str | None:
+    """Of these names the one whose sds stand under a name; None where there is none.
+
+    >>> sd_of("u_x", {"x", "y"}), sd_of("x", {"x", "y"})
+    ('x', None)
+    """
+    for form in (_SD_BEFORE, _SD_AFTER):
+        match = form.match(name)
+        if match and match["of"] in names and match["of"] != name:
+            return match["of"]
+    return None
+
+
 def _in_brackets(name: str) -> tuple[str, str]:
     """What stands ahead of the brackets at the end, and in them; "" without brackets there."""
     if not _CLOSING.match(name[-1:]):
@@ -164,22 +181,24 @@ _MOST_BYTES = 20_000_000
 _SUMMARY = tuple(f"{word}_" for word in words("rows", "summary"))
 
 
-def below_titles(path: Path, part: str | int | None) -> tuple[Table, str]:
+def below_titles(path: Path, part: str | int | None, fewest: int = _FEWEST) -> tuple[Table, str]:
     """The table of a file, and what to say of rows above its header.
+
+    fewest: columns that the header names at least.
 
     Raises the reader's InputError where the rows below hold no header either.
     """
     try:
         table = read_table(path, **({} if part is None else {reader_of(path).part: part}))
     except InputError:
-        text_table = _text_below(path) if reader_of(path) is TEXT else None
+        text_table = _text_below(path, fewest) if reader_of(path) is TEXT else None
         if text_table is None:
             raise
         return text_table
-    return _cells_below(table)
+    return _cells_below(table, fewest)
 
 
-def _text_below(path: Path) -> tuple[Table, str] | None:
+def _text_below(path: Path, fewest: int) -> tuple[Table, str] | None:
     """The table that begins in one of the first lines; None where there is none."""
     if not path.is_file() or path.stat().st_size > _MOST_BYTES:
         return None
@@ -190,25 +209,25 @@ def _text_below(path: Path) -> tuple[Table, str] | None:
         except InputError:
             continue
         named = [i for i in table.numeric() if i < len(table.names) and table.names[i]]
-        if len(named) >= _FEWEST:
+        if len(named) >= fewest:
             return replace(table, file=path.name, rows=table.rows + count), _remark(
                 path.name, count
             )
     return None
 
 
-def _cells_below(table: Table) -> tuple[Table, str]:
+def _cells_below(table: Table, fewest: int) -> tuple[Table, str]:
     """The table, or what stands below the first row that names all columns of numbers."""
     if any(not isinstance(cells, list) for cells in table.columns.values()):
         return table, ""
     width = max(table.columns, default=-1) + 1
     names = [*table.names, *[""] * (width - len(table.names))]
     rows = list(zip(*(table.columns[i] for i in range(width)), strict=True))
-    if not table.names or sum(map(bool, names)) >= max(_FEWEST, width - 1):
+    if not table.names or sum(map(bool, names)) >= max(fewest, width - 1):
         return table, ""
     for count, row in enumerate(rows[:_MOST]):
         cells = ["" if cell is None else str(cell).strip() for cell in row]
-        if sum(map(bool, cells)) >= max(_FEWEST, width - 1) and not any(map(is_number, row)):
+        if sum(map(bool, cells)) >= max(fewest, width - 1) and not any(map(is_number, row)):
             below = {i: list(cells[count + 1 :]) for i, cells in table.columns.items()}
             table_below = replace(
                 table, names=tuple(cells), columns=below, rows=table.rows[count + 1 :]

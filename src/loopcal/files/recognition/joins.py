@@ -6,14 +6,16 @@ mutual, and nearer than a quarter of the time between two rows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.fields import Field, Source, counted, pooled
+from loopcal.files.recognition.fields import Field, Source, counted
+from loopcal.files.recognition.headers import sd_of
+from loopcal.files.recognition.shots import pooled
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -134,12 +136,11 @@ def _one_row_per_pose(sources: Sequence[Source]) -> Sequence[Source]:
     for source in sources:
         shots, rest = divmod(len(source), least)
         blocks = np.repeat(np.arange(least), shots).tolist()
-        means = pooled(source.fields, blocks) if shots > 1 and not rest and not source.ids else None
+        means = pooled(source.fields, blocks) if shots > 1 and not rest else None
         if means:
             remark = f"{source.remark} {source.name}: {means.remark}".strip()
-            source = replace(
-                source, path=None, label=source.name, fields=means.fields, remark=remark
-            )
+            made.append(Source(None, None, means.fields, None, None, (), source.name, remark))
+            continue
         made.append(source)
     return made
 
@@ -190,9 +191,10 @@ def _without_doubles(fields: Sequence[Field]) -> tuple[Field, ...]:
     """Without the columns that an earlier table has with the same values, and without later times.
 
     What two tables have with other values under one name is kept twice, and named by its file:
-    points of a robot's controller beside those of a tracker.
+    points of a robot's controller beside those of a tracker. Their sds are named so too.
     """
     kept: list[Field] = []
+    doubles = set[tuple[int, str]]()
     for field_ in fields:
         same = [k for k in kept if k.stem and k.stem == field_.stem and k.table != field_.table]
         if same and field_.is_time:
@@ -201,9 +203,19 @@ def _without_doubles(fields: Sequence[Field]) -> tuple[Field, ...]:
             apart = np.abs(same[0].values - field_.values)
             if np.nanmax(apart, initial=0.0) <= ROUNDED * max(field_.span, 1e-12):
                 continue
-            number = field_.table + 1
-            words = f"{field_.label} (file {number})"
-            named = replace(field_.heading, text=words, stem=f"{field_.stem}_{number}")
-            field_ = replace(field_, heading=named)
+            doubles.add((field_.table, field_.stem))
         kept.append(field_)
-    return tuple(kept)
+    return tuple(
+        _named_by_file(f, {stem for table, stem in doubles if table == f.table}) for f in kept
+    )
+
+
+def _named_by_file(field_: Field, doubles: Collection[str]) -> Field:
+    """With its file in its name, where it is one of these columns or has their sds."""
+    if not field_.heading or not (field_.stem in doubles or sd_of(field_.stem, doubles)):
+        return field_
+    number = field_.table + 1
+    words = f"{field_.label} (file {number})"
+    return replace(
+        field_, heading=replace(field_.heading, text=words, stem=f"{field_.stem}_{number}")
+    )

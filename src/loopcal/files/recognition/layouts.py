@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.files.recognition.fields import STATIONS, Field, moving, unnamed
-from loopcal.files.recognition.headers import words
+from loopcal.files.recognition.headers import sd_of, words
 from loopcal.files.recognition.joint_sets import (
     NUMBERED,
     UNIT_NORM,
@@ -27,8 +27,6 @@ _POLAR = [words("columns", name) for name in ("range", "azimuth", "elevation")]
 _TURN_WORDS = words("columns", "turn")
 _TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"), ("rz", "ry", "rx"))
 _UNMEASURED = frozenset(words("columns", "unmeasured"))
-_SD_BEFORE = re.compile(r"^(?:u|sd|std|sigma|unc|uncertainty|stddev|sig)_?(?P<of>.+)$")
-_SD_AFTER = re.compile(r"^(?P<of>.+?)_?(?:sd|std|sigma|unc|uncertainty|stddev)$")
 _CELL = re.compile(r"^(?P<word>[a-z_]*?)_?(?P<row>[0-4])_?(?P<column>[0-4])$")
 FEWEST = 5
 """Rows that place an instrument."""
@@ -356,20 +354,12 @@ def _of_something_else(word: str, triple: tuple[Field, ...], by_stem: dict[str, 
     """Whether these are sds of other columns, velocities, forces, or what a controller computed."""
     if word in _UNMEASURED or word.split("_")[0] in _UNMEASURED:
         return True
-    return all(_sd_of(f.stem, by_stem) is not None for f in triple)
-
-
-def _sd_of(name: str, by_stem: dict[str, Field]) -> str | None:
-    for form in (_SD_BEFORE, _SD_AFTER):
-        match = form.match(name)
-        if match and match["of"] in by_stem and match["of"] != name:
-            return match["of"]
-    return None
+    return all(sd_of(f.stem, by_stem) is not None for f in triple)
 
 
 def _sds(position: Sequence[Field], fields: Sequence[Field]) -> tuple[Field, ...]:
     by_stem = {f.stem: f for f in fields if f.stem}
-    by_quantity = {of: f for f in fields if f.stem and (of := _sd_of(f.stem, by_stem)) is not None}
+    by_quantity = {of: f for f in fields if f.stem and (of := sd_of(f.stem, by_stem)) is not None}
     sds = tuple(by_quantity[p.stem] for p in position if p.stem in by_quantity)
     return sds if len(sds) == len(position) else ()
 

@@ -38,15 +38,16 @@ def at_rest(sources: Sequence[Source], names: Collection[str] = ()) -> tuple[lis
     usual names. Raises InputError for a log without a stand.
     """
     recorded = _recorded(sources)
+    tables = [one for one in sources if one.recording is None]
+    # Beside the stamp of a reading a log may have the time of its receipt.
+    stamped = all(any(_is_stamp(f) for f in one.fields) for one in tables)
     logs = {
         i: times
         for i, one in enumerate(sources)
-        if one.recording is None and (times := _times(one)) is not None
+        if one.recording is None and (times := _times(one, stamped)) is not None
     }
     fields = [f for i in logs for f in sources[i].fields if not f.is_time]
-    stems = {*map(stem, names)}
-    named = [f for f in fields if f.stem in stems]
-    joints = {id(f) for f in named or usual_joints(fields)}
+    joints = {id(f) for f in _named(fields, names) or usual_joints(fields)}
     if not joints:
         return list(sources), recorded
     at: dict[tuple[int, int], tuple[Series, int]] = {}
@@ -99,9 +100,24 @@ def _recorded(sources: Sequence[Source]) -> Columns:
     return Columns(at, tuple(recording for _, recording in recordings))
 
 
-def _times(source: Source) -> Array | None:
-    """(N,) stamps [s] of a log; None of a table of poses."""
-    column = next((f for f in source.fields if f.is_time), None)
+def _named(fields: Sequence[Field], names: Collection[str]) -> list[Field]:
+    """Columns of the joints' names; of those with one end, as "elbow.position", the most."""
+    by_end: dict[str, list[Field]] = {}
+    for name in map(stem, names):
+        for f in fields:
+            if f.stem == name or f.stem.startswith(f"{name}_"):
+                by_end.setdefault(f.stem.removeprefix(name), []).append(f)
+    return max(by_end.values(), key=len, default=[])
+
+
+def _is_stamp(field: Field) -> bool:
+    return field.stem.rpartition("_")[2] == "stamp"
+
+
+def _times(source: Source, stamped: bool) -> Array | None:
+    """(N,) times [s] of a log, its stamps where it has some; None of a table of poses."""
+    columns = (f for f in source.fields if (_is_stamp(f) if stamped else f.is_time))
+    column = next(columns, None)
     if column is None or len(source) < _FEW:
         return None
     times = _factor(column) * column.values

@@ -13,7 +13,12 @@ from loopcal.files.machines.urdf import Branch, branches
 from loopcal.files.recognition.dh_table import DhTable, Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
 from loopcal.files.recognition.headers import words
-from loopcal.files.recognition.joint_sets import affixed_joints, named_joints, usual_joints
+from loopcal.files.recognition.joint_sets import (
+    affixed_joints,
+    joint_sets,
+    named_joints,
+    usual_joints,
+)
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.rest import roll_pitch_yaw
@@ -140,13 +145,17 @@ def _which_chain(path: Path, every: Sequence[Branch], fitting: Sequence[Branch])
     )
 
 
-def dh_robot(path: Path, fields: Sequence[Field]) -> Robot:
-    """The machine of a table of Denavit-Hartenberg parameters.
+def dh_robot(path: Path, fields: Sequence[Field], signs: Sequence[int] = ()) -> Robot:
+    """The machine of a table of Denavit-Hartenberg parameters; signs: how its joints count.
 
     Where two axes are nominally parallel the form of Hayati replaces the classical one, in which d
     could not be determined. Raises InputError for a table that cannot be read.
     """
     table = read_dh(path)
+    if signs and len(signs) == table.moving:
+        each = iter(signs)
+        turned = [row if row.kind == "fixed" else row.turned(next(each)) for row in table.rows]
+        table = replace(table, rows=tuple(turned))
     robot = _of_table(path, table, fields)
     if table.stated:
         return robot
@@ -164,7 +173,9 @@ def _of_table(path: Path, table: DhTable, fields: Sequence[Field]) -> Robot:
             place=path.name,
             remedy="give a row per joint",
         )
-    columns = [f.heading.text if f.heading else "" for f in usual_joints(fields)]
+    # Commanded and actual joints would give the machine the names of one of them.
+    usual = usual_joints(fields) if len(joint_sets(fields, count, ())) < 2 else ()
+    columns = [f.heading.text if f.heading else "" for f in usual]
     names = joint_names(rows, [c for c in columns if c])
     joints: list[dict[str, Any]] = []
     ahead: dict[str, float] = {}
@@ -181,6 +192,9 @@ def _of_table(path: Path, table: DhTable, fields: Sequence[Field]) -> Robot:
     if table.modified:
         remarks.append(f"{path.name} is of the modified convention, written here in the classical")
     moving_names = tuple(row.name for row in rows if row.kind != "fixed")
+    turned = [joint["name"] for joint in joints if "direction" in joint]
+    if turned:
+        remarks.append(f"{', '.join(turned)} count the other way round (direction = -1)")
     stated = moving_names if len(named_joints(fields, moving_names)) == count else ()
     made = {"type": "serial", "units": {"length": "mm", "angle": "deg"}, "fix_redundant": True}
     return Robot({**made, "joint": joints}, count, stated, tuple(remarks))

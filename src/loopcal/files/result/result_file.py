@@ -94,6 +94,7 @@ def read_result(path: str | Path) -> ResultDocument:
     """
     from pydantic import ValidationError
 
+    _refuse_elsewhere(Path(path))
     content = _with_roles(read_json(path, "result.json", *READ)) | {"schema": SCHEMA}
     try:
         document = _adapter().validate_json(json.dumps(content).encode())
@@ -105,6 +106,29 @@ def read_result(path: str | Path) -> ResultDocument:
     if document.verdict is not None and not document.findings:
         return replace(document, findings=document.verdict.findings)
     return document
+
+
+def _refuse_elsewhere(path: Path) -> None:
+    """Raise InputError for a folder that holds no result.json, and for a file in its place.
+
+    The remedy names the only result below it, or for a file below the folder of the command.
+    """
+    place = path.parent
+    if path.name != RESULT or path.exists() or not place.exists():
+        return
+    is_folder, is_readings = place.is_dir(), place.is_file() and place.suffix != ".toml"
+    patterns = [f"*/{RESULT}", f"*/*/{RESULT}"] if is_readings else [f"*/{RESULT}"]
+    below = Path() if is_readings else place if is_folder else place.parent
+    folders = [str(one.parent) for pattern in patterns for one in below.glob(pattern)]
+    error = InputError(
+        "there is no result in this folder" if is_folder else "this is a file, not a result",
+        code="missing-file",
+        place=str(place),
+        remedy="name the folder of a result, or calibrate first: loopcal calibrate PROJECT",
+    )
+    if len(folders) == 1:
+        error.meaning(str(place), *folders, *([str(place)] if is_readings else []))
+    raise error
 
 
 def _with_roles(content: dict[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, closest
 from loopcal.files.outputs import note_input, refuse_outside
 from loopcal.measurements.source import file_name
 
@@ -147,11 +147,14 @@ def unreadable(path: Path, error: OSError | ValueError) -> InputError:
             beside = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
         except OSError:
             beside = []
-        close = nearest(path.name, beside) if beside else ""
-        remedy = close if close.startswith("did") else "give the path of an existing file"
-        return InputError(
+        close = closest(path.name, beside)
+        remedy = f"did you mean {close!r}?" if close else "give the path of an existing file"
+        missing = InputError(
             "there is no such file", code="missing-file", place=str(path), remedy=remedy
         )
+        if not close or Path(close).suffix != path.suffix:  # of another kind: no command with it
+            return missing
+        return missing.meaning(str(path), str(path.with_name(close)))
     if isinstance(error, PermissionError):
         return InputError(
             "no permission to read this file",

@@ -7,6 +7,7 @@ import sys
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from loopcal.errors import InputError
@@ -174,7 +175,7 @@ _ROBOTS = (".urdf", ".xacro")
 
 def refuse_other_kind(path: str | Path) -> None:
     """Raise InputError for what by its name is readings, a robot, a result or a folder."""
-    path, name = Path(path), f"'{path}'" if " " in str(path) else str(path)
+    path, name, project = Path(path), quote(str(path)), Path(path) / "project.toml"
     ending = path.suffix.lower()
     result = path if path.is_dir() else path.parent
     if ending in _TABLES:
@@ -186,12 +187,13 @@ def refuse_other_kind(path: str | Path) -> None:
     elif (path.is_dir() or ending == ".json") and (result / "result.json").is_file():
         words = "this is the result of a calibration"
         remedy = "name the project that it came from; verify, predict, export and report take it"
-    elif path.is_dir() and (path / "project.toml").is_file():
-        words, remedy = "this is a folder", f"name the project in it: {path / 'project.toml'}"
+    elif path.is_dir() and project.is_file():
+        words, remedy = "this is a folder", f"name the project in it: {project}"
     elif path.is_dir():
         words, remedy = "this is a folder", "name the project file in it"
     else:
         return
-    raise InputError(
+    error = InputError(
         f"{words}, not a project file", code="wrong-file-type", place=str(path), remedy=remedy
     )
+    raise error.meaning(str(path), str(project)) if project.is_file() else error

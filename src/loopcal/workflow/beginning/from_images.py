@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
-from loopcal.estimation.cameras.start import CameraStart, start
+from loopcal.estimation.cameras.start import CameraStart, start, with_stated_lenses
 from loopcal.files.cameras.boards import read_boards
 from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.corners import is_corners, read_corners
@@ -22,9 +22,10 @@ from loopcal.files.cameras.intrinsics import read_intrinsics
 from loopcal.files.cameras.places import read_places, read_samples
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.expressions import joint_columns
-from loopcal.files.recognition.fields import Field, sources_of
+from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.joint_sets import joint_sets
 from loopcal.files.recognition.robots import Robot
+from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
@@ -33,6 +34,8 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.mechanisms.instruments.camera import PIXEL
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import yaw_pitch_roll
 from loopcal.units import from_si, unit
 
@@ -40,8 +43,11 @@ Array = NDArray[np.float64]
 PROJECT, READINGS, CORNERS = "project.toml", "readings.csv", "corners.csv"
 USUAL_LENS = "brown5"
 _HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
-CORNER, ENCODER, PLACE, TURN = 0.3, 50e-6, 1e-4, 1e-4
-"""Where the learning of sds begins: a corner [px], a joint [rad], a stated pose [m], [rad]."""
+CORNER, ENCODER, PLACE, TURN = 0.02, 50e-6, 1e-4, 1e-4
+"""Where the learning of sds begins: a corner, at least [px], a joint [rad], a stated pose [m],
+[rad]."""
+_NORMAL = 1.4826
+"""The sd of normal values over the median of their sizes."""
 POINT_SD = 0.5e-3
 """How far markers on a body are from where they are stated [m], as its sd."""
 USUAL = {"k2": 0.5, "p1": 5e-3, "p2": 5e-3, "k3": 1.0} | dict.fromkeys(
@@ -49,6 +55,18 @@ USUAL = {"k2": 0.5, "p1": 5e-3, "p2": 5e-3, "k3": 1.0} | dict.fromkeys(
 )
 """Prior sds of coefficients of distortion that few images determine. Chosen: lenses on sale have
 smaller ones."""
+CENTRAL = 0.45
+"""A principal point is no nearer to the edge than this share of how far corners reach. Chosen:
+half would be the middle of an image that corners fill."""
+_LENGTH, _TWIST, _ZERO = 0.5, 1.0, 5.0
+"""How far a robot is from its drawing, as sds [mm, mrad, mrad]: pixels at a distance tell less than
+a tracker. Chosen: docs/explanation/model-error.md has what arms of many makers are off by."""
+_STATED, _CENTRED = 0.02, 0.05
+"""How far what is stated of a lens is off, and a principal point that nobody states from the middle
+of the image: as sds, in focal lengths. Chosen: lenses are refocused, images cut."""
+_MOUNTED, _TURNED = 20.0, 3.0
+"""As sds [mm, deg]: where a board or camera sits on a hand that is never turned, which no image
+shows, beside where the start puts it."""
 _FEWEST = 3
 """Points that say where a board is which nobody reads."""
 
@@ -206,6 +224,7 @@ class Hand:
     T_base_flange: Array | None
     noise: Mapping[str, Any]
     remarks: tuple[str, ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
 def from_images(
@@ -222,14 +241,17 @@ def from_images(
     hand = _hand(files, describe, joints, folder)
     boards = [_named(files.boards, name) for name in table.boards]
     corners = _corners(table, boards, hand.poses)
-    lenses = _by_camera(files.lenses, table.cameras)
+    lenses, turned = _upright(_by_camera(files.lenses, table.cameras), table)
     begun = start(corners, hand.T_base_flange, lenses, dict(table.sizes))
+    if set(lenses) >= set(table.cameras):
+        # What was stated is nominal: what the images add to it is for the calibration to say.
+        begun = with_stated_lenses(begun)
     if hand.T_base_flange is None:
         hand = _unread(begun, hand)
     elif begun.T_base_flange is not None and "x" in hand.readings:
         hand = replace(hand, readings=_flange(begun.T_base_flange))
     project = _Project(begun, hand, table, lenses)
-    remarks = (*files.remarks, *hand.remarks, *(fact.sentence for fact in begun.facts))
+    remarks = (*files.remarks, *hand.remarks, *turned, *(fact.sentence for fact in begun.facts))
     words = (
         f"{len(project.kept)} images with {len(begun.corners)} corners; the calibration begins at "
         f"{begun.rms:.2f} px rms"
@@ -261,6 +283,32 @@ def _by_camera(lenses: Mapping[str, Intrinsics], cameras: Sequence[str]) -> dict
     if len(lenses) == len(cameras):  # in their order, where names differ
         return dict(zip(cameras, lenses.values(), strict=True))
     return {name: lenses[name] for name in cameras if name in lenses}
+
+
+def _upright(
+    lenses: Mapping[str, Intrinsics], table: CornerTable
+) -> tuple[dict[str, Intrinsics], tuple[str, ...]]:
+    """The lenses, those turned back whose principal point is that of an image on its side."""
+    upright, remarks = dict(lenses), []
+    for name, lens in lenses.items():
+        seen = [i for i, camera in enumerate(table.camera) if camera == name]
+        most_u, most_v = float(table.u[seen].max()), float(table.v[seen].max())
+
+        def inside(cx: float, cy: float, u: float = most_u, v: float = most_v) -> bool:
+            return cx >= CENTRAL * u and cy >= CENTRAL * v
+
+        if inside(lens.cx, lens.cy) or not inside(lens.cy, lens.cx):
+            continue
+        values = lens.values | dict.fromkeys(("p1", "p2"), 0.0)
+        values |= {"f": lens.fy, "aspect": lens.fx / lens.fy - 1.0, "cx": lens.cy, "cy": lens.cx}
+        values = {key: values[key] for key in lens.values}
+        upright[name] = Intrinsics.of(lens.lens, values, lens.image and lens.image[::-1])
+        remarks.append(
+            f"the stated principal point ({lens.cx:.0f}, {lens.cy:.0f}) px of camera {name!r} is "
+            f"that of an image on its side, since corners reach ({most_u:.0f}, {most_v:.0f}) px: "
+            f"({lens.cy:.0f}, {lens.cx:.0f}) px is used"
+        )
+    return upright, tuple(remarks)
 
 
 def _corners(table: CornerTable, boards: Sequence[Board], poses: tuple[str, ...]) -> Corners:
@@ -359,7 +407,20 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
         if name not in slides:
             noise[name] = {"sd": 1e6 * ENCODER, "unit": "urad"}
     words = f"joints are {', '.join(f.label for f in columns)} of {source.name}, {how}"
-    return Hand(poses, robot.table, readings, T, noise, (*robot.remarks, words))
+    remarks = (*robot.remarks, words)
+    return Hand(poses, robot.table, readings, T, noise, remarks, _drawn(mechanism))
+
+
+def _drawn(mechanism: Mechanism) -> dict[str, Any]:
+    """How well the drawing states the arm's own parameters."""
+    sds = {"length": (_LENGTH, "mm"), "zero": (_ZERO, "mrad")}
+    entries = {}
+    for p in mechanism.parameters:
+        if p.role in GEOMETRY and p.role != "scale" and not p.fixed:
+            sd, of = sds.get(p.role, (_TWIST, "mrad") if p.unit == "rad" else sds["length"])
+            value = float(from_si(np.array(p.nominal), of))
+            entries[p.name] = {"value": value, "unit": of, "sd": sd}
+    return entries
 
 
 def _si(column: Field, si: str) -> Array:
@@ -480,23 +541,23 @@ class _Project:
 
     def _parameters(self) -> dict[str, Any]:
         begun, corners = self.begun, self.begun.corners
-        stated: dict[str, Any] = {}
+        stated: dict[str, Any] = dict(self.hand.parameters)
         free = self.hand.table.get("read") is False
         held = begun.held is not False
+        blind = any(fact.code in ("no-rotation", "parallel-axes") for fact in begun.facts)
         for c, (camera, eye) in enumerate(self.eyes.items()):
             X = begun.X[c] @ np.linalg.inv(begun.X[0]) if free else begun.X[c]
             place = X if held else np.linalg.inv(X)
-            stated |= _six(eye, place, fixed=free and c == 0)
-            # What was stated is nominal: what the images add to it is for the calibration to say.
-            lens = (
-                begun.intrinsics_stated[camera]
-                if camera in self.stated
-                else begun.intrinsics[camera]
-            )
+            stated |= _six(eye, place, fixed=free and c == 0, known=blind and not held)
+            lens = begun.intrinsics[camera]
             for key, value in lens.values.items():
                 entry: dict[str, Any] = {"value": float(value)}
                 if key in ("f", "cx", "cy"):
                     entry["unit"] = "px"
+                    stated_sd = camera in self.stated
+                    if key != "f" or stated_sd:
+                        share = _STATED if stated_sd else _CENTRED
+                        entry["sd"] = round(share * abs(lens.fx), 1)
                 if key in USUAL and lens.lens != "fisheye":
                     entry["sd"] = USUAL[key]
                 stated[f"{eye}_{key}"] = entry
@@ -505,7 +566,9 @@ class _Project:
             if free:
                 Y = np.linalg.inv(begun.Y[0]) @ Y
             place = Y if held else np.linalg.inv(Y)
-            stated |= _six(self.boards[board.name], place, fixed=free and b == 0)
+            stated |= _six(
+                self.boards[board.name], place, fixed=free and b == 0, known=blind and held
+            )
             if free and board.planar and len(board.points) > _FEWEST:
                 # nothing but the board says how large anything is
                 stated[f"{self.boards[board.name]}_scale"] = {"value": 0.0, "fixed": True}
@@ -517,10 +580,14 @@ class _Project:
         return stated
 
     def _noise(self) -> dict[str, Any]:
-        return {
-            name: {"sd": CORNER, "unit": "px", "estimate": "group"}
-            for name in self._names().values()
-        }
+        corners, residuals = self.begun.corners, self.begun.residuals
+        noise = {}
+        for (c, b), name in self._names().items():
+            left = np.abs(residuals[(corners.camera == c) & (corners.board == b)])
+            # Of the start, which wrong corners do not bend.
+            sd = max(_NORMAL * float(np.median(left)), CORNER)
+            noise[name] = {"sd": round(sd, 3), "unit": "px", "estimate": "group"}
+        return noise
 
     @property
     def dataset(self) -> Dataset:
@@ -563,15 +630,18 @@ class _Project:
         return table_bytes(columns, ".csv")
 
 
-def _six(owner: str, T: Array, *, fixed: bool) -> dict[str, Any]:
-    """The six parameters of a place."""
+def _six(owner: str, T: Array, *, fixed: bool, known: bool) -> dict[str, Any]:
+    """The six parameters of a place; known: as far as what is mounted usually is."""
     turns = yaw_pitch_roll(T[:3, :3])
-    entries = [(axis, 1e3 * float(v), "mm") for axis, v in zip("xyz", T[:3, 3], strict=True)]
+    entries = [
+        (axis, 1e3 * float(v), "mm", _MOUNTED) for axis, v in zip("xyz", T[:3, 3], strict=True)
+    ]
     entries += [
-        (name, float(from_si(np.array(v), "deg")), "deg")
+        (name, float(from_si(np.array(v), "deg")), "deg", _TURNED)
         for name, v in zip(("rz", "ry", "rx"), turns, strict=True)
     ]
+    further = {"fixed": True} if fixed else {}
     return {
-        f"{owner}_{name}": {"value": value, "unit": of, **({"fixed": True} if fixed else {})}
-        for name, value, of in entries
+        f"{owner}_{name}": {"value": value, "unit": of, **({"sd": sd} if known else further)}
+        for name, value, of, sd in entries
     }

@@ -25,8 +25,8 @@ from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import Conditions, apart
 from loopcal.files.recognition.converting import dataset_of
-from loopcal.files.recognition.expressions import joint_columns
-from loopcal.files.recognition.fields import Field, Source, sources_of
+from loopcal.files.recognition.expressions import joint_columns, turned_columns
+from loopcal.files.recognition.fields import Field, Source
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import Layout, layouts
 from loopcal.files.recognition.logs import at_rest
@@ -37,6 +37,7 @@ from loopcal.files.recognition.robots import (
     typed_robot,
     urdf_robot,
 )
+from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset, refuse_lost
 from loopcal.measurements.dataset import Dataset
@@ -252,8 +253,8 @@ def initial_project(
     sources, by_time = at_rest(sources, joints_of(robot.urdf))
     every = _joined(sources, robot, folder)
     fields = _without(every, robot.leave_out)
-    columns = joint_columns(fields.fields, robot.joints) if robot.joints else ()
-    made = _robot(robot, replace(fields, fields=columns or fields.fields), folder)
+    columns, signs = _joints(fields, robot)
+    made = _robot(robot, replace(fields, fields=columns or fields.fields), folder, signs)
     one = _readable(made, fields, columns, folder)
     if made.otherwise is not None and not one.share <= NEAR_ENOUGH:
         other = _readable(made.otherwise, fields, columns, folder)
@@ -274,7 +275,7 @@ def initial_project(
     if weak := _weakest(poses, dataset):
         statement = statement.remarked("mechanism", weak)
     odd = (*odd, *(one.words for one in poses.findings if one.code == ORDERED))
-    tables = {READINGS: _table(fields, statement)} if statement.converted else {}
+    tables = {READINGS: _table(dataset, statement)} if statement.converted else {}
     remarks = tuple(source.remark for source in sources if source.remark)
     remarks += tuple(row for rows in statement.remarks.values() for row in rows) + odd
     text = statement.text
@@ -294,6 +295,15 @@ def initial_project(
     files = {PROJECT: text.encode("utf-8"), **tables}
     write_files(folder, files)
     return replace(done, written=tuple(folder / name for name in files))
+
+
+def _joints(fields: Fields, robot: RobotFile) -> tuple[tuple[Field, ...], tuple[int, ...]]:
+    """The columns that are stated as joints, and how each counts; none where none are stated.
+
+    A table of the robot holds directions, so its readings and zeros stay those of the controller.
+    """
+    columns = joint_columns(fields.fields, robot.joints) if robot.joints else ()
+    return turned_columns(fields.fields, columns) if robot.dh else (columns, ())
 
 
 def _of_images(
@@ -325,23 +335,26 @@ def _of_images(
 
 
 def _described(robot: RobotFile, folder: Path, fields: Sequence[Field]) -> Robot:
-    return _robot(robot, Fields((), (), tuple(fields)), folder)
+    return _robot(robot, Fields((), (), tuple(fields)), folder, ())
 
 
-def _robot(robot: RobotFile, fields: Fields, folder: Path) -> Robot:
+def _robot(robot: RobotFile, fields: Fields, folder: Path, signs: Sequence[int]) -> Robot:
     named = [k for k in ("urdf", "dh", "machine") if getattr(robot, k) is not None]
     if len(named) != 1:
-        raise UsageError(
+        error = UsageError(
             f"{' and '.join(named) or 'nothing'} describes the robot",
             remedy="name exactly one of --urdf FILE, --dh FILE and --machine TYPE",
         )
+        folders = {source.path.parent for source in fields.sources if source.path}
+        near = [str(urdf) for folder in folders for urdf in folder.glob("*.urdf")]
+        raise error.offering("--urdf", *near) if len(near) == 1 and not named else error
     if robot.urdf is not None:
         path = Path(robot.urdf)
         return urdf_robot(path, relative(path, folder), fields.fields, robot.base, robot.tip)
     if robot.base is not None or robot.tip is not None:
         raise UsageError("base and tip are links of a URDF", remedy="remove them, or name --urdf")
     if robot.dh is not None:
-        return dh_robot(Path(robot.dh), fields.fields)
+        return dh_robot(Path(robot.dh), fields.fields, signs)
     return typed_robot(str(robot.machine))
 
 
@@ -361,8 +374,8 @@ def _joined(sources: Sequence[Source], robot: RobotFile, folder: Path) -> Fields
 
         def read(fields: Fields) -> tuple[Machine, Sequence[Layout]]:
             kept = _without(fields, robot.leave_out)
-            columns = joint_columns(kept.fields, robot.joints) if robot.joints else ()
-            made = _robot(robot, kept, folder)
+            columns, signs = _joints(kept, robot)
+            made = _robot(robot, kept, folder, signs)
             some = layouts(kept.fields, made.joints, made.names, columns)
             return _machine(made, kept, folder), some
 
@@ -423,11 +436,12 @@ def _without(fields: Fields, names: str | None) -> Fields:
     return replace(fields, fields=tuple(kept))
 
 
-def _table(fields: Fields, statement: Statement) -> bytes:
-    """The readings in SI units, for the file beside the project."""
+def _table(dataset: Dataset, statement: Statement) -> bytes:
+    """The readings and their sds in SI units, for the file beside the project."""
     columns = statement.tables["data"]["columns"]
-    values = {columns[n]["column"]: r.values for n, r in statement.readings.items()}
-    return table_bytes({"pose": fields.poses, **values})
+    values = {columns[n]["column"]: v for n, v in dataset.readings.items()}
+    sds = {columns[n]["sd_column"]: v for n, v in dataset.sds.items()}
+    return table_bytes({"pose": dataset.poses, **values, **sds})
 
 
 def _read(statement: Statement, folder: Path) -> Project:
@@ -479,9 +493,9 @@ def _weakest(made: Check, dataset: Dataset) -> str:
     drawing = replace(predictor, covariance=LearntCovariance.certain(np.diag(np.square(sds))))
     joints = dict.fromkeys(step.joint for step in machine.chain if step.joint)
     ranges = ranges_of(machine, {name: dataset[name] for name in joints}, {})
-    both = zip(
-        output_groups(machine), sds_in(predictor, ranges), sds_in(drawing, ranges), strict=True
-    )
+    constants = {name: float(np.median(dataset[name])) for name in machine.tape.pose_constants}
+    made_sds, drawn_sds = (sds_in(one, ranges, constants) for one in (predictor, drawing))
+    both = zip(output_groups(machine), made_sds, drawn_sds, strict=True)
     worse = [(group, sd, drawn) for group, sd, drawn in both if sd > drawn]
     if not worse:
         return ""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice, pairwise
+from itertools import chain, combinations, islice, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from loopcal.workflow.beginning.searching import (
     Counting,
     Machine,
     Understood,
+    as_large,
     every_way,
 )
 from loopcal.workflow.beginning.shuffled import reordered
@@ -41,6 +42,7 @@ COUNTS = 1e4
 """Joint readings beyond this are in no unit of angle."""
 _LIKELIEST = 4
 """Ways to read the columns that are tried with joints counted in another way."""
+_MIRROR = np.array([-1.0, 1.0, 1.0])
 _SHIFTS = (1, -1, 2, -2, 3, -3)
 _FEW = 40
 """Poses that one coordinate is tried on."""
@@ -112,7 +114,7 @@ def objection(case: Case) -> Explanation | None:
     tried = (  # the quickest first; each begins when it is its turn
         _shifted_too(case),
         _moved_too(case),
-        _coordinates(case.ways),
+        _coordinates(case),
         _reversed(case, 1),
         _displaced_zeros(case, 1),
         _reversed(case, 2),
@@ -120,9 +122,9 @@ def objection(case: Case) -> Explanation | None:
         _coupled(case),
         _shuffled(case),
     )
-    for explained in tried:
-        explanations += explained
-        if explanations and min(e.share for e in explanations) <= SURE:
+    for explained in chain.from_iterable(tried):
+        explanations.append(explained)
+        if explained.share <= SURE:
             break
     clear = [e for e in explanations if e.share <= PLAUSIBLE and CLEARLY * e.share < best.share]
     if clear:
@@ -133,7 +135,11 @@ def objection(case: Case) -> Explanation | None:
 def shifted(case: Case, ways: Sequence[Understood]) -> Explanation | None:
     """Where the readings of the instrument fit far better some rows apart."""
     explanations = [
-        e for way in ways for meaning in way.seen for e in _displaced(case, way, meaning)
+        e
+        for way in ways
+        for meaning in way.seen
+        if as_large(meaning, way.bodies)
+        for e in _displaced(case, way, meaning)
     ]
     return min(explanations, key=lambda e: e.share, default=None)
 
@@ -156,7 +162,10 @@ def _displaced(case: Case, way: Understood, meaning: Meaning) -> Iterator[Explan
             continue
         turns = None if meaning.turns is None else meaning.turns[moved]
         apart = replace(meaning, position=meaning.position[moved], turns=turns)
-        share = apart.fitted(_some(way.bodies, rows)).share
+        bodies, few = _some(way.bodies, rows), _few(len(rows))
+        if apart.fitted(bodies, few, 1).share > 2.0 * NOTHING:  # unrelated points leave 0.8 or more
+            continue
+        share = apart.fitted(bodies).share
         if CLEARLY * share < whole and share < NOTHING:
             where, plural = "late" if shift > 0 else "early", "s" if abs(shift) > 1 else ""
             joined, remedy = _joined_by(case.fields)
@@ -179,23 +188,27 @@ def _joined_by(fields: Fields) -> tuple[str, str]:
     return "in the same file", "move these columns, or remove the row too many"
 
 
-def _coordinates(ways: Sequence[Understood]) -> Iterator[Explanation]:
+def _coordinates(case: Case) -> Iterator[Explanation]:
     """A mirrored frame, and one coordinate in another unit than the others."""
-    for way in ways:
+    for way in case.ways:
+        signs = _mirrored(case, way)
+        if signs is not None:
+            yield signs
         for meaning in way.seen:
             fields = meaning.seen.position
             if meaning.position.ndim < 2 or len(fields) != 3 or meaning.seen.kind == "spherical":
                 continue
             # One mirror is enough: two differ by a rotation, which the placement takes.
-            share = _scaled(way, meaning, np.array([-1.0, 1.0, 1.0]))
-            yield Explanation(
-                share,
-                "implausible-readings",
-                f"{names_of(fields)} form a left-handed frame: mirrored, the nominal machine "
-                f"misses the readings by {_percent(share)} of their spread, as read by "
-                f"{_percent(way.share)}",
-                "two of the columns are exchanged, or one has the wrong sign: correct it",
-            )
+            share = _scaled(way, meaning, _MIRROR)
+            if signs is None:
+                yield Explanation(
+                    share,
+                    "implausible-readings",
+                    f"{names_of(fields)} form a left-handed frame: mirrored, the nominal machine "
+                    f"misses the readings by {_percent(share)} of their spread, as read by "
+                    f"{_percent(way.share)}",
+                    "two of the columns are exchanged, or one has the wrong sign: correct it",
+                )
             for axis, field in enumerate(fields):
                 for other in LENGTHS:
                     factors = np.ones(3)
@@ -211,16 +224,57 @@ def _coordinates(ways: Sequence[Understood]) -> Iterator[Explanation]:
                     )
 
 
+def _mirrored(case: Case, way: Understood) -> Explanation | None:
+    """The fewest joints that, counted the other way round, leave what mirrored frames leave.
+
+    A machine whose drawing has a plane of symmetry mirrors its motion so. No reading tells the two
+    apart, and makers' signs of joints are the more frequent.
+    """
+    points = [
+        replace(m, turns=None, seen=_as_point(m))
+        for m in way.seen
+        if m.position.ndim == 2 and not m.inverted and as_large(m, way.bodies)
+    ]
+    shares = [_scaled(way, m, _MIRROR) for m in points]
+    share = max(shares, default=1.0)
+    if not (share <= PLAUSIBLE and CLEARLY * share < way.share):
+        return None
+    joints, few = case.machine.joints, _few(len(points[0].position))
+    for names in (n for k in range(len(joints)) for n in combinations(joints, k + 1)):
+        bodies = case.machine.bodies({n: -q if n in names else q for n, q in way.joints.items()})
+        fits = (m.fitted(bodies, few, 2).share for m in points)
+        if all(fit < CLEARLY * mirror for fit, mirror in zip(fits, shares, strict=True)):
+            pairs = zip(joints, way.layout.joints, strict=True)
+            columns = [_signed(f.label, -1 if n in names else 1) for n, f in pairs]
+            count = "counts" if len(names) == 1 else "count"
+            frames = " and ".join(names_of(m.seen.position) for m in points)
+            return Explanation(
+                share,
+                "implausible-readings",
+                f"{', '.join(names)} {count} the other way round, or {frames} have a left-handed "
+                f"frame: so the nominal machine misses the readings by {_percent(share)} of their "
+                f"spread, as read by {_percent(way.share)}",
+                "state --joints, or correct the frame: two columns are exchanged, or one has the "
+                "wrong sign",
+                ("--joints", ",".join(columns)),
+            )
+    return None
+
+
 def _scaled(way: Understood, meaning: Meaning, factors: Array) -> float:
     """The misfit with coordinates multiplied by these; of a pose its position alone counts."""
-    if (factors == 1.0).all():
-        return float("inf")
     # Columns of an inverted pose are not its position, so no factor of one of them can be tried.
-    position = meaning.position if not meaning.inverted else np.full_like(meaning.position, np.nan)
-    scaled = replace(meaning, position=position * factors, turns=None, seen=_as_point(meaning))
-    count = len(position)
-    few = np.unique(np.linspace(0, count - 1, min(count, _FEW)).astype(np.intp))
-    return scaled.fitted(way.bodies, few, 2).share
+    if meaning.inverted or (factors == 1.0).all():
+        return float("inf")
+    position = meaning.position * factors
+    scaled = replace(meaning, position=position, turns=None, seen=_as_point(meaning))
+    if not as_large(scaled, way.bodies):
+        return float("inf")
+    return scaled.fitted(way.bodies, _few(len(position)), 2).share
+
+
+def _few(count: int) -> NDArray[np.intp]:
+    return np.unique(np.linspace(0, count - 1, min(count, _FEW)).astype(np.intp))
 
 
 def _as_point(meaning: Meaning) -> Seen:
@@ -247,7 +301,7 @@ def _reversed(case: Case, count: int) -> Iterator[Explanation]:
 def _shuffled(case: Case) -> Iterator[Explanation]:
     """Of every way to read the columns, the first whose points fit in another order."""
     for way in case.ways if case.share > NOTHING else ():
-        for meaning in way.seen:
+        for meaning in (m for m in way.seen if as_large(m, way.bodies)):
             share = reordered(way.bodies, meaning).share
             if share <= PLAUSIBLE:
                 yield Explanation(
@@ -317,13 +371,18 @@ def _counted(case: Case, counting: Mapping[str, Counting]) -> tuple[float, tuple
     columns = []
     for name, of in zip(case.machine.joints, best.units, strict=True):
         one = counting.get(name, Counting())
-        text = f"{'-' if one.sign < 0 else ''}{label[name]}"
+        text = _signed(label[name], one.sign)
         if one.zero:
             text += f"{from_si(one.zero, of):+.6g}"
         if one.other:
             text += f"{'+' if one.factor > 0 else '-'}{label[one.other]}"
         columns.append(text)
     return best.share, ("--joints", ",".join(columns))
+
+
+def _signed(label: str, sign: int) -> str:
+    """A column as --joints states it, which may be counted the other way round already."""
+    return label if sign > 0 else label[1:] if label.startswith("-") else f"-{label}"
 
 
 def _nothing(case: Case) -> Explanation:
@@ -375,9 +434,9 @@ def _moved(way: Understood) -> Explanation | None:
     """Where blocks of poses fit alone, but not together: the instrument was moved between them."""
     count = len(way.bodies.origins)
     blocks = [np.arange(i, i + _BLOCK) for i in range(0, count - _BLOCK + 1, _BLOCK)]
-    if len(blocks) < 3:
-        return None
     meaning = way.seen[0]
+    if len(blocks) < 3 or not as_large(meaning, way.bodies):
+        return None
     alone = [meaning.fitted(way.bodies, b) for b in blocks]
     if np.median([m.share for m in alone]) > _TOGETHER:
         return None

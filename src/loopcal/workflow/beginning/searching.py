@@ -29,7 +29,7 @@ FAR = 10.0
 """A meaning that fits so many times worse on a few poses is not tried on more."""
 # Few poses drop what is wrong by factors; more decide among the rest.
 _SAMPLE, _FEW = 120, 40
-_AS_LARGE = 8.0
+_AS_LARGE, _MIDDLE = 8.0, (0.05, 0.95)
 """Between mm and cm lies a factor of 10."""
 
 
@@ -133,7 +133,7 @@ def every_way(
                 some, few = _spread(seen.rows, _SAMPLE), _spread(seen.rows, _FEW)
                 some_meanings = meanings(seen, as_stated=as_stated)
                 if counting or mixed:  # one of many trials
-                    some_meanings = (m for m in some_meanings if _as_large(m, bodies))
+                    some_meanings = (m for m in some_meanings if as_large(m, bodies))
                     options.append(_fitting(some_meanings, bodies, few, 1)[:1])
                     continue
                 tried = _fitting(some_meanings, bodies, few, 1)
@@ -157,11 +157,14 @@ def every_way(
     return ways
 
 
-def _as_large(meaning: Meaning, bodies: Bodies) -> bool:
+def as_large(meaning: Meaning, bodies: Bodies) -> bool:
     """Whether the readings move about as far as the body does; units differ by larger factors."""
     if meaning.position.ndim != 2:
         return True
-    read, moved = (float(np.nanstd(p, axis=0).max()) for p in (meaning.position, bodies.origins))
+    read, moved = (
+        float(np.ptp(np.nanquantile(p, _MIDDLE, axis=0), axis=0).max())
+        for p in (meaning.position, bodies.origins)
+    )
     return moved < _AS_LARGE * read and read < _AS_LARGE * moved
 
 

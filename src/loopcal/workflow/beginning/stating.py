@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,8 +30,8 @@ from loopcal.units import from_si, to_si, unit
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
 
 Array = NDArray[np.float64]
-READINGS = "readings.csv"
-"""The file beside the project that holds converted readings."""
+READINGS, SDS = "readings.csv", " sd"
+"""The file beside the project that holds converted readings, and the end of its columns of sds."""
 ENCODER = 50e-6
 """Guess of an encoder's sd at the joint [rad], that of 17 bits (2 pi / 2^17 = 48 urad)."""
 SLIDE, WIRE, CAMERA, TURN = 10e-6, 0.2e-3, 1e-3, 2e-3
@@ -38,6 +39,7 @@ SLIDE, WIRE, CAMERA, TURN = 10e-6, 0.2e-3, 1e-3, 2e-3
 _HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
 _TRACKER = "leica-at500"
 _POINTS = ("point", "spherical")
+_EXPANDED = re.compile(r"u(nc|ncertainty)?(_?(95|exp|k_?2))?|expanded_uncertainty|messunsicherheit")
 _SAME = 5e-3
 """Points of a body that lie so near [m] each other, found from the nominal machine, are one."""
 
@@ -265,7 +267,14 @@ def _inferred(understood: Understood) -> tuple[str, ...]:
 
 def _left_out(understood: Understood) -> tuple[str, ...]:
     ignored = understood.layout.ignored
-    return (f"Columns that take no part: {names_of(ignored)}.",) if ignored else ()
+    words = [f"Columns that take no part: {names_of(ignored)}."] if ignored else []
+    for f in ignored:
+        if f.unit and unit(f.unit).si == "m" and _EXPANDED.fullmatch(f.stem):
+            words.append(
+                f"{f.label} may be the uncertainty of each point. Then write for each coordinate "
+                f"sd_column = {f.label!r}, and coverage = 2 where it is expanded (k = 2)."
+            )
+    return tuple(words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,7 +358,10 @@ class _Instrument:
         position = [columns[n] for n in self.names()]
         if all(r.sds is not None for r in position):
             names = ", ".join(self.names())
-            guesses.append(f"The sds of {names} stand in columns of the file (sd_column above).")
+            guesses.append(
+                f"The sds of {names} stand in columns of the file (sd_column above). For expanded "
+                "uncertainties (k = 2) add coverage = 2 there, and to [[data.source.instrument]]."
+            )
         else:
             sd, source = self._guess(position)
             shown = "mm" if sd > 1e-4 else "um"
@@ -429,6 +441,7 @@ def _data(
         labels = {f.label for f in fields.fields}
         columns = {
             n: {"column": converted_name(n, r.si, labels), "unit": r.si}
+            | ({} if r.sds is None else {"sd_column": f"{n}{SDS}"})
             for n, r in readings.items()
         }
         return [{"file": READINGS, "pose": "pose", "columns": columns}]

@@ -118,7 +118,7 @@ def understood(
 
 
 def _alternatives(best: Understood, ways: Sequence[Understood]) -> tuple[str, ...]:
-    """What was inferred could also be, and how badly that fits: a sentence for each inference."""
+    """What else each inference could be, where that fits too: a sentence for each."""
     others = [u for u in ways if u.layout.joints == best.layout.joints and u.units != best.units]
     next_best = min(others, key=lambda u: u.share, default=None)
     likely = [(next_best.joint_words, next_best.share)] if next_best else []
@@ -130,7 +130,7 @@ def _alternatives(best: Understood, ways: Sequence[Understood]) -> tuple[str, ..
     return tuple(
         f"Alternative, next best: {words}: misfit {significant(100.0 * share, 2)} %."
         for words, share in likely
-        if words
+        if words and share < max(CLEARLY * best.share, USUAL)
     )
 
 
