@@ -168,6 +168,9 @@ def entrants(
     fit, lossless = case.fit, case.fit.robust_loss is None
     methods = fit.among(case.data, case.noise)
     machine, with_error = fit.with_prior(case.mechanism), fit.changed(model_error="structured")
+    images = any(f.form == PIXELS for f in case.mechanism.families)
+    if made is None and images:
+        made = machine  # what is smooth in pixels is the lens's as well as the arm's
     if made is None:
         made = modelled(with_error, machine, len(case.data)) if lossless else machine
     for method in methods if len(made.terms) > len(machine.terms) else ():
@@ -177,10 +180,11 @@ def entrants(
         error_fit = with_error.changed(method=method, prior=None)
         name = f"{method.name} with model error"
         yield Entrant(name, replace(case, mechanism=made, fit=error_fit), True)
-    images = any(f.form == PIXELS for f in case.mechanism.families)
     for method in methods:
-        if images and method.weighting is Weighting.READ:
-            continue  # the weights of an image cost as much as its fit
+        if images and (method.weighting is Weighting.READ or (method.exact and machine.chain)):
+            # The weights of images cost as much as a fit; without its drawing's priors an arm that
+            # pixels alone see lies in a valley.
+            continue
         plain = fit.changed(method=method, model_error="none")
         yield Entrant(method.name, replace(case, fit=plain))
     if case.mechanism.outputs:

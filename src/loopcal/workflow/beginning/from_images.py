@@ -523,10 +523,10 @@ class _Project:
             camera, board = corners.cameras[c], corners.boards[b]
             seen = (corners.camera == c) & (corners.board == b)
             ids = list(board.points)
-            points = {
-                ids[i]: list(map(float, board.points[ids[i]]))
-                for i in np.unique(corners.point[seen])
-            }
+            used = [ids[i] for i in np.unique(corners.point[seen])]
+            # In the unit of the lengths that state none.
+            length = dict(self.hand.table.get("units", {})).get("length", "m")
+            points = {p: from_si(np.array(board.points[p]), length).tolist() for p in used}
             yield {
                 "type": "camera",
                 "name": name,
