@@ -86,6 +86,8 @@ def renamed(machine: Machine, words: Words) -> Machine:
         frame=lambda x, p: machine.frame(Back(x, words), Back(p, words)),
         equations=lambda x, p: machine.equations(Back(x, words), Back(p, words)),
         home={words(q): v for q, v in machine.home.items()},
+        pose_constants={words(c): unit for c, unit in machine.pose_constants.items()},
+        implied={words(q): v for q, v in machine.implied.items()},
         gauge=all_of(machine.gauge),
         chain=tuple(
             replace(

@@ -117,8 +117,8 @@ def output_differences(
     differences = np.full((len(compared), len(problem.poses)), np.nan)
     predicting = set(mechanism.predicting().tape.loops)
     for pattern in problem.patterns:
-        if pattern.own:
-            _of_own_readings(problem, pattern, parameters, corrections, differences)
+        if pattern.predicted:
+            _of_images(problem, pattern, parameters, corrections, differences)
             continue
         loops = tuple(i for i in pattern.loops if mechanism.tape.loops[i] in predicting)
         inputs = frozenset().union(*(depends[i] for i in loops))
@@ -148,7 +148,7 @@ def output_differences(
     return differences
 
 
-def _of_own_readings(
+def _of_images(
     problem: Problem,
     pattern: Pattern,
     parameters: Array,
@@ -171,7 +171,7 @@ def _of_own_readings(
     )
     sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
     compared = {name: row for row, name in enumerate(mechanism.compared)}
-    for reading, value in zip(pattern.own, values, strict=True):
+    for reading, value in zip(pattern.predicted, values, strict=True):
         row = compared.get(mechanism.tape.quantities[reading])
         if row is not None:
             missing = np.isinf(sd[reading, pattern.poses])

@@ -33,8 +33,8 @@ def residuals(
         values = sweeper.loop_values(pattern, block, Stage.VALUES)
         for row, loop in enumerate(pattern.loops):
             out[loop, block.poses] = values.f[row]
-        if pattern.own:
-            sd = np.broadcast_to(block.noise.sd, block.readings.shape)[list(pattern.own)]
+        if pattern.predicted:
+            sd = np.broadcast_to(block.noise.sd, block.readings.shape)[list(pattern.predicted)]
             for row, loop in enumerate(pattern.loops):
                 out[loop, block.poses] = np.where(np.isinf(sd[row]), np.nan, values.f[row])
     return by_name(loops, out)

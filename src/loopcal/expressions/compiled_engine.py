@@ -83,20 +83,21 @@ def native_noise(
     unmeasured: Sequence[int],
     measured: Sequence[int],
     blocks: Iterable[tuple[Sequence[int], Array]],
-    own: Sequence[int] = (),
+    predicted: Sequence[int] = (),
     shared: Sequence[int] = (),
 ) -> _compiled.Noise:
     """The uncertainty of a block as the engine takes it.
 
     sd: (k, 1) or (k, b); unmeasured, measured: all quantities; blocks: places among the measured
-    ones, and the factor (c, c) or (b, c, c) of their covariance; own: for each loop the reading
-    that it predicts, or none; shared: the others of the measured, among which places then count.
+    ones, and the factor (c, c) or (b, c, c) of their covariance; predicted: for each loop the
+    reading that it predicts, or none; shared: the others of the measured, among which places then
+    count.
     """
     places, factors = [], []
     for which, factor in blocks:
         places.append(which)
         factors.append(np.ascontiguousarray(factor))
-    return _compiled.Noise(sd, unmeasured, measured, places, factors, own, shared)
+    return _compiled.Noise(sd, unmeasured, measured, places, factors, predicted, shared)
 
 
 def _native(linearisation: Linearisation) -> _compiled.Engine:

@@ -143,10 +143,10 @@ def linear_model(
         columns = values.by_quantity[unmeasured]
         if problem.weighting is Weighting.READ:
             D = sweeper.loop_values(pattern, block.read).by_parameter
-        if noise.own and compressed:
-            blocks.append(_of_own_readings(values, D, block, components, problem.loops_alike))
+        if noise.predicted and compressed:
+            blocks.append(_of_images(values, D, block, components, problem.loops_alike))
             continue
-        sd = np.broadcast_to(noise.sd[list(noise.own)], (len(noise.own), block.count))
+        sd = np.broadcast_to(noise.sd[list(noise.predicted)], (len(noise.predicted), block.count))
         missing = np.isinf(sd)  # empty but for images
         if missing.any():
             J, columns = J * ~missing, columns * ~missing
@@ -184,7 +184,7 @@ def linear_model(
     return LinearModel(tuple(blocks), precision, offset, by_component)
 
 
-def _of_own_readings(
+def _of_images(
     values: LoopValues,
     D: Array,
     block: Block,
@@ -199,21 +199,21 @@ def _of_own_readings(
     nothing but noise, and is taken off again.
     """
     noise, corrections = block.noise, block.corrections
-    own, unmeasured = list(noise.own), list(noise.unmeasured)
+    predicted, unmeasured = list(noise.predicted), list(noise.unmeasured)
     shared = [] if exact else list(noise.shared)
     J = values.by_quantity
     m, b = values.f.shape
-    slope, sd = J[own, np.arange(m)], np.broadcast_to(noise.sd[own], (m, b))
+    slope, sd = J[predicted, np.arange(m)], np.broadcast_to(noise.sd[predicted], (m, b))
     missing = np.isinf(sd)
     weight = np.where(missing, 0.0, 1.0 if exact else 1.0 / (np.abs(slope) * sd))
     e = -values.f
     if not exact:
-        e = e + slope * corrections[own]
+        e = e + slope * corrections[predicted]
         e += np.einsum("smb,sb->mb", J[shared], corrections[shared])
     loads = shared_loads(J, noise) if shared else J[:0]
     every = np.concatenate([J[unmeasured], loads, D, e[None]]) * weight
     owner = {q: j for j, positions in enumerate(components) for q in positions}
-    of_row = np.array([owner.get(q, -1) for q in own])
+    of_row = np.array([owner.get(q, -1) for q in predicted])
     parts, loaded, owners = [], [], []
     spare = np.zeros((b, len(components) + 1))
     width = len(every)

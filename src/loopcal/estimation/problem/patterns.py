@@ -21,16 +21,16 @@ class Pattern:
     """Poses in which the same loops hold and the same of their quantities are unmeasured.
 
     loops, unmeasured, absent: positions of these loops, of the unmeasured quantities in them, and
-    of the quantities that are in none of them. own: for each loop the position of the reading that
-    it predicts, where poses with many readings are reduced by these (`own_kernel`); such a reading
-    may be missing in some of the poses, and its loop then counts nothing there.
+    of the quantities that are in none of them. predicted: for each loop the position of the reading
+    that it predicts, where poses with many readings are reduced by these (`whiten_images`); such a
+    reading may be missing in some of the poses, and its loop then counts nothing there.
     """
 
     loops: tuple[int, ...]
     unmeasured: tuple[int, ...]
     absent: tuple[int, ...]
     poses: Poses
-    own: tuple[int, ...] = ()
+    predicted: tuple[int, ...] = ()
 
     def count(self, poses: int) -> int:
         """How many poses these are, of so many."""
@@ -57,18 +57,18 @@ def patterns_of(
     eliminating these readings would leave nothing of the loops.
     """
     unmeasured = np.isinf(uncertainty.sd)
-    own = _own_readings(mechanism, uncertainty)
-    if own:
+    predicted = _predicted_readings(mechanism, uncertainty)
+    if predicted:
         unmeasured = unmeasured.copy()
-        unmeasured[list(own)] = False
+        unmeasured[list(predicted)] = False
         blind = unmeasured
     codes = np.concatenate([unmeasured, unmeasured if blind is None else blind])
     if (codes == codes[:, :1]).all():
-        common = _pattern(mechanism, codes[:, 0], own)
+        common = _pattern(mechanism, codes[:, 0], predicted)
         return (common,) if common.loops else ()
     unique, inverse = np.unique(codes.T, axis=0, return_inverse=True)
     alike: dict[tuple[tuple[int, ...], ...], list[int]] = {}
-    patterns = [_pattern(mechanism, code, own) for code in unique]
+    patterns = [_pattern(mechanism, code, predicted) for code in unique]
     for i, pattern in enumerate(patterns):
         alike.setdefault((pattern.loops, pattern.unmeasured), []).append(i)
     return tuple(
@@ -78,29 +78,29 @@ def patterns_of(
     )
 
 
-def _own_readings(mechanism: Mechanism, uncertainty: ReadingUncertainty) -> tuple[int, ...]:
+def _predicted_readings(mechanism: Mechanism, uncertainty: ReadingUncertainty) -> tuple[int, ...]:
     """For each loop the position of the reading that it predicts, where an image is read.
 
     Empty without images, and where such a reading shares a covariance or some of them are exact:
     these are reduced like any loops.
     """
     tape = mechanism.tape
-    predicted = {
+    readings = {
         loop: reading
         for family in mechanism.families
         for loop, reading in zip(family.loops, family.readings, strict=False)
     }
-    if not any(f.form == PIXELS for f in mechanism.families) or len(predicted) < len(tape.loops):
+    if not any(f.form == PIXELS for f in mechanism.families) or len(readings) < len(tape.loops):
         return ()
-    own = tuple(tape.quantities.index(predicted[loop]) for loop in tape.loops)
-    if any(set(own).intersection(block.indices) for block in uncertainty.blocks):
+    predicted = tuple(tape.quantities.index(readings[loop]) for loop in tape.loops)
+    if any(set(predicted).intersection(block.indices) for block in uncertainty.blocks):
         return ()
-    sd = uncertainty.sd[list(own)]
+    sd = uncertainty.sd[list(predicted)]
     exact = sd == 0.0
-    return () if exact.any() and not (exact | np.isinf(sd)).all() else own
+    return () if exact.any() and not (exact | np.isinf(sd)).all() else predicted
 
 
-def _pattern(mechanism: Mechanism, code: NDArray[np.bool_], own: tuple[int, ...]) -> Pattern:
+def _pattern(mechanism: Mechanism, code: NDArray[np.bool_], predicted: tuple[int, ...]) -> Pattern:
     """The pattern of all poses in which this is unmeasured and, in the second half, blind."""
     tape = mechanism.tape
     unmeasured, blind = code.reshape(2, -1).tolist()
@@ -116,5 +116,5 @@ def _pattern(mechanism: Mechanism, code: NDArray[np.bool_], own: tuple[int, ...]
         tuple(i for i, name in places if name in missing and name in present),
         tuple(i for i, name in enumerate(tape.quantities) if name not in present),
         slice(None),
-        tuple([own[i] for i in loops]) if own else (),
+        tuple([predicted[i] for i in loops]) if predicted else (),
     )

@@ -66,12 +66,14 @@ def pose_equations(
 
 def _by_readings(T: Array, J: Array, pattern: Pattern) -> Array:
     """X = T J_x, (b, r, k); a reading of its own is in one loop alone."""
-    if not pattern.own:
+    if not pattern.predicted:
         return np.asarray(np.einsum("crb,kcb->brk", T, J))
-    own = list(pattern.own)
-    shared = [i for i in range(len(J)) if i not in set(own)]
+    predicted = list(pattern.predicted)
+    shared = [i for i in range(len(J)) if i not in set(predicted)]
     X = np.empty((T.shape[2], T.shape[1], len(J)))
-    X[:, :, own] = (T * J[own, np.arange(len(own))][:, None, :]).transpose(2, 1, 0)
+    X[:, :, predicted] = (T * J[predicted, np.arange(len(predicted))][:, None, :]).transpose(
+        2, 1, 0
+    )
     X[:, :, shared] = T.transpose(2, 1, 0) @ J[shared].transpose(2, 1, 0)
     return X
 

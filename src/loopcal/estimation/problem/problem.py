@@ -118,7 +118,7 @@ class Problem:
 
     def _missing(self, pattern: Pattern) -> int:
         """Loops of a pattern that count nothing, because their own reading is missing."""
-        sd = np.broadcast_to(self.uncertainty.sd, self.readings.shape)[list(pattern.own)]
+        sd = np.broadcast_to(self.uncertainty.sd, self.readings.shape)[list(pattern.predicted)]
         return int(np.isinf(sd[:, pattern.poses]).sum())
 
     @property

@@ -64,7 +64,7 @@ def start_corrections(sweeper: Sweeper, parameters: Array) -> Array:
             if problem.first_corrections is None
             else _unread(pattern, problem.first_corrections[:, poses])
         )
-        if pattern.own:  # of an image the known constants of the pose say where its board is
+        if pattern.predicted:  # of an image the known constants of the pose say where its board is
             if near is not None:
                 best[:, poses] = near
             continue

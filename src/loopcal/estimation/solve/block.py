@@ -20,14 +20,14 @@ Array = NDArray[np.float64]
 class BlockNoise:
     """The uncertainty of a block, and the positions of its unmeasured and measured quantities.
 
-    own: for each loop the reading that it predicts, where blocks are reduced by these
-    (`own_kernel`); shared: the measured quantities beside these.
+    predicted: for each loop the reading that it predicts, where blocks are reduced by these
+    (`whiten_images`); shared: the measured quantities beside these.
     """
 
     uncertainty: ReadingUncertainty
     unmeasured: tuple[int, ...]
     measured: tuple[int, ...]
-    own: tuple[int, ...] = ()
+    predicted: tuple[int, ...] = ()
     shared: tuple[int, ...] = ()
 
     @property
@@ -43,9 +43,11 @@ class BlockNoise:
     @cached_property
     def native(self) -> Any:
         """The same as the compiled engine takes it, made once for all its calls."""
-        among = self.shared if self.own else self.measured
+        among = self.shared if self.predicted else self.measured
         blocks = [([among.index(i) for i in b.indices], b.factor) for b in self.blocks]
-        return native_noise(self.sd, self.unmeasured, self.measured, blocks, self.own, self.shared)
+        return native_noise(
+            self.sd, self.unmeasured, self.measured, blocks, self.predicted, self.shared
+        )
 
     def of(self, chosen: NDArray[np.intp] | slice) -> BlockNoise:
         """The noise of some poses of the block."""

@@ -265,8 +265,8 @@ def _weights(evaluate: Evaluate, x: Array, constants: Array, noise: BlockNoise) 
     spread = np.sqrt(np.square(slopes * sure[:, None]).sum(axis=0))
     usable = np.isfinite(spread) & (spread > 0.0)
     weight = np.where(usable, 1.0 / np.where(usable, spread, 1.0), 1.0)
-    if noise.own:  # what is missing says nothing
-        weight[np.broadcast_to(np.isinf(noise.sd[list(noise.own)]), weight.shape)] = 0.0
+    if noise.predicted:  # what is missing says nothing
+        weight[np.broadcast_to(np.isinf(noise.sd[list(noise.predicted)]), weight.shape)] = 0.0
     return weight
 
 

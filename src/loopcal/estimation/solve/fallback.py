@@ -159,7 +159,7 @@ def _starts(problem: Problem, most: int) -> Iterator[tuple[str, Array]]:
     searches: dict[str, Callable[[], Solution]] = {
         "least squares": lambda: solve(some.weighted(Weighting.ALIKE), max_iterations=most),
     }
-    if not some.loops_alike and not any(pattern.own for pattern in some.patterns):
+    if not some.loops_alike and not any(pattern.predicted for pattern in some.patterns):
         searches["the iteration of the thesis"] = lambda: iterate_undamped(
             some, max_iterations=most
         )

@@ -75,8 +75,8 @@ def whiten(values: LoopValues, block: Block) -> Whitened:
 
     values: at the corrected readings of the block.
     """
-    if block.noise.own:
-        return whiten_own(values, block)
+    if block.noise.predicted:
+        return whiten_images(values, block)
     correction, noise = block.corrections, block.noise
     f, D = values.f, values.by_parameter
     J, now = _measured(values.by_quantity, noise), _measured(correction, noise)
@@ -146,8 +146,8 @@ def unweighted(values: LoopValues, block: Block) -> Whitened:
 
     Unmeasured quantities are still eliminated, and found in the least squares of their loops.
     """
-    if block.noise.own:
-        return whiten_own(values, block, exact=True)
+    if block.noise.predicted:
+        return whiten_images(values, block, exact=True)
     correction, noise = block.corrections, block.noise
     f, D = values.f, values.by_parameter
     new = correction
@@ -322,7 +322,7 @@ def eliminate(columns: Array) -> Elimination:
 # Poses with many loops, each of which predicts a reading of its own: images.
 
 
-def whiten_own(values: LoopValues, block: Block, *, exact: bool = False) -> Whitened:
+def whiten_images(values: LoopValues, block: Block, *, exact: bool = False) -> Whitened:
     """The same equations where each loop i has its own reading y_i, with the slope a_i.
 
         f + a y + J_s dx_s + J_u du + J_p dp = 0,   y_i ~ N(0, sd_i),   x_s = S_s z,  z ~ N(0, 1).
@@ -341,11 +341,11 @@ def whiten_own(values: LoopValues, block: Block, *, exact: bool = False) -> Whit
     """
     noise, correction = block.noise, block.corrections
     f, J, D = values.f, values.by_quantity, values.by_parameter
-    own, unmeasured = list(noise.own), list(noise.unmeasured)
+    predicted, unmeasured = list(noise.predicted), list(noise.unmeasured)
     shared = [] if exact else list(noise.shared)
     u, s = len(unmeasured), len(shared)
     m, b = f.shape
-    slope, sd = J[own, np.arange(m)], np.broadcast_to(noise.sd[own], (m, b))
+    slope, sd = J[predicted, np.arange(m)], np.broadcast_to(noise.sd[predicted], (m, b))
     missing = np.isinf(sd)
     weight = np.where(missing, 0.0, 1.0 if exact else 1.0 / (np.abs(slope) * sd))
     loads = shared_loads(J, noise) if s else J[:0]
@@ -354,7 +354,7 @@ def whiten_own(values: LoopValues, block: Block, *, exact: bool = False) -> Whit
     columns[np.arange(u, u + s), np.arange(m, m + s)] = 1.0
     misclosure = -f
     if not exact:
-        misclosure += slope * correction[own]
+        misclosure += slope * correction[predicted]
         misclosure += np.einsum("smb,sb->mb", J[shared], correction[shared])
     reflections = eliminate(columns)
 
@@ -382,7 +382,9 @@ def whiten_own(values: LoopValues, block: Block, *, exact: bool = False) -> Whit
     rest = misclosure - np.einsum("umb,ub->mb", J[unmeasured], steps[:u])
     rest -= np.einsum("smb,sb->mb", J[shared], new[shared])
     rest /= slope
-    new[own] = np.where(missing, correction[own] + rest, new[own]) if exact else rest
+    new[predicted] = (
+        np.where(missing, correction[predicted] + rest, new[predicted]) if exact else rest
+    )
     return Whitened(reduced, np.zeros((m - u, 0, b)), new, np.zeros(b, dtype=bool))
 
 

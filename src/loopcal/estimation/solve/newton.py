@@ -70,7 +70,7 @@ def close_by_newton(
 
 def _scaling(noise: BlockNoise) -> Array:
     """T, (1, k, k) or (b, k, k): columns of unmeasured quantities are scaled units."""
-    sd = np.where(np.isinf(noise.sd), _MISSING if noise.own else UNMEASURED_SCALE, noise.sd)
+    sd = np.where(np.isinf(noise.sd), _MISSING if noise.predicted else UNMEASURED_SCALE, noise.sd)
     sd[list(noise.unmeasured)] = UNMEASURED_SCALE
     T = sd.T[:, :, None] * np.eye(len(sd))
     for covariance in noise.blocks:

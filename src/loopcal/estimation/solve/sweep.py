@@ -337,10 +337,10 @@ def _noise(uncertainty: ReadingUncertainty, pattern: Pattern) -> BlockNoise:
     whole = tuple(b for b in uncertainty.blocks if not gone.intersection(b.indices))
     split = [b for b in uncertainty.blocks if gone.intersection(b.indices)]
     parts = tuple(part for b in split if (part := _without(b, gone)) is not None)
-    aside = {*pattern.own, *pattern.absent}
-    shared = tuple(i for i in measured if i not in aside) if pattern.own else ()
+    aside = {*pattern.predicted, *pattern.absent}
+    shared = tuple(i for i in measured if i not in aside) if pattern.predicted else ()
     noise = ReadingUncertainty(sd, whole + parts)
-    return BlockNoise(noise, pattern.unmeasured, measured, pattern.own, shared)
+    return BlockNoise(noise, pattern.unmeasured, measured, pattern.predicted, shared)
 
 
 def _weigh(block: Reduced, loss: Loss, equations: int) -> float:

@@ -67,7 +67,7 @@ READER = Reader(
     "a row per line; delimiter, decimal mark, header and encoding are recognised",
     (".csv", ".tsv", ".txt", ".dat", ".asc", ".prn"),
     read_text_file,
-    ("header", "delimiter", "decimal", "encoding"),
+    ("header", "delimiter", "decimal", "encoding", "spread"),
     guarded=False,
 )
 

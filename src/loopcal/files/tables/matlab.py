@@ -166,6 +166,6 @@ READER = Reader(
     "format 4 to 7: a matrix, vectors by their names, or a struct of vectors",
     (".mat",),
     read_matlab,
-    ("variable",),
+    ("variable", "spread"),
     part="variable",
 )

@@ -85,7 +85,7 @@ READER = Reader(
     "one sheet of a workbook; of a formula the value last computed",
     (".xlsx", ".xlsm"),
     read_spreadsheet,
-    ("sheet", "header", "decimal"),
+    ("sheet", "header", "decimal", "spread"),
     part="sheet",
     relatives=(".xls", ".xlsb", ".ods"),
 )

@@ -75,19 +75,11 @@ def camera(
             "boards name the same one. Default: the name of the instrument."
         ),
     ] = None,
-    label: Annotated[
-        str | None,
-        Key("What the names of its readings begin with. Default: EYE:BOARD:."),
-    ] = None,
     on: On = "base",
     lens: Lens = "brown5",
     offsets: Annotated[
         bool, Key("Whether each point has offsets BOARD_POINT_x, _y, _z, with a prior in [prior].")
     ] = False,
-    shape: Annotated[
-        bool,
-        Key("Whether BOARD_scale, BOARD_aspect, BOARD_warp_x and BOARD_warp_y are estimated."),
-    ] = True,
     dimension: int = 3,
 ) -> Instrument:
     """Pixels (u, v) at which a camera sees the points of a board; one image is one pose.
@@ -142,7 +134,7 @@ def camera(
             for key in coefficients
         },
     }
-    printed = _printed(seen, shape=shape, offsets=offsets)
+    printed = _printed(seen, offsets=offsets)
     camera_on_body = on == "body"
     stands = Station(board if camera_on_body else eye)
     mount = tuple(
@@ -150,8 +142,7 @@ def camera(
         for m in MOTIONS[3]
     )
     mounted = placed_by(mount, eye if camera_on_body else board)
-    label = f"{eye}:{board}:" if label is None else label
-    names = {p: [f"{label}{p}:{axis}" for axis in PIXEL] for p in seen.points}
+    names = {p: [f"{eye}:{board}:{p}:{axis}" for axis in PIXEL] for p in seen.points}
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         axes = _eye_in_hand if camera_on_body else _eye_to_hand
@@ -181,10 +172,10 @@ def camera(
     )
 
 
-def _printed(board: Board, *, shape: bool, offsets: bool) -> dict[str, Parameter]:
+def _printed(board: Board, *, offsets: bool) -> dict[str, Parameter]:
     """What a print may be off by, each with a prior sd."""
     declared: dict[str, Parameter] = {}
-    if shape and board.planar and len(board.points) > 3:
+    if board.planar and len(board.points) > 3:
         for key, meaning in _SHAPE.items():
             unit, sd = ("m", WARP_SD) if key.startswith("warp") else ("1", PRINT_SD)
             declared[key] = Parameter(

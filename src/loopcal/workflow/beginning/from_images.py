@@ -14,19 +14,15 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.start import CameraStart, start, with_stated_lenses
-from loopcal.files.cameras.boards import read_boards
 from loopcal.files.cameras.corner_table import CornerTable
-from loopcal.files.cameras.corners import is_corners, read_corners
-from loopcal.files.cameras.images import ENDINGS, detect
-from loopcal.files.cameras.intrinsics import read_intrinsics
-from loopcal.files.cameras.places import read_places, read_samples
+from loopcal.files.cameras.folder import Files, read_files
+from loopcal.files.cameras.places import read_places
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.expressions import joint_columns
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.joint_sets import joint_sets
 from loopcal.files.recognition.robots import Robot
 from loopcal.files.recognition.sources import sources_of
-from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.files.toml.writer import document
@@ -76,17 +72,6 @@ Describe = Callable[[Sequence[Field]], Robot]
 
 
 @dataclass(frozen=True, eq=False)
-class Files:
-    """What a folder holds: corners, boards, lenses, and tables of poses or joints."""
-
-    corners: CornerTable
-    boards: Mapping[str, Board]
-    lenses: Mapping[str, Intrinsics]
-    poses: tuple[Path, ...]
-    remarks: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
 class FromImages:
     """What was understood: the tables of the project file, the files beside it, what was found in
     words, the readings, and in a line how many there are and how well they begin to fit."""
@@ -101,116 +86,6 @@ class FromImages:
     def text(self) -> str:
         """Of the project file."""
         return document(self.tables, (_HEAD,), {"data": self.remarks})
-
-
-def files_of(entries: Sequence[Any]) -> list[Path]:
-    """The files that the entries name, those of folders one by one."""
-    paths: list[Path] = []
-    for entry in entries:
-        if not isinstance(entry, str | Path):
-            return []
-        path = Path(entry)
-        paths += sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
-    return paths
-
-
-def are_images(entries: Sequence[Any]) -> bool:
-    """Whether one of the files holds corners of boards, or is an image."""
-    return any(_kind(path) in ("corners", "image") for path in files_of(entries))
-
-
-def _kind(path: Path) -> str:
-    ending = path.suffix.lower()
-    if ending in ENDINGS:
-        return "image"
-    if ending == ".vnl":
-        return "corners"
-    if ending in (".yaml", ".yml", ".json"):
-        return "document"
-    if ending not in (".csv", ".tsv", ".txt") or not path.is_file():
-        return ""
-    names = _header(path)
-    stems = {re.sub(r"[^a-z]", "", re.sub(r"_?(m|mm|px)$|\[.*|\(.*", "", n.lower())) for n in names}
-    if is_corners(names):
-        return "corners"
-    if {"x", "y", "point"} <= stems or {"x", "y", "id"} <= stems:
-        return "board"
-    return "poses"
-
-
-def _header(path: Path) -> tuple[str, ...]:
-    try:
-        return read_table(path).names
-    except InputError:
-        return ()
-
-
-def read_files(entries: Sequence[Any]) -> Files:
-    """What the files hold, by their contents. Raises InputError where no board is described."""
-    paths = files_of(entries)
-    kinds = {path: _kind(path) for path in paths}
-    boards: dict[str, Board] = {}
-    lenses: dict[str, Intrinsics] = {}
-    poses: list[Path] = []
-    tables: list[CornerTable] = []
-    remarks: list[str] = []
-    for path, kind in kinds.items():
-        if kind == "board":
-            boards |= read_boards(path)
-        elif kind == "corners":
-            tables.append(read_corners(path))
-        elif kind == "poses":
-            poses.append(path)
-        elif kind == "document":
-            what = _document(path, boards, lenses, tables)
-            if what == "poses":
-                poses.append(path)
-    images = [path for path, kind in kinds.items() if kind == "image"]
-    if not boards:
-        raise InputError(
-            "no file describes the board",
-            code="missing-key",
-            remedy="add a CSV file with the columns board, point, x_m, y_m, z_m, or a YAML file "
-            "with its type, counts and sizes",
-        )
-    if images and not tables:
-        found = detect(images, next(iter(boards.values())))
-        tables.append(found.corners)
-        if found.missed:
-            remarks.append(f"no board was seen in {listed(list(found.missed), 5)}")
-    if len(tables) != 1:
-        raise InputError(
-            f"{len(tables)} files hold corners",
-            code="conflicting-keys",
-            remedy="name one of them, with a column of the camera",
-        )
-    return Files(tables[0], boards, lenses, tuple(poses), tuple(remarks))
-
-
-def _document(
-    path: Path,
-    boards: dict[str, Board],
-    lenses: dict[str, Intrinsics],
-    tables: list[CornerTable],
-) -> str:
-    """Take what a YAML or JSON file says; "poses" where it holds these."""
-    for reader, into in ((read_intrinsics, lenses), (read_boards, boards)):
-        try:
-            into.update(reader(path))  # type: ignore[arg-type]
-            return ""
-        except InputError:
-            continue
-    for probe in (read_samples, read_places):
-        try:
-            probe(path)
-            return "poses"
-        except InputError:
-            continue
-    try:
-        tables.append(read_corners(path))
-    except InputError:
-        return ""
-    return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -532,7 +407,6 @@ class _Project:
                 "name": name,
                 "eye": self.eyes[camera],
                 "board": self.boards[board.name],
-                "label": f"{camera}:{board.name}:",
                 "on": "body" if self.begun.held is False else "base",
                 "lens": self.begun.intrinsics[camera].lens,
                 "offsets": not board.planar,
@@ -548,7 +422,7 @@ class _Project:
         for c, (camera, eye) in enumerate(self.eyes.items()):
             X = begun.X[c] @ np.linalg.inv(begun.X[0]) if free else begun.X[c]
             place = X if held else np.linalg.inv(X)
-            stated |= _six(eye, place, fixed=free and c == 0, known=blind and not held)
+            stated |= _six(eye, place, fixed=free and c == 0, mounted=blind and not held)
             lens = begun.intrinsics[camera]
             for key, value in lens.values.items():
                 entry: dict[str, Any] = {"value": float(value)}
@@ -567,7 +441,7 @@ class _Project:
                 Y = np.linalg.inv(begun.Y[0]) @ Y
             place = Y if held else np.linalg.inv(Y)
             stated |= _six(
-                self.boards[board.name], place, fixed=free and b == 0, known=blind and held
+                self.boards[board.name], place, fixed=free and b == 0, mounted=blind and held
             )
             if free and board.planar and len(board.points) > _FEWEST:
                 # nothing but the board says how large anything is
@@ -598,7 +472,8 @@ class _Project:
         row = {image: i for i, image in enumerate(kept)}
         pairs = zip(corners.image, corners.camera, corners.board, corners.point, strict=True)
         for (image, camera, board, point), pixel in zip(pairs, corners.uv, strict=True):
-            label = f"{corners.cameras[camera]}:{corners.boards[board].name}:{ids[board][point]}"
+            eye, name = self.eyes[corners.cameras[camera]], self.boards[corners.boards[board].name]
+            label = f"{eye}:{name}:{ids[board][point]}"
             for axis, value in zip(PIXEL, pixel, strict=True):
                 column = readings.setdefault(f"{label}:{axis}", np.full(len(kept), np.nan))
                 if image in row:
@@ -621,8 +496,8 @@ class _Project:
         ids = [list(b.points) for b in corners.boards]
         columns: dict[str, Any] = {
             "pose": [corners.poses[corners.image[i]] for i in rows],
-            "camera": [corners.cameras[corners.camera[i]] for i in rows],
-            "board": [corners.boards[corners.board[i]].name for i in rows],
+            "camera": [self.eyes[corners.cameras[corners.camera[i]]] for i in rows],
+            "board": [self.boards[corners.boards[corners.board[i]].name] for i in rows],
             "point": [ids[corners.board[i]][corners.point[i]] for i in rows],
             "u": corners.uv[rows, 0],
             "v": corners.uv[rows, 1],
@@ -630,8 +505,8 @@ class _Project:
         return table_bytes(columns, ".csv")
 
 
-def _six(owner: str, T: Array, *, fixed: bool, known: bool) -> dict[str, Any]:
-    """The six parameters of a place; known: as far as what is mounted usually is."""
+def _six(owner: str, T: Array, *, fixed: bool, mounted: bool) -> dict[str, Any]:
+    """The six parameters of a place; mounted: as far as what is mounted usually is."""
     turns = yaw_pitch_roll(T[:3, :3])
     entries = [
         (axis, 1e3 * float(v), "mm", _MOUNTED) for axis, v in zip("xyz", T[:3, 3], strict=True)
@@ -642,6 +517,6 @@ def _six(owner: str, T: Array, *, fixed: bool, known: bool) -> dict[str, Any]:
     ]
     further = {"fixed": True} if fixed else {}
     return {
-        f"{owner}_{name}": {"value": value, "unit": of, **({"sd": sd} if known else further)}
+        f"{owner}_{name}": {"value": value, "unit": of, **({"sd": sd} if mounted else further)}
         for name, value, of, sd in entries
     }

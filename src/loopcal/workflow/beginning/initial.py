@@ -20,6 +20,7 @@ from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.atomic import write_files
+from loopcal.files.cameras.folder import are_images
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
@@ -52,7 +53,7 @@ from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
 from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.delays import Delay, delays
-from loopcal.workflow.beginning.from_images import CORNERS, are_images, from_images
+from loopcal.workflow.beginning.from_images import CORNERS, from_images
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,

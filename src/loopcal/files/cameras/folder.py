@@ -1,0 +1,140 @@
+"""What a folder of a camera's files holds: corners, boards, lenses, poses, by their contents."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from loopcal.errors import InputError, listed
+from loopcal.files.cameras.boards import read_boards
+from loopcal.files.cameras.corner_table import CornerTable
+from loopcal.files.cameras.corners import is_corners, read_corners
+from loopcal.files.cameras.images import ENDINGS, detect
+from loopcal.files.cameras.intrinsics import read_intrinsics
+from loopcal.files.cameras.places import read_places, read_samples
+from loopcal.files.tables.readers import read_table
+from loopcal.mechanisms.cameras.board import Board
+from loopcal.mechanisms.cameras.lens import Intrinsics
+
+
+@dataclass(frozen=True, eq=False)
+class Files:
+    """What a folder holds: corners, boards, lenses, and tables of poses or joints."""
+
+    corners: CornerTable
+    boards: Mapping[str, Board]
+    lenses: Mapping[str, Intrinsics]
+    poses: tuple[Path, ...]
+    remarks: tuple[str, ...] = ()
+
+
+def files_of(entries: Sequence[Any]) -> list[Path]:
+    """The files that the entries name, those of folders one by one."""
+    paths: list[Path] = []
+    for entry in entries:
+        if not isinstance(entry, str | Path):
+            return []
+        path = Path(entry)
+        paths += sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    return paths
+
+
+def are_images(entries: Sequence[Any]) -> bool:
+    """Whether one of the files holds corners of boards, or is an image."""
+    return any(_kind(path) in ("corners", "image") for path in files_of(entries))
+
+
+def _kind(path: Path) -> str:
+    ending = path.suffix.lower()
+    if ending in ENDINGS:
+        return "image"
+    if ending == ".vnl":
+        return "corners"
+    if ending in (".yaml", ".yml", ".json"):
+        return "document"
+    if ending not in (".csv", ".tsv", ".txt") or not path.is_file():
+        return ""
+    names = _header(path)
+    stems = {re.sub(r"[^a-z]", "", re.sub(r"_?(m|mm|px)$|\[.*|\(.*", "", n.lower())) for n in names}
+    if is_corners(names):
+        return "corners"
+    if {"x", "y", "point"} <= stems or {"x", "y", "id"} <= stems:
+        return "board"
+    return "poses"
+
+
+def _header(path: Path) -> tuple[str, ...]:
+    try:
+        return read_table(path).names
+    except InputError:
+        return ()
+
+
+def read_files(entries: Sequence[Any]) -> Files:
+    """What the files hold, by their contents. Raises InputError where no board is described."""
+    paths = files_of(entries)
+    kinds = {path: _kind(path) for path in paths}
+    boards: dict[str, Board] = {}
+    lenses: dict[str, Intrinsics] = {}
+    poses: list[Path] = []
+    tables: list[CornerTable] = []
+    remarks: list[str] = []
+    for path, kind in kinds.items():
+        if kind == "board":
+            boards |= read_boards(path)
+        elif kind == "corners":
+            tables.append(read_corners(path))
+        elif kind == "poses" or (kind == "document" and _document(path, boards, lenses, tables)):
+            poses.append(path)
+    images = [path for path, kind in kinds.items() if kind == "image"]
+    if not boards:
+        raise InputError(
+            "no file describes the board",
+            code="missing-key",
+            remedy="add a CSV file with the columns board, point, x_m, y_m, z_m, or a YAML file "
+            "with its type, counts and sizes",
+        )
+    if images and not tables:
+        detection = detect(images, next(iter(boards.values())))
+        tables.append(detection.corners)
+        if detection.missed:
+            remarks.append(f"no board was seen in {listed(list(detection.missed), 5)}")
+    if len(tables) != 1:
+        raise InputError(
+            f"{len(tables)} files hold corners",
+            code="conflicting-keys",
+            remedy="name one of them, with a column of the camera",
+        )
+    return Files(tables[0], boards, lenses, tuple(poses), tuple(remarks))
+
+
+def _document(
+    path: Path,
+    boards: dict[str, Board],
+    lenses: dict[str, Intrinsics],
+    tables: list[CornerTable],
+) -> bool:
+    """Take what a YAML or JSON file says; whether it holds poses instead."""
+    taken = 0
+    for read, into in ((read_intrinsics, lenses), (read_boards, boards)):
+        try:
+            into.update(read(path))  # type: ignore[arg-type]
+            taken += 1
+        except InputError:
+            continue
+    if taken:
+        return False
+    for probe in (read_samples, read_places):
+        try:
+            probe(path)
+        except InputError:
+            continue
+        return True
+    try:
+        tables.append(read_corners(path))
+    except InputError:
+        return False
+    return False

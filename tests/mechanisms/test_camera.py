@@ -1,0 +1,149 @@
+"""A camera: pixels written out by hand, and images reduced by their own readings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import loopcal as lc
+from loopcal.estimation.noise.linear_model import fit, linear_model
+from loopcal.estimation.problem import patterns
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.mechanisms.cameras.lens import Intrinsics, project
+from loopcal.mechanisms.mechanism import Mechanism
+
+POINTS = {str(i): (0.04 * (i % 4), 0.04 * (i // 4), 0.0) for i in range(12)}
+LENS = Intrinsics("brown5", 900.0, 902.0, 630.0, 470.0, (-0.1, 0.05, 1e-3, -5e-4, 0.01))
+FAR = (0.05, -0.4, 1.1, 0.1, -0.2, 3.0)
+NEAR = (-0.05, 0.02, 0.1, 0.3, 0.1, -0.2)
+SIX = ("x", "y", "z", "rz", "ry", "rx")
+
+
+def placed(numbers: tuple[float, ...]) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("ZYX", numbers[3:]).as_matrix()
+    T[:3, 3] = numbers[:3]
+    return T
+
+
+def hands(count: int, seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(random.uniform(-0.4, 0.4, (count, 3))).as_matrix()
+    T[:, :3, 3] = random.uniform([-0.1, -0.5, -0.1], [0.1, -0.3, 0.1], (count, 3))
+    return T
+
+
+def pixels(T: np.ndarray, *, on: str) -> np.ndarray:
+    """(points, 2, N), from the definition."""
+    far, near = placed(FAR), placed(NEAR)
+    X = np.array([(*p, 1.0) for p in POINTS.values()]).T
+    if on == "base":  # T_camera_base T_base_flange T_flange_board
+        seen = far @ T @ near @ X
+    else:  # T_flange_camera^-1 T_base_flange^-1 T_board_base^-1
+        seen = np.linalg.inv(near) @ np.linalg.inv(T) @ np.linalg.inv(far) @ X
+    uv = np.array(project(LENS.lens, seen.transpose(1, 0, 2)[:3], LENS.values))
+    return uv.transpose(2, 0, 1)
+
+
+def readings(T: np.ndarray, uv: np.ndarray) -> dict[str, np.ndarray]:
+    q = Rotation.from_matrix(T[:, :3, :3]).as_quat().T
+    table = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), (*T[:, :3, 3].T, *q), strict=True))
+    for point, (u, v) in zip(POINTS, uv, strict=True):
+        table |= {f"eye:board:{point}:u": u, f"eye:board:{point}:v": v}
+    return table
+
+
+def mechanism(on: str, *, read: bool = True) -> Mechanism:
+    eye, board = (FAR, NEAR) if on == "base" else (NEAR, FAR)
+    nominal = {f"eye_{n}": v for n, v in zip(SIX, eye, strict=True)}
+    nominal |= {f"board_{n}": v for n, v in zip(SIX, board, strict=True)}
+    nominal |= {f"eye_{n}": v for n, v in LENS.values.items()}
+    look = lc.instruments.camera("eye", points=POINTS, on=on)
+    return lc.assemble(lc.machines.free_body(read=read), [look], nominal)
+
+
+@pytest.mark.parametrize("on", ["base", "body"])
+def test_pixels_are_those_of_the_definition(on: str) -> None:
+    T = hands(5, 1)
+    # In hand the board stands before the camera that looks away from the flange.
+    uv = pixels(T, on=on)
+    data = lc.Dataset.from_arrays(readings(T, uv))
+    problem = build_problem(mechanism(on), data, lc.Noise({"*": 1e-3}))
+    sweeper = Sweeper(problem)
+    for pattern, block in sweeper.blocks(problem.start):
+        assert np.abs(sweeper.loop_values(pattern, block).f).max() < 1e-8
+
+
+def problem_of(
+    monkeypatch: pytest.MonkeyPatch | None, sd: float, *, missing: bool
+) -> tuple[Problem, np.ndarray]:
+    """A problem of images with noise; by the covariance of each pose where patched."""
+    random = np.random.default_rng(3)
+    T = hands(8, 2)
+    uv = pixels(T, on="base") + random.normal(0.0, 0.3, (len(POINTS), 2, 8))
+    if missing:
+        gone = random.random((len(POINTS), 1, 8)) < 0.2
+        uv[np.broadcast_to(gone, uv.shape)] = np.nan
+    if monkeypatch is not None:
+        monkeypatch.setattr(patterns, "_predicted_readings", lambda *_: ())
+    noise = {"[xyz]": sd, "w?": sd, "eye": 0.3}
+    table = readings(T, uv)
+    made = mechanism("base", read=not np.isinf(sd))
+    if np.isinf(sd):
+        table |= {f"{axis}0": table.pop(axis) for axis in "xyz"}
+        placing = [f"{owner}_{n}" for owner in ("eye", "board") for n in SIX]
+        made = made.with_parameters(made.parameters.with_fixed([*placing, "board_scale"]))
+    problem = build_problem(made, lc.Dataset.from_arrays(table), lc.Noise(noise))
+    return problem, np.zeros(problem.readings.shape)
+
+
+@pytest.mark.parametrize("sd", [1e-3, np.inf])
+def test_images_are_reduced_as_any_loops(sd: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    images, zero = problem_of(None, sd, missing=False)
+    one = Sweeper(images).sweep(images.start, zero, closing=1e-9)
+    loops, zero = problem_of(monkeypatch, sd, missing=False)
+    other = Sweeper(loops).sweep(loops.start, zero, closing=1e-9)
+    assert images.patterns[0].predicted
+    assert not loops.patterns[0].predicted
+    scale = np.abs(other.data.products).max()
+    assert np.abs(one.data.products - other.data.products).max() < 1e-10 * scale
+    assert one.proposal == pytest.approx(other.proposal, abs=1e-8)
+    assert one.equations == other.equations
+
+
+@pytest.mark.parametrize("sd", [1e-3, np.inf])
+def test_missing_corners_count_nothing(sd: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    images, zero = problem_of(None, sd, missing=True)
+    one = Sweeper(images).sweep(images.start, zero, closing=1e-9)
+    loops, zero = problem_of(monkeypatch, sd, missing=True)
+    other = Sweeper(loops).sweep(loops.start, zero, closing=1e-9)
+    assert len(images.patterns) == 1 < len(loops.patterns)
+    scale = np.abs(other.data.products).max()
+    assert np.abs(one.data.products - other.data.products).max() < 1e-10 * scale
+    assert one.equations == other.equations
+
+
+@pytest.mark.parametrize("sd", [1e-3, np.inf])
+def test_rows_of_corner_noise_alone_change_no_likelihood(sd: float) -> None:
+    problem, zero = problem_of(None, sd, missing=True)
+    corrections = Sweeper(problem).close(problem.start, zero, 1e-6, 1.0).corrections
+    names = problem.mechanism.tape.quantities
+    groups = [[i for i, n in enumerate(names) if n.startswith("eye")]]
+    if np.isfinite(sd):
+        groups += [[names.index(n) for n in "xyz"], [names.index(f"w{n}") for n in "xyz"]]
+    every = problem, problem.start, corrections, groups
+    short, whole = linear_model(*every), linear_model(*every, compressed=False)
+    apart = []
+    for k in range(3):
+        ratios = np.exp(np.random.default_rng(k).normal(size=len(groups)))
+        one, other = fit(short, ratios), fit(whole, ratios)
+        assert one is not None
+        assert other is not None
+        assert one.score == pytest.approx(other.score, rel=1e-8)
+        assert one.information == pytest.approx(other.information, rel=1e-8)
+        apart.append(one.criterion - other.criterion)
+    assert np.ptp(apart) < 1e-6
+    assert short.blocks[0].e.shape[1] <= whole.blocks[0].e.shape[1]

@@ -1,0 +1,62 @@
+"""A project from corners: of a camera in the hand, and of boards that no robot holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import loopcal as lc
+from tests.mechanisms.test_camera import LENS, POINTS, hands, pixels
+from tests.refusals import refused
+
+
+def written(folder: Path, uv: np.ndarray, T: np.ndarray | None) -> Path:
+    """A folder of a board, of corners (points, 2, N) and, where a robot holds one, its poses."""
+    rows = ["board,point,x_m,y_m,z_m"]
+    rows += [f"board,{p},{x},{y},{z}" for p, (x, y, z) in POINTS.items()]
+    (folder / "points.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    rows = ["pose,camera,board,point,u_px,v_px"]
+    for point, (u, v) in zip(POINTS, uv, strict=True):
+        rows += [
+            f"{i},1,board,{point},{a:.5f},{b:.5f}"
+            for i, (a, b) in enumerate(zip(u, v, strict=True))
+        ]
+    (folder / "corners.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    if T is not None:
+        rows = ["pose,x_mm,y_mm,z_mm,qw,qx,qy,qz"]
+        for i, pose in enumerate(T):
+            x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+            place = (*(1e3 * pose[:3, 3]), w, x, y, z)
+            rows.append(",".join([str(i), *(f"{v:.9f}" for v in place)]))
+        (folder / "robot.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("robot", [True, False])
+def test_a_folder_becomes_a_project_that_finds_the_lens(tmp_path: Path, robot: bool) -> None:
+    T = hands(24, 5)
+    noise = np.random.default_rng(6).normal(0.0, 0.1, (len(POINTS), 2, 24))
+    folder = tmp_path / "images"
+    folder.mkdir()
+    written(folder, pixels(T, on="base") + noise, T if robot else None)
+    project = lc.init(folder, out=tmp_path / "calibration")
+    assert "24 images with 288 corners" in str(project)
+    kind = project.mechanism.description
+    assert kind is not None
+    assert kind.get("read", True) == robot
+    result = lc.calibrate(tmp_path / "calibration" / "project.toml", method="implicit-loop")
+    (f,) = [p for p in result.document.parameters if p.name == "camera_1_f"]
+    assert f.sd is not None
+    assert abs(f.value - LENS.fx) < 4.0 * f.sd
+    assert f.sd < 0.05 * LENS.fx
+
+
+def test_corners_without_a_board_are_refused(tmp_path: Path) -> None:
+    T = hands(4, 5)
+    folder = written(tmp_path, pixels(T, on="base"), T)
+    (folder / "points.csv").unlink()
+    with refused("missing-key", "board"):
+        lc.init(folder)
