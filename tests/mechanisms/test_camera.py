@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from loopcal.estimation.cameras.at_board import pixel_sizes
 from loopcal.estimation.noise.linear_model import fit, linear_model
 from loopcal.estimation.problem import patterns
 from loopcal.estimation.problem.problem import Problem, build_problem
@@ -147,3 +148,12 @@ def test_rows_of_corner_noise_alone_change_no_likelihood(sd: float) -> None:
         apart.append(one.criterion - other.criterion)
     assert np.ptp(apart) < 1e-6
     assert short.blocks[0].e.shape[1] <= whole.blocks[0].e.shape[1]
+
+
+def test_a_pixel_at_the_board_is_the_distance_over_the_focal_length() -> None:
+    problem, zero = problem_of(None, 1e-3, missing=False)
+    (pixel,) = pixel_sizes(problem, problem.start, zero)
+    X = np.array([(*p, 1.0) for p in POINTS.values()]).T
+    Z = (placed(FAR) @ hands(8, 2) @ placed(NEAR) @ X)[:, 2]
+    # The lens bends the image by some per cent, and corners lie up to 30 degrees off the axis.
+    assert pixel.size == pytest.approx(np.sqrt(np.square(Z / LENS.fx).mean()), rel=0.1)

@@ -45,6 +45,15 @@ class InstrumentDeviation:
 
 
 @dataclass(frozen=True)
+class PixelSize:
+    """How large a pixel of a camera is at the board that it sees."""
+
+    instrument: str
+    size: Size
+    """Root mean square over all corners [m]."""
+
+
+@dataclass(frozen=True)
 class AccuracyEntry:
     """Computed minus measured outputs; the readings it is computed from are not corrected.
 
@@ -65,6 +74,8 @@ class AccuracyEntry:
     noise_floor: Size | None = None
     """Expected rms from the noise of the readings alone, with the right parameters; null: unknown,
     for no sds are stated or learnt."""
+    pixels: tuple[PixelSize, ...] = ()
+    """How large a pixel of each camera is at its board."""
 
 
 @dataclass(frozen=True)

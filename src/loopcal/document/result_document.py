@@ -374,11 +374,28 @@ def _accuracy(document: ResultDocument) -> list[str]:
         note += f"; poses not used: {validation.words}"
         if validation.blocked is not None:
             note += f"; {validation.blocked.words}"
-    lines = [*accuracy_table(accuracy, validation), f"{note})"]
+    lines = [*accuracy_table(accuracy, validation), f"{note})", *_at_boards(accuracy, validation)]
     lines += _coverage(validation)
     if validation is not None and validation.log_likelihood is not None:
         value = significant(validation.log_likelihood, 6)
         lines.append(f"log-likelihood of poses not used: {value} (only differences count)")
+    return lines
+
+
+def _at_boards(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> list[str]:
+    """What pixels are at the boards, in lengths."""
+    lines = []
+    unused = None if validation is None else validation.accuracy
+    by_camera = (
+        {} if validation is None else {one.instrument: one.position for one in validation.by}
+    )
+    for pixel in accuracy.pixels:
+        rms = by_camera.get(pixel.instrument) or unused or accuracy.after
+        where = "poses not used" if unused else "the poses used"
+        lines.append(
+            f"at the board a pixel of {pixel.instrument} is {with_unit(pixel.size, 'm')}: "
+            f"{with_unit(rms.rms * pixel.size, 'm')} rms on {where}"
+        )
     return lines
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from loopcal.document.accuracy import AccuracyEntry
 from loopcal.document.fit import ClosureEntry, StatusEntry
 from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
 from loopcal.estimation.accuracy import accuracy_entry
+from loopcal.estimation.cameras.at_board import pixel_sizes
 from loopcal.estimation.document_parts import (
     coarse_readings,
     covariance_entry,
@@ -53,7 +55,7 @@ def fit_document(result: FitResult) -> ResultDocument:
         restricted_criterion=result.restricted_criterion,
         chi_squared=result.chi_squared,
         closure=ClosureEntry(result.closure_before.entry, result.closure_after.entry),
-        accuracy=accuracy_entry(result.accuracy_before, result.accuracy_after),
+        accuracy=_accuracy(result),
         validation=None,
         dependence=result.dependence,
         identifiability=result.identifiability,
@@ -66,6 +68,14 @@ def fit_document(result: FitResult) -> ResultDocument:
         inputs=inputs_entry(result.dataset, result.mechanism),
         versions={},
     )
+
+
+def _accuracy(result: FitResult) -> AccuracyEntry | None:
+    entry = accuracy_entry(result.accuracy_before, result.accuracy_after)
+    if entry is None or result.all_poses is not None:
+        return entry
+    end = result.solution
+    return replace(entry, pixels=pixel_sizes(result.problem, end.parameters, end.corrections))
 
 
 def _redundancy(result: FitResult) -> Redundancy | None:
