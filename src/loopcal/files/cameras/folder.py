@@ -19,6 +19,8 @@ from loopcal.files.tables.readers import read_table
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 
+_TABLES = (".csv", ".tsv", ".txt")
+
 
 @dataclass(frozen=True, eq=False)
 class Files:
@@ -42,6 +44,16 @@ def files_of(entries: Sequence[Any]) -> list[Path]:
     return paths
 
 
+def tables_of(entries: Sequence[Any]) -> list[Any]:
+    """The entries, a folder of text tables as these, one by one."""
+    opened: list[Any] = []
+    for entry in entries:
+        folder = isinstance(entry, str | Path) and Path(entry).is_dir()
+        tables = [p for p in files_of([entry]) if p.suffix.lower() in _TABLES] if folder else []
+        opened += tables or [entry]
+    return opened
+
+
 def are_images(entries: Sequence[Any]) -> bool:
     """Whether one of the files holds corners of boards, or is an image."""
     return any(_kind(path) in ("corners", "image") for path in files_of(entries))
@@ -55,7 +67,7 @@ def _kind(path: Path) -> str:
         return "corners"
     if ending in (".yaml", ".yml", ".json"):
         return "document"
-    if ending not in (".csv", ".tsv", ".txt") or not path.is_file():
+    if ending not in _TABLES or not path.is_file():
         return ""
     names = _header(path)
     stems = {re.sub(r"[^a-z]", "", re.sub(r"_?(m|mm|px)$|\[.*|\(.*", "", n.lower())) for n in names}

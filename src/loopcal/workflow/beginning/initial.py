@@ -20,7 +20,7 @@ from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.atomic import write_files
-from loopcal.files.cameras.folder import are_images
+from loopcal.files.cameras.folder import are_images, tables_of
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
@@ -244,6 +244,7 @@ def initial_project(
     folder = Path() if out is None else Path(out)
     if are_images(readings):
         return _of_images(readings, robot, folder, write=out is not None)
+    readings = tables_of(readings)
     if out is not None:
         from_files = all(isinstance(entry, str | Path) for entry in readings)
         names = (PROJECT,) if from_files else (PROJECT, READINGS)
