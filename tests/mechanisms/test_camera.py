@@ -14,6 +14,7 @@ from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.cameras.lens import Intrinsics, project
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.region import _in_view
 
 POINTS = {str(i): (0.04 * (i % 4), 0.04 * (i // 4), 0.0) for i in range(12)}
 LENS = Intrinsics("brown5", 900.0, 902.0, 630.0, 470.0, (-0.1, 0.05, 1e-3, -5e-4, 0.01))
@@ -157,3 +158,9 @@ def test_a_pixel_at_the_board_is_the_distance_over_the_focal_length() -> None:
     Z = (placed(FAR) @ hands(8, 2) @ placed(NEAR) @ X)[:, 2]
     # The lens bends the image by some per cent, and corners lie up to 30 degrees off the axis.
     assert pixel.size == pytest.approx(np.sqrt(np.square(Z / LENS.fx).mean()), rel=0.1)
+
+
+def test_a_region_counts_where_the_camera_sees_the_board() -> None:
+    seen = np.array([[100.0, 300.0], [200.0, 400.0], [120.0, 320.0], [210.0, 410.0]])
+    predicted = np.array([[200.0, 470.0, 200.0], [300.0, 300.0, -500.0]] * 2)
+    assert _in_view(seen, predicted).tolist() == [True, False, False]

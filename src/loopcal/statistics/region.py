@@ -77,6 +77,9 @@ def region_of(
     worst: dict[str, tuple[float, RegionSd]] = {}
     for group in output_groups(mechanism):
         at, over = (trace_sd(parts.covariance, group) for parts in (fit, region))
+        if group.points > 1:
+            rows = [names.index(q) for q in group.outputs]
+            over[~_in_view(corrected[rows], region.outputs[list(group.rows)])] = np.nan
         at, over = at[np.isfinite(at)], over[~np.isnan(over)]
         if not at.size or len(over) < _FEWEST:
             continue
@@ -87,6 +90,20 @@ def region_of(
             worst[group.unit] = ratio, RegionSd(group.unit, mean, *finite)
     by = sorted(worst.values(), key=lambda one: -one[0])
     return RegionEntry(tuple(ranges), tuple(one for _, one in by)) if by else None
+
+
+def _in_view(seen: Array, predicted: Array) -> NDArray[np.bool_]:
+    """(N,) the poses of a region that put the middle of a board where a camera sees it.
+
+    seen, predicted: pixels u, v of its points in turn (2 points, N). A camera sees as far as
+    corners reach, and half of that farther on each side.
+    """
+    inside = np.ones(predicted.shape[1], dtype=bool)
+    for axis in (0, 1):
+        low, high = np.nanmin(seen[axis::2]), np.nanmax(seen[axis::2])
+        middle, half = 0.5 * (low + high), high - low
+        inside &= np.abs(np.median(predicted[axis::2], axis=0) - middle) <= half
+    return inside
 
 
 def ranges_of(
