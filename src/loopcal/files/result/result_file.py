@@ -19,6 +19,7 @@ from loopcal.files.json_writer import sums
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.files.machines.python_function import Loops
+from loopcal.files.outputs import refuse_outside
 from loopcal.files.result.pair import MACHINE, RESIDUALS, RESULT, refuse_stale
 from loopcal.files.result.pose_table import residuals_csv
 from loopcal.files.toml.place import Place
@@ -114,6 +115,7 @@ def _refuse_elsewhere(path: Path) -> None:
     The remedy names the only result below it, or for a file below the folder of the command.
     """
     place = path.parent
+    refuse_outside(place, str(place), place.name)
     if path.name != RESULT or path.exists() or not place.exists():
         return
     is_folder, is_readings = place.is_dir(), place.is_file() and place.suffix != ".toml"
