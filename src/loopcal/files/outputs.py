@@ -104,7 +104,7 @@ def refuse_foreign(*paths: Path) -> None:
         if path.is_file() and not _forced():
             _refuse_input(path)
             if kind_of(path.name, _window(path), _digest(path), _beside(path)) is None:
-                raise _refused(path, "it may hold work of yours")
+                raise _refused(path, "loopcal did not write it, or it was changed since")
 
 
 def is_foreign(path: Path, new: bytes | None, together: Callable[[str], bytes | None]) -> bool:
@@ -126,7 +126,7 @@ def is_foreign(path: Path, new: bytes | None, together: Callable[[str], bytes | 
         return not allowed or _is_input(path)
     _refuse_input(path)
     if not allowed:
-        why = "it may hold work of yours"
+        why = "loopcal did not write it, or it was changed since"
         raise _refused(path, why if old is None else f"it holds another result of loopcal ({old})")
     return False
 

@@ -20,6 +20,7 @@ from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 
 _TABLES = (".csv", ".tsv", ".txt")
+_WORDS = re.compile(r"[^a-z]+")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +71,12 @@ def _kind(path: Path) -> str:
     if ending not in _TABLES or not path.is_file():
         return ""
     names = _header(path)
-    stems = {re.sub(r"[^a-z]", "", re.sub(r"_?(m|mm|px)$|\[.*|\(.*", "", n.lower())) for n in names}
-    if is_corners(names):
+    words = [set(_WORDS.split(name.lower())) for name in names]
+    stems = {
+        "".join(w for w in _WORDS.split(name.lower()) if w not in ("m", "mm")) for name in names
+    }
+    pixels = any("px" in w for w in words) or all(any(a in w for w in words) for a in "uv")
+    if pixels and is_corners(names):
         return "corners"
     if {"x", "y", "point"} <= stems or {"x", "y", "id"} <= stems:
         return "board"
