@@ -118,7 +118,9 @@ def test_a_chain_of_transitions_moves_exactly(name: str, quaternion: Any, shift:
     # an axis that nearly lies in its plane pierces it far away: digits go with that distance
     reach = max(1.0, *(abs(p.nominal) for p in turned.parameters))
     assume(reach < 1e3)
-    assert worst(machine, rotation, shift) <= 1e-14 * reach**2 + 5e-14
+    # and with the cosine of its turn, where it pierces the plane at the origin
+    steep = min(abs(np.cos(p.nominal)) for p in turned.parameters if p.unit == "rad")
+    assert worst(machine, rotation, shift) <= 1e-14 * reach**2 + 5e-14 + 1e-15 / steep
 
 
 @pytest.mark.parametrize("yaw", [math.pi, -math.pi, math.pi - 1e-9, 1e-9 - math.pi, 3.1, -3.1])
