@@ -1,4 +1,4 @@
-"""A lens that nobody stated: its focal length from tilted boards, else from fields of view."""
+"""A lens without stated intrinsics: its focal length, from tilted boards or fields of view."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A scene of cameras, boards and a hand, and its adjustment to the corners by a soft loss.
 
-View v of camera c, board b and image i has T_v = X_c A_i Y_b with a robot, A held; without one
-T_v = X_c F_ib with a pose F of its own per image and board, and X of the first camera the unit.
+View v shows board b in image i of camera c. With a robot T_v = X_c A_i Y_b, and A is held. Without
+one T_v = X_c F_ib: F is a pose for each image and board, and X of the first camera the identity.
 Minimised is sum s^2 rho(|r|^2 / s^2), as a rule rho(z) = 2 (sqrt(1 + z) - 1), of pixel residuals
 r, s three times their median, by Levenberg's and Marquardt's method on sums of each view. A twist d
 of T_v moves a point P by (I | -[P]) d; those of X, Y and F reach it by adjoints. F is eliminated

@@ -65,7 +65,7 @@ def pose_equations(
 
 
 def _by_readings(T: Array, J: Array, pattern: Pattern) -> Array:
-    """X = T J_x, (b, r, k); a reading of its own is in one loop alone."""
+    """X = T J_x, (b, r, k); of images each pixel coordinate is in one loop alone."""
     if not pattern.predicted:
         return np.asarray(np.einsum("crb,kcb->brk", T, J))
     predicted = list(pattern.predicted)

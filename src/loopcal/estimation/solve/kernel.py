@@ -319,7 +319,7 @@ def eliminate(columns: Array) -> Elimination:
     return Elimination(tuple(vectors), tuple(scales), triangle)
 
 
-# Poses with many loops, each of which predicts a reading of its own: images.
+# Images: poses with many loops, each of which predicts one pixel coordinate.
 
 
 def whiten_images(values: LoopValues, block: Block, *, exact: bool = False) -> Whitened:

@@ -16,8 +16,8 @@ class CornerTable:
     """Corners, a row each: names of image, camera, board and point, and pixel u, v.
 
     u, v: (N,) [px], (0, 0) the centre of the first pixel; sd: (N,) [px] of u and of v, NaN or None
-    where nobody stated it; level: (N,) of the reduced image in which mrcal saw a corner, None
-    where nobody stated it; file: where they come from; sizes: camera -> width and height of its
+    where none is stated; level: (N,) of the reduced image in which mrcal saw a corner, None
+    where none is stated; file: where they come from; sizes: camera -> width and height of its
     images, where they were read.
     """
 

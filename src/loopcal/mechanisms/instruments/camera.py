@@ -97,9 +97,9 @@ def camera(
 
         ((1 + scale) x, (1 + scale) (1 + aspect) y, z + warp_x (1 - (x/a)^2) + warp_y (1 - (y/b)^2))
 
-    about the middle of the board, which is 2a wide and 2b high. Readings are named
-    EYE:BOARD:POINT:u and :v; a point that was not detected is blank. (0, 0) is the centre of the
-    first pixel.
+    with x and y of the warp from the middle of the board, which is 2a wide and 2b high. Readings
+    are named EYE:BOARD:POINT:u and :v; a point that was not detected is blank. (0, 0) is the centre
+    of the first pixel.
 
     Raises InputError for a plane machine, another lens, and a board without points.
     """
@@ -210,8 +210,9 @@ def _as_printed(board: Board, point: str, printed: Mapping[str, Any], p: Values)
         (mx, my, _), (a, b) = board.middle, board.half
         dx, dy = nominal[0] - mx, nominal[1] - my
         size = 1.0 + p[f"{board.name}_scale"]
-        X[0] = mx + size * dx
-        X[1] = my + size * ((1.0 + p[f"{board.name}_aspect"]) * dy)
+        # About the origin: cameras that see other points of the board share these parameters.
+        X[0] = size * nominal[0]
+        X[1] = size * ((1.0 + p[f"{board.name}_aspect"]) * nominal[1])
         for warp, across in (("warp_x", dx / a if a else 0.0), ("warp_y", dy / b if b else 0.0)):
             X[2] = X[2] + (1.0 - across**2) * p[f"{board.name}_{warp}"]
     for i, axis in enumerate("xyz"):

@@ -58,13 +58,13 @@ _LENGTH, _TWIST, _ZERO = 0.5, 1.0, 5.0
 """How far a robot is from its drawing, as sds [mm, mrad, mrad]: pixels at a distance tell less than
 a tracker. Chosen: docs/explanation/model-error.md has what arms of many makers are off by."""
 _STATED, _CENTRED = 0.02, 0.05
-"""How far what is stated of a lens is off, and a principal point that nobody states from the middle
-of the image: as sds, in focal lengths. Chosen: lenses are refocused, images cut."""
+"""Sds in focal lengths: of stated intrinsics, and of a principal point that is not stated from the
+middle of the image. Chosen: lenses are refocused, images cut."""
 _MOUNTED, _TURNED = 20.0, 3.0
 """As sds [mm, deg]: where a board or camera sits on a hand that is never turned, which no image
 shows, beside where the start puts it."""
 _FEWEST = 3
-"""Points that say where a board is which nobody reads."""
+"""Points that an image needs to show where a board of unknown pose is."""
 
 
 Describe = Callable[[Sequence[Field]], Robot]
@@ -126,7 +126,13 @@ def from_images(
     elif begun.T_base_flange is not None and "x" in hand.readings:
         hand = replace(hand, readings=_flange(begun.T_base_flange))
     project = _Project(begun, hand, table, lenses)
-    remarks = (*files.remarks, *hand.remarks, *turned, *(fact.sentence for fact in begun.facts))
+    remarks = (
+        *files.remarks,
+        *hand.remarks,
+        *project.left_out,
+        *turned,
+        *(fact.sentence for fact in begun.facts),
+    )
     words = (
         f"{len(project.kept)} images with {len(begun.corners)} corners; the calibration begins at "
         f"{begun.rms:.2f} px rms"
@@ -283,6 +289,10 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
             noise[name] = {"sd": 1e6 * ENCODER, "unit": "urad"}
     words = f"joints are {', '.join(f.label for f in columns)} of {source.name}, {how}"
     remarks = (*robot.remarks, words)
+    if len(every) > 1:
+        remarks += ("other columns may be the joints too: name them with --joints if they are",)
+    if any(f.unit is None for f in columns):
+        remarks += ("joints without a unit are taken in rad, or in deg beyond two turns",)
     return Hand(poses, robot.table, readings, T, noise, remarks, _drawn(mechanism))
 
 
@@ -315,7 +325,7 @@ def _flange(T: Array) -> dict[str, Array]:
 
 
 def _unread(begun: CameraStart, hand: Hand) -> Hand:
-    """Boards that nobody reads: where the search for each begins, in the first camera."""
+    """Boards whose poses are unknown: where the search for each begins, in the first camera."""
     corners = begun.corners
     views = corners.views
     T = np.full((len(corners.poses), 4, 4), np.nan)
@@ -355,6 +365,16 @@ class _Project:
         self.kept = [int(i) for i in seen[0][enough]]
         self.eyes = {c: _word(c, "camera") for c in corners.cameras}
         self.boards = {b.name: _word(b.name, "board") for b in corners.boards}
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Images that are not used, in words."""
+        poses = self.begun.corners.poses
+        used = {poses[i] for i in self.kept}
+        unused = [image for image in self.table.images if image not in used]
+        if not unused:
+            return ()
+        return (f"images without a pose or with too few corners are left out: {listed(unused, 5)}",)
 
     @property
     def tables(self) -> dict[str, Any]:
