@@ -209,12 +209,13 @@ class RegionEntry:
 
     ranges: tuple[RegionRange, ...]
     by: tuple[RegionSd, ...]
-    """For each unit of outputs that of the instrument with the largest ratio; the worst first."""
+    """For each unit of outputs that of the instrument with the largest ratio; the worst first. What
+    cameras see has two: px, and m at the board."""
 
     @property
     def worst(self) -> RegionSd:
-        """The largest ratio of any unit."""
-        return self.by[0]
+        """The largest ratio of any unit; what is stated in px is stated in m as well."""
+        return next((one for one in self.by if one.unit != "px"), self.by[0])
 
     def of(self, unit: str) -> RegionSd | None:
         """Of one unit; None where no output has it."""

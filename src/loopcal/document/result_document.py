@@ -19,6 +19,7 @@ from loopcal.document.findings import (
     Outlier,
     OutlierTests,
     PredictionEntry,
+    RegionEntry,
     ScaleEntry,
 )
 from loopcal.document.fit import (
@@ -35,6 +36,7 @@ from loopcal.document.tables import (
     interval_table,
     model_table,
     parameter_table,
+    place_table,
     sensor_table,
     shown_parameters,
     term_table,
@@ -44,7 +46,7 @@ from loopcal.measurements.days import Days
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import unstated_mountings
 from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import percent, significant, with_unit, wrapped
+from loopcal.presentation.shown import columns, percent, significant, with_unit, wrapped
 
 SCHEMA: Literal[3] = 3
 
@@ -266,6 +268,11 @@ class ResultDocument:
         return self.data.measured or (None if stated is None else Days.of_text(str(stated)))
 
     @property
+    def region(self) -> RegionEntry | None:
+        """The working region; None where it is not known."""
+        return None if self.prediction is None else self.prediction.region
+
+    @property
     def sensors_exact(self) -> bool:
         """Whether the method takes the sensors as exact: it then knows no noise."""
         return not self.noise
@@ -374,12 +381,14 @@ def _accuracy(document: ResultDocument) -> list[str]:
         note += f"; poses not used: {validation.words}"
         if validation.blocked is not None:
             note += f"; {validation.blocked.words}"
-    lines = [*accuracy_table(accuracy, validation), f"{note})", *_at_boards(accuracy, validation)]
-    lines += _coverage(validation)
+    lines = [*accuracy_table(accuracy, validation), f"{note})", *_coverage(validation)]
     if validation is not None and validation.log_likelihood is not None:
         value = significant(validation.log_likelihood, 6)
         lines.append(f"log-likelihood of poses not used: {value} (only differences count)")
-    return lines
+    if (places := place_table(accuracy, validation, document.region)) is not None:
+        lines += ["", *columns([places.head, *places.rows])]
+        lines.append("(by the images less by the machine, rms; 95 % and max in space)")
+    return [*lines, *_at_boards(accuracy, validation)]
 
 
 def _at_boards(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> list[str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from loopcal.document.accuracy import (
     AccuracyEntry,
+    BoardPlace,
     Deviation,
     Distances,
     InstrumentDistances,
@@ -14,6 +15,7 @@ from loopcal.document.accuracy import (
     ValidationEntry,
 )
 from loopcal.document.choice import DECISIVE, TermEntry
+from loopcal.document.findings import RegionEntry
 from loopcal.document.fit import NoiseEntry, ParameterEntry
 from loopcal.presentation.shown import Table, by_sd, columns, percent, significant, size, unit_shown
 
@@ -87,6 +89,42 @@ def accuracy_table(accuracy: AccuracyEntry, validation: ValidationEntry | None) 
             *_distance_table("orientation", stages.orientation, accuracy.orientation.unit),
         ]
     return lines
+
+
+def place_table(
+    accuracy: AccuracyEntry, validation: ValidationEntry | None, region: RegionEntry | None
+) -> Table | None:
+    """Where images put boards, less where the machine puts them; None without cameras.
+
+    region: with the sd that is predicted at the measured poses.
+    """
+    several = len(accuracy.places) > 1
+    blocked = validation and validation.blocked
+    stages = (
+        ("calibrated", accuracy.places),
+        ("on poses not used", validation.places if validation else ()),
+        ("in regions not used", blocked.places if blocked else ()),
+    )
+
+    def row(name: str, place: BoardPlace, *sizes: float | None) -> tuple[str, ...]:
+        name += f", {place.instrument or 'all cameras'}" if several else ""
+        return (name, *("" if one is None else size(one, "m") for one in sizes))
+
+    rows = []
+    for name, places in stages:
+        for one in places:
+            space = one.position
+            far = (None,) * 3 if space is None else (space.rms, space.p95, space.max)
+            rows.append(row(name, one, one.across, one.along, *far))
+    for one in accuracy.places:
+        if one.noise_across is not None:
+            sizes = one.noise_across, one.noise_along, None, None, None
+            rows.append(row("noise of corners alone", one, *sizes))
+    if rows and region is not None and (predicted := region.of("m")) is not None:
+        rows.append(("predicted sd", "", "", size(predicted.sd_at_poses, "m"), "", ""))
+    caption = "Place of the board by the images less that by the machine: rms across the line of "
+    head = ("board's place", "across view [mm]", "along view", "in space", "95 %", "max")
+    return Table(caption + "sight, along it, and in space", head, tuple(rows)) if rows else None
 
 
 def _distance_table(

@@ -15,6 +15,7 @@ from loopcal.document.tables import (
     Stage,
     accuracy_stages,
     distances_shown,
+    place_table,
     shown_parameters,
     term_rows,
 )
@@ -50,7 +51,8 @@ def accuracy_tables(document: ResultDocument) -> list[Table]:
         caption = "Angle between computed and measured orientation, the readings not corrected"
         unit = accuracy.orientation.unit
         tables.append(_distances("orientation", caption, unit, stages.orientation))
-    return tables
+    places = place_table(accuracy, validation, document.region)
+    return tables if places is None else [*tables, places]
 
 
 def _distances(

@@ -72,7 +72,7 @@ def _beside(document: ResultDocument, point: ChangePoint) -> float:
 
     The sds are as stated: what residuals add to them may be the change itself.
     """
-    region = None if document.prediction is None else document.prediction.region
+    region = document.region
     stated = None if region is None else region.of(point.unit)
     if stated is None or point.moves is None or not stated.sd_at_poses:
         return math.inf
@@ -239,7 +239,7 @@ def _scales(document: ResultDocument) -> Fact | None:
     worst = min(sure, key=lambda one: (not one.instruments, one.p_value))
     numbers = {"ppm": Figure(1e6 * worst.size), "sd": Figure(1e6 * worst.sd)}
     numbers["moves"] = Figure(worst.moves, "m")
-    region = None if document.prediction is None else document.prediction.region
+    region = document.region
     stated = None if region is None else region.of("m")
     sd = 0.0 if stated is None else stated.sd_at_poses or 0.0
     little = worst.moves < SMALL * sd
