@@ -10,7 +10,7 @@ from typing import Any, Literal
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
 from loopcal.document.change_points import ChangePoints, Dependence, Reliability
-from loopcal.document.choice import Chosen, TermEntry
+from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import (
     ColumnFault,
     Identifiability,
@@ -33,6 +33,8 @@ from loopcal.document.fit import (
 )
 from loopcal.document.tables import (
     accuracy_table,
+    culprit_table,
+    culprit_words,
     interval_table,
     model_table,
     parameter_table,
@@ -196,6 +198,9 @@ class ResultDocument:
     """The method in a few words; empty: written by an earlier version."""
     chosen: Chosen | None = None
     """What the method "auto" chose; null: the method was stated."""
+    culprits: tuple[Candidate, ...] = ()
+    """Of images: the machine as stated, with robot, lens and board freed one by one, and as chosen,
+    on poses not used. `difference` is to the first; empty: no cameras, or not validated."""
     loss: str = "gaussian"
     status: StatusEntry
     parameters: tuple[ParameterEntry, ...]
@@ -388,7 +393,11 @@ def _accuracy(document: ResultDocument) -> list[str]:
     if (places := place_table(accuracy, validation, document.region)) is not None:
         lines += ["", *columns([places.head, *places.rows])]
         lines.append("(by the images less by the machine, rms; 95 % and max in space)")
-    return [*lines, *_at_boards(accuracy, validation)]
+    lines += _at_boards(accuracy, validation)
+    if (faults := culprit_table(document.culprits, accuracy.unit)) is not None:
+        lines += ["", *columns([faults.head, *faults.rows])]
+        lines += wrapped(culprit_words(document.culprits, accuracy.unit), "", "")
+    return lines
 
 
 def _at_boards(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> list[str]:

@@ -41,6 +41,7 @@ from loopcal.execution.forked import helping, process_cores
 from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
 from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
+from loopcal.statistics.culprits import culprits
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.judged import Judged, begun, fitted, lean
@@ -144,6 +145,9 @@ def choose(
         judged = _with_fewer(case, judged, plan, executor, progress)
         judged = _refitted(judged, plan, len(case.data), executor)
     taken, chosen, validation = _choice(judged, plan, len(case.data))
+    faults = (
+        () if plan is None else culprits(case, judged, taken, plan, run_changes.moved, executor)
+    )
     assert taken.whole is not None
     exact = (one.failed for one in judged if one.error and one.error.code == CONTRADICTED)
     words = chosen.words + run_changes.words()
@@ -156,6 +160,7 @@ def choose(
         nominal=placed and placed.distances,
         change_points=run_changes.entry,
         discarded=run_changes.discarded,
+        culprits=faults,
         validation=validation and validation.entry,
     )
     return Choice(result, validation)
