@@ -176,6 +176,25 @@ class UsualSd:
 
 
 @dataclass(frozen=True)
+class HalvesEntry:
+    """A parameter of a lens by two halves of the images that were fitted apart."""
+
+    name: str
+    unit: str
+    first: float
+    second: float
+    sd: Size
+    """Of the difference [unit]."""
+    degrees_of_freedom: Size | None
+    """Of Student's t of the difference; null: its sd is known."""
+
+    @property
+    def sds(self) -> float:
+        """The difference over its sd."""
+        return (self.second - self.first) / self.sd
+
+
+@dataclass(frozen=True)
 class RegionRange:
     """Range of a reading in the working region [SI]."""
 

@@ -9,7 +9,7 @@ from typing import Any
 from loopcal.document.accuracy import Distances, ModelEntry, ValidationEntry
 from loopcal.document.change_points import ChangePoints
 from loopcal.document.choice import Candidate, Chosen
-from loopcal.document.findings import Outlier
+from loopcal.document.findings import HalvesEntry, Outlier
 from loopcal.document.fit import IntervalEntry
 
 
@@ -20,10 +20,10 @@ class Parts:
     title, inputs: of the project; about_readings, notes: warnings ahead of those of the fit, and
     behind them; errors: true minus estimated value [SI] of the parameters whose truth is known;
     method: as it was asked for, where the choice made another one of it; nominal, noise_floor: of
-    the choice; culprits: what it says of robot, lens and board; change_points, discarded: what it
-    modelled, and the outliers that it left out; intervals: profile intervals by parameter;
-    tolerance [SI], region: what the verdict judges; files: names of project and result, for command
-    lines; None where there are no names.
+    the choice; culprits: what it says of robot, lens and board; halves: of the lens by two halves
+    of the images; change_points, discarded: what it modelled, and the outliers that it left out;
+    intervals: profile intervals by parameter; tolerance [SI], region: what the verdict judges;
+    files: names of project and result, for command lines; None where there are no names.
     """
 
     title: str | None = None
@@ -34,6 +34,7 @@ class Parts:
     method: str | None = None
     chosen: Chosen | None = None
     culprits: tuple[Candidate, ...] = ()
+    halves: tuple[HalvesEntry, ...] = ()
     nominal: Distances | None = None
     noise_floor: float | None = None
     change_points: ChangePoints | None = None

@@ -13,6 +13,7 @@ from loopcal.document.change_points import ChangePoints, Dependence, Reliability
 from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import (
     ColumnFault,
+    HalvesEntry,
     Identifiability,
     Observability,
     OtherOptimum,
@@ -201,6 +202,9 @@ class ResultDocument:
     culprits: tuple[Candidate, ...] = ()
     """Of images: the machine as stated, with robot, lens and board freed one by one, and as chosen,
     on poses not used. `difference` is to the first; empty: no cameras, or not validated."""
+    halves: tuple[HalvesEntry, ...] = ()
+    """The lenses by two halves of the images, fitted apart; empty: no lens was estimated, or a half
+    could not be fitted."""
     loss: str = "gaussian"
     status: StatusEntry
     parameters: tuple[ParameterEntry, ...]

@@ -44,6 +44,7 @@ from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.culprits import culprits
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
+from loopcal.statistics.halves import halves
 from loopcal.statistics.judged import Judged, begun, fitted, lean
 from loopcal.statistics.noise_floor import excess, noise_floor
 from loopcal.statistics.risks import (
@@ -161,6 +162,7 @@ def choose(
         change_points=run_changes.entry,
         discarded=run_changes.discarded,
         culprits=faults,
+        halves=() if plan is None else halves(taken, plan, executor),
         validation=validation and validation.entry,
     )
     return Choice(result, validation)
