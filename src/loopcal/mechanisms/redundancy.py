@@ -114,7 +114,7 @@ def fix_redundant(
             remedy="give consistent readings, such as readings=simulate(...).quantities",
         )
     kept = [name for key in keep for name in mechanism.parameters.matching(key)]
-    chain = {step.parameter for step in mechanism.chain}
+    chain = {step.parameter for step in (mechanism.tree.steps if mechanism.tree else ())}
     instrument_parameters = [
         p.name
         for p in mechanism.parameters

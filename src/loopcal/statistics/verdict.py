@@ -14,7 +14,7 @@ guard band the decision is open (JCGM 106:2012, section 8.3).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from loopcal import chi_squared
 from loopcal.document import catalogue
-from loopcal.document.accuracy import Distances
+from loopcal.document.accuracy import BoardPlace, Distances
 from loopcal.document.catalogue import CATALOGUE
 from loopcal.document.choice import beats
 from loopcal.document.result_document import ResultDocument
@@ -241,7 +241,7 @@ def good_enough(document: ResultDocument, tolerance: float | None) -> Fact | Non
     if unit == "px":
         if not accuracy.places:
             return fact("no-distances", reason=_ONLY_IMAGES)
-        unit, unseen = "m", held.places[-1].position if held and held.places else None
+        unit, unseen = "m", None if held is None else _place(held.places)
     if unseen is None:
         return fact("tolerance-untested")
     quantile = Quantile.of_summary(unseen.p95, unseen.poses or document.data.used)
@@ -250,6 +250,13 @@ def good_enough(document: ResultDocument, tolerance: float | None) -> Fact | Non
     seen = region is not None and region.of(unit) is not None
     where = "in the working region" if seen else "near the measured poses"
     return kept(quantile, tolerance, unit, where)
+
+
+def _place(places: Sequence[BoardPlace]) -> Distances | None:
+    """By all cameras together; where they see several bodies, by the worst of them."""
+    together = [one.position for one in places if one.instrument is None]
+    every = together or [one.position for one in places]
+    return max((one for one in every if one), key=lambda one: one.p95, default=None)
 
 
 def _beyond(document: ResultDocument, unit: str) -> float:

@@ -79,7 +79,7 @@ def _rms(values: Array, axis: int) -> float | None:
 
 
 def sights(problem: Problem, parameters: Array, corrections: Array) -> tuple[Sight, ...]:
-    """By camera, and of all together where there are several, at the corrected readings.
+    """By camera, and of all together where several see one body, at the corrected readings.
 
     parameters: (n_all,); corrections: (k, N). None where only the images say where the body is.
     """
@@ -97,9 +97,9 @@ def sights(problem: Problem, parameters: Array, corrections: Array) -> tuple[Sig
     x = problem.readings + corrections
     G = _slopes(mechanism, parameters, x, problem.pose_constants)
     made = []
-    groups = [(camera.name, camera.readings) for camera in cameras]
-    if len(cameras) > 1:
-        groups.append((None, tuple(pixels)))  # type: ignore[arg-type]
+    groups: list[tuple[str | None, tuple[str, ...]]] = [(c.name, c.readings) for c in cameras]
+    if len(cameras) > 1 and len({_moving(mechanism, camera) for camera in cameras}) == 1:
+        groups.append((None, tuple(pixels)))
     for instrument, readings in groups:
         weights = np.zeros((problem.count, G.shape[1]))
         for q in readings:
@@ -139,21 +139,31 @@ def _cameras(mechanism: Mechanism) -> list[Family]:
     return [f for f in mechanism.families if f.form == PIXELS and mechanism.body is not None]
 
 
+def _moving(mechanism: Mechanism, camera: Family) -> str:
+    """The body whose shift a camera sees: what is fixed to the ground is seen from a moving body,
+    whose own shift does as much."""
+    assert mechanism.body is not None
+    return camera.on if camera.on in mechanism.body.displacements else camera.against
+
+
 def _slopes(mechanism: Mechanism, parameters: Array, x: Array, constants: Array) -> Array:
     """G (N, c, 3) [px/m] of what is compared, zero for what is no pixel."""
     body = mechanism.body
     assert body is not None
-    shifts, loops = body.displacements[0][:3], body.tape.loops
+    cameras, loops = _cameras(mechanism), body.tape.loops
+    shifts = {c.name: body.displacements[_moving(mechanism, c)][0][:3] for c in cameras}
+    asked = tuple(dict.fromkeys(name for names in shifts.values() for name in names))
     values = np.concatenate([parameters, np.zeros(len(body.tape.parameters) - len(parameters))])
-    engine = engine_for(body.tape, shifts, min(_MOST, x.shape[1]))
-    pixels = {q for f in _cameras(mechanism) for q in f.readings}
-    rows = [(i, loops.index(q)) for i, q in enumerate(mechanism.compared) if q in pixels]
+    engine = engine_for(body.tape, asked, min(_MOST, x.shape[1]))
     G = np.zeros((x.shape[1], len(mechanism.compared), 3))
-    columns = np.array([i for i, _ in rows])
     for begin in range(0, x.shape[1], _MOST):
         part = slice(begin, begin + _MOST)
         by_shift = engine.evaluate(values, x[:, part], constants[:, part], Stage.BY_PARAMETER)
-        G[part, columns] = by_shift.by_parameter[:, [j for _, j in rows]].T
+        for camera in cameras:
+            rows = [loops.index(q) for q in camera.readings]
+            columns = [mechanism.compared.index(q) for q in camera.readings]
+            along = [asked.index(name) for name in shifts[camera.name]]
+            G[part, np.array(columns)] = by_shift.by_parameter[along][:, rows].T
     return G
 
 
