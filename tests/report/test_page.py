@@ -14,6 +14,7 @@ from loopcal.document.findings import Outlier
 from loopcal.document.result_document import ResultDocument
 from loopcal.files.result.pose_table import PoseTable
 from loopcal.files.result.result_file import read_result
+from loopcal.mechanisms.parameters import Role
 from loopcal.report.page import MOST, parameter_groups, report_html
 from loopcal.report.source import read_source
 from loopcal.report.tables import (
@@ -153,7 +154,12 @@ def test_parameters_stand_with_change_and_share_of_the_prior(planar: Path) -> No
 
 def test_parameters_of_cameras_and_boards_are_named_so(planar: Path) -> None:
     source = read_source(planar)
-    roles = [("eye", "placement"), ("eye", "lens"), ("board", "mounting"), ("board", "print")]
+    roles: list[tuple[str, Role]] = [
+        ("eye", "placement"),
+        ("eye", "lens"),
+        ("board", "mounting"),
+        ("board", "print"),
+    ]
     first = source.document.parameters[: len(roles) + 1]
     parameters = [replace(p, role=r, owner=o) for p, (o, r) in zip(first, roles, strict=False)]
     document = replace(source.document, parameters=(*parameters, replace(first[4], owner="q1")))

@@ -79,7 +79,7 @@ def _judged(one: Judged, first: Judged, plan: Plan) -> Candidate:
     gain = Gain.in_rms(base, mine, plan.groups)
     return Candidate(
         one.name,
-        accuracy and accuracy.distances,
+        None if accuracy is None else accuracy.distances,
         None,
         None if gain is None else gain.difference,
         None if gain is None else gain.sd,

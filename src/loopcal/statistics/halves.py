@@ -30,7 +30,7 @@ def halves(taken: Judged, plan: Plan, executor: Executor | None = None) -> tuple
     if whole is None or not {*lens} & {*whole.estimated} or len(np.unique(plan.groups)) < 2:
         return ()
     (made,) = left_out([(case, whole)], folds(plan.groups, 2, seed=0), executor)
-    fits = [one.fit for one in made if isinstance(one, Predicted) and one.fit is not None]
+    fits = [part.fit for part in made if isinstance(part, Predicted) and part.fit is not None]
     if len(fits) < 2 or fits[0].estimated != fits[1].estimated:
         return ()
     first, second = (Calibrated.of(fit, "") for fit in fits)
@@ -39,7 +39,7 @@ def halves(taken: Judged, plan: Plan, executor: Executor | None = None) -> tuple
     entries = []
     for i, p in enumerate(whole.mechanism.parameters):
         if p.name in lens and p.name in fits[0].estimated and 0.0 < sd[i] < math.inf:
-            values = (fit.value[p.name] for fit in fits)
+            one, other = (fit.value[p.name] for fit in fits)
             freedom = finite(float(covariance.freedom[i]))
-            entries.append(HalvesEntry(p.name, p.unit, *values, float(sd[i]), freedom))
+            entries.append(HalvesEntry(p.name, p.unit, one, other, float(sd[i]), freedom))
     return tuple(entries)
