@@ -161,6 +161,8 @@ class ValidationEntry:
     """Of the boards that cameras see, all cameras together last."""
     blocked: ValidationEntry | None = None
     """The same for regions of the joint space left out one by one; null: not asked for."""
+    images: ValidationEntry | None = None
+    """The same for regions of the image; null: no cameras, or too few images."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -170,7 +172,8 @@ class ValidationEntry:
             f"({part.poses} poses) is not validated: {part.reason}."
             for part in self.failed
         )
-        return sentences if self.blocked is None else (*sentences, *self.blocked.warnings)
+        others = (one.warnings for one in (self.blocked, self.images) if one is not None)
+        return (*sentences, *(words for one in others for words in one))
 
 
 @dataclass(frozen=True)

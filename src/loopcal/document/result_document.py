@@ -388,8 +388,8 @@ def _accuracy(document: ResultDocument) -> list[str]:
     note = "(computed from the other readings minus measured, on the poses used for the fit"
     if validation is not None and validation.accuracy is not None:
         note += f"; poses not used: {validation.words}"
-        if validation.blocked is not None:
-            note += f"; {validation.blocked.words}"
+        elsewhere = (validation.blocked, validation.images)
+        note += "".join(f"; {one.words}" for one in elsewhere if one is not None)
     lines = [*accuracy_table(accuracy, validation), f"{note})", *_coverage(validation)]
     if validation is not None and validation.log_likelihood is not None:
         value = significant(validation.log_likelihood, 6)

@@ -68,6 +68,9 @@ def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None)
     blocked = validation and validation.blocked and validation.blocked.accuracy
     if blocked:
         position.append(Stage("in regions not used", "", blocked))
+    images = validation and validation.images and validation.images.accuracy
+    if images:
+        position.append(Stage("in image regions not used", "", images))
     return Stages(tuple(position), _stages(turns, "rad"), accuracy.noise_floor)
 
 
@@ -108,11 +111,12 @@ def place_table(
     region: with the sd that is predicted at the measured poses.
     """
     several = len(accuracy.places) > 1
-    blocked = validation and validation.blocked
+    blocked, images = validation and validation.blocked, validation and validation.images
     stages = (
         ("calibrated", accuracy.places),
         ("on poses not used", validation.places if validation else ()),
         ("in regions not used", blocked.places if blocked else ()),
+        ("in image regions not used", images.places if images else ()),
     )
 
     def row(name: str, place: BoardPlace, *sizes: float | None) -> tuple[str, ...]:

@@ -22,7 +22,9 @@ from loopcal.statistics.judged import Judged
 from loopcal.statistics.validation import Plan, Predicted, left_out
 
 
-def halves(taken: Judged, plan: Plan, executor: Executor | None = None) -> tuple[HalvesEntry, ...]:
+def lens_halves(
+    taken: Judged, plan: Plan, executor: Executor | None = None
+) -> tuple[HalvesEntry, ...]:
     """Each parameter of a lens by both halves; empty without cameras, and where one cannot be
     fitted."""
     whole, case = taken.whole, taken.entrant.case

@@ -84,7 +84,7 @@ class Validation:
     inside: (N,) 1 where the measured point lies in its stated region of probability `LEVEL`, else
     0, NaN where a pose has none, None where the method states none; places: of the boards that
     cameras see; blocked: the same for regions of the joint space left out one by one, None where
-    that was not asked for.
+    that was not asked for; images: the same for regions of the image.
     """
 
     __repr__ = brief
@@ -101,6 +101,7 @@ class Validation:
     inside: Array | None = None
     places: tuple[BoardPlace, ...] = ()
     blocked: Validation | None = None
+    images: Validation | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -132,6 +133,7 @@ class Validation:
             self.coverage,
             self.places,
             None if self.blocked is None else self.blocked.entry,
+            None if self.images is None else self.images.entry,
         )
 
 
