@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.errors import InputError, listed, unknown_name
+from loopcal.keys import Key
 from loopcal.mechanisms.chain import Step, axis_parameters, chain_parameters, refuse_long_chain
 from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.frame import ChainFrame
@@ -25,29 +26,42 @@ NAME = "robot"
 
 @dataclass(frozen=True)
 class Hanging:
-    """A body below its parent: the joint of a URDF, or the row of a table that ties them.
+    """A body below its parent: the joint of a URDF, or the row of a table, that ties them.
 
-    joint: a `LinkJoint`, a `Joint`, or for a body that is fixed to its parent a `Joint` that
-    nothing moves; fixed: whether nothing moves it.
+    fixed: of a row, whether nothing moves it, so that its name is read nowhere.
+
+    Raises InputError unless exactly one of joint and row is there.
     """
 
-    name: str
-    parent: str
-    joint: LinkJoint | Joint
-    fixed: bool = False
+    name: Annotated[str, Key("Name of the body; of a row it ends the names of its parameters.")]
+    parent: Annotated[str, Key("The body on which it hangs.")]
+    joint: Annotated[LinkJoint | None, Key("The joint of a URDF that ties it to its parent.")] = (
+        None
+    )
+    row: Annotated[Joint | None, Key("The row of Denavit and Hartenberg that ties it.")] = None
+    fixed: Annotated[bool, Key("Of a row, whether nothing moves it.")] = False
+
+    def __post_init__(self) -> None:
+        if (self.joint is None) == (self.row is None):
+            raise InputError(
+                f"the body {self.name!r} is tied to its parent by "
+                f"{'nothing' if self.joint is None else 'a joint and a row'}",
+                code="conflicting-keys",
+                remedy="give it a joint, or a row",
+            )
 
     @property
     def steps(self) -> tuple[Step, ...]:
         """T_parent_body as elementary steps."""
-        if isinstance(self.joint, LinkJoint):
-            return tuple(self.joint.steps())
-        steps = joint_steps(self.joint, self.name)
+        if self.row is None:
+            return tuple(self.joint.steps()) if self.joint else ()
+        steps = joint_steps(self.row, self.name)
         return tuple(replace(step, joint=None) for step in steps) if self.fixed else tuple(steps)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Its parameters, those of a `LinkJoint` at their nominal values, others at 0."""
-        if isinstance(self.joint, LinkJoint):
+        """Its parameters, those of a joint at their nominal values, those of a row at 0."""
+        if self.joint is not None:
             return {p.name: p for p in self.joint.origin}
         if self.fixed:
             return axis_parameters(self.name, self.steps)

@@ -462,6 +462,14 @@ def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None
             shared = set(i.placement) & set(other.placement)
             if shared and set(i.placement) != set(other.placement):
                 _refuse_shared(i, f"where {other.name!r} stands", shared)
+            sits = set(i.mounted) & set(other.mounted)
+            if sits and i.on != other.on:
+                raise InputError(
+                    f"{min(sits)!r} would say where something sits on {i.on!r} and on {other.on!r}",
+                    code="duplicate-name",
+                    remedy="give each instrument a target with a name of its own: "
+                    f'target = "{i.name}_target"',
+                )
         if shared := set(i.placement) & on_bodies:
             _refuse_shared(i, "something else of the machine or on its body", shared)
 
