@@ -167,9 +167,11 @@ class ValidationEntry:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Which parts could not be predicted, and why."""
+        part_named = "Block" if "blocks" in self.scheme else "Fold"
+        part_named = "Image region" if "of" in self.scheme else part_named
         sentences = tuple(
-            f"{'Block' if 'blocks' in self.scheme else 'Fold'} {part.number} of {self.parts} "
-            f"({part.poses} poses) is not validated: {part.reason}."
+            f"{part_named} {part.number} of {self.parts} ({part.poses} poses) is not validated: "
+            f"{part.reason}."
             for part in self.failed
         )
         others = (one.warnings for one in (self.blocked, self.images) if one is not None)
