@@ -29,11 +29,9 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.mechanisms.instruments.camera import PIXEL
-from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import yaw_pitch_roll
 from loopcal.units import from_si, unit
-from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
+from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn
 
 Array = NDArray[np.float64]
 CORNERS = "corners.csv"
@@ -275,19 +273,9 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
         remarks += ("other columns may be the joints too: name them with --joints if they are",)
     if any(f.unit is None for f in columns):
         remarks += ("joints without a unit are taken in rad, or in deg beyond two turns",)
-    return Hand(poses, robot.table, readings, T, noise, remarks, _drawn(mechanism))
-
-
-def _drawn(mechanism: Mechanism) -> dict[str, Any]:
-    """How well the drawing states the arm's own parameters."""
-    sds = {"length": (_LENGTH, "mm"), "zero": (_ZERO, "mrad")}
-    entries = {}
-    for p in mechanism.parameters:
-        if p.role in GEOMETRY and p.role != "scale" and not p.fixed:
-            sd, of = sds.get(p.role, (_TWIST, "mrad") if p.unit == "rad" else sds["length"])
-            value = float(from_si(np.array(p.nominal), of))
-            entries[p.name] = {"value": value, "unit": of, "sd": sd}
-    return entries
+    return Hand(
+        poses, robot.table, readings, T, noise, remarks, drawn(mechanism, _LENGTH, _TWIST, _ZERO)
+    )
 
 
 def _si(column: Field, si: str) -> Array:
