@@ -284,9 +284,8 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
     T = mechanism.fk(np.stack(list(readings.values()), axis=1))
     slides = [n for n in names if mechanism.quantities[n] == "m"]
     noise: dict[str, Any] = {name: {"sd": 10, "unit": "um", "estimate": "group"} for name in slides}
-    for name in names:
-        if name not in slides:
-            noise[name] = {"sd": 1e6 * ENCODER, "unit": "urad"}
+    if turning := [name for name in names if name not in slides]:
+        noise[",".join(turning)] = {"sd": 1e6 * ENCODER, "unit": "urad", "estimate": "group"}
     words = f"joints are {', '.join(f.label for f in columns)} of {source.name}, {how}"
     remarks = (*robot.remarks, words)
     if len(every) > 1:

@@ -20,7 +20,7 @@ from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.atomic import write_files
-from loopcal.files.cameras.folder import are_images, tables_of
+from loopcal.files.cameras.folder import are_images, files_of, tables_of
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
@@ -314,8 +314,11 @@ def _of_images(
     """The project of a folder or files with corners of boards, or images of them."""
     if write:
         refuse_foreign(*(folder / name for name in (PROJECT, READINGS, CORNERS)))
-    described = any((robot.urdf, robot.dh, robot.machine))
+    described = [one for one in (robot.urdf, robot.dh, robot.machine) if one is not None]
     describe = partial(_described, robot, folder) if described else None
+    robots = {Path(one).resolve() for one in described}
+    # A folder may hold the file of the robot as well.
+    readings = [path for path in files_of(readings) if path.resolve() not in robots]
     made = from_images(readings, describe, robot.joints, folder)
     project = read_project(folder / PROJECT, text=made.text)
     done = InitialProject(
