@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -249,7 +248,7 @@ def _solved(arm: Arm, want: Array, box: Array, middle: Array, rng: Rng) -> Array
         step = -np.linalg.solve(damped, J.transpose(0, 2, 1) @ d[:, :, None])[:, :, 0]
         q = q + step * np.minimum(1.0, 0.5 / np.maximum(np.abs(step).max(axis=1), 1e-12))[:, None]
     q = (q + np.pi) % (2.0 * np.pi) - np.pi
-    there = np.abs(_twists(want, _flange(arm, q))).max(axis=1) < 1e-4
+    there = np.abs(_flange(arm, q) - want).max(axis=(1, 2)) < 1e-4
     reached: Array = q[there & ((q > box[:, 0]) & (q < box[:, 1])).all(axis=1)]
     return reached
 
@@ -272,35 +271,36 @@ class Shots:
     read: Array
     uv: Array
 
-    def write(self, folder: Path, *, pose: bool = False, unit: float = 1.0, **changes: Any) -> None:
-        """The files; pose: the flange's pose instead of joints, by the drawing; unit: of one
-        metre, wherever a board states metres; changes: of the arrays, as planted."""
+    def write(
+        self,
+        folder: Path,
+        *,
+        uv: Array | None = None,
+        points: Array | None = None,
+        T: Array | None = None,
+    ) -> None:
+        """The files of a folder: corners, board, and joints with the robot's table, or poses of
+        the flange T (N, 4, 4); what is not stated is as it was measured."""
         folder.mkdir(parents=True, exist_ok=True)
-        uv, points = changes.get("uv", self.uv), changes.get("points", self.rig.points)
+        uv, points = (
+            (self.uv if uv is None else uv),
+            (self.rig.points if points is None else points),
+        )
         lines = ["pose,camera,board,point,u_px,v_px"]
         for i, k in zip(*np.nonzero(np.isfinite(uv[:, :, 0])), strict=True):
-            u, v = uv[i, k]
-            lines.append(f"{i + 1},cam,board,{k},{u:.4f},{v:.4f}")
+            lines.append(f"{i + 1},cam,board,{k},{uv[i, k, 0]:.4f},{uv[i, k, 1]:.4f}")
         _written(folder / "readings.csv", lines)
         lines = ["board,point,x_m,y_m,z_m"]
-        lines += [
-            f"board,{k},{unit * x:.9g},{unit * y:.9g},{unit * z:.9g}"
-            for k, (x, y, z) in enumerate(points)
-        ]
+        lines += [f"board,{k},{x:.9g},{y:.9g},{z:.9g}" for k, (x, y, z) in enumerate(points)]
         _written(folder / "board.csv", lines)
-        if not pose:
-            _written(folder / "dh.csv", [dh_table(self.rig.drawing).rstrip()])
+        if T is None:
+            (folder / "dh.csv").write_text(dh_table(self.rig.drawing), "utf-8")
             lines = ["pose," + ",".join(f"J{j} [deg]" for j in range(1, 7))]
-            lines += [
-                f"{i + 1}," + ",".join(f"{v / DEGREE:.8f}" for v in q)
-                for i, q in enumerate(self.read)
-            ]
+            cells = [[f"{v / DEGREE:.8f}" for v in q] for q in self.read]
         else:
-            T = changes.get("T", _flange(self.rig.arm, self.read))
             lines = ["pose,x_m,y_m,z_m,qw,qx,qy,qz"]
-            for i, one in enumerate(T):
-                w = ",".join(f"{v:.9f}" for v in (*one[:3, 3], *quaternion(one[:3, :3])))
-                lines.append(f"{i + 1},{w}")
+            cells = [[f"{v:.9f}" for v in (*M[:3, 3], *quaternion(M[:3, :3]))] for M in T]
+        lines += [",".join([str(i), *row]) for i, row in enumerate(cells, 1)]
         _written(folder / "poses.csv", lines)
 
 

@@ -233,7 +233,11 @@ def _mounted(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact], 
     mounts = [replace(reading, held=h) for h in ((True, False) if held is None else (held,))]
     tried = [_scale(one) for one in mounts]
     sizes = [misfit(one) for one, _ in tried]
-    best, facts = tried[sizes.index(min(sizes))]
+    # Without a turn of the hand a mirror on one mount is the other mount without any.
+    weighed = [
+        size / (CLEAR if facts else 1.0) for size, (_, facts) in zip(sizes, tried, strict=True)
+    ]
+    best, facts = tried[weighed.index(min(weighed))]
     return best, facts, sizes
 
 

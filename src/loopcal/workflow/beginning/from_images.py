@@ -37,6 +37,8 @@ from loopcal.units import from_si, unit
 
 Array = NDArray[np.float64]
 PROJECT, READINGS, CORNERS = "project.toml", "readings.csv", "corners.csv"
+WRONG = "wrong-corners.csv"
+"""Corners that do not fit, which the project leaves out."""
 USUAL_LENS = "brown5"
 _HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
 CORNER, ENCODER, PLACE, TURN = 0.02, 50e-6, 1e-4, 1e-4
@@ -81,11 +83,25 @@ class FromImages:
     remarks: tuple[str, ...]
     dataset: Dataset
     words: str
+    project: _Project
 
     @property
     def text(self) -> str:
         """Of the project file."""
         return document(self.tables, (_HEAD,), {"data": self.remarks})
+
+    def without(self, readings: Mapping[str, NDArray[np.bool_]], words: str) -> FromImages:
+        """The same without some readings, by name and pose; words: why, which joins the remarks."""
+        project = self.project
+        wrong = project.marked(readings)
+        begun = project.begun
+        corners = begun.corners
+        kept = replace(begun, corners=corners.where(~wrong), residuals=begun.residuals[~wrong])
+        left = _Project(kept, project.hand, project.table, project.stated)
+        out = replace(begun, corners=corners.where(wrong), residuals=begun.residuals[wrong])
+        aside = _Project(out, project.hand, project.table, project.stated)
+        made = _made(left, (*self.remarks, words))
+        return replace(made, beside={**made.beside, WRONG: aside.corners()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,14 +147,20 @@ def from_images(
         *hand.remarks,
         *project.left_out,
         *turned,
-        *(fact.sentence for fact in begun.facts),
+        # The poses of joints are those of a drawing, which scatter does not show to be wrong.
+        *(f.sentence for f in begun.facts if describe is None or f.code != "board-pitch"),
     )
+    return _made(project, remarks)
+
+
+def _made(project: _Project, remarks: tuple[str, ...]) -> FromImages:
+    begun = project.begun
     words = (
         f"{len(project.kept)} images with {len(begun.corners)} corners; the calibration begins at "
         f"{begun.rms:.2f} px rms"
     )
     beside = {READINGS: project.readings(), CORNERS: project.corners()}
-    return FromImages(project.tables, beside, remarks, project.dataset, words)
+    return FromImages(project.tables, beside, remarks, project.dataset, words, project)
 
 
 def _named(boards: Mapping[str, Board], name: str) -> Board:
@@ -482,17 +504,32 @@ class _Project:
             noise[name] = {"sd": round(sd, 3), "unit": "px", "estimate": "group"}
         return noise
 
+    def _labels(self) -> list[str]:
+        """Under which each corner is read."""
+        corners = self.begun.corners
+        ids = [list(b.points) for b in corners.boards]
+        eyes = [self.eyes[camera] for camera in corners.cameras]
+        boards = [self.boards[board.name] for board in corners.boards]
+        which = zip(corners.camera, corners.board, corners.point, strict=True)
+        return [f"{eyes[c]}:{boards[b]}:{ids[b][k]}" for c, b, k in which]
+
+    def marked(self, readings: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
+        """(N,) the corners one of whose coordinates is marked, by reading and image kept."""
+        row = {image: i for i, image in enumerate(self.kept)}
+        none = np.zeros(len(self.kept), dtype=bool)
+        marks = [
+            image in row and bool(readings.get(f"{label}:u", none)[row[image]])
+            for label, image in zip(self._labels(), self.begun.corners.image.tolist(), strict=True)
+        ]
+        return np.array(marks, dtype=bool)
+
     @property
     def dataset(self) -> Dataset:
         """The readings, under the names that they have in the project."""
         corners, kept = self.begun.corners, self.kept
         readings = {name: values[kept] for name, values in self.hand.readings.items()}
-        ids = [list(b.points) for b in corners.boards]
         row = {image: i for i, image in enumerate(kept)}
-        pairs = zip(corners.image, corners.camera, corners.board, corners.point, strict=True)
-        for (image, camera, board, point), pixel in zip(pairs, corners.uv, strict=True):
-            eye, name = self.eyes[corners.cameras[camera]], self.boards[corners.boards[board].name]
-            label = f"{eye}:{name}:{ids[board][point]}"
+        for label, image, pixel in zip(self._labels(), corners.image, corners.uv, strict=True):
             for axis, value in zip(PIXEL, pixel, strict=True):
                 column = readings.setdefault(f"{label}:{axis}", np.full(len(kept), np.nan))
                 if image in row:

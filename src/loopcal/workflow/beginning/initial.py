@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import RegionRange
-from loopcal.errors import InputError, UsageError, nearest
+from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.faults.search import column_faults
+from loopcal.estimation.fit import Fit
 from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.atomic import write_files
@@ -49,11 +50,13 @@ from loopcal.mechanisms.outputs import measured_points, output_groups
 from loopcal.presentation.shown import columns as in_columns
 from loopcal.presentation.shown import in_unit, significant, unit_shown, with_unit
 from loopcal.small_samples import LearntCovariance
+from loopcal.statistics.case import Case
 from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
+from loopcal.statistics.wrong_corners import wrong_corners
 from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.delays import Delay, delays
-from loopcal.workflow.beginning.from_images import CORNERS, from_images
+from loopcal.workflow.beginning.from_images import CORNERS, WRONG, from_images
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,
@@ -321,6 +324,9 @@ def _of_images(
     readings = [path for path in files_of(readings) if path.resolve() not in robots]
     made = from_images(readings, describe, robot.joints, folder)
     project = read_project(folder / PROJECT, text=made.text)
+    if wrong := _wrong_corners(project, made.dataset):
+        made = made.without(*wrong)
+        project = read_project(folder / PROJECT, text=made.text)
     done = InitialProject(
         project.mechanism,
         made.dataset,
@@ -337,6 +343,27 @@ def _of_images(
     files = {PROJECT: made.text.encode("utf-8"), **made.beside}
     write_files(folder, files)
     return replace(done, written=tuple(folder / name for name in files))
+
+
+def _wrong_corners(
+    project: Project, dataset: Dataset
+) -> tuple[Mapping[str, NDArray[np.bool_]], str] | None:
+    """Readings of corners that do not fit the others of their images, and words on them."""
+    noise = Noise(project.noise.noise().entries)
+    try:
+        result = Case(project.mechanism, dataset, noise, Fit(method="implicit-loop")).calibrated()
+    except (InputError, NoTrustworthyResult):
+        return None  # for the calibration to say
+    wrong = wrong_corners(result)
+    if not wrong.corners:
+        return None
+    images = int(wrong.single.any(axis=0).sum())
+    sds = ", ".join(f"{sd:.2g} px" for sd in wrong.sd.values())
+    words = (
+        f"Left out {wrong.corners} of {wrong.count} corners, in {images} of {len(dataset)} images: "
+        f"they do not fit the others of their images, whose sd is {sds}. {WRONG} lists them."
+    )
+    return dict(zip(result.problem.mechanism.tape.quantities, wrong.single, strict=True)), words
 
 
 def _described(robot: RobotFile, folder: Path, fields: Sequence[Field]) -> Robot:
