@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.findings import Outlier
 from loopcal.estimation.problem.problem import Problem, left_unmeasured
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.mechanism import PIXELS
@@ -36,37 +37,53 @@ _RAYLEIGH = float(np.sqrt(2.0 * np.log(2.0)))
 @dataclass(frozen=True)
 class WrongCorners:
     """single: (k, N) readings of wrong corners in images that fit; images: (N,) images of which
-    most corners are wrong; count: corners that were tested; sd: of a corner by camera [px]."""
+    most corners are wrong; count: corners that were tested; sd: of a corner by camera [px];
+    corrections: (k, N) [SI] that bring every corner to where the others have it; problem: without
+    the single ones, the others at these sds."""
 
     single: NDArray[np.bool_]
     images: NDArray[np.bool_]
     count: int
     sd: dict[str, float]
+    corrections: Array
+    problem: Problem
 
     @property
     def corners(self) -> int:
         """How many single corners are wrong; both coordinates are marked."""
         return int(self.single.sum()) // 2
 
+    @property
+    def outliers(self) -> tuple[Outlier, ...]:
+        """The single corners, worst first, each by the coordinate that is farther off."""
+        names = self.problem.mechanism.tape.quantities
+        entries = []
+        for camera, pairs in _cameras(self.problem).items():
+            for u, v in pairs:
+                for n in np.flatnonzero(self.single[u]):
+                    j = max((u, v), key=lambda i: abs(self.corrections[i, n]))
+                    size = -float(self.corrections[j, n])
+                    t = float(np.hypot(*self.corrections[[u, v], n])) / self.sd[camera]
+                    pose, p = self.problem.poses[n], float(np.exp(-0.5 * t * t))
+                    entries.append(Outlier(pose, names[j], t, p, None, size, "px", (), None, False))
+                    entries[-1] = replace(entries[-1], instrument=camera)
+        return tuple(sorted(entries, key=lambda one: -(one.statistic or 0.0)))
+
 
 def wrong_corners(result: FitResult, level: float = LEVEL) -> WrongCorners:
     """The corners and images that do not fit the others."""
     problem = result.problem if result.estimate is None else result.estimate.began
     names = problem.mechanism.tape.quantities
-    cameras = {
-        family.name: np.array([names.index(q) for q in family.readings]).reshape(-1, 2)
-        for family in problem.mechanism.families
-        if family.form == PIXELS
-    }
+    cameras = _cameras(problem)
     seen = np.isfinite(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))
     count = sum(int(seen[pairs[:, 0]].sum()) for pairs in cameras.values())
-    nothing = WrongCorners(np.zeros_like(seen), np.zeros(seen.shape[1], dtype=bool), count, {})
-    if not count or result.fit.solver.exact:
-        return nothing
-    limit = float(np.sqrt(2.0 * np.log(count / level)))
+    none = np.zeros_like(seen)
     parameters = np.array([result.value[n] for n in problem.mechanism.parameters.names])
     corrections = np.array([result.corrections[q] for q in names])
-    aside, earlier = nothing.single, [nothing.single]
+    if not count or result.fit.solver.exact:
+        return WrongCorners(none, none.any(axis=0), count, {}, corrections, problem)
+    limit = float(np.sqrt(2.0 * np.log(count / level)))
+    aside, earlier = none, [none]
     for _ in range(_ROUNDS):
         now, sds = np.zeros_like(seen), {}
         for name, pairs in cameras.items():
@@ -84,7 +101,22 @@ def wrong_corners(result: FitResult, level: float = LEVEL) -> WrongCorners:
             replace(_weighed(problem, cameras, sds, aside), start=parameters)
         )
         parameters, corrections = solution.parameters, solution.corrections
-    return _by_image(aside, seen, cameras, count, sds)
+    rows = np.concatenate([pairs.ravel() for pairs in cameras.values()])
+    share = aside[rows].sum(axis=0) / np.maximum(seen[rows].sum(axis=0), 1)
+    images: NDArray[np.bool_] = share > HALF
+    single = aside & ~images
+    cleaned = _weighed(problem, cameras, sds, single)
+    return WrongCorners(single, images, count, sds, corrections, cleaned)
+
+
+def _cameras(problem: Problem) -> dict[str, NDArray[np.intp]]:
+    """Positions (points, 2) of the readings u and v of each camera."""
+    names = problem.mechanism.tape.quantities
+    return {
+        family.name: np.array([names.index(q) for q in family.readings]).reshape(-1, 2)
+        for family in problem.mechanism.families
+        if family.form == PIXELS
+    }
 
 
 def _weighed(
@@ -100,16 +132,3 @@ def _weighed(
         sd[rows] = np.where(np.isinf(sd[rows]), np.inf, sds[name])
     uncertainty = replace(problem.uncertainty, sd=sd)
     return left_unmeasured(replace(problem, uncertainty=uncertainty), aside)
-
-
-def _by_image(
-    aside: NDArray[np.bool_],
-    seen: NDArray[np.bool_],
-    cameras: dict[str, NDArray[np.intp]],
-    count: int,
-    sds: dict[str, float],
-) -> WrongCorners:
-    rows = np.concatenate([pairs.ravel() for pairs in cameras.values()])
-    share = aside[rows].sum(axis=0) / np.maximum(seen[rows].sum(axis=0), 1)
-    images: NDArray[np.bool_] = share > HALF
-    return WrongCorners(aside & ~images, images, count, sds)
