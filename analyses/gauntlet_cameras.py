@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from analyses.cameras_truth import COLUMNS, ROWS, Array, Rig, Shots, inverse, shots
+from analyses.cameras_truth import COLUMNS, ROWS, Array, Shots, inverse, shots
 from analyses.gauntlet_days import Planted
 
 Rng = np.random.Generator
@@ -27,7 +26,7 @@ class Files:
     uv: Array
     points: Array
     T: Array | None = None
-    planted: Planted = field(default_factory=lambda: Planted(()))
+    planted: Planted = field(default_factory=lambda: Planted("images"))
 
 
 Mistake = Callable[[Files, Shots, Rng], None]
@@ -151,17 +150,3 @@ KINDS: dict[str, tuple[Photographed, str | None]] = {
     "images: turned about one axis": (Photographed(turns="axis"), "turns only about"),
 }
 """How each kind comes about, and what an answer must speak of; nothing: it is clean."""
-
-
-def fresh(rig: Rig, number: int) -> tuple[Array, Array]:
-    """Joints (N, 6) as read of images that nobody took, and their true pixels (N, n, 2)."""
-    from analyses.cameras_truth import poses
-
-    rng = np.random.default_rng([48, number])
-    q = poses(rig, 50, rng)
-    return q + rig.encoder * rng.normal(size=q.shape), rig.pixels(rig.flange(q))
-
-
-def held(rig: Rig) -> Any:
-    """What is on the flange."""
-    return "board" if rig.held else "camera"

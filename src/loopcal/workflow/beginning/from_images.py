@@ -25,7 +25,6 @@ from loopcal.files.recognition.robots import Robot
 from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
-from loopcal.files.toml.writer import document
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
@@ -34,13 +33,12 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import yaw_pitch_roll
 from loopcal.units import from_si, unit
+from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
 
 Array = NDArray[np.float64]
-PROJECT, READINGS, CORNERS = "project.toml", "readings.csv", "corners.csv"
-WRONG = "wrong-corners.csv"
-"""Corners that do not fit, which the project leaves out."""
+CORNERS, WRONG = "corners.csv", "wrong-corners.csv"
+"""Those of the project, and those that do not fit, which it leaves out."""
 USUAL_LENS = "brown5"
-_HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
 CORNER, ENCODER, PLACE, TURN = 0.02, 50e-6, 1e-4, 1e-4
 """Where the learning of sds begins: a corner, at least [px], a joint [rad], a stated pose [m],
 [rad]."""
@@ -75,22 +73,12 @@ Describe = Callable[[Sequence[Field]], Robot]
 
 @dataclass(frozen=True, eq=False)
 class FromImages:
-    """What was understood: the tables of the project file, the files beside it, what was found in
-    words, the readings, and in a line how many there are and how well they begin to fit."""
+    """What was begun from images, and its parts, of which corners may be left out."""
 
-    tables: Mapping[str, Any]
-    beside: Mapping[str, bytes]
-    remarks: tuple[str, ...]
-    dataset: Dataset
-    words: str
+    begun: Begun
     project: _Project
 
-    @property
-    def text(self) -> str:
-        """Of the project file."""
-        return document(self.tables, (_HEAD,), {"data": self.remarks})
-
-    def without(self, readings: Mapping[str, NDArray[np.bool_]], words: str) -> FromImages:
+    def without(self, readings: Mapping[str, NDArray[np.bool_]], words: str) -> Begun:
         """The same without some readings, by name and pose; words: why, which joins the remarks."""
         project = self.project
         wrong = project.marked(readings)
@@ -100,7 +88,7 @@ class FromImages:
         left = _Project(kept, project.hand, project.table, project.stated)
         out = replace(begun, corners=corners.where(wrong), residuals=begun.residuals[wrong])
         aside = _Project(out, project.hand, project.table, project.stated)
-        made = _made(left, (*self.remarks, words))
+        made = _made(left, (*self.begun.remarks, words))
         return replace(made, beside={**made.beside, WRONG: aside.corners()})
 
 
@@ -150,17 +138,17 @@ def from_images(
         # The poses of joints are those of a drawing, which scatter does not show to be wrong.
         *(f.sentence for f in begun.facts if describe is None or f.code != "board-pitch"),
     )
-    return _made(project, remarks)
+    return FromImages(_made(project, remarks), project)
 
 
-def _made(project: _Project, remarks: tuple[str, ...]) -> FromImages:
+def _made(project: _Project, remarks: tuple[str, ...]) -> Begun:
     begun = project.begun
     words = (
         f"{len(project.kept)} images with {len(begun.corners)} corners; the calibration begins at "
         f"{begun.rms:.2f} px rms"
     )
     beside = {READINGS: project.readings(), CORNERS: project.corners()}
-    return FromImages(project.tables, beside, remarks, project.dataset, words, project)
+    return Begun(project.tables, beside, remarks, project.dataset, words)
 
 
 def _named(boards: Mapping[str, Board], name: str) -> Board:
