@@ -319,7 +319,7 @@ def quaternion(R: Array) -> Array:
         ]
     )
     q: NDArray[np.float64] = np.linalg.eigh(K + np.triu(K, 1).T)[1][:, -1]
-    return q * np.sign(q[0])
+    return np.asarray(q * np.sign(q[0]))
 
 
 def shots(
