@@ -30,6 +30,7 @@ from scipy.stats import beta, chi2
 
 import loopcal as lc
 from analyses.cameras_truth import Array, Rig, inverse, shots
+from analyses.gauntlet_truth import Array
 from analyses.kept import Draw, complete
 
 KINDS = {"eye to hand": True, "eye in hand": False}

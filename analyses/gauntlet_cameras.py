@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from analyses.cameras_truth import COLUMNS, ROWS, Array, Shots, inverse, shots
+from analyses.cameras_truth import COLUMNS, ROWS, Shots, inverse, shots
 from analyses.gauntlet_days import Planted
+from analyses.gauntlet_truth import Array
 
 Rng = np.random.Generator
 
