@@ -29,7 +29,7 @@ import numpy as np
 from scipy.stats import beta, chi2
 
 import loopcal as lc
-from analyses.cameras_truth import Array, Rig, inverse, shots
+from analyses.cameras_truth import Rig, inverse, shots
 from analyses.gauntlet_truth import Array
 from analyses.kept import Draw, complete
 
