@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from inspect import signature
 from typing import Annotated, Any
 
 from loopcal.errors import placed
@@ -72,13 +73,11 @@ def instruments(
 
     Raises InputError at the table that does not fit.
     """
-    return [
-        built(
-            _instruments()[entry.type],
-            entry,
-            scope,
-            place.at(i),
-            dimension=machine.dimension,
-        )
-        for i, entry in enumerate(entries)
-    ]
+    made = []
+    for i, entry in enumerate(entries):
+        make = _instruments()[entry.type]
+        # What is in space alone takes no dimension; `assemble` refuses it for a plane machine.
+        plane = "dimension" in signature(make).parameters
+        more = {"dimension": machine.dimension} if plane else {}
+        made.append(built(make, entry, scope, place.at(i), **more))
+    return made

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from loopcal.errors import InputError
 from loopcal.expressions.vectors import cross, dot, vector
 from loopcal.keys import Key
 from loopcal.mechanisms.cameras.board import Board
@@ -41,6 +40,14 @@ On = Annotated[
 Lens = Annotated[
     str,
     Key("What the lens does beyond a pinhole.", choices=tuple(LENSES)),
+]
+Image = Annotated[
+    tuple[int, int] | None,
+    Key(
+        "Width and height of its images [px], which figures show. Default: twice the principal "
+        "point, and all corners.",
+        example=[1600, 1200],
+    ),
 ]
 _INTRINSIC = {
     "f": ("focal length along u", "px"),
@@ -77,10 +84,10 @@ def camera(
     ] = None,
     on: On = "base",
     lens: Lens = "brown5",
+    image: Image = None,
     offsets: Annotated[
         bool, Key("Whether each point has offsets BOARD_POINT_x, _y, _z, with a prior in [prior].")
     ] = False,
-    dimension: int = 3,
 ) -> Instrument:
     """Pixels (u, v) at which a camera sees the points of a board; one image is one pose.
 
@@ -101,14 +108,8 @@ def camera(
     are named EYE:BOARD:POINT:u and :v; a point that was not detected is blank. (0, 0) is the centre
     of the first pixel.
 
-    Raises InputError for a plane machine, another lens, and a board without points.
+    Raises InputError for another lens, and for a board without points.
     """
-    if dimension != 3:
-        raise InputError(
-            f"the camera {name!r} looks at a planar machine",
-            code="unsupported",
-            remedy="describe the machine in space",
-        )
     eye = name if eye is None else eye
     seen = Board(
         board, {point: (float(x), float(y), float(z)) for point, (x, y, z) in points.items()}

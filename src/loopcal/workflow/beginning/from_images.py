@@ -422,6 +422,7 @@ class _Project:
             # In the unit of the lengths that state none.
             length = dict(self.hand.table.get("units", {})).get("length", "m")
             points = {p: from_si(np.array(board.points[p]), length).tolist() for p in used}
+            image = self.begun.intrinsics[camera].image
             yield {
                 "type": "camera",
                 "name": name,
@@ -429,6 +430,7 @@ class _Project:
                 "board": self.boards[board.name],
                 "on": "body" if self.begun.held is False else "base",
                 "lens": self.begun.intrinsics[camera].lens,
+                **({"image": list(image)} if image else {}),
                 "offsets": not board.planar,
                 "points": points,
             }
