@@ -24,9 +24,9 @@ from loopcal.figures.images import (
 )
 from loopcal.figures.space import Machine
 from loopcal.mechanisms.cameras.board import Board
-from loopcal.mechanisms.cameras.lens import FRAME, LENSES, Intrinsics, turning_radius
+from loopcal.mechanisms.cameras.lens import Intrinsics, turning_radius
 from loopcal.mechanisms.chain import product
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.instruments.camera import CameraEntry, cameras_of
 from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.skeleton import body_poses
 from loopcal.mechanisms.station import Station
@@ -86,14 +86,13 @@ class CameraView:
 def camera_views(source: Source) -> tuple[CameraView, ...]:
     """By instrument; none where the mechanism is not known or has no camera."""
     mechanism = source.mechanism
-    described = (mechanism and mechanism.description) or {}
-    cameras = [one for one in described.get("instrument", ()) if one.get("type") == "camera"]
+    cameras = () if mechanism is None else cameras_of(mechanism)
     if mechanism is None or not cameras:
         return ()
     T_base_body = body_poses(mechanism, _readings(source))
     if T_base_body is None:
         T_base_body = np.full((len(source.table.poses), 4, 4), np.nan)
-    made = [_view(source, mechanism, one, T_base_body) for one in cameras]
+    made = [_view(source, one, T_base_body) for one in cameras]
     return tuple(one for one in made if one.image.size)
 
 
@@ -106,16 +105,9 @@ def _readings(source: Source) -> dict[str, Array]:
     return {**implied, **read, **source.table.pose_constants}
 
 
-def _view(
-    source: Source, mechanism: Mechanism, stated: Mapping[str, object], T_base_body: Array
-) -> CameraView:
-    values = {p.name: p.nominal for p in mechanism.parameters}
-    eye = str(stated.get("eye") or stated["name"])
-    points = dict(stated["points"])  # type: ignore[call-overload]
-    board = Board(str(stated["board"]), {str(k): tuple(v) for k, v in points.items()})
-    lens = str(stated["lens"])
-    values_of_lens = {key: values[f"{eye}_{key}"] for key in (*FRAME, *LENSES[lens])}
-    labels = [f"{eye}:{board.name}:{point}" for point in board.points]
+def _view(source: Source, entry: CameraEntry, T_base_body: Array) -> CameraView:
+    board, intrinsics = entry.board, entry.intrinsics
+    labels = [f"{entry.name}:{board.name}:{point}" for point in board.points]
     table = source.table
     nothing = np.full(len(table.poses), np.nan)
 
@@ -125,26 +117,22 @@ def _view(
     measured, off = rows(table.readings), rows(table.differences_after)
     point, image = np.nonzero(np.isfinite(measured + off).all(axis=0))
     uv, residuals = measured[:, point, image], off[:, point, image]
-    intrinsics = Intrinsics.of(lens, values_of_lens)
-    size = stated.get("image")
-    if size is None:
+    width, height = map(float, intrinsics.image or (0, 0))
+    if intrinsics.image is None:
         # Nobody stated it: about as far beyond the principal point as before it, and all corners.
         middle = 2.0 * np.array([intrinsics.cx, intrinsics.cy]) + 1.0
-        size = np.maximum(middle, uv.max(axis=1, initial=0.0)).tolist()
-    width, height = map(float, size)  # type: ignore[call-overload]
+        width, height = np.maximum(middle, uv.max(axis=1, initial=0.0)).tolist()
     ids = list(board.points)
-    on_body = stated["on"] == "body"
-    T_eye, T_board = (product(Station(name).steps, {}, values) for name in (eye, board.name))
     T = (
-        inverse(T_eye) @ np.linalg.inv(T_base_body) @ inverse(T_board)
-        if on_body
-        else T_eye @ T_base_body @ T_board
+        inverse(entry.T_eye) @ inverse(T_base_body) @ inverse(entry.T_board)
+        if entry.on_body
+        else entry.T_eye @ T_base_body @ entry.T_board
     )
     view = CameraView(
-        eye,
+        entry.name,
         intrinsics,
         (width, height),
-        on_body,
+        entry.on_body,
         board,
         image.astype(np.intp),
         tuple(ids[i] for i in point),
