@@ -21,7 +21,6 @@ from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.station import MOTIONS, Name, Station, placed_by
 
-HOLDERS = ("base", "body")
 PIXEL = ("u", "v")
 Points = Annotated[
     Mapping[str, tuple[float, float, float]],
@@ -35,22 +34,20 @@ Points = Annotated[
 On = Annotated[
     str,
     Key(
-        "What carries the camera: the base (eye to hand; the machine's body carries the board) or "
-        "the body (eye in hand; the board is fixed to the base).",
-        choices=HOLDERS,
+        "What carries the camera: the base (eye to hand; the machine's body carries the board), "
+        "the body (eye in hand; the board is fixed to the base), or a body of a tree by its name.",
+    ),
+]
+Sees = Annotated[
+    str | None,
+    Key(
+        "The body of a tree that carries the board. Default: its only leaf for a camera on the "
+        "base, else its root, the ground."
     ),
 ]
 Lens = Annotated[
     str,
     Key("What the lens does beyond a pinhole.", choices=tuple(LENSES)),
-]
-Image = Annotated[
-    tuple[int, int] | None,
-    Key(
-        "Width and height of its images [px], which figures show. Default: twice the principal "
-        "point, and all corners.",
-        example=[1600, 1200],
-    ),
 ]
 _INTRINSIC = {
     "f": ("focal length along u", "px"),
@@ -86,8 +83,8 @@ def camera(
         ),
     ] = None,
     on: On = "base",
+    sees: Sees = None,
     lens: Lens = "brown5",
-    image: Image = None,
     offsets: Annotated[
         bool, Key("Whether each point has offsets BOARD_POINT_x, _y, _z, with a prior in [prior].")
     ] = False,
@@ -101,7 +98,8 @@ def camera(
         on the body:  P = T_body_camera^-1 T_base_body^-1 T_board_base^-1 X.
 
     On the base EYE_x ... EYE_rx are T_camera_base and BOARD_x ... BOARD_rx T_body_board. On the
-    body EYE_x ... EYE_rx are T_body_camera and BOARD_x ... BOARD_rx T_board_base. EYE_f, _aspect,
+    body EYE_x ... EYE_rx are T_body_camera and BOARD_x ... BOARD_rx T_board_base, where the base is
+    that which carries the board: of a tree any body that it `sees`, such as a hand. EYE_f, _aspect,
     _cx, _cy and the coefficients of the lens (`loopcal.mechanisms.cameras.lens`) need nominal
     values. X is the point of the board as printed:
 
@@ -111,7 +109,7 @@ def camera(
     are named EYE:BOARD:POINT:u and :v; a point that was not detected is blank. (0, 0) is the centre
     of the first pixel.
 
-    Raises InputError for another lens, and for a board without points.
+    Raises InputError for another lens, and a board without points.
     """
     eye = name if eye is None else eye
     seen = Board(
@@ -139,7 +137,7 @@ def camera(
         },
     }
     printed = _printed(seen, offsets=offsets)
-    camera_on_body = on == "body"
+    camera_on_body = on != "base"
     stands = Station(board if camera_on_body else eye)
     mount = tuple(
         Step(m, f"{eye if camera_on_body else board}_{m[1] if m[0] == 't' else m}")
@@ -173,6 +171,8 @@ def camera(
         place=stands,
         remedy=f"the board {board!r} is beside or behind the camera {eye!r}: begin nearer to where "
         "it is, with `loopcal init`",
+        on=(None if on == "body" else on) if camera_on_body else sees,
+        against=sees if camera_on_body else None,
     )
 
 
@@ -280,7 +280,7 @@ class CameraEntry:
 
 
 def cameras_of(mechanism: Mechanism) -> tuple[CameraEntry, ...]:
-    """The cameras that a mechanism's description holds, by instrument."""
+    """The cameras on the base or the body of a mechanism that can be described, by instrument."""
     values = {p.name: p.nominal for p in mechanism.parameters}
     usual = {name: one.default for name, one in signature(camera).parameters.items()}
     entries = []
@@ -288,7 +288,9 @@ def cameras_of(mechanism: Mechanism) -> tuple[CameraEntry, ...]:
         if described["type"] != "camera":
             continue
         stated = {**usual, **described}
-        eye, lens, image = stated["eye"] or stated["name"], stated["lens"], stated["image"]
+        if stated["on"] not in ("base", "body"):
+            continue  # of a tree: its places are those of other bodies
+        eye, lens = stated["eye"] or stated["name"], stated["lens"]
         intrinsic = {key: values[f"{eye}_{key}"] for key in (*FRAME, *LENSES[lens])}
         points = {
             str(k): (float(x), float(y), float(z)) for k, (x, y, z) in stated["points"].items()
@@ -301,7 +303,7 @@ def cameras_of(mechanism: Mechanism) -> tuple[CameraEntry, ...]:
                 eye,
                 Board(stated["board"], points),
                 stated["on"] == "body",
-                Intrinsics.of(lens, intrinsic, image and (int(image[0]), int(image[1]))),
+                Intrinsics.of(lens, intrinsic),
                 T_eye,
                 T_board,
             )

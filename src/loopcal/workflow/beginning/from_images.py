@@ -26,7 +26,6 @@ from loopcal.files.recognition.robots import Robot
 from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
-from loopcal.files.toml.writer import document
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
@@ -35,11 +34,11 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import yaw_pitch_roll
 from loopcal.units import from_si, unit
+from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
 
 Array = NDArray[np.float64]
-PROJECT, READINGS, CORNERS = "project.toml", "readings.csv", "corners.csv"
+CORNERS = "corners.csv"
 USUAL_LENS = "brown5"
-_HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
 CORNER, ENCODER, PLACE, TURN = 0.02, 50e-6, 1e-4, 1e-4
 """Where the learning of sds begins: a corner, at least [px], a joint [rad], a stated pose [m],
 [rad]."""
@@ -77,23 +76,6 @@ Describe = Callable[[Sequence[Field]], Robot]
 
 
 @dataclass(frozen=True, eq=False)
-class FromImages:
-    """What was understood: the tables of the project file, the files beside it, what was found in
-    words, the readings, and in a line how many there are and how well they begin to fit."""
-
-    tables: Mapping[str, Any]
-    beside: Mapping[str, bytes]
-    remarks: tuple[str, ...]
-    dataset: Dataset
-    words: str
-
-    @property
-    def text(self) -> str:
-        """Of the project file."""
-        return document(self.tables, (_HEAD,), {"data": self.remarks})
-
-
-@dataclass(frozen=True, eq=False)
 class Hand:
     """The body that moves: its columns of readings by quantity [SI], and T_base_flange (N, 4, 4)
     by pose; table: of the mechanism without instruments; noise: of its readings."""
@@ -109,7 +91,7 @@ class Hand:
 
 def from_images(
     entries: Sequence[Any], describe: Describe | None, joints: str | None, folder: Path
-) -> FromImages:
+) -> Begun:
     """`init` of a folder or files that hold corners.
 
     describe: the robot by the columns of its joints, None where nothing describes one; joints:
@@ -126,7 +108,7 @@ def from_images(
         f"{begun.rms:.2f} px rms"
     )
     beside = {READINGS: project.readings(), CORNERS: project.corners()}
-    return FromImages(project.tables, beside, remarks, project.dataset, words)
+    return Begun(project.tables, beside, remarks, project.dataset, words)
 
 
 def _understood(
@@ -494,7 +476,6 @@ class _Project:
             # In the unit of the lengths that state none.
             length = dict(self.hand.table.get("units", {})).get("length", "m")
             points = {p: from_si(np.array(board.points[p]), length).tolist() for p in used}
-            image = self.begun.intrinsics[camera].image
             yield {
                 "type": "camera",
                 "name": name,
@@ -502,7 +483,6 @@ class _Project:
                 "board": self.boards[board.name],
                 "on": "body" if self.begun.held is False else "base",
                 "lens": self.begun.intrinsics[camera].lens,
-                **({"image": list(image)} if image else {}),
                 "offsets": not board.planar,
                 "points": points,
             }
