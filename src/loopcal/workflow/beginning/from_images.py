@@ -179,9 +179,9 @@ def _refuse_another(stated: Board, usual: Mapping[str, Board], name: str) -> Non
             remedy=f"its boards are {listed(list(usual), 5)}",
         )
     for point, at in board.points.items():
-        there = stated.points.get(point)
-        if there is None or np.linalg.norm(np.subtract(there, at)) > SAME * max(board.half):
-            where = "absent" if there is None else f"at ({_mm(there)}) mm"
+        other = stated.points.get(point)
+        if other is None or np.linalg.norm(np.subtract(other, at)) > SAME * max(board.half):
+            where = "absent" if other is None else f"at ({_mm(other)}) mm"
             raise InputError(
                 f"the point {point!r} of the board {name!r} is {where}; the calibration has it at "
                 f"({_mm(at)}) mm",
