@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.machine import Machine
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.parallel.registry import PARALLEL
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.serial import tool_names
@@ -31,7 +31,9 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     described = mechanism.description or {}
     if described.get("type") == "planar-two-link":
         return None if mechanism.families else _planar(values, joints)
-    stands = next((f.placement for f in mechanism.families if f.placement), None)
+    # Pixels are no points: a machine before cameras is drawn in its base.
+    placed = (f.placement for f in mechanism.families if f.form != PIXELS)
+    stands = next(filter(None, placed), None)
     station = stands.steps if isinstance(stands, Station) else ()
     kind = described.get("type")
     if kind in PARALLEL:
@@ -51,6 +53,21 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     at = np.array([values[name] for name in tool] or [0.0, 0.0, 0.0])
     points += [T[:3, 3], T[:3, :3] @ at + T[:3, 3]]
     return np.array(points)
+
+
+def body_poses(mechanism: Mechanism, readings: Mapping[str, Array]) -> Array | None:
+    """T_base_body (N, 4, 4) [m] at readings (N,) by name; NaN where one is missing.
+
+    None where the readings alone do not place the body, as in closed loops.
+    """
+    kind = (mechanism.description or {}).get("type")
+    machine = PARALLEL[kind]() if kind in PARALLEL else None
+    joints = dict.fromkeys(step.joint for step in mechanism.chain if step.joint)
+    names = (*machine.quantities, *machine.pose_constants) if machine else tuple(joints)
+    if not names or not {*names} <= readings.keys() or (machine and machine.loops):
+        return None
+    made = mechanism if machine is None else machine
+    return made.fk(readings)
 
 
 def skeleton_labels(mechanism: Mechanism) -> tuple[str, ...]:
