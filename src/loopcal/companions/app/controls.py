@@ -152,17 +152,17 @@ def uploader(view: View, label: str, then: Callable[[str], Any] | None = None) -
         view.uploading = on
         view.session.news.tell()
 
-    box = ui.upload(
-        label=label,
-        multiple=True,
-        auto_upload=True,
-        max_file_size=LARGEST,
-        on_upload=taken,
-        on_rejected=lambda: ui.notify(words.TOO_LARGE, type="negative"),
-    )
-    box.on("start", lambda: going(True)).on("finish", lambda: going(False))
-    box.classes("w-full").props("flat bordered")
-    button = ui.button(words.CHOOSE_FILES, icon="upload_file").props("outline")
-    button.props(f'aria-label="{label}: {words.CHOOSE_FILES}"')
-    # Every act has a way by keyboard (docs/decisions/0095).
-    button.on("click", js_handler=f"() => {FILES.format(box=box.html_id)}.click()")
+    with ui.element("div").classes("drop"):
+        box = ui.upload(
+            label=label,
+            multiple=True,
+            auto_upload=True,
+            max_file_size=LARGEST,
+            on_upload=taken,
+            on_rejected=lambda: ui.notify(words.TOO_LARGE, type="negative"),
+        )
+        box.on("start", lambda: going(True)).on("finish", lambda: going(False)).props("flat")
+        button = ui.button(words.CHOOSE_FILES, icon="upload_file").props("outline")
+        button.props(f'aria-label="{label}: {words.CHOOSE_FILES}"')
+        # Every act has a way by keyboard (docs/decisions/0095).
+        button.on("click", js_handler=f"() => {FILES.format(box=box.html_id)}.click()")

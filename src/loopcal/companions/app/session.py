@@ -12,6 +12,7 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any, Generic, TypeVar
 
+from loopcal.companions.app.cards import begins
 from loopcal.companions.app.edits import with_changes, with_shift, with_value, without_poses
 from loopcal.companions.app.project_folder import RESULT, ProjectFolder
 from loopcal.companions.app.refits import Asked, News, Refits
@@ -95,6 +96,7 @@ class Session:
         self._noted: Run | None = None
         self._source: Cached[Source | None] = Cached()
         self._loaded: Cached[LoadedData] = Cached()
+        self._whole: Cached[Dataset] = Cached()
         self._deployed: Cached[dict[str, bool]] = Cached()
         self._project: Cached[Project | None] = Cached()
         self._shown: tuple[Source, Refit | None, Source] | None = None
@@ -323,6 +325,16 @@ class Session:
             return None
         return self._loaded.read(self._readings_at(), lambda: load_sample(project))
 
+    def every_pose(self) -> Dataset | None:
+        """The readings, those of poses that the project leaves out among them."""
+        project, loaded = self.project(), self.readings()
+        if project is None or loaded is None or project.data is None:
+            return None if loaded is None else loaded.dataset
+        if not project.data.exclude:
+            return loaded.dataset
+        whole = replace(project, data=replace(project.data, exclude=()))
+        return self._whole.read(self._readings_at(), lambda: load_sample(whole).dataset)
+
     def _readings_at(self) -> object:
         """Another value whenever the readings may have changed."""
         project, times = self.project(), self._times()
@@ -368,6 +380,12 @@ class Session:
         effects = mechanism.get("effect", []) if isinstance(mechanism, dict) else []
         return sorted({float(at) for effect in effects for at in effect.get("at", ())})
 
+    def left_out(self) -> tuple[str, ...]:
+        """Ids of the poses that the project leaves out."""
+        project = self.project()
+        data = None if project is None else project.data
+        return () if data is None else tuple(map(str, data.exclude))
+
     def shifted(self, names: Sequence[str], run: Sequence[str], reason: str) -> None:
         """Take parameters as others from the first to the last pose of a run.
 
@@ -392,11 +410,16 @@ class Session:
         self._write(text, f"{', '.join(names)} moved from pose {first} to {last}", reason)
 
     def modelled(self, changes: ChangePoints, reason: str) -> None:
-        """Put the changes that a result found into the project."""
-        change_words = "; ".join(
-            f"{', '.join(p.names)} from pose {p.pose} on" for p in changes.found
-        )
-        self._write(with_changes(self._counted(), changes.toml), f"moved: {change_words}", reason)
+        """Put the changes along the run that a finding names into the project."""
+        source = self.source()
+        starts = begins(changes.found, () if source is None else source.table.poses)
+        at = {
+            names: [number for number, p in starts.items() if p.names == names]
+            for names in (p.names for p in changes.found)
+        }
+        change_words = "; ".join(point.what for point in changes.found)
+        text = with_changes(self._counted(), changes.toml, at)
+        self._write(text, f"accepted: {change_words}", reason)
 
     def _counted(self) -> str:
         """The text with a column of numbers of poses."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from nicegui import background_tasks, run, ui
 
 from loopcal.companions.app import words
+from loopcal.companions.app.addresses import Address
 from loopcal.companions.app.pictures import GRID
 from loopcal.companions.app.session import Session
 from loopcal.errors import LoopcalError
@@ -46,6 +48,8 @@ class View:
 
     session: Session
     step: str = "robot"
+    entry: int | None = None
+    """Number of the entry of the log that is shown."""
     selected: list[int] = field(default_factory=list)
     kept: dict[str, Any] = field(default_factory=dict)
     poses: tuple[str, ...] = ()
@@ -100,6 +104,24 @@ class View:
             box.set_value(value)
         for follower in self.follow:
             follower()
+
+    def address(self) -> Address:
+        """Of what it shows."""
+        if self.entry is not None:
+            return Address(self.step, run=self.entry)
+        return Address.selecting(self.step, self.selected, self.poses)
+
+    def go(self, address: Address) -> None:
+        """Show what an address says, in the result as it stands."""
+        self.step, self.entry = address.step or self.step, address.run
+        if address.poses and (source := self.session.source()) is not None:
+            self.poses = source.table.poses
+            self.selected[:] = address.selected(self.poses)
+
+    def addressed(self, title: str = "") -> None:
+        """Name the address to the browser."""
+        said = f"{json.dumps(self.address().text)}, {json.dumps(title)}"
+        ui.run_javascript(f"addresses.show({said})")
 
     def select_among(self, poses: Sequence[str]) -> None:
         """Keep the selected poses, by their ids, where the result has others than before."""
@@ -190,7 +212,7 @@ def _stale(session: Session) -> None:
 def title(label: str, words: str) -> None:
     """The head of a step, and what is done there."""
     ui.label(label).classes("text-h5").props("role=heading aria-level=1")
-    ui.label(words).classes("text-body1 q-mb-sm")
+    ui.label(words).classes("text-body1")
 
 
 def heading(text: str) -> None:
@@ -232,11 +254,15 @@ def figure(drawn: Any) -> Any:
     heading(drawn.title)
     ui.label(drawn.caption).classes("text-caption")
     content = {"data": list(drawn.data), "layout": layout, "config": {"displaylogo": False}}
-    return ui.plotly(content).classes("w-full").props(f'aria-label="{_plain(drawn.label)}"')
+    return plot(content, drawn.label)
 
 
-def _plain(text: str) -> str:
-    return text.replace('"', "'").replace("<", "").replace(">", "")
+def plot(drawn: Mapping[str, Any], label: str) -> Any:
+    """A figure of plotly in its place, which is as high as it will be; label: of its picture."""
+    made = ui.plotly(dict(drawn)).classes("w-full plot")
+    made.style(f"--high: {drawn['layout'].get('height', 300)}px")
+    plain = label.replace('"', "'").replace("<", "").replace(">", "")
+    return made.props(f'role=figure aria-label="{plain}"')
 
 
 # Parts of a page that are drawn anew without losing what a user does meanwhile.

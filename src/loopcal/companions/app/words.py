@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+NAME, STEPS = "loopcal", "Steps"
+TITLE = "{step} - {folder} - loopcal"
 LIGHTS = {
     "none": ("radio_button_unchecked", "not begun"),
     "good": ("check_circle", "good"),
@@ -62,7 +64,14 @@ NONE_SELECTED = (
 ENDS = ("From pose", "To pose")
 STEPPERS = {-1: ("chevron_left", "one pose earlier"), 1: ("chevron_right", "one pose later")}
 RUN, RUN_RMS = "pose {first} to {last}", "pose {first} to {last}, rms {rms}"
-RUNS = "Select a run between them:"
+RUNS = "Select a run"
+FROM_POSE = "from pose {pose}"
+WHY = "Why"
+UNASKED = "not asked"
+ACCEPT, ACCEPTED = "Accept", "In the project; fit again."
+BEFORE_AFTER = {True: "Before", False: "After"}
+BEFORE_AFTER_NAME = "errors before or after the changes are taken up"
+EXCLUDE_NAMED = "Exclude pose {poses}"
 ZOOM_IN, ZOOM_OUT = "Zoom in", "Show all poses"
 PARAMETERS_MOVED = "{what} moved here"
 BY_LOOPCAL = "found by loopcal"
@@ -95,6 +104,8 @@ COMPARED = (
     "Calibrate with several methods, each validated on ten parts of the poses that its fit does "
     "not use. Each result gets a folder of its own."
 )
+ROBOT_DRAWN = "the robot"
+ROBOT_IN_ROW, ROBOT_PLANNED = "the robot in the selected row", "the robot in the planned poses"
 MAP = "Click a point: the sliders and the prediction below show its pose."
 NOT_OF_RESULT = "Not of this result. Write it again."
 DIFFERENCE = "Lines that change are marked with - (before) and + (after)."
@@ -156,14 +167,11 @@ OPEN_RECORD = "Open the record"
 SOURCE_FILE = "Your own file"
 ZERO_OFFSETS_JOINTS = "Zero offsets of joints"
 ORIENTATIONS = "Orientations"
-DETECTED_CHANGES = "Found by loopcal"
-STATE_CHANGES = "Put these changes into the project"
 SELECTED_POSES = "Selected poses"
 FIT_AGAIN = "Fit again"
 EXCLUDE = "Exclude"
 SELECT_NONE = "Select none"
 SELECT_THESE_POSES = "Select these poses"
-DETAILS = "Details"
 CALIBRATE = "Calibrate"
 SIDE_BY_SIDE = "Methods side by side"
 ANOTHER_METHOD = "Another method"

@@ -12,7 +12,7 @@ from loopcal.companions.app import words
 from loopcal.companions.app.cells import bad_cells, columns
 from loopcal.companions.app.controls import folded, offer, text, uploader
 from loopcal.companions.app.pictures import joints_of, machine_figure, moved
-from loopcal.companions.app.view import View, heading, table
+from loopcal.companions.app.view import View, heading, plot, table
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.registry import BY_ENDING
@@ -43,11 +43,11 @@ def show(view: View) -> None:
     loaded = view.session.readings()
     with ui.element("div").classes("beside"):
         with ui.column().classes("figures"):
-            plot = None if loaded is None else _robot(project, loaded.dataset)
+            drawn_robot = None if loaded is None else _robot(project, loaded.dataset)
         with ui.column().classes("acts"):
             _columns(view, project)
     if loaded is not None:
-        _rows(view, project, loaded, plot)
+        _rows(view, project, loaded, drawn_robot)
 
 
 def _recognise(view: View) -> None:
@@ -134,7 +134,7 @@ def _robot(project: Project, data: Dataset) -> Any:
     drawn = machine_figure(mechanism, _pose(project, data, 0)) if len(data) else None
     if drawn is None:
         return None
-    return ui.plotly(drawn).classes("w-full").props('aria-label="the robot in the selected row"')
+    return plot(drawn, words.ROBOT_IN_ROW)
 
 
 def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
@@ -142,7 +142,7 @@ def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
     return {j: float(data[j][index]) if j in data.readings else 0.0 for j in joints}
 
 
-def _rows(view: View, project: Project, loaded: LoadedData, plot: Any) -> None:
+def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any) -> None:
     data, mechanism = loaded.dataset, project.mechanism
     units = {**mechanism.quantities, **mechanism.pose_constants}
     names = [name for name in data.readings if name in units]
@@ -158,9 +158,9 @@ def _rows(view: View, project: Project, loaded: LoadedData, plot: Any) -> None:
     heading(more if len(data) > ROWS else f"{len(data):,} poses")
 
     def chosen(event: Any) -> None:
-        if plot is not None and event.selection:
+        if drawn_robot is not None and event.selection:
             pose = _pose(project, data, event.selection[0]["index"])
-            plot.run_plot_method("restyle", moved(mechanism, pose), [0])
+            drawn_robot.run_plot_method("restyle", moved(mechanism, pose), [0])
 
     made = ui.table(
         columns=head,

@@ -25,7 +25,6 @@ from loopcal.companions.robot.exports.registry import EXPORTS
 from loopcal.companions.robot.exports.tables import ORIENTATIONS
 from loopcal.companions.robot.programs.registry import BY_ENDING
 from loopcal.files.result.deployed import PREVIEW
-from loopcal.presentation.shown import shortened
 
 LONGEST = 400
 """Lines of a difference that are shown."""
@@ -37,11 +36,6 @@ def show(view: View) -> None:
     if source is None:
         ui.label(view.session.unreadable() or words.NO_RESULT)
         return
-    verdict = source.document.verdict
-    if verdict is not None and verdict.grade != "good":
-        ui.label(shortened(verdict.headline)).classes(f"text-subtitle1 {verdict.grade}")
-    if view.session.state().stale:
-        ui.label(words.STALE).classes("care")
     _export(view)
     _correct(view)
     _record(view)

@@ -10,19 +10,18 @@ from nicegui import ui
 from loopcal.companions.app import words
 from loopcal.companions.app.controls import as_number, choice, offer, page, written
 from loopcal.companions.app.view import View, heading, stale, table
+from loopcal.companions.app.views.findings import verdict
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.errors import LoopcalError
 from loopcal.estimation.methods.registry import METHODS, method_named
 from loopcal.files.result.result_file import read_result
-from loopcal.presentation.shown import by_sd, in_unit, shortened, unit_shown
-from loopcal.report.page import QUESTIONS
+from loopcal.presentation.shown import by_sd, in_unit, unit_shown
 from loopcal.report.tables import accuracy_tables, model_table
 from loopcal.units import to_si
 from loopcal.workflow.projects import Refit
 
 PARAMETER_HEAD = ("parameter", "nominal", "calibrated", "change", "sd", "unit")
-MARKS = {"yes": "good", "open": "care", "no": "bad"}
 
 
 def show(view: View) -> None:
@@ -39,7 +38,9 @@ def show(view: View) -> None:
         stale(view)
         document = source.document
         view.part(view.session.refit, lambda: _provisional(view.session.refit(), document))
-        _verdict(document)
+        verdict(document)
+        if document.method_label:
+            ui.label(words.BY_METHOD.format(label=document.method_label))
         with ui.row():
             page(f"{view.session.folder.result.name}/report.html", words.OPEN_WHOLE_REPORT)
         for accuracy_table in accuracy_tables(document):
@@ -101,23 +102,6 @@ def _tolerance(view: View) -> None:
 
 def _labelled(method: str) -> str:
     return f"{method}: {method_named(method).label}"
-
-
-def _verdict(document: ResultDocument) -> None:
-    if document.verdict is None:
-        return
-    with ui.card().classes("w-full").props("flat bordered"):
-        ui.label(shortened(document.verdict.headline)).classes(f"text-h6 {document.verdict.grade}")
-        with ui.grid(columns="auto auto 1fr").classes("items-start"):
-            for one in document.findings:
-                ui.label(QUESTIONS[one.question or "sound"]).classes("text-weight-medium")
-                ui.label(one.mark).classes(MARKS[one.mark])
-                with ui.column().classes("gap-0"):
-                    ui.label(f"{one.words} {one.next.words if one.next else ''}")
-                    if one.next and one.next.command:
-                        ui.code(one.next.command, language="bash")
-    if document.method_label:
-        ui.label(words.BY_METHOD.format(label=document.method_label))
 
 
 def _rows(document: ResultDocument) -> list[list[str]]:

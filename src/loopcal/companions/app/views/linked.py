@@ -14,6 +14,7 @@ from loopcal.companions.app import words
 from loopcal.companions.app.controls import reason, written
 from loopcal.companions.app.pictures import SIZE, Errors, Framed
 from loopcal.companions.app.view import Part, Place, View, heading, table
+from loopcal.companions.app.view import plot as view_plot
 
 TAKE = "(event) => linked.take(event, emit)"
 """The page marks what an event of plotly selects (linked.js); its positions and range travel."""
@@ -55,7 +56,7 @@ class Linked:
         drawn = make(self.errors)
         if drawn is None:
             return
-        plot = ui.plotly(drawn).classes("w-full linked").props(f'aria-label="{label}"')
+        plot = view_plot(drawn, label).classes("linked")
         self._plots[label] = plot, make
 
         def taken(event: Any) -> None:
@@ -86,6 +87,7 @@ class Linked:
         if number == self._latest:
             for hear in self.later:
                 hear()
+            self.view.addressed()
 
     def select(self, positions: Sequence[int]) -> None:
         """Select these poses in every figure."""

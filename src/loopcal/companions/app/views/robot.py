@@ -11,7 +11,7 @@ from nicegui import ui
 from loopcal.companions.app import words
 from loopcal.companions.app.controls import uploader
 from loopcal.companions.app.pictures import joints_of, machine_figure, moved
-from loopcal.companions.app.view import View, heading, table
+from loopcal.companions.app.view import View, heading, plot, table
 from loopcal.files.machines.registry import drawn
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.registry import TEXT
@@ -71,12 +71,12 @@ def _machine(view: View, project: Project) -> None:
     if figure is not None:
         with ui.element("div").classes("beside"):
             with ui.column().classes("figures"):
-                plot = ui.plotly(figure).classes("w-full").props('aria-label="the robot"')
+                drawn_robot = plot(figure, words.ROBOT_DRAWN)
             with ui.column().classes("acts"), ui.grid(columns="auto 1fr 5rem").classes("w-full"):
 
                 def move(name: str, value: float) -> None:
                     joints[name] = value
-                    plot.run_plot_method("restyle", moved(mechanism, joints), [0])
+                    drawn_robot.run_plot_method("restyle", moved(mechanism, joints), [0])
 
                 for name in joints_of(mechanism):
                     unit = mechanism.quantities.get(name, "rad")
