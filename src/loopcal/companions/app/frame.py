@@ -22,7 +22,7 @@ from loopcal.presentation.shown import shortened
 
 SCRIPTS = {f"/{name}": name for name in ("addresses.js", "fields.js", "linked.js")}
 """Programs of the page, by their addresses."""
-VERDICT = ("fit", "diagnose")
+VERDICT = ("fit", "diagnose", "deploy")
 """Steps that begin with the verdict."""
 PATIENCE = 0.3
 """Seconds before a page says that it waits for files."""
@@ -85,7 +85,7 @@ async def build(session: Session) -> None:
     ui.on("went", went)
     with drawer:
         lights = {step.key: _Light(step, show) for step in stand(session.state())}
-    with ui.column().classes("w-full q-pa-md").props("role=main") as page:
+    with ui.column().classes("w-full q-pa-md") as page:
         view.refresh = Place(content).refresh
     with ui.footer(elevated=False).classes("run") as foot:
         shown_run = ShownRun(session, foot)

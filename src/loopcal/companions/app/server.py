@@ -69,6 +69,8 @@ def serve(
     app.add_api_route("/file/{name:path}", lambda name: sent(session, name))
     app.add_api_route("/page/{name:path}", lambda name: shown(session, name))
     # Large files are read ahead of the first drawing, which a shorter time would cut off.
+    # Its bar has no name for a screen reader; the page says itself what it waits for.
+    app.config.quasar_config["loadingBar"]["skipHijack"] = True
     for address in ("/", *(f"/{key}" for key in BY_KEY)):
         page = ui.page(
             address, title=f"loopcal: {path.name}", language="en-US", response_timeout=60.0

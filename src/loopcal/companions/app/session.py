@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 from threading import Event, Lock, Thread
@@ -14,7 +15,7 @@ from typing import Any, Generic, TypeVar
 
 from loopcal.companions.app.cards import begins
 from loopcal.companions.app.edits import with_changes, with_shift, with_value, without_poses
-from loopcal.companions.app.project_folder import RESULT, ProjectFolder
+from loopcal.companions.app.project_folder import RESULT, Entry, ProjectFolder
 from loopcal.companions.app.refits import Asked, News, Refits
 from loopcal.companions.app.steps import State
 from loopcal.companions.app.worker import Action, Command, Run, Worker
@@ -22,10 +23,13 @@ from loopcal.companions.robot.programs.registry import BY_ENDING as PROGRAMS
 from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files.machines.python_function import load_function
+from loopcal.files.machines.urdf import NO_URDF, branches
 from loopcal.files.project.data_table import DataTable
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.stream import load_sample
+from loopcal.files.recognition.dh_table import read_dh
+from loopcal.files.tables.registry import BY_ENDING as READERS
 from loopcal.measurements.dataset import Dataset
 from loopcal.report.source import Source, read_source
 from loopcal.statistics.changes import COLUMN, ids_are_numbers
@@ -93,6 +97,7 @@ class Session:
         self.refits = Refits(self.worker.context, self.news.tell, self.function)
         self.last: dict[str, Run] = {}  # of each command, since the server started
         self.finished = 0
+        self._of = ""  # what the run that goes on reads
         self._noted: Run | None = None
         self._source: Cached[Source | None] = Cached()
         self._loaded: Cached[LoadedData] = Cached()
@@ -124,6 +129,7 @@ class Session:
 
     def start(self, action: Action) -> Run:
         """Run a command in the folder; before a calibration ends, its fit is looked at."""
+        self._of = self.read_by(action.words[0])
         run = self.worker.start(action, str(self.folder.path))
         if action.words[0] == "calibrate" and "--out" not in action.words:
             named = dict(pairwise(action.words))
@@ -213,7 +219,8 @@ class Session:
 
     def _ended(self, run: Run) -> None:
         self.last[run.action.words[0]] = run
-        content = {"command": run.action.command, "code": run.code, "cancelled": run.cancelled}
+        command = run.action.command
+        content = {"command": command, "code": run.code, "cancelled": run.cancelled, "of": self._of}
         if run.action.words[0] == "check" and (answer := checked(run)) is not None:
             content["verdict"] = answer["verdict"]
         self.folder.noted("ended", run.action.what, content)
@@ -282,6 +289,7 @@ class Session:
     def state(self) -> State:
         """What the lights of the steps follow from."""
         source, project, objection = self.source(), self.project(), self.objection()
+        loaded = self.readings()
         runs = {
             str(e.record.get("command", "")).split(" ")[1]: e
             for e in self.folder.log().entries
@@ -294,7 +302,44 @@ class Session:
             stale=self.stale,
             deployed=self.deployed(),
             runs=runs,
+            outdated=frozenset(c for c, e in runs.items() if self._outdated(c, e)),
+            unread=self.unread() if project is not None else "",
+            waiting=self.waiting(),
+            warned=tuple(map(str, loaded.warnings)) if loaded is not None else (),
         )
+
+    def read_by(self, command: str) -> str:
+        """A digest of what a command reads: the project with its readings, or the result too."""
+        project, times = self.project(), self._times()
+        inputs = {} if project is None else project.inputs
+        counted = {**_that_count(inputs), "plan": inputs.get("plan") if command == "plan" else None}
+        files = () if project is None or project.data is None else _files(project.data)
+        result = self._result_at() if command not in ("check", "plan", "calibrate") else None
+        at = [counted, [times.get(file) for file in files], result]
+        return sha256(json.dumps(at, sort_keys=True, default=str).encode()).hexdigest()
+
+    def _outdated(self, command: str, entry: Entry) -> bool:
+        """Whether a run of the log read something else than there is now."""
+        of = entry.record.get("of")
+        return of is not None and of != self.read_by(command)
+
+    def outdated(self, command: str) -> bool:
+        """Whether the last run of a command read something else than there is now."""
+        return command in self.state().outdated
+
+    def waiting(self) -> tuple[str, ...]:
+        """Files of readings that were handed in at the step Data, and that the project does not
+        read; those that were left aside are not named again."""
+        project = self.project()
+        if project is None or project.data is None:
+            return ()
+        unread = {file.name for file in self.folder.listed()} - set(_files(project.data))
+        names = [name for name in self.folder.handed_in("data") if name in unread]
+        return tuple(name for name in names if name.lower().endswith(tuple(READERS)))
+
+    def left_aside(self, name: str) -> None:
+        """Do not ask again what becomes of a file of readings."""
+        self.folder.noted("aside", f"left {name} aside", {"name": name, "step": ""})
 
     @property
     def stale(self) -> bool:
@@ -315,7 +360,9 @@ class Session:
         return None, None
 
     def choose_robot(self, kind: str, value: str) -> None:
-        """Describe the robot of a project to come."""
+        """Describe the robot of a project to come. Raises as `read_robot`."""
+        if kind != "machine":
+            read_robot(kind, self.folder.inside(value))
         self.folder.noted("robot", f"robot from {value}", {"robot": kind, "value": value})
 
     def readings(self) -> LoadedData | None:
@@ -442,6 +489,16 @@ class Session:
         self.read(text)  # raises where it would not be read
         self.folder.change(text, what, reason)
         self._look_ahead()
+
+
+def read_robot(kind: str, path: Path) -> None:
+    """Raises InputError for a file that describes no robot of its kind."""
+    if kind == "dh":
+        read_dh(path)
+    elif not branches(path):
+        raise InputError(
+            "no joint of this robot moves", code="no-data", place=path.name, remedy=NO_URDF
+        )
 
 
 def _all_selected() -> InputError:

@@ -20,6 +20,8 @@ from loopcal.presentation.shown import with_unit
 
 WHOLE = 100
 """Rows of a table that is shown without turning its pages."""
+MOST_LINES = 400
+"""Lines of a difference that are shown."""
 
 
 @dataclass(eq=False)
@@ -155,10 +157,13 @@ class View:
         """Begin a run of `loopcal LINE`."""
         return self.act(lambda: self.session.start(self.session.action(what, line)))
 
-    def files(self, ends: tuple[str, ...]) -> list[str]:
-        """Files of the folder itself that end so."""
+    def files(self, ends: tuple[str, ...], step: str = "") -> list[str]:
+        """Files of the folder itself that end so; those handed in at a step first, the last one
+        ahead of all."""
         names = (file.name for file in self.session.folder.listed())
-        return [name for name in names if "/" not in name and name.lower().endswith(ends)]
+        kept = [name for name in names if "/" not in name and name.lower().endswith(ends)]
+        handed_in = self.session.folder.handed_in(step) if step else []
+        return sorted(kept, key=lambda name: -handed_in.index(name) if name in handed_in else 1)
 
     def project_name(self) -> str:
         """Of the project file in the folder."""
@@ -238,6 +243,28 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], **more: Any) ->
     made_table = ui.table(columns=made, rows=content, row_key="row", **settled)
     hidden = "" if len(rows) > (settled["pagination"] or len(rows)) else "hide-pagination"
     return made_table.props(f"dense flat {hidden}").classes("w-full")
+
+
+def command(line: str) -> Any:
+    """A command line, with a button that copies it."""
+    made = ui.code(line, language="text").classes("command")
+    made.copy_button.props(f'aria-label="{words.COPY}"')
+    return made
+
+
+def difference(lines: Sequence[str]) -> None:
+    """Lines of a difference, marked; so many of them."""
+    with ui.element("div").classes("printed difference").props('tabindex="0" role=region'):
+        for one in lines[:MOST_LINES]:
+            ui.label(one or " ").classes(_kind(one))
+        if len(lines) > MOST_LINES:
+            ui.label(f"and {len(lines) - MOST_LINES:,} lines more")
+
+
+def _kind(line: str) -> str:
+    if line.startswith(("---", "+++", "@@")):
+        return "none"
+    return "gone" if line.startswith("-") else "come" if line.startswith("+") else ""
 
 
 def figure(drawn: Any) -> Any:

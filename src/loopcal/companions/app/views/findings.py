@@ -11,7 +11,7 @@ from nicegui import ui
 
 from loopcal.companions.app import words
 from loopcal.companions.app.cards import Card, begins, cards, lines
-from loopcal.companions.app.view import table
+from loopcal.companions.app.view import View, command, table
 from loopcal.companions.app.views.linked import Linked
 from loopcal.document.change_points import ChangePoints
 from loopcal.document.result_document import ResultDocument
@@ -46,7 +46,7 @@ def _whole(finding: Finding) -> None:
     then = finding.next
     ui.label(f"{finding.words} {then.words if then else ''}").classes("finding")
     if then and then.command:
-        ui.code(then.command, language="text").classes("command")
+        command(then.command)
 
 
 def offer_findings(linked: Linked, document: ResultDocument, switch: Callable[[], Any]) -> None:
@@ -126,3 +126,11 @@ def _runs(linked: Linked, steps: Sequence[int]) -> None:
         for first, end in pairwise(sorted({0, *steps, len(poses)})):
             label = words.RUN.format(first=poses[first], last=poses[end - 1])
             ui.menu_item(label, partial(linked.select, range(first, end)))
+
+
+def headline(view: View, document: ResultDocument) -> None:
+    """The verdict in one line, where the result is used."""
+    if document.verdict is not None:
+        ui.label(shortened(document.verdict.headline)).classes(f"headline {document.verdict.grade}")
+    if view.session.stale:
+        ui.label(words.STALE).classes("care")

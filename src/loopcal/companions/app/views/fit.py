@@ -11,6 +11,7 @@ from loopcal.companions.app import words
 from loopcal.companions.app.controls import as_number, choice, offer, page, written
 from loopcal.companions.app.view import View, heading, stale, table
 from loopcal.companions.app.views.findings import verdict
+from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.errors import LoopcalError
@@ -50,16 +51,14 @@ def show(view: View) -> None:
         if models is not None:
             heading(models.caption)
             table(models.head, models.rows)
-        heading(words.PARAMETERS)
-        table(PARAMETER_HEAD, _rows(document))
+        _parameters(document, words.PARAMETERS)
     _side_by_side(view)
 
 
 def _provisional(refit: Refit | None, document: ResultDocument) -> None:
     """The parameters that the first fit of a changed project found."""
     if refit is not None:
-        heading(words.PROVISIONAL_PARAMETERS)
-        table(PARAMETER_HEAD, _rows(refit.shown_in(document)))
+        _parameters(refit.shown_in(document), words.PROVISIONAL_PARAMETERS)
         heading(words.LAST_RESULT)
 
 
@@ -104,17 +103,26 @@ def _labelled(method: str) -> str:
     return f"{method}: {method_named(method).label}"
 
 
-def _rows(document: ResultDocument) -> list[list[str]]:
+def _parameters(document: ResultDocument, caption: str) -> None:
+    """Those that the fit estimates, and folded those that are fixed."""
+    shown = shown_parameters(document.parameters, document.terms)
+    fitted, fixed = [p for p in shown if not p.fixed], [p for p in shown if p.fixed]
+    heading(caption)
+    table(PARAMETER_HEAD, [_row(p) for p in fitted])
+    if fixed:
+        label = words.FIXED.format(count=len(fixed))
+        with ui.expansion(label).classes("w-full why"):
+            table([*PARAMETER_HEAD[:2], "unit"], [[*_row(p)[:2], _row(p)[-1]] for p in fixed])
+
+
+def _row(p: ParameterEntry) -> list[str]:
     return [
-        [
-            p.name,
-            by_sd(p.nominal, p.sd, p.unit),
-            by_sd(p.value, p.sd, p.unit),
-            by_sd(p.value - p.nominal, p.sd, p.unit, sign=True),
-            "" if p.sd is None else f"{in_unit(p.sd, p.unit):.2g}",
-            "" if p.unit == "1" else unit_shown(p.unit),
-        ]
-        for p in shown_parameters(document.parameters, document.terms)
+        p.name,
+        by_sd(p.nominal, p.sd, p.unit),
+        by_sd(p.value, p.sd, p.unit),
+        by_sd(p.value - p.nominal, p.sd, p.unit, sign=True),
+        "" if p.sd is None else f"{in_unit(p.sd, p.unit):.2g}",
+        "" if p.unit == "1" else unit_shown(p.unit),
     ]
 
 

@@ -116,6 +116,8 @@ def _planned(view: View, project: Project) -> None:
     content = folder.content(f"{folder.plan.name}/{PLAN_DOCUMENT}")
     if content is None:
         return
+    if view.session.outdated("plan"):
+        ui.label(words.OUTDATED).classes("care")
     document: dict[str, Any] = json.loads(content)
     poses: list[dict[str, Any]] = document["poses"]
     heading(f"{len(poses)} poses")

@@ -148,10 +148,13 @@ def _another_day(view: View) -> None:
     heading(words.ANOTHER_DAY)
     ui.label(words.VERIFY).classes("text-body2")
     uploader(view, words.DROP_ANOTHER_DAY)
-    tables = view.files(ENDS)
+    tables = view.files(ENDS, "validate")
     if not tables:
         return
     result = view.session.folder.result.name
     choice(view, "verify.file", words.READINGS, tables)
     offer(view, words.VERIFY_IT, lambda: ("verify", result, str(view.kept["verify.file"])))
-    printed(view, "verify")
+    if view.session.outdated("verify"):
+        ui.label(words.OUTDATED).classes("care")
+    else:
+        printed(view, "verify")
