@@ -40,6 +40,7 @@ async def build(session: Session) -> None:
         ui.add_head_html(f'<script src="{address}"></script>')
     ui.colors(primary="#14515c")
     view = View(session, begins_at(session))
+    view.run_script = ui.context.client.run_javascript
     request = ui.context.client.request
     view.go(Address.of(request.url.path, request.url.query, BY_KEY))
 

@@ -57,6 +57,8 @@ class View:
     poses: tuple[str, ...] = ()
     """Ids of the poses of the result that is shown."""
     refresh: Callable[[], Any] = lambda: None
+    run_script: Callable[[str], Any] = lambda _: None
+    """Runs a program in the browser, also from a task that draws nothing."""
     boxes: dict[str, Any] = field(default_factory=dict)
     """The control of each name as it was drawn last."""
     follow: list[Callable[[], Any]] = field(default_factory=list)
@@ -123,7 +125,7 @@ class View:
     def addressed(self, title: str = "") -> None:
         """Name the address to the browser."""
         said = f"{json.dumps(self.address().text)}, {json.dumps(title)}"
-        ui.run_javascript(f"addresses.show({said})")
+        self.run_script(f"addresses.show({said})")
 
     def select_among(self, poses: Sequence[str]) -> None:
         """Keep the selected poses, by their ids, where the result has others than before."""

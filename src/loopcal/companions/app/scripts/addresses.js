@@ -15,7 +15,6 @@ const addresses = {
     if (pathname === location.pathname || location.pathname === "/")
       history.replaceState(null, "", text);
     else {
-      addresses.note();
       history.pushState(null, "", text);
       addresses.wanted = addresses.places[pathname] ?? 0;
     }
@@ -43,6 +42,11 @@ const addresses = {
 };
 
 history.scrollRestoration = "manual";
+addEventListener("click", ({ target }) => {
+  if (!target.closest(".step")) return;
+  addresses.note();
+  addresses.wanted = 0; // the step goes before its address does: what it scrolls to is no place
+}, true);
 addEventListener("scrollend", addresses.note);
 for (const event of ["wheel", "touchmove", "keydown", "pointerdown"])
   addEventListener(event, () => (addresses.wanted = null), { passive: true });
