@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.companions.app.beside import LeftOut
+from loopcal.companions.app.capsules import capsules, vertices
 from loopcal.figures.figure import axis, layout, names, numbers, spots, thinned, upright
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points
@@ -73,15 +74,17 @@ def machine_figure(
     flat = points.shape[1] == 2
     data = [
         spots(
-            "lines+markers+text",
+            "lines+markers+text" if flat else "markers+text",
             points.T,
             line={"color": REST, "width": 6},
-            marker={"size": 8 if flat else 5, "color": REST},
+            marker={"size": 8 if flat else 4, "color": REST},
             text=names(skeleton_labels(mechanism)),
             textposition="top center",
             hoverinfo="text",
         )
     ]
+    if not flat:
+        data.append(capsules(points))
     if cloud is not None and len(cloud):
         marker = {"size": 5 if flat else 3, "color": CHOSEN, "opacity": 0.7}
         count = [f"pose {i}" for i in range(1, len(cloud) + 1)]
@@ -108,11 +111,16 @@ def _room(points: Array) -> dict[str, Any]:
     return spots("markers", corners.T, marker={"size": 1, "opacity": 0.0}, hoverinfo="skip")
 
 
-def moved(mechanism: Mechanism, joints: Mapping[str, float]) -> dict[str, Any]:
-    """What `restyle` makes of the machine's trace to move it to another pose."""
+def moved(mechanism: Mechanism, joints: Mapping[str, float]) -> list[Any]:
+    """What `restyle` makes of the machine's traces to move it to another pose, and which these
+    are."""
     points = skeleton(mechanism, joints)
     assert points is not None
-    return {k: [numbers(v)] for k, v in zip("xyz", points.T, strict=False)}
+    if points.shape[1] == 2:
+        return [{k: [numbers(v)] for k, v in zip("xy", points.T, strict=True)}, [0]]
+    body = vertices(points)
+    both = zip("xyz", points.T, body.T, strict=True)
+    return [{k: [numbers(joint), numbers(corner)] for k, joint, corner in both}, [0, 1]]
 
 
 def end_points(mechanism: Mechanism, poses: Sequence[Mapping[str, float]]) -> Array | None:

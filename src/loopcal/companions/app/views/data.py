@@ -181,7 +181,7 @@ def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any) ->
     def chosen(event: Any) -> None:
         if drawn_robot is not None:
             pose = _pose(project, data, int(event.args["index"]))
-            drawn_robot.run_plot_method("restyle", moved(mechanism, pose), [0])
+            drawn_robot.run_plot_method("restyle", *moved(mechanism, pose))
 
     made = ui.table(
         columns=head,

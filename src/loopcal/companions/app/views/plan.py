@@ -164,7 +164,7 @@ def _drawn(view: View, project: Project, poses: Sequence[dict[str, float]]) -> N
             number = int(event.value)
             view.keep("plan.pose", number)
             pose_label.set_text(f"pose {number}")
-            drawn_robot.run_plot_method("restyle", moved(mechanism, poses[number - 1]), [0])
+            drawn_robot.run_plot_method("restyle", *moved(mechanism, poses[number - 1]))
 
         slider = ui.slider(min=1, max=len(poses), step=1, value=first, on_change=at)
         slider.props('aria-label="planned pose"').classes("col")

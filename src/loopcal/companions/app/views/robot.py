@@ -80,7 +80,7 @@ def _machine(view: View, project: Project) -> None:
 
                 def move(name: str, value: float) -> None:
                     joints[name] = value
-                    drawn_robot.run_plot_method("restyle", moved(mechanism, joints), [0])
+                    drawn_robot.run_plot_method("restyle", *moved(mechanism, joints))
 
                 for name in joints_of(mechanism):
                     unit = mechanism.quantities.get(name, "rad")

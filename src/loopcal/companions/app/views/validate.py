@@ -122,7 +122,7 @@ class _Pose:
                 ui.label(line).classes("text-subtitle1")
         if self.plot is not None:
             moving = moved(self.mechanism, self.joints)
-            self.plot.run_plot_method("restyle", moving, [0])
+            self.plot.run_plot_method("restyle", *moving)
 
 
 def _region(view: View, source: Source, probe: Probe, region_map: Map) -> None:
