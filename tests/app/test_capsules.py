@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 
 from loopcal.companions.app.capsules import THICK, capsules, vertices
+from loopcal.companions.app.pictures import Errors
+from loopcal.report.source import read_source
+from tests.command_line import run_here as run
+from tests.reference import dh_arm
 
 POINTS = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.6, 0.8, 1.0]])
 
@@ -47,3 +52,27 @@ def test_lines_parted_by_nan_have_no_capsule_between_them() -> None:
     assert np.isfinite(corners).all()
     _, one, two, _ = corners.reshape(4, -1, 3)
     assert np.ptp(one, axis=0).max() == np.ptp(two, axis=0).max() == 0.0
+
+
+def test_the_machine_in_space_stands_in_the_first_selected_pose(tmp_path: Path) -> None:
+    """Its end lies where that pose was measured, and no selection changes the axes."""
+    dh_arm.write_slipped(tmp_path)
+    begin = ("init", "poses.csv", "--urdf", "arm.urdf", "--out", ".")
+    assert run(*begin, cwd=tmp_path).returncode == 0
+    line = ("calibrate", "project.toml", "--method", "least-squares", "--no-report")
+    assert run(*line, cwd=tmp_path).returncode in (0, 4)
+    source = read_source(tmp_path / "project-result")
+    figures = []
+    for pose in (3, 40):
+        errors = Errors.of(source, selected=[pose, 50])
+        assert errors is not None
+        figure = errors.in_space()
+        assert figure is not None
+        body = np.array([figure["data"][2][k] for k in "xyz"])
+        measured = np.array([source.table.readings[k][pose] for k in "xyz"])
+        assert np.linalg.norm(body - measured[:, None], axis=0).min() < 0.12  # its radius
+        update, traces = errors.posing() or ({}, [])
+        assert traces == [2]
+        np.testing.assert_array_equal(np.array([update[k][0] for k in "xyz"]), body)
+        figures.append(figure["layout"]["scene"])
+    assert figures[0] == figures[1]

@@ -35,6 +35,10 @@ drawn at its edge: one slip of an encoder would flatten all others."""
 TRANSPARENT = "rgba(0,0,0,0)"
 Framed = tuple[Array, Array]
 """What the axes of a flat figure show: (N,) each."""
+SAMPLED = 30
+"""Poses whose machine makes the extent of the figure in space."""
+BEHIND = 0.6
+"""Opacity of the machine there: points behind it show."""
 ROOM = 0.1
 """Share of the span of the changes that the name of one needs."""
 SIZE = "distance"
@@ -335,15 +339,54 @@ class Errors:
             trace["unselected"] = {"marker": {"opacity": 0.35}}
             trace.pop("selected")
         titles = [f"{k} [m]" for k in "xyz"[: len(at)]]
+        data, body = [trace, self._ring(trace)], self._body(self.posed)
         if solid:
             more: dict[str, Any] = {"scene": _space(titles)}
+            if body is not None:
+                data.append(capsules(body) | {"opacity": BEHIND})
+                self._hold(more["scene"], at)
         else:
             more = {f"{k}axis": axis(t) for k, t in zip("xy", titles, strict=True)} | _BRUSHED
         return {
-            "data": [trace, self._ring(trace)],
+            "data": data,
             "layout": look(420, showlegend=False, uirevision="space", **more),
             "config": _SPATIAL,
         }
+
+    @property
+    def posed(self) -> int:
+        """Position of the pose in which the machine is drawn: the first one selected, or of all."""
+        return min(self.selected, default=0)
+
+    def posing(self) -> list[Any] | None:
+        """What `restyle` makes of the figure in space to draw the machine in that pose; None where
+        none is drawn."""
+        body = self._body(self.posed) if self.solid else None
+        if body is None:
+            return None
+        return [{k: [numbers(v)] for k, v in zip("xyz", vertices(body).T, strict=True)}, [2]]
+
+    def _body(self, position: int) -> Array | None:
+        """(k, 3) the skeleton of the machine in one pose [m], where it has a known shape."""
+        mechanism, readings = self.source.mechanism, self.source.table.readings
+        if mechanism is None:
+            return None
+        joints = {q: float(v[position]) for q, v in readings.items() if np.isfinite(v[position])}
+        try:
+            points = skeleton(mechanism, joints)
+        except KeyError:
+            return None  # a joint that was not read in this pose
+        return points if points is not None and points.shape[1] == 3 else None
+
+    def _hold(self, scene: dict[str, Any], at: Array) -> None:
+        """State the ranges of the axes, so that the scene stays where the machine moves."""
+        some = np.linspace(0, len(self.size) - 1, SAMPLED).astype(int)
+        bodies = [body for i in set(some.tolist()) if (body := self._body(i)) is not None]
+        everything = np.vstack([at.T, *bodies])
+        low, high = np.nanmin(everything, axis=0), np.nanmax(everything, axis=0)
+        beside = 0.05 * float((high - low).max())
+        for k, begin, end in zip("xyz", low, high, strict=True):
+            scene[f"{k}axis"]["range"] = [float(begin) - beside, float(end) + beside]
 
     def _ring(self, trace: Mapping[str, Any]) -> dict[str, Any]:
         """The trace that rings the selected poses in space."""

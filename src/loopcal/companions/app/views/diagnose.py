@@ -16,6 +16,8 @@ from loopcal.companions.app.views.findings import offer_findings
 from loopcal.companions.app.views.fit import offer_fit
 from loopcal.companions.app.views.linked import OVER_POSES, Linked, offer_selection
 
+IN_SPACE = "error in space"
+
 
 def show(view: View) -> None:
     """The step."""
@@ -126,7 +128,8 @@ def _elsewhere(linked: Linked) -> None:
         ways = {False: words.DRAG_TURNS, True: words.DRAG_SELECTS}
         turn = ui.toggle(ways, value=False).props(f'no-caps aria-label="{words.DRAG}"')
         turn.on_value_change(lambda e: ui.run_javascript(f"linked.framing({str(e.value).lower()})"))
-    linked.plot(lambda e: e.in_space(), "error in space")
+    linked.plot(lambda e: e.in_space(), IN_SPACE)
+    linked.later.append(partial(linked.pose, IN_SPACE))
 
     def of(name: str) -> Framed:
         return linked.errors.joint(name), linked.errors.shown[linked.what]

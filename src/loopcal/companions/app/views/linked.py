@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -122,6 +123,13 @@ class Linked:
         self.view.kept["diagnose.span"] = span
         self.draw([OVER_POSES])
         self._tell()
+
+    def pose(self, label: str) -> None:
+        """Move the machine of the figure in space to the first of the selected poses."""
+        plot, _ = self._plots.get(label, (None, None))
+        posing = replace(self.errors, selected=tuple(self.view.selected)).posing()
+        if plot is not None and posing is not None and not plot.is_deleted:
+            plot.run_plot_method("restyle", *posing)
 
     def follow(self, errors: Errors) -> bool:
         """Show other errors in the figures that are there; False where these cannot."""
