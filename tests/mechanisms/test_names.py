@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.spherical import spherical
@@ -75,6 +76,11 @@ def renamed(machine: Machine, words: Words) -> Machine:
         }
         return replace(gauge, **changed)
 
+    def step(s: Step) -> Step:
+        return replace(
+            s, parameter=s.parameter and words(s.parameter), joint=s.joint and words(s.joint)
+        )
+
     parameters = {
         words(n): replace(p, name=words(n), owner=p.owner and words(p.owner))
         for n, p in machine.parameters.items()
@@ -89,11 +95,13 @@ def renamed(machine: Machine, words: Words) -> Machine:
         pose_constants={words(c): unit for c, unit in machine.pose_constants.items()},
         implied={words(q): v for q, v in machine.implied.items()},
         gauge=all_of(machine.gauge),
-        chain=tuple(
-            replace(
-                s, parameter=s.parameter and words(s.parameter), joint=s.joint and words(s.joint)
-            )
-            for s in machine.chain
+        tree=machine.tree
+        and replace(
+            machine.tree,
+            links={
+                name: replace(link, steps=tuple(map(step, link.steps)))
+                for name, link in machine.tree.links.items()
+            },
         ),
         lines=None,
         description={},

@@ -400,13 +400,21 @@ def init(
         str | None,
         option("COLUMNS", "Columns that take no part, such as '*_soll,v*' [default: none]."),
     ] = None,
+    observe: Annotated[
+        list[str] | None,
+        option(
+            "TEXT",
+            "Observe this between two bodies of a whole robot, such as 'point on=hand "
+            "columns=x,y,z' or 'contact between=left,right radius=20mm,20mm'; once for each.",
+        ),
+    ] = None,
     run: Annotated[bool, flag("--run", "Calibrate at once and open the report.")] = False,
 ) -> None:
     """Recognise readings and a robot; write a finished project."""
     from loopcal.cli.asking import ask_on_terminal, open_page
     from loopcal.workflow.beginning.initial import RobotFile, initial_project
 
-    robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out)
+    robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out, tuple(observe or ()))
     done = initial_project(files, robot, out=out, sheet=sheet, ask=ask_on_terminal())
     print_out(str(done))
     if run:

@@ -1,8 +1,9 @@
 """The body that instruments look at, displaced a little from where the geometry puts it.
 
 An arm bends, a platform tilts: whatever the cause, all that is fixed to one body moves with it.
-The loops of a mechanism are therefore kept once more, with the displacement of the body as further
-inputs. It is a shift d and a small turn w about the body's origin b, in the machine's base frame:
+The loops of a mechanism are therefore kept once more, with the displacements of its bodies as
+further inputs. Each is a shift d and a small turn w about the body's origin b, in the machine's
+base frame:
 
     p' = p + d + w x (p - b),    v' = v + w x v,    for points p and directions v of the body.
 
@@ -24,19 +25,19 @@ MOTIONS = {3: ("x", "y", "z", "rx", "ry", "rz"), 2: ("x", "y", "rz")}
 
 @dataclass(frozen=True)
 class Body:
-    """A mechanism whose body can be displaced.
+    """A mechanism whose bodies can be displaced.
 
     tape: the loops, with the displacements as parameters behind those of the mechanism;
-    displacements: for each pose of a row, the names of dx, dy, dz [m] and wx, wy, wz [rad], in a
-    plane dx, dy and wz; mounted: for each thing on the body, the parameters that say where it
-    sits there; turns: whether what is read depends on how the body is turned: several points of
-    it are looked at, or its orientation.
+    displacements: by body, for each pose of a row, the names of dx, dy, dz [m] and wx, wy, wz
+    [rad], in a plane dx, dy and wz; mounted: for each thing on a body, the parameters that say
+    where it sits there; turning: the bodies of which it is read how they are turned: several
+    points of them are looked at, or their orientation.
     """
 
     tape: Tape
-    displacements: tuple[tuple[str, ...], ...]
+    displacements: Mapping[str, tuple[tuple[str, ...], ...]]
     mounted: tuple[tuple[str, ...], ...]
-    turns: bool
+    turning: frozenset[str]
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -46,12 +47,13 @@ class Body:
     @property
     def planar(self) -> bool:
         """Whether the machine moves in a plane."""
-        return len(self.displacements[0]) == len(MOTIONS[2])
+        first, *_ = next(iter(self.displacements.values()))
+        return len(first) == len(MOTIONS[2])
 
 
-def displacement_names(dimension: int, end: str) -> tuple[str, ...]:
-    """Names of the displacements of a pose of a row: body:x, ..., body:rz."""
-    return tuple(f"body:{motion}{end}" for motion in MOTIONS[dimension])
+def displacement_names(body: str, dimension: int, end: str) -> tuple[str, ...]:
+    """Names of the displacements of a body in a pose of a row: BODY:x, ..., BODY:rz."""
+    return tuple(f"{body}:{motion}{end}" for motion in MOTIONS[dimension])
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from loopcal.mechanisms.chain import (
 )
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.machine import Machine
+from loopcal.mechanisms.tree import Tree
 
 KINDS = ("revolute", "prismatic")
 NAME = "product of exponentials"
@@ -109,7 +110,7 @@ def exponentials(
         {j.name: "m" if j.kind == "prismatic" else "rad" for j in joints},
         {p.name: p for p in parameters},
         lambda x, p: ChainFrame(steps, x, p),
-        chain=steps,
+        tree=Tree.chain(steps),
         description={
             "type": "exponentials",
             "fix_redundant": False,

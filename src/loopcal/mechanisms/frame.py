@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, unknown_name
-from loopcal.expressions.vectors import rotate, vector
+from loopcal.expressions.vectors import dot, rotate, vector
 from loopcal.mechanisms.chain import Step, apply
 from loopcal.mechanisms.parameters import Parameter
 
@@ -50,6 +50,27 @@ class ChainFrame:
             if step.motion[0] == "r":
                 v = rotate(step.motion[1], step.amount(self.joints, self.parameters), v)
         return v
+
+
+@dataclass(frozen=True)
+class Between:
+    """A body as another one sees it: T_against_on = T_base_against^-1 T_base_on."""
+
+    on: Frame
+    against: Frame
+
+    def point(self, p: Vector) -> Vector:
+        """R_against^T (p_on - o_against)."""
+        at = self.against.point(vector(0.0, 0.0, 0.0))
+        return self._turned(self.on.point(p) - at)
+
+    def direction(self, v: Vector) -> Vector:
+        """R_against^T v_on."""
+        return self._turned(self.on.direction(v))
+
+    def _turned(self, v: Vector) -> Vector:
+        axes = (self.against.direction(vector(*axis)) for axis in np.eye(3))
+        return vector(*(dot(axis, v) for axis in axes))
 
 
 @dataclass(frozen=True)

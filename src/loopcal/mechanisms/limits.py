@@ -21,10 +21,17 @@ class Limit:
 
 
 def joint_limits(mechanism: Mechanism) -> Mapping[str, Limit]:
-    """The joints of a serial arm whose limits are stated, by name."""
-    listed = (mechanism.description or {}).get("joints", ())
-    limits = {name: Limit(*span) for name, span in stated_limits(listed).items()}
+    """The joints of an arm or a tree whose limits are stated, by name."""
+    spans = stated_limits(listed_joints(mechanism))
+    limits = {name: Limit(*span) for name, span in spans.items()}
     return {q: limit for q, limit in limits.items() if q in mechanism.quantities}
+
+
+def listed_joints(mechanism: Mechanism) -> list[Any]:
+    """The joints that the description of a chain or a tree lists."""
+    described = mechanism.description or {}
+    bodies = described.get("bodies", ())
+    return [*described.get("joints", ()), *(body.joint for body in bodies if body.joint)]
 
 
 def stated_limits(joints: Iterable[Any]) -> dict[str, tuple[float, float]]:

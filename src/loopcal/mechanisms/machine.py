@@ -12,7 +12,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,21 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
-from loopcal.keys import described
+from loopcal.keys import Key, described
 from loopcal.mechanisms.body import Body, Displaced, displacement_names
 from loopcal.mechanisms.chain import Step
-from loopcal.mechanisms.frame import Frame, Values, Vector, forward_kinematics
+from loopcal.mechanisms.frame import (
+    Between,
+    ChainFrame,
+    Frame,
+    Values,
+    Vector,
+    forward_kinematics,
+)
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 from loopcal.mechanisms.parameters import OF_CAMERAS, Gauge, Parameter, fixed, held, stated
+from loopcal.mechanisms.tree import BASE, BODY, Tree
 from loopcal.presentation.brief import brief
 
 if TYPE_CHECKING:
@@ -50,10 +58,10 @@ class Machine:
     `loops`; home: a typical value [SI] of the quantities that no sensor may read, from which the
     search for them begins; pose_constants: those that vary by pose; implied: quantities that have
     the same reading in every pose; dimension: 2 for a machine that moves in the plane z = 0; gauge:
-    parameters that only say where its frames lie; chain: the steps from the base to the body, where
-    it is a serial arm; lines(x, p): what draws it, polylines of points (3,) [m] in its base frame;
-    masses: known ones of its links; description: what a mechanism file says to build it, empty
-    where none can.
+    parameters that only say where its frames lie; tree: its bodies, where joints alone tie them,
+    with one leaf for a serial arm; lines(x, p): what draws it, polylines of points (3,) [m] in its
+    base frame; masses: known ones of its links; description: what a mechanism file says to build
+    it, empty where none can.
     """
 
     name: str
@@ -67,20 +75,35 @@ class Machine:
     implied: Mapping[str, float] = field(default_factory=dict)
     dimension: int = 3
     gauge: Gauge = field(default_factory=Gauge)
-    chain: tuple[Step, ...] = ()
+    tree: Tree | None = None
     lines: Callable[[Values, Values], list[list[Vector]]] | None = None
     masses: tuple[Load, ...] = ()
     description: Mapping[str, Any] = field(default_factory=dict)
 
-    def fk(self, q: Any) -> NDArray[np.float64]:
-        """T_base_body (4, 4) [m] of the nominal machine at readings (n,), or (N, 4, 4) of (N, n).
+    @property
+    def chain(self) -> tuple[Step, ...]:
+        """The steps from the base to the body of a serial arm; none of other machines."""
+        return () if self.tree is None else self.tree.serial
 
-        q: numbers [rad, m] in the order of `quantities`, or a mapping or table by their names.
-        Raises InputError for other columns.
+    def seen(self, on: str, against: str, x: Values, p: Values) -> Frame:
+        """T_against_on of two bodies in one pose."""
+        if self.tree is None or (on, against) == (BODY, BASE):
+            return self.frame(x, p)
+        return ChainFrame(self.tree.path(on, against), x, p)
+
+    def fk(
+        self, q: Any, *, on: str | None = None, against: str | None = None
+    ) -> NDArray[np.float64]:
+        """T_against_on (4, 4) [m] of the nominal machine at readings (n,), or (N, 4, 4) of (N, n).
+
+        q: numbers [rad, m] in the order of `quantities`, or a mapping or table by their names. on,
+        against: bodies of a tree; by default its only leaf, and its root. Raises InputError for
+        other columns and bodies.
         """
         nominal = {p.name: p.nominal for p in self.parameters.values()}
         names = (*self.quantities, *self.pose_constants)
-        return forward_kinematics(lambda x: self.frame(x, nominal), q, names)
+        pair = looked_between(self, on, against)
+        return forward_kinematics(lambda x: self.seen(*pair, x, nominal), q, names)
 
     def forward_kinematics(self, q: Any) -> NDArray[np.float64]:
         """The same as `fk`."""
@@ -92,11 +115,12 @@ class Machine:
 
 @dataclass(frozen=True)
 class Instrument:
-    """What is read of a machine's body.
+    """What is read of a body of a machine, from another one or from the ground.
 
     readings: its own quantities, name -> SI unit; equations(frames, x, p): one loop value for
     each of `loops`, as many as readings, such that each reading follows from the rest; frames are
-    those of the bodies in the machine's base, one for each pose that a row holds (`ends`).
+    T_against_on, one for each pose that a row holds (`ends`). on, against: the two bodies of a
+    tree, by default its only leaf and its root.
     placement: parameters that say where it stands, with `place` telling how they change when the
     machine is moved; parameters: the others (reflector, length, zero), of which those in mounted
     say where something sits on the body; pose_constants: those that vary by pose; orientation:
@@ -124,6 +148,8 @@ class Instrument:
     ends: int = 1
     dimension: int = 3
     remedy: str = ""
+    on: str | None = None
+    against: str | None = None
     description: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -132,16 +158,52 @@ class Instrument:
         return tuple(self.readings)
 
 
-def recorded(make: Callable[Arguments, Instrument]) -> Callable[Arguments, Instrument]:
-    """The same maker of instruments, which writes what it was given into `description`."""
+On = Annotated[
+    str | None,
+    Key("The body of a tree that is looked at. Default: its only leaf."),
+]
+Against = Annotated[
+    str | None,
+    Key("The body of a tree that it is looked at from. Default: its root, the ground."),
+]
+
+
+def recorded(make: Callable[Arguments, Instrument]) -> Callable[..., Instrument]:
+    """The same maker of instruments, which writes what it was given into `description`.
+
+    It takes the two bodies too, `on` and `against`, unless it does so itself.
+    """
     signature = inspect.signature(make)
+    bodies = {"on": On, "against": Against}
+    added = {} if "on" in signature.parameters or "between" in signature.parameters else bodies
+    keys = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+        for name, kind in added.items()
+    ]
+    whole = signature.replace(parameters=[*signature.parameters.values(), *keys])
 
     @wraps(make)
-    def made(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Instrument:
-        arguments = signature.bind(*args, **kwargs).arguments
-        return replace(make(*args, **kwargs), description=described(make, arguments))
+    def made(*args: Any, **kwargs: Any) -> Instrument:
+        arguments = whole.bind(*args, **kwargs).arguments
+        between = {name: kwargs.pop(name, None) for name in added}
+        return replace(make(*args, **kwargs), **between, description=described(made, arguments))
 
+    made.__signature__ = whole  # type: ignore[attr-defined]
+    made.__annotations__ = {**make.__annotations__, **added}
     return made
+
+
+def looked_between(machine: Machine, on: str | None, against: str | None) -> tuple[str, str]:
+    """The names of two bodies of a machine (see `Tree.between`)."""
+    if machine.tree is not None:
+        return machine.tree.between(on, against)
+    if on is not None or against is not None:
+        raise InputError(
+            f"{machine.name!r} has no body {(on or against)!r}: its loops tie one body to the base",
+            code="unsupported",
+            remedy="leave on and against out",
+        )
+    return BODY, BASE
 
 
 def assemble(
@@ -158,6 +220,7 @@ def assemble(
     Raises InputError for names that readings, instruments or things of different kinds share. The
     same for an instrument of another dimension than the machine's, and for unknown parameters.
     """
+    instruments = [_looking(machine, i) for i in instruments]
     ends = max((i.ends for i in instruments), default=1)
     quantities = {q + end: u for end in ENDS[:ends] for q, u in machine.quantities.items()}
     _refuse_repeated([*quantities, *(q for i in instruments for q in i.readings)])
@@ -176,8 +239,9 @@ def assemble(
     # A shared name keeps its first declaration: stations before the machine, the machine before
     # targets.
     parameters: dict[str, Parameter] = {}
+    root = _root(machine)
     for part in (
-        *(_placed(i, i.placement) for i in instruments),
+        *(_placed(i, i.placement, on_body=i.against != root) for i in instruments),
         machine.parameters,
         *(_placed(i, i.parameters) for i in instruments),
     ):
@@ -186,18 +250,18 @@ def assemble(
     parameters = fixed(parameters, without_effect)
     parameters |= stated(parameters, nominal or {})
 
-    def loops(x: Any, p: Any, displaced: Sequence[tuple[str, ...]] = ()) -> list[Any]:
+    def loops(x: Any, p: Any, displaced: Displacements | None = None) -> list[Any]:
         varying = [*machine.quantities, *machine.pose_constants]
         rows = [{name: x[name + end] for name in varying} for end in ENDS[:ends]]
         values = [value for row in rows for value in machine.equations(row, p)]
-        frames: list[Frame] = [machine.frame(row, p) for row in rows]
-        for i, names in enumerate(displaced):
-            frames[i] = Displaced.by(frames[i], names, p)
-        for instrument in instruments:
-            values += instrument.equations(frames, x, p)
+        pairs = dict.fromkeys((str(i.on), str(i.against)) for i in instruments)
+        seen = {pair: _frames(machine, pair, rows, p, displaced or {}) for pair in pairs}
+        for i in instruments:
+            values += i.equations(seen[str(i.on), str(i.against)], x, p)
         return values
 
     measured = {q: u for i in instruments for q, u in i.readings.items()}
+    alone = instruments[0] if len(instruments) == 1 else None
     made = Mechanism.from_function(
         loops,
         quantities=quantities | measured,
@@ -219,46 +283,104 @@ def assemble(
         home=_home(machine, ends),
         implied={**machine.implied, **{q: v for i in instruments for q, v in i.implied.items()}},
         orientations=tuple(i.orientation for i in instruments if i.orientation),
-        chain=machine.chain,
+        tree=machine.tree,
         masses=machine.masses,
-        placement=instruments[0].place if len(instruments) == 1 else None,
+        placement=alone.place if alone is not None and alone.against == root else None,
         body=_body(machine, instruments, made.tape, loops) if instruments else None,
         description=_description(machine, instruments, without_effect),
     )
 
 
+Displacements = Mapping[str, tuple[tuple[str, ...], ...]]
+"""By body, for each pose of a row, the names of its displacements."""
+
+
+def _root(machine: Machine) -> str:
+    return BASE if machine.tree is None else machine.tree.root
+
+
+def _looking(machine: Machine, instrument: Instrument) -> Instrument:
+    """The instrument with the names of its two bodies; what it has on either sits there."""
+    on, against = looked_between(machine, instrument.on, instrument.against)
+    return replace(instrument, on=on, against=against)
+
+
+def _frames(
+    machine: Machine,
+    pair: tuple[str, str],
+    rows: Sequence[Values],
+    p: Values,
+    displaced: Displacements,
+) -> list[Frame]:
+    """T_against_on of a pair of bodies for each pose of a row, their displacements included."""
+    on, against = pair
+    if not displaced:
+        return [machine.seen(on, against, row, p) for row in rows]
+    root = _root(machine)
+
+    def stands(body: str, i: int) -> Frame:
+        return Displaced.by(machine.seen(body, root, rows[i], p), displaced[body][i], p)
+
+    # What displaces a body is stated in the base, joints that both have in common included.
+    ends = range(len(rows))
+    if against == root:
+        return [stands(on, i) for i in ends]
+    if on == root:
+        still = ChainFrame((), {}, {})
+        return [Between(still, stands(against, i)) for i in ends]
+    return [Between(stands(on, i), stands(against, i)) for i in ends]
+
+
 def _body(
     machine: Machine, instruments: Sequence[Instrument], tape: Tape, loops: Callable[..., Any]
 ) -> Body:
-    """The body that the instruments look at, for a tape of these loops."""
+    """The bodies that the instruments look at and from, for a tape of these loops."""
     ends = ENDS[: max(i.ends for i in instruments)]
-    displaced = tuple(displacement_names(machine.dimension, end) for end in ends)
-    mounted = tuple(dict.fromkeys(i.mounted for i in instruments if i.mounted))
-    turning = [n for i in instruments for n in i.mounted if i.parameters[n].unit == "rad"]
-    # Two targets, or a turn of one, show how the body is turned; one point alone does not.
-    points = {tuple(n for n in names if n not in turning) for names in mounted}
-    poses = [i for i in instruments if i.form == "pose"]
+    root = _root(machine)
+    bodies = dict.fromkeys(str(b) for i in instruments for b in (i.on, i.against) if b != root)
+    displaced = {
+        body: tuple(displacement_names(body, machine.dimension, end) for end in ends)
+        for body in bodies
+    }
+    held_up = (tuple(i.placement) if i.against != root else () for i in instruments)
+    mounted = (*(i.mounted for i in instruments), *held_up)
     return Body(
         trace(
             lambda x, p: loops(x, p, displaced),
             quantities=tape.quantities,
             pose_constants=tape.pose_constants,
-            parameters=(*tape.parameters, *(n for names in displaced for n in names)),
+            parameters=(*tape.parameters, *(n for of in displaced.values() for r in of for n in r)),
             loops=tape.loops,
         ),
         displaced,
-        mounted,
-        bool(turning or poses) or len(points) > 1,
+        tuple(dict.fromkeys(names for names in mounted if names)),
+        frozenset(body for body in bodies if _turns(body, instruments)),
     )
 
 
-def _placed(instrument: Instrument, part: Mapping[str, Parameter]) -> dict[str, Parameter]:
-    """Parameters of an instrument: the place of something on the body, or beside it."""
+def _turns(body: str, instruments: Sequence[Instrument]) -> bool:
+    """Whether what is read depends on how a body is turned.
+
+    Two targets, or a turn of one, show it; one point alone does not.
+    """
+    on = [(i, [i.parameters[n] for n in i.mounted]) for i in instruments if i.on == body]
+    against = [(i, list(i.placement.values())) for i in instruments if i.against == body]
+    things = [sitting for _, sitting in (*on, *against) if sitting]
+    turning = [p for sitting in things for p in sitting if p.unit == "rad"]
+    points = {tuple(p.name for p in sitting if p.unit != "rad") for sitting in things}
+    poses = [i for i, _ in (*on, *against) if i.form == "pose"]
+    return bool(turning or poses) or len(points) > 1
+
+
+def _placed(
+    instrument: Instrument, part: Mapping[str, Parameter], *, on_body: bool = False
+) -> dict[str, Parameter]:
+    """Parameters of an instrument: the place of something on a body, or on the ground."""
     return {
         name: p
         if p.role in OF_CAMERAS
-        else p.of("mounting", p.owner or TOOL)
-        if name in instrument.mounted
+        else p.of("mounting", p.owner or (instrument.name if on_body else TOOL))
+        if on_body or name in instrument.mounted
         else p.of("placement", p.owner or instrument.name)
         for name, p in part.items()
     }
@@ -285,7 +407,17 @@ def _families(machine: Machine, instruments: Sequence[Instrument], ends: int) ->
         )
     for i in instruments:
         parameters = tuple(i.placement), tuple(i.parameters)
-        yield Family(i.name, i.loops, tuple(i.readings), i.form, i.place, i.remedy, *parameters)
+        yield Family(
+            i.name,
+            i.loops,
+            tuple(i.readings),
+            i.form,
+            i.place,
+            i.remedy,
+            *parameters,
+            on=str(i.on),
+            against=str(i.against),
+        )
 
 
 def _home(machine: Machine, ends: int) -> dict[str, float]:
@@ -318,7 +450,7 @@ def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None
             )
         names = {*i.placement, *i.parameters}
         # Of a chain a parameter shared with a target would be one number in two frames.
-        if machine.chain and (shared := names & set(machine.parameters)):
+        if machine.tree and (shared := names & set(machine.parameters)):
             raise InputError(
                 f"{min(shared)!r} is a parameter of a joint and of the instrument {i.name!r}",
                 code="duplicate-name",
@@ -330,6 +462,14 @@ def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None
             shared = set(i.placement) & set(other.placement)
             if shared and set(i.placement) != set(other.placement):
                 _refuse_shared(i, f"where {other.name!r} stands", shared)
+            sits = set(i.mounted) & set(other.mounted)
+            if sits and i.on != other.on:
+                raise InputError(
+                    f"{min(sits)!r} would say where something sits on {i.on!r} and on {other.on!r}",
+                    code="duplicate-name",
+                    remedy="give each instrument a target with a name of its own: "
+                    f'target = "{i.name}_target"',
+                )
         if shared := set(i.placement) & on_bodies:
             _refuse_shared(i, "something else of the machine or on its body", shared)
 

@@ -21,6 +21,7 @@ from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.parameters import BEYOND, Parameter, Parameters, Role, declared, matching
 from loopcal.mechanisms.quantity import Quantity
 from loopcal.mechanisms.terms import Term, check_terms
+from loopcal.mechanisms.tree import BASE, BODY, Tree
 from loopcal.presentation.shown import in_unit, significant, unit_shown
 from loopcal.units import unit
 
@@ -64,7 +65,7 @@ class Family:
     machine's own loops in a second pose); placement: how the parameters that place the instrument
     change when the machine is moved; remedy: what to do where its loops cannot be evaluated;
     standing: the parameters that say where the instrument stands; mounted: those of what it looks
-    at on the body, and of the instrument itself.
+    at on the body, and of the instrument itself; on, against: the bodies that it looks at and from.
     """
 
     name: str
@@ -75,6 +76,8 @@ class Family:
     remedy: str = ""
     standing: tuple[str, ...] = ()
     mounted: tuple[str, ...] = ()
+    on: str = BODY
+    against: str = BASE
 
 
 @dataclass(frozen=True)
@@ -90,13 +93,13 @@ class Mechanism:
     quantity -> value [SI] from which the search for it begins where it is not read; implied:
     quantity -> reading [SI] that it has in every pose by construction, unless the data say
     otherwise; orientations: which known constants are measured orientations; remarks: what a user
-    should know of how it was made, such as why a parameter is fixed; chain: the steps of a serial
-    arm, from its base to its body; terms: groups of parameters whose common prior sd is learnt;
-    body: the loops with a body that can be displaced, where instruments look at one; gravity: the
-    direction in which it pulls, in the base of the machine, None for down; latest: known constant
-    -> value [SI] after the last change that it dates, for readings of a machine as it is now;
-    structure: what its structured model error consists of, None without one; masses: known ones of
-    an arm's links; payload: the known constant [kg] that its tool carries.
+    should know of how it was made, such as why a parameter is fixed; tree: its bodies, where
+    joints alone tie them, with one leaf for a serial arm; terms: groups of parameters whose common
+    prior sd is learnt; body: the loops with bodies that can be displaced, where instruments look at
+    any; gravity: the direction in which it pulls, in the base, None for down; latest: known
+    constant -> value [SI] after the last change that it dates, for readings of a machine as it is
+    now; structure: what its structured model error consists of, None without one; masses: known
+    ones of an arm's links; payload: the known constant [kg] that its tool carries.
     """
 
     name: str
@@ -111,7 +114,7 @@ class Mechanism:
     implied: Mapping[str, float] = field(default_factory=dict)
     orientations: tuple[Orientation, ...] = ()
     remarks: tuple[str, ...] = ()
-    chain: tuple[Step, ...] = ()
+    tree: Tree | None = None
     terms: tuple[Term, ...] = ()
     body: Body | None = None
     gravity: tuple[float, float, float] | None = None
@@ -175,6 +178,16 @@ class Mechanism:
     def pose_constants(self) -> Mapping[str, str]:
         """Constants that vary by pose and carry no error, name -> SI unit."""
         return {v.name: v.unit for v in self.variables if v.role == "known"}
+
+    @cached_property
+    def chain(self) -> tuple[Step, ...]:
+        """The steps of a serial arm from its base to its body; none of other machines."""
+        return () if self.tree is None else self.tree.serial
+
+    @cached_property
+    def joints(self) -> Mapping[str, str]:
+        """The joints that move the bodies of an arm or a tree, name -> SI unit."""
+        return {} if self.tree is None else self.tree.joints
 
     @cached_property
     def recorded(self) -> tuple[str, ...]:

@@ -48,6 +48,7 @@ from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.placement import rigid
 from loopcal.mechanisms.rest import quaternion, rotation
+from loopcal.mechanisms.tree import Tree
 
 MOVING = ("revolute", "continuous", "prismatic")
 KINDS = (*MOVING, "fixed")
@@ -185,7 +186,7 @@ def joint_chain(
         dict(reads),
         {p.name: p for p in parameters},
         lambda x, p: ChainFrame(steps, x, p),
-        chain=steps,
+        tree=Tree.chain(steps),
         masses=tuple(masses),
         description=description or stated,
     )

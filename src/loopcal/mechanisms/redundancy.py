@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.expressions.engine import Stage, engine_for
-from loopcal.mechanisms.limits import stated_limits
+from loopcal.mechanisms.limits import listed_joints, stated_limits
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.parameters import BEYOND
 from loopcal.mechanisms.station import Station
@@ -114,7 +114,7 @@ def fix_redundant(
             remedy="give consistent readings, such as readings=simulate(...).quantities",
         )
     kept = [name for key in keep for name in mechanism.parameters.matching(key)]
-    chain = {step.parameter for step in mechanism.chain}
+    chain = {step.parameter for step in (mechanism.tree.steps if mechanism.tree else ())}
     instrument_parameters = [
         p.name
         for p in mechanism.parameters
@@ -123,7 +123,7 @@ def fix_redundant(
     if stated is None:
         stated = [p.name for p in mechanism.parameters if p.fixed or p.nominal != 0.0]
     believed = {*stated, *(n for f in mechanism.families for n in _station(f))}
-    joints = (mechanism.description or {}).get("joints", [])
+    joints = listed_joints(mechanism)
     superfluous = redundant(
         mechanism,
         ranges=stated_limits(joints),
@@ -195,7 +195,7 @@ def exchanged(
     `fix_redundant`. They are the least squares |J v - c| over the poses. A name is left out where
     no step does the same.
     """
-    joints = (mechanism.description or {}).get("joints", [])
+    joints = listed_joints(mechanism)
     looked_at = samples(
         mechanism, ranges=stated_limits(joints), unsure=(), readings=readings or {}, seed=0
     )

@@ -31,6 +31,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import Station, Target
+from loopcal.mechanisms.tree import Tree
 
 NAME = "serial arm"
 """What an arm is called that has no other name."""
@@ -109,13 +110,17 @@ def parameter_keys(form: str) -> tuple[str, ...]:
     return ("a", "alpha", "beta", "offset") if form == "hayati" else ("a", "d", "alpha", "offset")
 
 
-def parameter_name(form: str, key: str, number: int) -> str:
-    """Name of a parameter of the joint with this number (from 1): a_1, d_1, ...; x0, phix0, ..."""
-    return f"{key}{number - 1}" if form.startswith("transition") else f"{key}_{number}"
+def parameter_name(form: str, key: str, number: int | str) -> str:
+    """Name of a parameter of the joint with this number (from 1): a_1, d_1, ...; x0, phix0, ...
+
+    number: or the name of its body, in a tree: a_BODY, phix_BODY.
+    """
+    counted = isinstance(number, int) and form.startswith("transition")
+    return f"{key}{number - 1}" if counted else f"{key}_{number}"  # type: ignore[operator]
 
 
-def joint_steps(joint: Joint, number: int) -> list[Step]:
-    """The elementary steps of one joint."""
+def joint_steps(joint: Joint, number: int | str) -> list[Step]:
+    """The elementary steps of one joint; number: see `parameter_name`."""
 
     def named(motion: str, key: str) -> Step:
         return Step(motion, parameter_name(joint.form, key, number))
@@ -187,7 +192,7 @@ def chain_machine(
         {step.joint: step.unit for step in steps if step.joint},
         chain_parameters(steps),
         lambda x, p: ChainFrame(steps, x, p),
-        chain=steps,
+        tree=Tree.chain(steps),
         description=description or {},
     )
 

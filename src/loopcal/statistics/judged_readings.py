@@ -10,7 +10,7 @@ from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
 from loopcal.document.result_document import DataEntry, ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.mechanisms.effects.effect import RUN_DRIFT
-from loopcal.mechanisms.structure.structured import DISCREPANCY
+from loopcal.mechanisms.structure.smooth import DISCREPANCY
 from loopcal.presentation.shown import significant
 
 # Record 0054.

@@ -23,8 +23,7 @@ from loopcal.estimation.problem.pose_equations import rounding_left
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import FitResult
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.structure.smooth import Smooth
-from loopcal.mechanisms.structure.structured import DISCREPANCY
+from loopcal.mechanisms.structure.smooth import DISCREPANCY, Smooth
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.possible_changes import held_station
 

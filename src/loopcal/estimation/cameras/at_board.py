@@ -25,13 +25,16 @@ def pixel_sizes(problem: Problem, parameters: Array, corrections: Array) -> tupl
     cameras = [f for f in mechanism.families if f.form == PIXELS]
     if body is None or not cameras:
         return ()
-    shifts = body.displacements[0][:3]
+    # What is fixed to the ground is seen from a moving body, whose own shift does as much.
+    moving = {f.name: f.on if f.on in body.displacements else f.against for f in cameras}
+    shifts = {name: body.displacements[of][0][:3] for name, of in moving.items()}
+    asked = tuple(dict.fromkeys(name for names in shifts.values() for name in names))
     values = np.concatenate([parameters, np.zeros(len(body.tape.parameters) - len(parameters))])
     x = problem.readings + corrections
     seen = np.isfinite(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))
     names, loops = mechanism.tape.quantities, body.tape.loops
     squares: dict[str, list[Array]] = {camera.name: [] for camera in cameras}
-    engine = engine_for(body.tape, shifts, min(_MOST, problem.count))
+    engine = engine_for(body.tape, asked, min(_MOST, problem.count))
     for begin in range(0, problem.count, _MOST):
         part = slice(begin, begin + _MOST)
         G = engine.evaluate(
@@ -39,7 +42,8 @@ def pixel_sizes(problem: Problem, parameters: Array, corrections: Array) -> tupl
         ).by_parameter
         for camera in cameras:
             rows = [loops.index(q) for q in camera.readings]
-            square = np.square(G[:, rows]).sum(axis=0)
+            along = [asked.index(name) for name in shifts[camera.name]]
+            square = np.square(G[along][:, rows]).sum(axis=0)
             both = square[0::2] + square[1::2]
             detected = seen[[names.index(q) for q in camera.readings[0::2]], part]
             squares[camera.name].append((2.0 / both)[detected & (both > 0.0)])

@@ -64,7 +64,6 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.structure.smooth import Smooth
-from loopcal.mechanisms.structure.structured import DISCREPANCY
 from loopcal.small_samples import LearntCovariance
 
 if TYPE_CHECKING:
@@ -275,9 +274,21 @@ def shared(
     discrepancy or equations, where a loop joins two poses, and where no such waves are seen.
     """
     structure = problem.mechanism.structure
-    smooth = None if structure is None else structure.smooth
-    if smooth is None or any(v.first is not None for v in problem.mechanism.variables):
+    if structure is None or any(v.first is not None for v in problem.mechanism.variables):
         return None
+    each = (_shared(problem, corrections, equations, root, s) for s in structure.smooth.values())
+    gained = [one for one in each if one is not None]
+    return sum(gained[1:], gained[0]) if gained else None
+
+
+def _shared(
+    problem: Problem,
+    corrections: Array,
+    equations: Sequence[PoseEquations],
+    root: Array,
+    smooth: Smooth,
+) -> Array | None:
+    """The part of one body."""
     following = smooth.following(_MOST)
     rows = _columns(problem, smooth)
     if not following.harmonics or not rows or not equations:
@@ -310,7 +321,7 @@ def _columns(problem: Problem, smooth: Smooth) -> list[list[int]]:
     names = [problem.mechanism.parameters.names[i] for i in problem.free]
     place = {name: i for i, name in enumerate(names)}
     axes = ("x", "y", "z", "rx", "ry", "rz")
-    wanted = [[f"{DISCREPANCY}_{axis}_{part}" for part in smooth.parts] for axis in axes]
+    wanted = [smooth.coefficients(axis) for axis in axes]
     return [[place[n] for n in row] for row in wanted if all(n in place for n in row)]
 
 

@@ -27,8 +27,8 @@ from loopcal.expressions.trace import trace
 from loopcal.mechanisms.effects.effect import RUN_DRIFT, RUN_DRIFT_TURNS
 from loopcal.mechanisms.parameters import BEYOND
 from loopcal.mechanisms.structure.sag import BASE, Column, Sag, Structure
-from loopcal.mechanisms.structure.smooth import Smooth
-from loopcal.mechanisms.structure.structured import DISCREPANCY, ORDERS
+from loopcal.mechanisms.structure.smooth import DISCREPANCY, Smooth
+from loopcal.mechanisms.structure.structured import ORDERS
 from loopcal.presentation.shown import enumerated, significant, with_unit
 
 if TYPE_CHECKING:
@@ -92,9 +92,10 @@ def with_parts(
                 at, structure.sag, [c for c in structure.columns if c.term == name]
             )
     parts_by_term["harmonics"] = [_out_of_round(at, joint) for joint in structure.joints]
-    if structure.smooth is not None:
-        for name, unit in _TERMS.items():
-            parts_by_term[name] = _remaining(at, structure.smooth, unit)
+    for name, unit in _TERMS.items():
+        parts_by_term[name] = [
+            part for smooth in structure.smooth.values() for part in _remaining(at, smooth, unit)
+        ]
     for name in (RUN_DRIFT, RUN_DRIFT_TURNS):
         parts_by_term[name] = _drifts(at, mechanism, name)
     return tuple(
@@ -216,7 +217,7 @@ def _shown(size: float, si: str) -> str:
 def _remaining(at: _Fitted, smooth: Smooth, unit: str) -> list[TermPart]:
     """How large a smooth discrepancy is, and on which joints it depends."""
     axes = ("x", "y", "z") if unit == "m" else ("rx", "ry", "rz")
-    rows = [[f"{DISCREPANCY}_{axis}_{wave}" for wave in smooth.parts] for axis in axes]
+    rows = [smooth.coefficients(axis) for axis in axes]
     rows = [row for row in rows if row and row[0] in at.values]
     if not rows:
         return []
@@ -233,7 +234,8 @@ def _remaining(at: _Fitted, smooth: Smooth, unit: str) -> list[TermPart]:
     sd = at.sd(dict(zip(names, slopes.ravel().tolist(), strict=True)))
     joints = _depends_on(at, smooth, c)
     where = "all joints" if set(joints) == set(smooth.joints) else enumerated(joints)
-    words = f"what remains unexplained: {_shown(size, unit)} rms, smooth in {where}"
+    of_body = f" of {smooth.body}" if smooth.body else ""
+    words = f"what remains unexplained{of_body}: {_shown(size, unit)} rms, smooth in {where}"
     return [TermPart(joints, unit, size, sd, None, words)]
 
 

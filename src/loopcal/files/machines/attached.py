@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
@@ -9,7 +10,7 @@ from loopcal.errors import placed
 from loopcal.files.toml.place import Place, Scope
 from loopcal.files.toml.tables import ByType, Make, built, table
 from loopcal.mechanisms.effects.effect import Effect, with_effects
-from loopcal.mechanisms.machine import Instrument, Machine
+from loopcal.mechanisms.machine import Instrument, Machine, looked_between
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.station import standing
 
@@ -72,13 +73,18 @@ def instruments(
 
     Raises InputError at the table that does not fit.
     """
-    return [
-        built(
-            _instruments()[entry.type],
-            entry,
-            scope,
-            place.at(i),
-            dimension=machine.dimension,
-        )
-        for i, entry in enumerate(entries)
-    ]
+    made: list[Instrument] = []
+    for i, entry in enumerate(entries):
+        at = place.at(i)
+        make = _instruments()[entry.type]
+        # Some are for space alone; `assemble` refuses them beside a machine in a plane.
+        planar = {"dimension": 2} if machine.dimension == 2 and _of_planes(make) else {}
+        one = built(make, entry, scope, at, **planar)
+        with placed(at, unless_stated=True):
+            looked_between(machine, one.on, one.against)
+        made.append(one)
+    return made
+
+
+def _of_planes(make: Make) -> bool:
+    return "dimension" in inspect.signature(make).parameters

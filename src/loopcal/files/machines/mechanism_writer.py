@@ -45,6 +45,7 @@ def mechanism_table(mechanism: Mechanism) -> dict[str, Any]:
     if described["type"] == "function":
         described |= _declared(mechanism)
     held, described["joint"] = described.pop("held", ()), described.pop("joints", ())
+    described["body"] = described.pop("bodies", ())
     # A machine without instruments calibrates itself: its list is empty, not absent.
     none: dict[str, Any] = {"instrument": []} if described.get("instrument") == [] else {}
     table = {
@@ -77,7 +78,7 @@ def source_file(mechanism: Mechanism) -> Path | None:
     return path if path.is_file() else None
 
 
-_BELOW = ("joint", "mass", "instrument", "effect", "structure")
+_BELOW = ("joint", "body", "mass", "instrument", "effect", "structure")
 """What stands below the plain values, in this order."""
 _FUNCTION = "The loops are a Python function: name it with --mechanism FILE.py:FUNCTION."
 _PARAMETERS = (

@@ -13,6 +13,7 @@ _HOME = {
     "serial": "serial",
     "urdf": "chains",
     "exponentials": "chains",
+    "tree": "trees",
     "motoman-ma1400": "motoman",
 }
 """By type, the module here whose `TYPES` holds it; all others are parallel machines."""

@@ -66,8 +66,8 @@ class NominalJoint(Joint):
         """The joint alone."""
         return Joint(**{one.name: getattr(self, one.name) for one in fields(Joint)})
 
-    def nominal(self, number: int, place: Place) -> dict[str, float]:
-        """Nominal values by parameter of the joint of this number, from 1.
+    def nominal(self, number: int | str, place: Place) -> dict[str, float]:
+        """Nominal values by parameter of the joint of this number, from 1, or of this body.
 
         Raises InputError for a value that its form does not have.
         """

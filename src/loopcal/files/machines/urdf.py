@@ -6,7 +6,7 @@ Only the joints of this chain are validated. Names must be unique in the whole f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed, nearest, unknown_name
 from loopcal.files.machines.safe_xml import at, children, local, read_xml
 from loopcal.files.toml.reader import shown
+from loopcal.mechanisms.bodies import Hanging
 from loopcal.mechanisms.chain import AxisFrame, fixed_frame, product, refuse_long_chain
 from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.machine import Machine
@@ -37,6 +38,28 @@ def read_urdf(path: str | Path, base: str, tip: str) -> tuple[LinkJoint, ...]:
     robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
     chain = robot.chain(base, tip)
     return tuple(robot.joint(element) for element in chain)
+
+
+def read_tree(
+    path: str | Path, leaves: Sequence[str], root: str | None = None
+) -> tuple[str, tuple[Hanging, ...], tuple[Load, ...]]:
+    """The bodies of a URDF between its root and these links, what they weigh, and the root.
+
+    root: a link, by default the one on which all others hang. Raises InputError as `read_urdf`.
+    """
+    robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
+    if root is None:
+        tops = dict.fromkeys(robot.top(leaf) for leaf in leaves if leaf in robot.links)
+        root = next(iter(tops), next(iter(robot.links)))
+    elements: dict[str, Any] = {}
+    for leaf in leaves:
+        if leaf != root:
+            elements |= {str(e.get("name")): e for e in robot.chain(root, leaf)}
+    bodies = tuple(
+        Hanging(robot._link(e, "child"), robot._link(e, "parent"), robot.joint(e))
+        for e in elements.values()
+    )
+    return root, bodies, _masses(robot, root, elements.values())
 
 
 @dataclass(frozen=True)
@@ -141,7 +164,10 @@ def read_masses(path: str | Path, base: str, tip: str) -> tuple[Load, ...]:
     Raises InputError as `read_urdf` does.
     """
     robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
-    chain = robot.chain(base, tip)
+    return _masses(robot, base, robot.chain(base, tip))
+
+
+def _masses(robot: _Robot, base: str, chain: Iterable[Any]) -> tuple[Load, ...]:
     moved = {element.get("name"): robot.joint(element) for element in chain}
     moving = [joint.reads[0] for joint in moved.values() if joint.reads]
     if len({*moving}) < len(moving):

@@ -17,6 +17,7 @@ from loopcal.files.tables.cells import is_missing
 from loopcal.units import unit
 
 _KEYS = meanings("dh")
+_TEXTS = ("name", "kind", "form", "body", "parent")
 _LENGTHS_AND_TWIST = ("a", "d", "alpha")
 """Columns that every table has."""
 _CELL = re.compile(
@@ -33,7 +34,8 @@ SMALLEST, LARGEST = 0.1, 10.0
 
 @dataclass(frozen=True)
 class Row:
-    """One row: lengths [m], angles [rad]; kind: "revolute", "prismatic" or "fixed"."""
+    """One row: lengths [m], angles [rad]; kind: "revolute", "prismatic" or "fixed"; body, parent:
+    of a tree, what it ties."""
 
     name: str
     a: float
@@ -42,6 +44,8 @@ class Row:
     offset: float
     kind: str = "revolute"
     direction: int = 1
+    body: str = ""
+    parent: str = ""
 
     def turned(self, sign: int) -> Row:
         """The row of a joint that counts the other way round where sign is -1."""
@@ -113,7 +117,7 @@ def read_dh(path: str | Path) -> DhTable:
         key: np.array([cell.value for cell in cells[key]]) if key in cells else np.zeros(len(every))
         for key in ("a", "d", "alpha", "offset")
     }
-    texts = {k: table.ids(headings[k][0]) for k in ("name", "kind", "form") if k in headings}
+    texts = {k: table.ids(headings[k][0]) for k in _TEXTS if k in headings}
     signs = table.numbers(headings["direction"][0], every) if "direction" in headings else None
     units, remarks = _units(numbers, {k: h for k, (_, h) in headings.items()}, path.name)
     forms = [t for t in texts.get("form", ()) if t.strip()]
@@ -124,10 +128,13 @@ def read_dh(path: str | Path) -> DhTable:
         name = texts["name"][i] if "name" in texts else ""
         slides = "d" in cells and cells["d"][i].variable
         word = texts["kind"][i] if "kind" in texts else "prismatic" if slides else ""
+        body, parent = (texts[k][i].strip() if k in texts else "" for k in ("body", "parent"))
+        if body and is_missing(name):  # a body of a tree that nothing moves
+            name, word = "", word or "fixed"
         kind = _kind(word, name, f"{path.name}, row {i + 1}")
         values = {k: float(numbers[k][i] * unit(units[k]).factor) for k in numbers}
         sign = -1 if signs is not None and signs[i] < 0 else 1
-        rows.append(Row(name, kind=kind, direction=sign, **values))
+        rows.append(Row(name, kind=kind, direction=sign, body=body, parent=parent, **values))
     return DhTable(tuple(rows), modified, tuple(remarks), modified or bool(forms))
 
 

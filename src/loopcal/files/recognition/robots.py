@@ -186,7 +186,9 @@ def _of_table(path: Path, table: DhTable, fields: Sequence[Field]) -> Robot:
             where = joints[-1].setdefault("after", {}) if joints else ahead
             _append(where, motions)
             continue
-        joints.append(_joint(names[len(joints)], row, last=len(joints) == count - 1, ahead=ahead))
+        joints.append(
+            joint_table(names[len(joints)], row, last=len(joints) == count - 1, ahead=ahead)
+        )
         ahead = {}
     remarks = list(table.remarks)
     if table.modified:
@@ -213,8 +215,8 @@ def _append(where: dict[str, float], motions: Mapping[str, float]) -> None:
     where |= {k: v for k, v in written.items() if v}
 
 
-def _joint(name: str, row: Row, *, last: bool, ahead: Mapping[str, float]) -> dict[str, Any]:
-    """One joint in mm and degrees."""
+def joint_table(name: str, row: Row, *, last: bool, ahead: Mapping[str, float]) -> dict[str, Any]:
+    """One joint in mm and degrees, of the form of Hayati where the next axis is parallel."""
     joint: dict[str, Any] = {"name": name}
     # Axes that are parallel with opposite directions count too.
     turned = row.alpha % pi

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from loopcal.errors import InputError
 from loopcal.expressions.vectors import cross, dot, vector
 from loopcal.keys import Key
 from loopcal.mechanisms.cameras.board import Board
@@ -19,7 +18,6 @@ from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.station import MOTIONS, Name, Station, placed_by
 
-HOLDERS = ("base", "body")
 PIXEL = ("u", "v")
 Points = Annotated[
     Mapping[str, tuple[float, float, float]],
@@ -33,9 +31,15 @@ Points = Annotated[
 On = Annotated[
     str,
     Key(
-        "What carries the camera: the base (eye to hand; the machine's body carries the board) or "
-        "the body (eye in hand; the board is fixed to the base).",
-        choices=HOLDERS,
+        "What carries the camera: the base (eye to hand; the machine's body carries the board), "
+        "the body (eye in hand; the board is fixed to the base), or a body of a tree by its name.",
+    ),
+]
+Sees = Annotated[
+    str | None,
+    Key(
+        "The body of a tree that carries the board. Default: its only leaf for a camera on the "
+        "base, else its root, the ground."
     ),
 ]
 Lens = Annotated[
@@ -76,11 +80,11 @@ def camera(
         ),
     ] = None,
     on: On = "base",
+    sees: Sees = None,
     lens: Lens = "brown5",
     offsets: Annotated[
         bool, Key("Whether each point has offsets BOARD_POINT_x, _y, _z, with a prior in [prior].")
     ] = False,
-    dimension: int = 3,
 ) -> Instrument:
     """Pixels (u, v) at which a camera sees the points of a board; one image is one pose.
 
@@ -91,7 +95,8 @@ def camera(
         on the body:  P = T_body_camera^-1 T_base_body^-1 T_board_base^-1 X.
 
     On the base EYE_x ... EYE_rx are T_camera_base and BOARD_x ... BOARD_rx T_body_board. On the
-    body EYE_x ... EYE_rx are T_body_camera and BOARD_x ... BOARD_rx T_board_base. EYE_f, _aspect,
+    body EYE_x ... EYE_rx are T_body_camera and BOARD_x ... BOARD_rx T_board_base, where the base is
+    that which carries the board: of a tree any body that it `sees`, such as a hand. EYE_f, _aspect,
     _cx, _cy and the coefficients of the lens (`loopcal.mechanisms.cameras.lens`) need nominal
     values. X is the point of the board as printed:
 
@@ -101,14 +106,8 @@ def camera(
     are named EYE:BOARD:POINT:u and :v; a point that was not detected is blank. (0, 0) is the centre
     of the first pixel.
 
-    Raises InputError for a plane machine, another lens, and a board without points.
+    Raises InputError for another lens, and a board without points.
     """
-    if dimension != 3:
-        raise InputError(
-            f"the camera {name!r} looks at a planar machine",
-            code="unsupported",
-            remedy="describe the machine in space",
-        )
     eye = name if eye is None else eye
     seen = Board(
         board, {point: (float(x), float(y), float(z)) for point, (x, y, z) in points.items()}
@@ -135,7 +134,7 @@ def camera(
         },
     }
     printed = _printed(seen, offsets=offsets)
-    camera_on_body = on == "body"
+    camera_on_body = on != "base"
     stands = Station(board if camera_on_body else eye)
     mount = tuple(
         Step(m, f"{eye if camera_on_body else board}_{m[1] if m[0] == 't' else m}")
@@ -169,6 +168,8 @@ def camera(
         place=stands,
         remedy=f"the board {board!r} is beside or behind the camera {eye!r}: begin nearer to where "
         "it is, with `loopcal init`",
+        on=(None if on == "body" else on) if camera_on_body else sees,
+        against=sees if camera_on_body else None,
     )
 
 

@@ -8,17 +8,21 @@ is such a gap or an angle no length is measured, and the size of the machine is 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Any
 
+import numpy as np
+
 from loopcal.errors import InputError
-from loopcal.expressions.vectors import dot, norm
+from loopcal.expressions.vectors import cross, dot, norm, vector
 from loopcal.keys import Key
-from loopcal.mechanisms.frame import Direction, Frame, Values
+from loopcal.mechanisms.frame import ChainFrame, Direction, Frame, Values
 from loopcal.mechanisms.instruments.length import apart
+from loopcal.mechanisms.instruments.orientation import small_turns
 from loopcal.mechanisms.instruments.point import AXES
 from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.parameters import Parameter
-from loopcal.mechanisms.station import Anchor, LookedAt, Name, Target
+from loopcal.mechanisms.station import Anchor, LookedAt, Name, Station, Target
 
 Gap = Annotated[
     str | None,
@@ -72,6 +76,99 @@ def ball_bar(
     """
     fixed = Target.named(centre or name, dimension)
     return _around(name, "length", "length", gap, fixed, Target.of(target, dimension))
+
+
+Pair = Annotated[
+    tuple[str, str],
+    Key("The two bodies that touch, as they are called in the tree."),
+]
+Radius = Annotated[
+    tuple[float, float] | None,
+    Key("Radii of the balls on the two bodies, where they are known.", unit="m"),
+]
+
+
+@recorded
+def contact(
+    name: Name = "contact",
+    *,
+    between: Pair,
+    radius: Radius = None,
+    gap: Gap = None,
+    target: Annotated[
+        str | Target | None, Key("Name of the ball's centre on the first body. Default: NAME_1.")
+    ] = None,
+    centre: Annotated[
+        str | None, Key("Name of the ball's centre on the second body. Default: NAME_2.")
+    ] = None,
+    dimension: int = 3,
+) -> Instrument:
+    """A ball on one body touches a ball on another one, as two hands of a robot do.
+
+    Loop: |T_second_first p_1 - p_2| - NAME_distance - gap = 0 [m], p_1 and p_2 the centres of the
+    balls in their bodies. NAME_distance is the sum of the radii, known where they are stated and
+    free otherwise; it is what says how large the robot is, where nothing else does. between: the
+    two bodies; gap: its name, by default NAME_gap, read as 0; target, centre: names of the
+    centres, parameters NAME_1_x, ... and NAME_2_x, ...
+    """
+    looked_at = Target.of(target or f"{name}_1", dimension)
+    made = _around(
+        name, "distance", "gap", gap, Target.named(centre or f"{name}_2", dimension), looked_at
+    )
+    away = f"{name}_distance"
+    stated = Parameter(away, sum(radius or (0.0,)), "m", fixed=radius is not None)
+    of = stated.of("placement", name, "distance between the centres of two balls in contact")
+    parameters = {**made.parameters, away: of}
+    return replace(made, parameters=parameters, on=between[0], against=between[1])
+
+
+@recorded
+def held_part(
+    name: Name = "part",
+    *,
+    between: Pair,
+    dimension: int = 3,
+) -> Instrument:
+    """One part is held by two bodies at once: they keep their place against each other.
+
+    Loops, with T_second_first the first body as the second one sees it and T_part the constant
+    place NAME_x, ..., NAME_rx of the second one in the first:
+
+        position of T_part T_second_first - gap = 0 [m], its turn 2 tan(theta/2) u - w = 0 [rad].
+
+    between: the two bodies. Gaps NAME_gap_x, _y, _z and turns NAME_wx, _wy, _wz are read as 0.
+    """
+    stands = Station(name, dimension)
+    gaps = [f"{name}_gap_{axis}" for axis in AXES[:dimension]]
+    turns = [f"{name}_w{axis}" for axis in AXES]
+
+    def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
+        seen = ChainFrame(stands.steps, {}, p)
+        at = seen.point(frames[0].point(vector(0.0, 0.0, 0.0)))
+        ex, ey = (
+            seen.direction(frames[0].direction(vector(*unit)))
+            for unit in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+        )
+        off = small_turns(np.eye(3).tolist(), (ex, ey, cross(ex, ey)))
+        return [
+            *(at[i] - x[gap] for i, gap in enumerate(gaps)),
+            *(w - x[turn] for w, turn in zip(off, turns, strict=True)),
+        ]
+
+    readings = {**dict.fromkeys(gaps, "m"), **dict.fromkeys(turns, "rad")}
+    return Instrument(
+        name,
+        readings,
+        {},
+        equations,
+        "gap",
+        placement=stands.declared,
+        place=stands,
+        implied=dict.fromkeys(readings, 0.0),
+        dimension=dimension,
+        on=between[0],
+        against=between[1],
+    )
 
 
 def _around(

@@ -16,14 +16,17 @@ from loopcal.mechanisms.instruments.spherical import turn_between
 from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.station import Name, Station, placed_by
 
-PLACES = ("body", "base")
 DOWN = {3: (0.0, 0.0, -1.0), 2: (0.0, -1.0, 0.0)}
 _BASE = BodyFrame(np.eye(3), np.zeros(3))
 Angles = Annotated[
     Sequence[str] | None, Key("Names of the readings. Default: NAME_x, NAME_y; in a plane NAME_x.")
 ]
 Carrier = Annotated[
-    str, Key('What carries the instrument: the moving "body" or the "base".', choices=PLACES)
+    str,
+    Key(
+        'What carries the instrument: the moving "body", the "base", or a body of a tree by its '
+        "name."
+    ),
 ]
 Gravity = Annotated[
     Sequence[float] | None,
@@ -67,8 +70,7 @@ def inclinometer(
     plane the one reading is the angle of the x axis over the horizontal, atan2(d_x, d_y), with the
     one parameter NAME_rz. Where it stands does not matter.
 
-    Raises InputError for a number of readings that does not fit, an unknown carrier, and a gravity
-    without direction.
+    Raises InputError for a number of readings that does not fit, and a gravity without direction.
     """
     names = tuple(f"{name}_{a}" for a in "xy"[: dimension - 1]) if readings is None else readings
     if len(names) != dimension - 1:
@@ -76,12 +78,6 @@ def inclinometer(
             f"the inclinometer {name!r} has {len(names)} readings in a space of {dimension}",
             code="wrong-shape",
             remedy=f"name {dimension - 1}",
-        )
-    if on not in PLACES:
-        raise InputError(
-            f"the inclinometer {name!r} is on {on!r}",
-            code="invalid-value",
-            remedy='give on = "body" or on = "base"',
         )
     stands = Station(station, dimension)
     down = Direction.near(
@@ -95,7 +91,7 @@ def inclinometer(
     mounted = tuple(Step(turn, f"{name}_{turn}") for turn in turns)
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
-        carrier = frames[0] if on == "body" else _BASE
+        carrier = _BASE if on == "base" else frames[0]
         mounting, placed = ChainFrame(mounted, {}, p), ChainFrame(stands.steps, {}, p)
         pull = down.vector(p) if tilted else vector(*down.axes[0])
 
@@ -117,9 +113,10 @@ def inclinometer(
         equations,
         "angle",
         placement=down.declared if tilted else stands.declared,
-        mounted=tuple(n for s in mounted if on == "body" and (n := s.parameter)),
+        mounted=tuple(n for s in mounted if on != "base" and (n := s.parameter)),
         place=None if station is None else stands,
         dimension=dimension,
         remedy=f"an axis of {name!r} is vertical, where the other has no direction: give the "
         "turns of its mounting nominal values, and leave out poses that turn it so",
+        on=None if on in ("base", "body") else on,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.expressions.vectors import rotate, vector
+from loopcal.expressions.vectors import dot, rotate, vector
 from loopcal.mechanisms.frame import Values, Vector
 
 Array = NDArray[np.float64]
@@ -121,3 +121,11 @@ def _of_quaternion(w: Any, x: Any, y: Any, z: Any) -> list[Vector]:
         vector(s * (x * y - w * z), 1.0 - s * (x * x + z * z), s * (y * z + w * x)),
         vector(s * (x * z + w * y), s * (y * z - w * x), 1.0 - s * (x * x + y * y)),
     ]
+
+
+def small_turns(measured: Sequence[Any], predicted: Sequence[Any]) -> list[Any]:
+    """2 tan(theta/2) u of R_meas^T R_pred, from the columns of both."""
+    M = [[dot(a, b) for b in predicted] for a in measured]
+    # vee(M - M^T) = 2 sin(theta) u and tr M = 1 + 2 cos(theta); sin / (1 + cos) = tan(theta / 2).
+    twice = 2.0 / (1.0 + M[0][0] + M[1][1] + M[2][2])
+    return [twice * (M[j][i] - M[i][j]) for i, j in ((1, 2), (2, 0), (0, 1))]

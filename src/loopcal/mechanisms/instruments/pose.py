@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 from loopcal.errors import InputError
-from loopcal.expressions.vectors import cross, dot, vector
+from loopcal.expressions.vectors import cross, vector
 from loopcal.keys import Key
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import ChainFrame, Frame, Values
-from loopcal.mechanisms.instruments.orientation import Orientation
+from loopcal.mechanisms.instruments.orientation import Orientation, small_turns
 from loopcal.mechanisms.instruments.point import Coordinates, point
 from loopcal.mechanisms.instruments.spherical import turn_between
 from loopcal.mechanisms.machine import Instrument, recorded
@@ -118,7 +118,7 @@ def pose(
         if measured is None:
             return [*loops, turn_between(ex[0], ex[1], x[angles[0]])]
         ey = axis((0.0, 1.0, 0.0))
-        off = _small_turns(measured.axes(x), (ex, ey, cross(ex, ey)))
+        off = small_turns(measured.axes(x), (ex, ey, cross(ex, ey)))
         return loops + [w - x[angle] for w, angle in zip(off, angles, strict=True)]
 
     return Instrument(
@@ -135,11 +135,3 @@ def pose(
         implied={} if measured is None else dict.fromkeys(angles, 0.0),
         dimension=dimension,
     )
-
-
-def _small_turns(measured: Sequence[Any], predicted: Sequence[Any]) -> list[Any]:
-    """2 tan(theta/2) u of R_meas^T R_pred, from the columns of both."""
-    M = [[dot(a, b) for b in predicted] for a in measured]
-    # vee(M - M^T) = 2 sin(theta) u and tr M = 1 + 2 cos(theta); sin / (1 + cos) = tan(theta / 2).
-    twice = 2.0 / (1.0 + M[0][0] + M[1][1] + M[2][2])
-    return [twice * (M[j][i] - M[i][j]) for i, j in ((1, 2), (2, 0), (0, 1))]

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from loopcal.keys import by_type
 from loopcal.mechanisms.instruments.camera import camera
-from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
+from loopcal.mechanisms.instruments.contact import (
+    ball_bar,
+    contact,
+    held_part,
+    plane,
+    socket,
+    sphere,
+)
 from loopcal.mechanisms.instruments.inclinometer import inclinometer
 from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
 from loopcal.mechanisms.instruments.point import point
@@ -14,8 +21,10 @@ from loopcal.mechanisms.instruments.spherical import spherical
 __all__ = [
     "ball_bar",
     "camera",
+    "contact",
     "distance",
     "draw_wire",
+    "held_part",
     "inclinometer",
     "plane",
     "point",

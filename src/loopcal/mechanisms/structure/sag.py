@@ -24,7 +24,7 @@ differ by pose.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
@@ -325,11 +325,11 @@ def _alike(one: Array, other: Array, size: float) -> bool:
 
 @dataclass(frozen=True)
 class Structure:
-    """sag: the arm that gives way, by these columns, None where it does not; smooth: what its
-    discrepancy is made of; joints: those with harmonics.
+    """sag: the arm that gives way, by these columns, None where it does not; smooth: by body, what
+    its discrepancy is made of; joints: those with harmonics.
     """
 
     sag: Sag | None = None
     columns: tuple[Column, ...] = ()
-    smooth: Smooth | None = None
+    smooth: Mapping[str, Smooth] = field(default_factory=dict)
     joints: tuple[str, ...] = ()

@@ -25,6 +25,8 @@ import numpy as np
 
 from loopcal.mechanisms.frame import Values
 
+DISCREPANCY = "discrepancy"
+"""Name of the term of smooth shifts of the body; begins the names of its parameters."""
 # 12 and 30 waves hold 45 and 62 % of the kernel's variance. On the MA1400 60 or 100 waves cost
 # two to five times as much and predict regions not used worse; the rest of the waves is an error
 # of the predictions (`estimation/noise/kenward_roger.py`).
@@ -50,12 +52,16 @@ class Harmonic:
 
 @dataclass(frozen=True)
 class Smooth:
-    """Features of the joints: names, with a factor each that makes turns [rad] of readings."""
+    """Features of the joints: names, with a factor each that makes turns [rad] of readings.
+
+    body: which one of several is displaced; "" for the only one.
+    """
 
     joints: tuple[str, ...]
     factors: tuple[float, ...]
     scales: tuple[float, ...]
     harmonics: tuple[Harmonic, ...]
+    body: str = ""
 
     @classmethod
     def of(
@@ -79,6 +85,10 @@ class Smooth:
         every = harmonics(self.scales, count)
         rest = every[len(self.harmonics) :]
         return replace(self, harmonics=rest)
+
+    def coefficients(self, axis: str) -> list[str]:
+        """Names of the parameters of the shift along an axis x, y, z, or of the turn rx, ry, rz."""
+        return ["_".join(filter(None, (DISCREPANCY, self.body, axis, p))) for p in self.parts]
 
     @property
     def parts(self) -> list[str]:

@@ -15,6 +15,7 @@ from typing import Annotated, Any, TypeVar
 from loopcal.errors import InputError
 from loopcal.expressions.rewriting import substituted
 from loopcal.keys import Key, described
+from loopcal.mechanisms.body import Body
 from loopcal.mechanisms.effects.compliance import YIELD_SD
 from loopcal.mechanisms.effects.effect import Effect, with_effects
 from loopcal.mechanisms.effects.harmonics import Harmonics
@@ -25,7 +26,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
 from loopcal.mechanisms.serial import places_itself
 from loopcal.mechanisms.structure.sag import Column, Sag, Structure
-from loopcal.mechanisms.structure.smooth import FEATURES, Smooth
+from loopcal.mechanisms.structure.smooth import DISCREPANCY, FEATURES, Smooth
 from loopcal.mechanisms.terms import Term
 
 MOUNTED = {"m": 5e-3, "rad": 50e-3}
@@ -39,8 +40,6 @@ own weight is what an arm is rated to carry."""
 LOAD_MASS = "mass at the tool beyond the known ones"
 EFFECT = "structure"
 """Name of all that is added, among the effects of a mechanism."""
-DISCREPANCY = "discrepancy"
-"""Name of the term of smooth shifts of the body."""
 DRIVES = ("harmonics", "scales")
 """Names of the terms of gears and encoders, and of slides."""
 GEOMETRY_TERMS: Mapping[tuple[str, str], tuple[str, float, str]] = {
@@ -115,10 +114,10 @@ def structured(
     made = _with_priors(mechanism)
     arm = _arm(mechanism) if sag else None
     columns = _columns(mechanism, arm, sag)
-    smooth = None
+    smooth: Mapping[str, Smooth] = {}
     if mechanism.body is not None:
         sag = tuple(c.parameter for c in columns)
-        smooth = _smooth(mechanism, discrepancy)
+        smooth = _smooth(mechanism, mechanism.body, discrepancy)
         made = _displaced(made, arm, columns, smooth)
     joints: list[str] = []
     if harmonics:
@@ -147,12 +146,12 @@ def without(
     kept = [term for term in made.terms if term.name not in terms]
     names = {name for term in kept for name in term.parameters}
     structure = made.structure or Structure()
-    remaining = structure.smooth if any(term.name == DISCREPANCY for term in kept) else None
+    remaining = [*structure.smooth.values()] if any(t.name == DISCREPANCY for t in kept) else []
     return structured(
         mechanism,
         sag=tuple(c.parameter for c in structure.columns if c.parameter in names),
         harmonics=any(term.name in DRIVES for term in kept),
-        discrepancy=len(remaining.harmonics) if remaining else False,
+        discrepancy=max((len(smooth.harmonics) for smooth in remaining), default=False),
     )
 
 
@@ -241,21 +240,30 @@ def _columns(
     return tuple(candidates[n] for key in wanted for n in matching(key, candidates, "sag"))
 
 
-def _smooth(mechanism: Mechanism, wanted: bool | int) -> Smooth | None:
-    """Features of the joints that are driven and read."""
+def _smooth(mechanism: Mechanism, body: Body, wanted: bool | int) -> dict[str, Smooth]:
+    """By body, features of the joints that move it and are read."""
     if not wanted:
-        return None
+        return {}
     count = FEATURES if wanted is True else wanted
-    driven = driven_joints(mechanism)
     ranges = {name: limit.high - limit.low for name, limit in joint_limits(mechanism).items()}
-    joints = [(name, mechanism.quantities[name]) for name in driven]
-    return Smooth.of(joints, ranges, count) if joints else None
+    made = {}
+    for name in body.displacements:
+        driven = driven_joints(mechanism, name)
+        joints = [(joint, mechanism.quantities[joint]) for joint in driven]
+        if joints:
+            several = name if len(body.displacements) > 1 else ""
+            made[name] = replace(Smooth.of(joints, ranges, count), body=several)
+    return made
 
 
-def driven_joints(mechanism: Mechanism) -> list[str]:
-    """The joints that are moved and read: those of an arm, or those that have a zero."""
-    if mechanism.chain:
-        return list(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
+def driven_joints(mechanism: Mechanism, body: str | None = None) -> list[str]:
+    """The joints that are moved and read: those of an arm, or those that have a zero.
+
+    body: one of several in a tree, which only the joints between it and the root move.
+    """
+    if mechanism.tree is not None:
+        steps = mechanism.tree.steps if body is None else mechanism.tree.path(body)
+        return list(dict.fromkeys(step.joint for step in steps if step.joint))
     read = [v.name for v in mechanism.variables if v.role == "reading" and v.first is None]
     if not mechanism.families:
         return [name for name in read if name not in mechanism.outputs]
@@ -264,11 +272,11 @@ def driven_joints(mechanism: Mechanism) -> list[str]:
 
 
 def _displaced(
-    mechanism: Mechanism, arm: Sag | None, columns: Sequence[Column], smooth: Smooth | None
+    mechanism: Mechanism, arm: Sag | None, columns: Sequence[Column], smooth: Mapping[str, Smooth]
 ) -> Mechanism:
-    """The mechanism with its body displaced by sag and by a smooth discrepancy."""
+    """The mechanism with its bodies displaced by sag and by a smooth discrepancy."""
     body = mechanism.body
-    if body is None or (arm is None and smooth is None):
+    if body is None or (arm is None and not smooth):
         return mechanism
     added: list[Parameter] = []
     terms: list[Term] = []
@@ -303,45 +311,57 @@ def _displaced(
                 "joints yield about their axes to known weights by {scale}",
             ),
         ]
-    shifts, turns = _coefficients(mechanism, smooth)
-    added += [Parameter(n, 0.0, "m") for row in shifts for n in row]
-    added += [Parameter(n, 0.0, "rad") for row in turns for n in row]
+    coefficients = {
+        name: {
+            axis: one.coefficients(axis)
+            for axis in body.axes
+            if len(axis) == 1 or name in body.turning
+        }
+        for name, one in smooth.items()
+    }
+    shifts = [
+        n for of in coefficients.values() for a, row in of.items() if len(a) == 1 for n in row
+    ]
+    turns = [n for of in coefficients.values() for a, row in of.items() if len(a) == 2 for n in row]
+    added += [Parameter(n, 0.0, "m") for n in shifts]
+    added += [Parameter(n, 0.0, "rad") for n in turns]
     terms += [
         *_term(
             DISCREPANCY,
-            [n for row in shifts for n in row],
+            shifts,
             0.3e-3,
             "what remains shifts the body by {scale}, smoothly in the joints",
         ),
         *_term(
             "discrepancy_turns",
-            [n for row in turns for n in row],
+            turns,
             0.3e-3,
             "what remains turns the body by {scale}, smoothly in the joints",
         ),
     ]
-    axes = body.axes
+    axes, first_body = body.axes, next(iter(body.displacements.values()))
 
     def meaning(
         x: Mapping[str, Any], p: Mapping[str, Any]
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """What stands in place of the displacements, for each pose of a row."""
         places: dict[str, Any] = {}
-        for end, names in zip(ENDS, body.displacements, strict=False):
+        for i, end in enumerate(ENDS[: len(first_body)]):
             row = {v.name: x[v.name + end] for v in mechanism.variables if v.name + end in x}
-            total = dict.fromkeys(axes, 0.0)
-            if arm is not None:
-                sagged = arm.displacement(columns, row, p)
-                total |= dict(zip(axes, (*sagged[0], *sagged[1]), strict=True))
-            if smooth is not None:
-                features = smooth.features(row)
-                for axis, coefficients in zip(axes, (*shifts, *turns), strict=False):
-                    for name, feature in zip(coefficients, features, strict=True):
-                        total[axis] = total[axis] + p[name] * feature
-            places |= dict(zip(names, total.values(), strict=True))
+            for name, ends in body.displacements.items():
+                total = dict.fromkeys(axes, 0.0)
+                if arm is not None:
+                    sagged = arm.displacement(columns, row, p)
+                    total |= dict(zip(axes, (*sagged[0], *sagged[1]), strict=True))
+                if name in smooth:
+                    features = smooth[name].features(row)
+                    for axis, of_axis in coefficients[name].items():
+                        for coefficient, feature in zip(of_axis, features, strict=True):
+                            total[axis] = total[axis] + p[coefficient] * feature
+                places |= dict(zip(ends[i], total.values(), strict=True))
         return {}, places
 
-    displaced = tuple(n for names in body.displacements for n in names)
+    displaced = tuple(n for ends in body.displacements.values() for names in ends for n in names)
     tape = substituted(body.tape, meaning, parameters=[p.name for p in added], without=displaced)
     made = replace(
         mechanism,
@@ -358,19 +378,6 @@ def _turned(mechanism: Mechanism) -> dict[str, float]:
         p.name: p.nominal + (0.1 if p.unit == "rad" and p.role == "placement" else 0.0)
         for p in mechanism.parameters
     }
-
-
-def _coefficients(
-    mechanism: Mechanism, smooth: Smooth | None
-) -> tuple[list[list[str]], list[list[str]]]:
-    """Names of the features' coefficients for each shift of the body, and for each turn."""
-    body = mechanism.body
-    if body is None or smooth is None:
-        return [], []
-    rows = {axis: [f"discrepancy_{axis}_{part}" for part in smooth.parts] for axis in body.axes}
-    shifts = [names for axis, names in rows.items() if len(axis) == 1]
-    turns = [names for axis, names in rows.items() if len(axis) == 2 and body.turns]
-    return shifts, turns
 
 
 def _with_drives(mechanism: Mechanism) -> tuple[Mechanism, list[str]]:

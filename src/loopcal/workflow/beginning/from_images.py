@@ -25,7 +25,6 @@ from loopcal.files.recognition.robots import Robot
 from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
-from loopcal.files.toml.writer import document
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
@@ -34,11 +33,11 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import yaw_pitch_roll
 from loopcal.units import from_si, unit
+from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
 
 Array = NDArray[np.float64]
-PROJECT, READINGS, CORNERS = "project.toml", "readings.csv", "corners.csv"
+CORNERS = "corners.csv"
 USUAL_LENS = "brown5"
-_HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
 CORNER, ENCODER, PLACE, TURN = 0.02, 50e-6, 1e-4, 1e-4
 """Where the learning of sds begins: a corner, at least [px], a joint [rad], a stated pose [m],
 [rad]."""
@@ -72,23 +71,6 @@ Describe = Callable[[Sequence[Field]], Robot]
 
 
 @dataclass(frozen=True, eq=False)
-class FromImages:
-    """What was understood: the tables of the project file, the files beside it, what was found in
-    words, the readings, and in a line how many there are and how well they begin to fit."""
-
-    tables: Mapping[str, Any]
-    beside: Mapping[str, bytes]
-    remarks: tuple[str, ...]
-    dataset: Dataset
-    words: str
-
-    @property
-    def text(self) -> str:
-        """Of the project file."""
-        return document(self.tables, (_HEAD,), {"data": self.remarks})
-
-
-@dataclass(frozen=True, eq=False)
 class Hand:
     """The body that moves: its columns of readings by quantity [SI], and T_base_flange (N, 4, 4)
     by pose; table: of the mechanism without instruments; noise: of its readings."""
@@ -104,7 +86,7 @@ class Hand:
 
 def from_images(
     entries: Sequence[Any], describe: Describe | None, joints: str | None, folder: Path
-) -> FromImages:
+) -> Begun:
     """`init` of a folder or files that hold corners.
 
     describe: the robot by the columns of its joints, None where nothing describes one; joints:
@@ -138,7 +120,7 @@ def from_images(
         f"{begun.rms:.2f} px rms"
     )
     beside = {READINGS: project.readings(), CORNERS: project.corners()}
-    return FromImages(project.tables, beside, remarks, project.dataset, words)
+    return Begun(project.tables, beside, remarks, project.dataset, words)
 
 
 def _named(boards: Mapping[str, Board], name: str) -> Board:

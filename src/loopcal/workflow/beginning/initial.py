@@ -31,6 +31,7 @@ from loopcal.files.recognition.fields import Field, Source
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import Layout, layouts
 from loopcal.files.recognition.logs import at_rest
+from loopcal.files.recognition.observations import observations
 from loopcal.files.recognition.robots import (
     Robot,
     dh_robot,
@@ -52,8 +53,10 @@ from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
 from loopcal.workflow.beginning.aligning import aligned
+from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
 from loopcal.workflow.beginning.delays import Delay, delays
 from loopcal.workflow.beginning.from_images import CORNERS, from_images
+from loopcal.workflow.beginning.from_tree import dh_tree, from_tree, urdf_tree
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,
@@ -61,12 +64,11 @@ from loopcal.workflow.beginning.searching import (
     Understood,
     every_way,
 )
-from loopcal.workflow.beginning.stating import READINGS, First, Statement, stated
+from loopcal.workflow.beginning.stating import First, Statement, stated
 from loopcal.workflow.beginning.understanding import USUAL as NEAR_ENOUGH
 from loopcal.workflow.beginning.understanding import Ask, understood
 
 Array = NDArray[np.float64]
-PROJECT = "project.toml"
 DRAWN = {"length": 1e-3, "angle": 1e-3}
 """How far lengths [m] and angles [rad] of machines usually are from their drawing: the medians of
 `structured`."""
@@ -93,6 +95,7 @@ class RobotFile:
     tip: str | None = None
     joints: str | None = None
     leave_out: str | None = None
+    observe: Sequence[str] = ()
 
 
 class InitOptions(TypedDict, total=False):
@@ -102,6 +105,7 @@ class InitOptions(TypedDict, total=False):
     tip: str | None
     joints: str | None
     leave_out: str | None
+    observe: Sequence[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,6 +246,10 @@ def initial_project(
     if not readings:
         raise UsageError("no readings are named", remedy="name one or several files of readings")
     folder = Path() if out is None else Path(out)
+    if robot.observe:
+        if out is not None:
+            refuse_foreign(*(folder / name for name in (PROJECT, READINGS)))
+        return _kept(_of_tree(readings, robot, folder), folder, write=out is not None)
     if are_images(readings):
         return _of_images(readings, robot, folder, write=out is not None)
     readings = tables_of(readings)
@@ -317,6 +325,27 @@ def _of_images(
     described = any((robot.urdf, robot.dh, robot.machine))
     describe = partial(_described, robot, folder) if described else None
     made = from_images(readings, describe, robot.joints, folder)
+    return _kept(made, folder, write=write)
+
+
+def _of_tree(readings: Sequence[Any], robot: RobotFile, folder: Path) -> Begun:
+    """The project of a robot of several bodies and what was observed between them."""
+    looking, remarks = observations(robot.observe), tuple[str, ...]()
+    if robot.urdf is not None:
+        table = urdf_tree(relative(Path(robot.urdf), folder), robot.base)
+    else:
+        tree = None if robot.dh is None else dh_tree(Path(robot.dh), robot.base)
+        if tree is None:
+            raise UsageError(
+                "observations are of a robot of several bodies, which nothing describes",
+                remedy="name --urdf FILE, or --dh FILE with the columns body and parent",
+            )
+        table, remarks = tree
+    return from_tree(readings, table, looking, folder, remarks)
+
+
+def _kept(made: Begun, folder: Path, *, write: bool) -> InitialProject:
+    """The project that was begun, written where that is asked for."""
     project = read_project(folder / PROJECT, text=made.text)
     done = InitialProject(
         project.mechanism,

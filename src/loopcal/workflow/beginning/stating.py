@@ -27,16 +27,16 @@ from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
 from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.units import from_si, to_si, unit
+from loopcal.workflow.beginning.begun import HEAD, READINGS
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
 
 Array = NDArray[np.float64]
-READINGS, SDS = "readings.csv", " sd"
-"""The file beside the project that holds converted readings, and the end of its columns of sds."""
+SDS = " sd"
+"""The end of the columns of sds in the file of converted readings."""
 ENCODER = 50e-6
 """Guess of an encoder's sd at the joint [rad], that of 17 bits (2 pi / 2^17 = 48 urad)."""
 SLIDE, WIRE, CAMERA, TURN = 10e-6, 0.2e-3, 1e-3, 2e-3
 """Guesses of sds: a linear scale, a draw-wire encoder, a camera's position [m], its turns [rad]."""
-_HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
 _TRACKER = "leica-at500"
 _POINTS = ("point", "spherical")
 _EXPANDED = re.compile(r"u(nc|ncertainty)?(_?(95|exp|k_?2))?|expanded_uncertainty|messunsicherheit")
@@ -75,7 +75,7 @@ class Statement:
     @property
     def text(self) -> str:
         """Of the project file."""
-        return document(self.tables, (_HEAD,), self.remarks)
+        return document(self.tables, (HEAD,), self.remarks)
 
 
 def stated(

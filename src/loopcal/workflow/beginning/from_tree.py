@@ -1,0 +1,329 @@
+"""A project of a whole robot: its tree of bodies, and what was observed between any two of them."""
+
+from __future__ import annotations
+
+import fnmatch
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, listed
+from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.files.recognition.dh_table import Row, read_dh
+from loopcal.files.recognition.fields import Field, Source
+from loopcal.files.recognition.joint_sets import named_joints
+from loopcal.files.recognition.observations import Observation
+from loopcal.files.recognition.robots import joint_table
+from loopcal.files.recognition.sources import sources_of
+from loopcal.files.tables.writer import table_bytes
+from loopcal.files.toml.reader import SCHEMA
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.units import from_si, unit
+from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
+
+Array = NDArray[np.float64]
+ENCODER, SLIDE = 50e-6, 10e-6
+"""Where the learning of the joints' sds begins [rad], [m]."""
+GUESSED = {"m": 0.1e-3, "rad": 0.5e-3, "px": 0.3}
+"""Where that of what is observed begins, gaps of things that touch among them."""
+SAME_PLACE = {"rad": 5e-3, "m": 5e-3}
+"""Poses that are no farther apart in any joint are one place that was approached again."""
+PLACE = "place"
+
+
+@dataclass(eq=False)
+class _Rows:
+    """The poses of all files, one below the other: ids, and columns by quantity."""
+
+    poses: list[str] = field(default_factory=list)
+    columns: dict[str, list[Array]] = field(default_factory=dict)
+    count: int = 0
+
+    def add(self, ids: Sequence[str], columns: Mapping[str, Array]) -> None:
+        """The poses of one file; what it does not have is blank."""
+        for name in {**self.columns, **columns}:
+            ahead = self.columns.setdefault(name, [np.full(self.count, np.nan)])
+            ahead.append(columns.get(name, np.full(len(ids), np.nan)))
+        self.poses += ids
+        self.count += len(ids)
+
+    def values(self, name: str) -> Array:
+        """A column (N,), blank where no file has it."""
+        return np.concatenate(self.columns.get(name, [np.full(self.count, np.nan)]))
+
+
+def from_tree(
+    entries: Sequence[Any],
+    robot: Mapping[str, Any],
+    looking: Sequence[Observation],
+    folder: Path,
+    remarks: tuple[str, ...] = (),
+) -> Begun:
+    """`init` of a robot of several bodies.
+
+    robot: the [mechanism] table without instruments (`urdf_tree`, `dh_tree`); looking: what was
+    observed; folder: where the project will lie. Raises InputError where something remains open.
+    """
+    looking = [replace(one, table=_with_readings(one)) for one in looking]
+    table = {**robot, "instrument": [dict(one.table) for one in looking]}
+    mechanism = mechanism_from_data(dict(table), str(folder / PROJECT))
+    sources: list[Source] = []
+    for entry in entries:
+        sources += sources_of(entry, len(sources))
+    rows, words = _rows(sources, mechanism, looking)
+    used = [q for q in (*mechanism.quantities, *mechanism.pose_constants) if q in rows.columns]
+    _refuse_unobserved(mechanism, rows, looking)
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    readings = {q: rows.values(q) for q in used}
+    places = _places(mechanism, readings)
+    tables: dict[str, Any] = {
+        "schema": SCHEMA,
+        "title": " and ".join(dict.fromkeys(s.path.stem if s.path else s.name for s in sources)),
+        "mechanism": table,
+        "data": {
+            "file": READINGS,
+            "pose": "pose",
+            "columns": {q: {"column": q, "unit": units[q]} for q in used if units[q] != "1"},
+        },
+        "noise": _noise(mechanism, used),
+    }
+    repeated = len(places) - len(set(places))
+    if repeated:
+        tables["fit"] = {"validation": {"folds": 10, "group": PLACE}}
+        words += (
+            f"{len(set(places))} places, some approached again: validation leaves out whole places",
+        )
+    columns: dict[str, Any] = {"pose": rows.poses, **readings, PLACE: places}
+    beside = {READINGS: table_bytes(columns, ".csv")}
+    dataset = Dataset.from_arrays(readings, units={q: units[q] for q in used}, poses=rows.poses)
+    said = f"{rows.count} poses with {listed([one.name for one in looking], 8)}"
+    return Begun(tables, beside, (*remarks, *words), dataset, said)
+
+
+def urdf_tree(relative: str, root: str | None) -> dict[str, Any]:
+    """The [mechanism] of a URDF by its path in the project; its leaves are those observed."""
+    return {"type": "tree", "file": relative, **({"root": root} if root else {})}
+
+
+def dh_tree(path: Path, root: str | None) -> tuple[dict[str, Any], tuple[str, ...]] | None:
+    """The [mechanism] of a table with a column of bodies and one of their parents, and remarks.
+
+    None where the table has no such columns.
+    """
+    table = read_dh(path)
+    if not all(row.body and row.parent for row in table.rows):
+        return None
+    parents = {row.parent for row in table.rows} - {row.body for row in table.rows}
+    if root is None and len(parents) != 1:
+        raise InputError(
+            f"the bodies hang on {listed(sorted(parents), 5)}"
+            if parents
+            else "no body is the root",
+            code="invalid-value",
+            place=path.name,
+            remedy="let all hang on one root in the end, or name it: --base ROOT",
+        )
+    moved = {row.parent for row in table.rows if row.kind != "fixed"}
+    bodies = [_body(row, last=row.body not in moved) for row in table.rows]
+    made = {"type": "tree", "root": root or min(parents), "body": bodies}
+    return {**made, "units": {"length": "mm", "angle": "deg"}}, table.remarks
+
+
+def _body(row: Row, *, last: bool) -> dict[str, Any]:
+    fixed = row.kind == "fixed"
+    turning = replace(row, kind="revolute") if fixed else row
+    joint = joint_table(row.body if fixed else row.name, turning, last=last or fixed, ahead={})
+    body = {"name": row.body, "parent": row.parent, "row": joint}
+    return {**body, "fixed": True} if fixed else body
+
+
+def _with_readings(one: Observation) -> dict[str, Any]:
+    """The table of an instrument whose readings are named after it: several may be of one kind."""
+    table = dict(one.table)
+    if table["type"] not in ("camera", "contact", "held-part", "inclinometer"):
+        table.setdefault("target", f"{one.name}_target")
+    if table["type"] in ("point", "pose") and "readings" not in table:
+        table["readings"] = [f"{one.name}_{axis}" for axis in "xyz"]
+    if table["type"] == "pose" and "columns" not in table:
+        table["columns"] = [f"{one.name}_{part}" for part in ("qw", "qx", "qy", "qz")]
+    return table
+
+
+def _rows(
+    sources: Sequence[Source], mechanism: Mechanism, looking: Sequence[Observation]
+) -> tuple[_Rows, tuple[str, ...]]:
+    """The poses of all files, and what was read in which, in words."""
+    rows, words = _Rows(), list[str]()
+    families = {family.name: family for family in mechanism.families}
+    several = len(sources) > 1
+    for source in sources:
+        joints = _joints(source, mechanism, looking)
+        seen: dict[str, Array] = {}
+        for one in looking:
+            family = families[one.name]
+            if one.of_file(source.path) and _reach(mechanism, family) <= joints.keys():
+                seen |= _seen(source, one, family, mechanism)
+        if not seen:
+            raise InputError(
+                "no observation stands in this file",
+                code="missing-column",
+                place=source.name,
+                remedy="name it: --observe 'point on=BODY columns=x,y,z', or leave the file out; "
+                f"its joints are {listed(list(joints), 30)}"
+                if joints
+                else "its columns are named "
+                f"as no joint of the robot: joints are {listed(list(mechanism.joints), 30)}",
+            )
+        columns = {name: _si(f, mechanism.joints[name]) for name, f in joints.items()}
+        any_seen = np.any([np.isfinite(v) for v in seen.values()], axis=0)
+        ids = source.ids or tuple(str(i) for i in range(1, len(source) + 1))
+        stem = source.path.stem if source.path else source.name
+        kept = np.flatnonzero(any_seen)
+        rows.add(
+            [f"{stem}:{ids[i]}" if several else ids[i] for i in kept],
+            {name: v[kept] for name, v in {**columns, **seen}.items()},
+        )
+        met = [o.name for o in looking if any(q in seen for q in families[o.name].readings)]
+        words.append(f"{source.name}: {len(kept)} poses with {listed(met, 8)}")
+    return rows, tuple(words)
+
+
+def _reach(mechanism: Mechanism, family: Family) -> set[str]:
+    """The joints between the two bodies of an observation."""
+    assert mechanism.tree is not None
+    path = mechanism.tree.path(family.on, family.against)
+    return {step.joint for step in path if step.joint}
+
+
+def _joints(
+    source: Source, mechanism: Mechanism, looking: Sequence[Observation]
+) -> dict[str, Field]:
+    """The joints that a file has columns for."""
+    named = named_joints(source.fields, mechanism.joints)
+    for one in looking:
+        stated = (one.joints or {}) if one.of_file(source.path) else {}
+        columns = named_joints(source.fields, stated.values())
+        named |= {
+            j: columns[c] for j, c in stated.items() if c in columns and j in mechanism.joints
+        }
+    return named
+
+
+def _seen(
+    source: Source, one: Observation, family: Family, mechanism: Mechanism
+) -> dict[str, Array]:
+    """The readings of an observation in the rows of a file; empty where it has none."""
+    chosen = _where(source, one)
+    constants = [c for c in mechanism.pose_constants if c.startswith(f"{one.name}_")]
+    silent = [q for q in family.readings if q in mechanism.implied]
+    spoken = [q for q in (*family.readings, *constants) if q not in silent]
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    names = one.columns or tuple(spoken)
+    if len(names) != len(spoken):
+        raise InputError(
+            f"{one.name!r} reads {len(spoken)} values, but {len(names)} columns are named",
+            code="wrong-shape",
+            place="--observe",
+            remedy=f"name them in this order: {listed(spoken, 12)}",
+        )
+    fields = named_joints(source.fields, names)
+    if absent := [name for name in names if name not in fields]:
+        if one.columns and one.file:
+            raise InputError(
+                f"{source.name} has no column {absent[0]!r}",
+                code="missing-column",
+                place="--observe",
+                remedy=f"its columns are {listed([f.label for f in source.fields], 30)}",
+            )
+        return {}
+    seen = {
+        q: np.where(chosen, _si(fields[name], units[q]), np.nan)
+        for q, name in zip(spoken, names, strict=True)
+    }
+    there = np.all([np.isfinite(v) for v in seen.values()], axis=0) if seen else chosen
+    return seen | {q: np.where(there, 0.0, np.nan) for q in silent}
+
+
+def _where(source: Source, one: Observation) -> Any:
+    """The rows in which an observation was made."""
+    if one.where is None:
+        return np.ones(len(source), dtype=bool)
+    label, value = one.where
+    column = next((f for f in source.fields if label in (f.label, f.stem)), None)
+    if column is None:
+        raise InputError(
+            f"{source.name} has no column {label!r} of numbers or names",
+            code="missing-column",
+            place="--observe",
+            remedy=f"its columns are {listed([f.label for f in source.fields], 30)}",
+        )
+    return np.array([column.words(float(v)) == value for v in column.values])
+
+
+def _si(column: Field, si: str) -> Array:
+    stated = column.unit
+    if stated is None and si == "rad":
+        stated = "deg" if float(np.nanmax(np.abs(column.values))) > 4 * np.pi else "rad"
+    return np.asarray(unit(stated or si).factor * column.values)
+
+
+def _refuse_unobserved(mechanism: Mechanism, rows: _Rows, looking: Sequence[Observation]) -> None:
+    for family in mechanism.families:
+        if not any(q in rows.columns for q in family.readings):
+            one = next(o for o in looking if o.name == family.name)
+            needed = sorted(_reach(mechanism, family))
+            raise InputError(
+                f"no file holds {family.name!r} and the joints between "
+                f"{family.on!r} and {family.against!r}: {listed(needed, 20)}",
+                code="missing-column",
+                place="--observe",
+                remedy="name its columns, columns=x,y,z, and those of joints with other names, "
+                "joints=S2:S,L2:L"
+                if not one.columns
+                else "name the columns of joints that have "
+                "other names in the file: joints=S2:S,L2:L",
+            )
+
+
+def _places(mechanism: Mechanism, readings: Mapping[str, Array]) -> Array:
+    """(N,) a number for each place: poses whose joints all but agree, seen in the same joints."""
+    joints = [q for q in mechanism.joints if q in readings]
+    x = np.array([readings[q] / SAME_PLACE[mechanism.joints[q]] for q in joints]).T
+    unread = np.isnan(x)
+    # What is unread is far from all that is read, and equal to itself.
+    x = np.where(unread, 1e9, x)
+    places = np.full(len(x), -1.0)
+    for i in range(len(x)):
+        if places[i] < 0.0:
+            near = (np.abs(x[i:] - x[i]) <= 1.0).all(axis=1) & (places[i:] < 0.0)
+            places[i:][near] = i
+    return np.asarray(np.unique(places, return_inverse=True)[1] + 1.0)
+
+
+def _noise(mechanism: Mechanism, used: Sequence[str]) -> dict[str, Any]:
+    """Sds where learning begins: joints by themselves, and each observation."""
+    noise: dict[str, Any] = {}
+    for joint, si in mechanism.joints.items():
+        if joint in used:
+            sd, of = (ENCODER, "urad") if si == "rad" else (SLIDE, "um")
+            noise[joint] = {"sd": float(from_si(np.array(sd), of)), "unit": of}
+    for family in mechanism.families:
+        for si in dict.fromkeys(mechanism.quantities[q] for q in family.readings):
+            of = {"m": "mm", "rad": "mrad", "px": "px"}.get(si, si)
+            value = float(from_si(np.array(GUESSED.get(si, 1.0)), of))
+            names = [q for q in family.readings if mechanism.quantities[q] == si]
+            # A name with * for the rest learns one sd for all of them.
+            same = itertools.takewhile(
+                lambda letters: len({*letters}) == 1, zip(*names, strict=False)
+            )
+            together = "".join(letters[0] for letters in same) + "*"
+            alike = set(fnmatch.filter(mechanism.quantities, together)) == set(names)
+            for name in [together] if alike and len(names) > 1 else names:
+                noise[name] = {"sd": value, "unit": of, "estimate": "group"}
+    return noise
