@@ -40,10 +40,10 @@ def vertices(points: Array) -> Array:
     begin, end = points[:-1], points[1:]
     lengths = np.nan_to_num(np.linalg.norm(end - begin, axis=1))
     radius = THICK * lengths.sum()
-    there = lengths > 1e-9
+    extended = lengths > 1e-9
     axis = np.zeros_like(begin)
-    axis[there] = (end - begin)[there] / lengths[there, None]
-    axis[~there, 2] = 1.0
+    axis[extended] = (end - begin)[extended] / lengths[extended, None]
+    axis[~extended, 2] = 1.0
     # Across the axis: from the coordinate along which it extends least.
     least = np.eye(3)[np.argmin(np.abs(axis), axis=1)]
     u = np.cross(axis, least)
@@ -52,10 +52,10 @@ def vertices(points: Array) -> Array:
     angle = np.arange(SIDES) * (2.0 * np.pi / SIDES)
     around = np.cos(angle)[:, None] * u[:, None] + np.sin(angle)[:, None] * v[:, None]
     first = np.nanmean(points, axis=0)
-    size = radius * there
+    size = radius * extended
     rings = []
     for ring, latitude in enumerate(_LATITUDES):
-        middle = np.where(there[:, None], begin if ring < len(_LATITUDES) // 2 else end, first)
+        middle = np.where(extended[:, None], begin if ring < len(_LATITUDES) // 2 else end, first)
         middle = middle + (size * np.sin(latitude))[:, None] * axis
         rings.append(middle[:, None] + (size * np.cos(latitude))[:, None, None] * around)
     corners: Array = np.stack(rings, axis=1).reshape(-1, 3)
