@@ -39,8 +39,8 @@ SAMPLED = 30
 """Poses whose machine makes the extent of the figure in space."""
 BEHIND = 0.6
 """Opacity of the machine there: points behind it show."""
-ROOM = 0.1
-"""Share of the span of the changes that the name of one needs."""
+ROOM = 0.15
+"""Share of the width of a figure that the name of a change needs."""
 SIZE = "distance"
 """The error of a pose as one number: the length of its differences."""
 GRID = "rgba(128,128,128,0.3)"
@@ -231,7 +231,7 @@ class Errors:
                 "yanchor": "bottom",
                 "font": {"color": CHOSEN, "size": 12},
             }
-            for at, text in names_once(changed)
+            for at, text in names_apart(changed, ROOM * (high - low))
         ]
         title = "pose, in the order of measurement"
         return self._flat(data, title, what, 300, shapes=lines, annotations=said)
@@ -455,12 +455,11 @@ class Errors:
         )
 
 
-def names_once(changed: Mapping[float, str]) -> list[tuple[float, str]]:
+def names_apart(changed: Mapping[float, str], room: float) -> list[tuple[float, str]]:
     """The names of changes in the order of the run, where they leave each other room."""
     kept: list[tuple[float, str]] = []
-    span = max(changed, default=0.0) - min(changed, default=0.0)
     for at, name in sorted(changed.items()):
-        if not kept or at - kept[-1][0] > ROOM * span:
+        if not kept or at - kept[-1][0] > room:
             kept.append((at, name))
     return kept
 

@@ -70,16 +70,17 @@ def show(view: View) -> None:
 def _errors(view: View) -> Errors | None:
     """Those of the result, or of the first fit since the project has changed."""
     session = view.session
-    source = session.shown()
-    if source is None:
+    source, judged = session.shown(), session.source()
+    if source is None or judged is None:
         return None
     view.select_among(source.table.poses)
     before = without_changes(source) if view.kept.get("diagnose.before") else None
-    points = () if source.document.change_points is None else source.document.change_points.found
+    # A first fit states no changes: those of the judged result stand until it is judged anew.
+    points = () if judged.document.change_points is None else judged.document.change_points.found
     shown = [p for p in points if before is not None or not p.modelled]
-    changed = begins(shown, source.table.poses)
+    changed = begins(shown, judged.table.poses)
     stated = _steps(view)
-    taken_up = begins([p for p in points if p not in shown], source.table.poses)
+    taken_up = begins([p for p in points if p not in shown], judged.table.poses)
     data = session.every_pose()
     return Errors.of(
         source,
