@@ -309,13 +309,14 @@ class Session:
         )
 
     def read_by(self, command: str) -> str:
-        """A digest of what a command reads: the project with its readings, or the result too."""
+        """A digest of what a command reads: the project with its readings, or the result."""
+        if command not in ("check", "plan", "calibrate"):
+            return str(self._result_at())
         project, times = self.project(), self._times()
         inputs = {} if project is None else project.inputs
         counted = {**_that_count(inputs), "plan": inputs.get("plan") if command == "plan" else None}
         files = () if project is None or project.data is None else _files(project.data)
-        result = self._result_at() if command not in ("check", "plan", "calibrate") else None
-        at = [counted, [times.get(file) for file in files], result]
+        at = [counted, [times.get(file) for file in files]]
         return sha256(json.dumps(at, sort_keys=True, default=str).encode()).hexdigest()
 
     def _outdated(self, command: str, entry: Entry) -> bool:
