@@ -53,7 +53,7 @@ class ChainFrame:
 
 
 @dataclass(frozen=True)
-class Between:
+class Relative:
     """A body as another one sees it: T_against_on = T_base_against^-1 T_base_on."""
 
     on: Frame

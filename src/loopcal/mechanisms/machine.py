@@ -12,7 +12,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
-from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,9 @@ from loopcal.keys import Key, described
 from loopcal.mechanisms.body import Body, Displaced, displacement_names
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import (
-    Between,
     ChainFrame,
     Frame,
+    Relative,
     Values,
     Vector,
     forward_kinematics,
@@ -158,14 +158,17 @@ class Instrument:
         return tuple(self.readings)
 
 
-On = Annotated[
-    str | None,
-    Key("The body of a tree that is looked at. Default: its only leaf."),
-]
-Against = Annotated[
-    str | None,
-    Key("The body of a tree that it is looked at from. Default: its root, the ground."),
-]
+@dataclass(frozen=True)
+class Between:
+    """The two bodies of a tree between which an instrument measures."""
+
+    on: Annotated[
+        str | None, Key("The body of a tree that is looked at. Default: its only leaf.")
+    ] = None
+    against: Annotated[
+        str | None,
+        Key("The body of a tree that it is looked at from. Default: its root, the ground."),
+    ] = None
 
 
 def recorded(make: Callable[Arguments, Instrument]) -> Callable[..., Instrument]:
@@ -174,7 +177,7 @@ def recorded(make: Callable[Arguments, Instrument]) -> Callable[..., Instrument]
     It takes the two bodies too, `on` and `against`, unless it does so itself.
     """
     signature = inspect.signature(make)
-    bodies = {"on": On, "against": Against}
+    bodies = get_type_hints(Between, include_extras=True)
     added = {} if "on" in signature.parameters or "between" in signature.parameters else bodies
     keys = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
@@ -327,8 +330,8 @@ def _frames(
         return [stands(on, i) for i in ends]
     if on == root:
         still = ChainFrame((), {}, {})
-        return [Between(still, stands(against, i)) for i in ends]
-    return [Between(stands(on, i), stands(against, i)) for i in ends]
+        return [Relative(still, stands(against, i)) for i in ends]
+    return [Relative(stands(on, i), stands(against, i)) for i in ends]
 
 
 def _body(

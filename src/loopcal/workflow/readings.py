@@ -75,7 +75,7 @@ def new_readings(
     """
     entries = [data] if isinstance(data, str | Path) else list(data)
     if any(family.form == PIXELS for family in mechanism.families) and are_images(entries):
-        from loopcal.workflow.beginning.from_images import later_images
+        from loopcal.workflow.beginning.later_images import later_images
 
         return later_images(entries, mechanism)
     return read_new_readings(data, inputs, mechanism, whole=whole)

@@ -16,10 +16,12 @@ from loopcal.files.machines.declared_function import Function
 from loopcal.files.machines.machine_type import ChainTable, MechanismTable
 from loopcal.files.machines.registry import kinds, table_of
 from loopcal.files.machines.serial import Serial
+from loopcal.files.machines.trees import BodyTable, Tree
 from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.effects.registry import EFFECTS
 from loopcal.mechanisms.exponentials import ScrewJoint
 from loopcal.mechanisms.instruments.registry import INSTRUMENTS
+from loopcal.mechanisms.machine import Between
 from loopcal.mechanisms.origins import LinkJoint, Mimic
 from loopcal.mechanisms.parallel.registry import PARALLEL
 from loopcal.mechanisms.serial import Joint
@@ -28,13 +30,15 @@ from tests.key_tables import REFERENCE, assert_stated, named
 
 PAGE = "mechanism-file.md"
 PARTS = {"load": Load, "joint": Joint, "link-joint": LinkJoint, "mimic": Mimic}
-CHAINS = {"serial": Serial, "urdf": Urdf, "exponentials": Exponentials}
+CHAINS = {"serial": Serial, "urdf": Urdf, "exponentials": Exponentials, "tree": Tree}
 MAKERS: dict[str, Callable[..., Any]] = {
     **INSTRUMENTS,
     **EFFECTS,
     **PARALLEL,
     **PARTS,
     **CHAINS,
+    "between": Between,
+    "body": BodyTable,
     "chain": ChainTable,
     "function": Function,
     "screw-joint": ScrewJoint,
@@ -44,7 +48,10 @@ MAKERS: dict[str, Callable[..., Any]] = {
 
 @pytest.mark.parametrize("kind", MAKERS)
 def test_the_keys_of_each_type_are_those_of_its_row(kind: str) -> None:
-    common = {**dict.fromkeys(CHAINS, ChainTable), "function": MechanismTable}.get(kind)
+    chains = dict.fromkeys(CHAINS, ChainTable)
+    # Cameras and inclinometers say in their own words what carries them.
+    looking = dict.fromkeys({*INSTRUMENTS} - {"camera", "inclinometer"}, Between)
+    common = {**chains, **looking, "function": MechanismTable}.get(kind)
     assert_stated(PAGE, kind, MAKERS[kind], common)
 
 

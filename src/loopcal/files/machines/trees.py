@@ -121,7 +121,8 @@ def tree(model: Tree, entry: Any, scope: Scope, place: Place) -> Mechanism:
 def _named(entries: Any, root: str | None) -> Iterator[str]:
     """The bodies that instruments look at and from."""
     for entry in entries:
-        for name in (entry.on, entry.against, *(getattr(entry, "between", None) or ())):
+        pair = (getattr(entry, key, None) for key in ("on", "against", "sees"))
+        for name in (*pair, *(getattr(entry, "between", None) or ())):
             if name not in (None, root, "base", "body"):
                 yield str(name)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,8 +28,7 @@ from loopcal.files.toml.reader import SCHEMA
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
-from loopcal.mechanisms.instruments.camera import PIXEL, cameras_of
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.instruments.camera import PIXEL
 from loopcal.mechanisms.placement import yaw_pitch_roll
 from loopcal.units import from_si, unit
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn
@@ -63,10 +61,6 @@ middle of the image. Chosen: lenses are refocused, images cut."""
 _MOUNTED, _TURNED = 20.0, 3.0
 """As sds [mm, deg]: where a board or camera sits on a hand that is never turned, which no image
 shows, beside where the start puts it."""
-UNFIT = ("image-unexplained", "wrong-corners")
-"""Codes of facts about images that are not corrected."""
-SAME = 1e-4
-"""Points of one board differ by less than this share of it: files round."""
 _FEWEST = 3
 """Points that an image needs to show where a board of unknown pose is."""
 
@@ -120,7 +114,7 @@ def from_images(
     something remains open.
     """
     files = read_files(entries)
-    project, turned = _understood(files, _hand(files, describe, joints, folder))
+    project, turned = understood(files, hand_of(files, describe, joints, folder))
     remarks = (
         *files.remarks,
         *project.hand.remarks,
@@ -142,13 +136,13 @@ def _made(project: _Project, remarks: tuple[str, ...]) -> Begun:
     return Begun(project.tables, beside, remarks, project.dataset, words)
 
 
-def _understood(
+def understood(
     files: Files, hand: Hand, held: bool | None = None
 ) -> tuple[_Project, tuple[str, ...]]:
     """A project of the files, and what was changed of the stated lenses; held: the board is on the
     flange, None where the images are to show it."""
     table = files.corners
-    boards = [_named(files.boards, name) for name in table.boards]
+    boards = [named(files.boards, name) for name in table.boards]
     corners = _corners(table, boards, hand.poses)
     lenses, turned = _upright(_by_camera(files.lenses, table.cameras), table)
     begun = start(corners, hand.T_base_flange, lenses, dict(table.sizes), held)
@@ -162,71 +156,7 @@ def _understood(
     return _Project(begun, hand, table, lenses), turned
 
 
-def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
-    """Readings of another day from the files that `init` takes, for calibrated cameras.
-
-    The board and the lenses are those of the calibration. Warns of what had to be corrected, of
-    images that do not fit and of wrong corners. Raises InputError for another board.
-    """
-    cameras = cameras_of(mechanism)
-    usual = {one.board.name: one.board for one in cameras}
-    files = read_files(entries, usual)
-    for name in files.corners.boards:
-        _refuse_another(_named(files.boards, name), usual, name)
-    lenses = {one.name: one.intrinsics for one in cameras}
-    eyes = {camera: _word(camera, "camera") for camera in files.corners.cameras}
-    if strange := [camera for camera, eye in eyes.items() if eye not in lenses]:
-        raise InputError(
-            f"the camera {strange[0]!r} is not in the calibration",
-            code="unknown-name",
-            place=files.corners.file,
-            remedy=f"its cameras are {listed(list(lenses), 5)}",
-        )
-    files = replace(files, lenses={camera: lenses[eye] for camera, eye in eyes.items()})
-    joints = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
-    described = mechanism.description or {}
-    arm = {key: value for key, value in described.items() if key != "instrument"}
-    robot = Robot(arm, len(joints), joints)
-    hand = _hand(files, (lambda _: robot) if joints else None, None, Path())
-    project, _ = _understood(files, hand, not cameras[0].on_body)
-    for fact in project.begun.facts:
-        if (fact.applied and fact.code != "mount") or fact.code in UNFIT:
-            warnings.warn(fact.sentence, stacklevel=2)
-    for words in project.left_out:
-        warnings.warn(words, stacklevel=2)
-    data = project.dataset
-    pixels = {q for family in mechanism.families for q in family.readings}
-    unseen = {q: np.full(len(data), np.nan) for q in pixels - data.readings.keys()}
-    return data.with_readings(unseen)
-
-
-def _refuse_another(stated: Board, usual: Mapping[str, Board], name: str) -> None:
-    """Raise InputError for a board whose points are not those of the calibration."""
-    board = usual.get(_word(name, "board"))
-    if board is None:
-        raise InputError(
-            f"the calibration has no board {name!r}",
-            code="unknown-name",
-            remedy=f"its boards are {listed(list(usual), 5)}",
-        )
-    for point, at in board.points.items():
-        other = stated.points.get(point)
-        if other is None or np.linalg.norm(np.subtract(other, at)) > SAME * max(board.half):
-            where = "absent" if other is None else f"at ({_mm(other)}) mm"
-            raise InputError(
-                f"the point {point!r} of the board {name!r} is {where}; the calibration has it at "
-                f"({_mm(at)}) mm",
-                code="conflicting-keys",
-                remedy="use the board of the calibration and its description, or calibrate anew "
-                "with this one",
-            )
-
-
-def _mm(point: Sequence[float]) -> str:
-    return ", ".join(f"{1e3 * value:.6g}" for value in point)
-
-
-def _named(boards: Mapping[str, Board], name: str) -> Board:
+def named(boards: Mapping[str, Board], name: str) -> Board:
     if name in boards:
         return boards[name]
     if len(boards) == 1:
@@ -311,7 +241,7 @@ def _corners(table: CornerTable, boards: Sequence[Board], poses: tuple[str, ...]
     return Corners.of([np.array(ids) for ids in index], uv, table.cameras, boards, poses)
 
 
-def _hand(files: Files, describe: Describe | None, joints: str | None, folder: Path) -> Hand:
+def hand_of(files: Files, describe: Describe | None, joints: str | None, folder: Path) -> Hand:
     """The robot's part of the files."""
     if describe is not None:
         return _joints(files, describe, joints, folder)
@@ -420,7 +350,7 @@ def _unread(begun: CameraStart, hand: Hand) -> Hand:
     return replace(hand, poses=corners.poses, readings=readings, noise=noise)
 
 
-def _word(name: str, kind: str) -> str:
+def word(name: str, kind: str) -> str:
     """A name that parameters may begin with."""
     word = re.sub(r"\W", "_", name)
     return word if re.match(r"[A-Za-z_]", word) else f"{kind}_{word}"
@@ -437,8 +367,8 @@ class _Project:
         seen = np.unique(corners.image, return_counts=True)
         enough = seen[1] >= (_FEWEST if hand.table.get("read") is False else 1)
         self.kept = [int(i) for i in seen[0][enough]]
-        self.eyes = {c: _word(c, "camera") for c in corners.cameras}
-        self.boards = {b.name: _word(b.name, "board") for b in corners.boards}
+        self.eyes = {c: word(c, "camera") for c in corners.cameras}
+        self.boards = {b.name: word(b.name, "board") for b in corners.boards}
 
     @property
     def left_out(self) -> tuple[str, ...]:

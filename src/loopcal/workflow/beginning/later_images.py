@@ -1,0 +1,89 @@
+"""Readings of another day from the files that `init` takes, for cameras that are calibrated."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopcal.errors import InputError, listed
+from loopcal.files.cameras.folder import read_files
+from loopcal.files.recognition.robots import Robot
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.cameras.board import Board
+from loopcal.mechanisms.instruments.camera import cameras_of
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.workflow.beginning.from_images import hand_of, named, understood, word
+
+UNFIT = ("image-unexplained", "wrong-corners")
+"""Codes of facts about images that are not corrected."""
+SAME = 1e-4
+"""Points of one board differ by less than this share of it: files round."""
+
+
+def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
+    """Readings of another day from the files that `init` takes, for calibrated cameras.
+
+    The board and the lenses are those of the calibration. Warns of what had to be corrected, of
+    images that do not fit and of wrong corners. Raises InputError for another board.
+    """
+    cameras = cameras_of(mechanism)
+    usual = {one.board.name: one.board for one in cameras}
+    files = read_files(entries, usual)
+    for name in files.corners.boards:
+        _refuse_another(named(files.boards, name), usual, name)
+    lenses = {one.name: one.intrinsics for one in cameras}
+    eyes = {camera: word(camera, "camera") for camera in files.corners.cameras}
+    if strange := [camera for camera, eye in eyes.items() if eye not in lenses]:
+        raise InputError(
+            f"the camera {strange[0]!r} is not in the calibration",
+            code="unknown-name",
+            place=files.corners.file,
+            remedy=f"its cameras are {listed(list(lenses), 5)}",
+        )
+    files = replace(files, lenses={camera: lenses[eye] for camera, eye in eyes.items()})
+    joints = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
+    described = mechanism.description or {}
+    arm = {key: value for key, value in described.items() if key != "instrument"}
+    robot = Robot(arm, len(joints), joints)
+    hand = hand_of(files, (lambda _: robot) if joints else None, None, Path())
+    project, _ = understood(files, hand, not cameras[0].on_body)
+    for fact in project.begun.facts:
+        if (fact.applied and fact.code != "mount") or fact.code in UNFIT:
+            warnings.warn(fact.sentence, stacklevel=2)
+    for words in project.left_out:
+        warnings.warn(words, stacklevel=2)
+    data = project.dataset
+    pixels = {q for family in mechanism.families for q in family.readings}
+    unseen = {q: np.full(len(data), np.nan) for q in pixels - data.readings.keys()}
+    return data.with_readings(unseen)
+
+
+def _refuse_another(stated: Board, usual: Mapping[str, Board], name: str) -> None:
+    """Raise InputError for a board whose points are not those of the calibration."""
+    board = usual.get(word(name, "board"))
+    if board is None:
+        raise InputError(
+            f"the calibration has no board {name!r}",
+            code="unknown-name",
+            remedy=f"its boards are {listed(list(usual), 5)}",
+        )
+    for point, at in board.points.items():
+        other = stated.points.get(point)
+        if other is None or np.linalg.norm(np.subtract(other, at)) > SAME * max(board.half):
+            where = "absent" if other is None else f"at ({_mm(other)}) mm"
+            raise InputError(
+                f"the point {point!r} of the board {name!r} is {where}; the calibration has it at "
+                f"({_mm(at)}) mm",
+                code="conflicting-keys",
+                remedy="use the board of the calibration and its description, or calibrate anew "
+                "with this one",
+            )
+
+
+def _mm(point: Sequence[float]) -> str:
+    return ", ".join(f"{1e3 * value:.6g}" for value in point)
