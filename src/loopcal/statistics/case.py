@@ -181,7 +181,7 @@ def entrants(
         name = f"{method.name} with model error"
         yield Entrant(name, replace(case, mechanism=made, fit=error_fit), True)
     for method in methods:
-        if images and (method.weighting is Weighting.READ or (method.exact and machine.chain)):
+        if images and (method.weighting is Weighting.READ or (method.exact and machine.joints)):
             # The weights of images cost as much as a fit; without its drawing's priors an arm that
             # pixels alone see lies in a valley.
             continue

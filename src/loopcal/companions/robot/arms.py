@@ -107,7 +107,7 @@ def arm_joints(mechanism: Mechanism) -> dict[str, str]:
             code="unsupported",
             remedy="correct targets of serial arms; for parallel machines export the parameters",
         )
-    return {step.joint: step.unit for step in mechanism.chain if step.joint}
+    return dict(mechanism.joints)
 
 
 def _machine(
