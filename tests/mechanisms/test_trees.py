@@ -12,7 +12,10 @@ import loopcal as lc
 from loopcal.companions.robot.export_files import _written, export
 from loopcal.companions.robot.exports.format import ExportOptions
 from loopcal.companions.robot.exports.registry import format_named
+from loopcal.expressions.engine import engine_for
 from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.mechanisms.chain import product
+from loopcal.mechanisms.structure.structured import structured
 from loopcal.statistics.region import ranges_of
 from tests.refusals import refused
 
@@ -58,6 +61,7 @@ def twin(folder: Path, mass: float = 0.0) -> lc.Mechanism:
         "type": "tree",
         "file": str(dual_arm(folder, mass)),
         "use": [f"{side}_hand" for side in SIDES],
+        "gravity": [0, 1, -2],
         "instrument": [
             {
                 "type": "point",
@@ -88,7 +92,8 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> lc.Result:
 
 def test_joints_of_all_branches_have_ranges(calibrated: lc.Result) -> None:
     mechanism = calibrated.machine
-    assert list(mechanism.joints) == JOINTS and mechanism.chain == ()
+    assert list(mechanism.joints) == JOINTS
+    assert mechanism.chain == ()
     readings = {q: np.array([-0.1, 0.1]) for q in JOINTS}
     # those of the URDF, which states them for both arms
     assert [r.high for r in ranges_of(mechanism, readings, {})] == [1.5] * len(JOINTS)
@@ -107,5 +112,42 @@ def test_only_changed_origins_of_the_whole_urdf_are_patched(calibrated: lc.Resul
     assert models["geometry"] < 2e-4 < 4e-4 < models["nominal"]
     placed = {(f.name, f.seen_in) for f in done.machine.frames if f.model == "geometry"}
     assert {("left_ball", "left_hand"), ("right_ball", "right_hand"), ("base", "tracker")} <= placed
-    with refused("unsupported", "serial arm", "urdf"):
+    with refused("unsupported", "serial arm"):
         _written(format_named("dh"), done.machine, ExportOptions(), None)
+
+
+def test_a_waist_gives_way_under_all_that_both_arms_weigh(tmp_path: Path) -> None:
+    mechanism = structured(twin(tmp_path, mass=3.0), harmonics=False)
+    names = {column.parameter for column in mechanism.structure.columns}
+    assert {f"waist_sag_z_{side}_hand_tool" for side in SIDES} <= names
+    assert not {"left_2_sag_y_right_hand_tool", "right_2_sag_y_left_hand_tool"} & names
+    rng = np.random.default_rng(0)
+    q = dict(zip(JOINTS, rng.uniform(-1.0, 1.0, len(JOINTS)), strict=True))
+    values = {p.name: p.nominal for p in mechanism.parameters}
+    tape = mechanism.tape
+    x = np.array([[q.get(name, 0.0)] for name in tape.quantities])
+    by = ["waist_yield", "left_2_yield", "waist_sag_z_right_hand_tool"]
+    engine = engine_for(tape, tuple(by), 1, ())
+    slopes = engine.evaluate(np.array([*values.values()]), x, np.empty((0, 1))).by_parameter
+    rows = (dict(zip(tape.loops, of_one[:, 0], strict=True)) for of_one in slopes)
+    change = dict(zip(by, rows, strict=True))
+
+    # by hand: the moment about the vertical axis of the waist, which turns both hands
+    g = np.array([0.0, 1.0, -2.0]) / math.sqrt(5.0)
+    moment = np.zeros(3)
+    for load in mechanism.masses:
+        body = next(
+            name
+            for name, link in mechanism.tree.links.items()
+            if load.joint in [step.joint for step in link.steps]
+        )
+        T = product(mechanism.tree.path(body), q, values)
+        moment += 9.80665 * 3.0 * np.cross((T @ [*load.point, 1.0])[:3], g)
+    for side in SIDES:
+        hand = product(mechanism.tree.path(f"{side}_hand"), q, values)[:3, 3]
+        moved = np.cross([0.0, 0.0, moment[2]], hand)
+        seen = [change["waist_yield"][f"{side[0]}_{axis}"] for axis in "xyz"]
+        assert np.abs(np.abs(seen) - np.abs(moved)).max() < 1e-9
+    # what yields in the left arm leaves the right hand; the right arm's weight turns the left one
+    assert [change["left_2_yield"][f"r_{axis}"] for axis in "xyz"] == [0.0, 0.0, 0.0]
+    assert abs(change["waist_sag_z_right_hand_tool"]["l_x"]) > 1e-3

@@ -344,7 +344,8 @@ class Mechanism:
                 remedy="calibrate it, and use result.predict(readings)",
             )
         nominal = {p.name: p.nominal for p in self.parameters}
-        return forward_kinematics(lambda x: ChainFrame(self.chain, x, nominal), q, tuple(self.joints))
+        joints = tuple(self.joints)
+        return forward_kinematics(lambda x: ChainFrame(self.chain, x, nominal), q, joints)
 
     def forward_kinematics(self, q: Any) -> NDArray[np.float64]:
         """The same as `fk`."""
