@@ -6,6 +6,7 @@ Each function returns a `Machine`; `loopcal.assemble` makes a mechanism of it an
 from __future__ import annotations
 
 from loopcal.files.machines.urdf import urdf_machine as urdf
+from loopcal.files.machines.urdf import urdf_tree as tree
 from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
 from loopcal.mechanisms.frame import BodyFrame
 from loopcal.mechanisms.parallel import registry
@@ -21,6 +22,7 @@ __all__ = [
     "exponentials",
     "planar_two_link",
     "serial",
+    "tree",
     "urdf",
 ]
 __all__ += registry.__all__

@@ -14,6 +14,7 @@ from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.cameras.lens import Intrinsics, project
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.outputs import OutputGroup
 from loopcal.statistics.region import _in_view
 
 POINTS = {str(i): (0.04 * (i % 4), 0.04 * (i // 4), 0.0) for i in range(12)}
@@ -160,7 +161,10 @@ def test_a_pixel_at_the_board_is_the_distance_over_the_focal_length() -> None:
     assert pixel.size == pytest.approx(np.sqrt(np.square(Z / LENS.fx).mean()), rel=0.1)
 
 
-def test_a_region_counts_where_the_camera_sees_the_board() -> None:
-    seen = np.array([[100.0, 300.0], [200.0, 400.0], [120.0, 320.0], [210.0, 410.0]])
-    predicted = np.array([[200.0, 470.0, 200.0], [300.0, 300.0, -500.0]] * 2)
-    assert _in_view(seen, predicted).tolist() == [True, False, False]
+def test_a_region_counts_where_the_camera_sees_the_whole_board() -> None:
+    names = ("q", "u1", "v1", "u2", "v2")
+    group = OutputGroup("eye", None, "px", names[1:], (0, 1, 2, 3), 2)
+    seen = np.array([[0.0, 0.0], [100.0, 300.0], [200.0, 400.0], [120.0, 320.0], [210.0, 410.0]])
+    predicted = np.array([[200.0, 470.0, 200.0, 200.0], [300.0, 300.0, -500.0, 300.0]] * 2)
+    predicted[2, 3] = 1e12  # a corner beside the camera
+    assert _in_view(seen, names, group, predicted).tolist() == [True, False, False, False]

@@ -1,153 +1,171 @@
-"""Robots with several arms: what one arm can do, each of theirs can."""
+"""Trees of bodies: paths between any two, what observations determine, and what is refused."""
 
 from __future__ import annotations
 
-import math
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
-import loopcal as lc
-from loopcal.companions.robot.export_files import _written, export
-from loopcal.companions.robot.exports.format import ExportOptions
-from loopcal.companions.robot.exports.registry import format_named
-from loopcal.expressions.engine import engine_for
-from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.mechanisms.bodies import Hanging, tree_machine
 from loopcal.mechanisms.chain import product
+from loopcal.mechanisms.instruments.contact import contact, held_part
+from loopcal.mechanisms.instruments.length import distance
+from loopcal.mechanisms.instruments.point import point
+from loopcal.mechanisms.instruments.pose import pose
+from loopcal.mechanisms.machine import Instrument, Machine, assemble
+from loopcal.mechanisms.origins import LinkJoint
+from loopcal.mechanisms.redundancy import fix_redundant
 from loopcal.mechanisms.structure.structured import structured
-from loopcal.statistics.region import ranges_of
 from tests.refusals import refused
 
-SIDES = {"left": 1.0, "right": -1.0}
-JOINTS = ["waist", *(f"{side}_{i}" for side in SIDES for i in range(1, 5))]
-TRUTH = {"tracker_x": 2.0, "tracker_y": 0.3, "tracker_rz": 0.5, "left_ball_x": 0.1}
-TRUTH |= {"right_ball_x": 0.1, "left_3_x": 0.351}
-NOISE = lc.Noise({**dict.fromkeys(JOINTS, 2e-5), "?_?": 5e-5})
-AXES = ("0 0 1", "0 1 0", "1 0 0", "0 1 0")
+
+def limb(name: str, parent: str, joints: int, seed: int) -> list[Hanging]:
+    """Bodies NAME0, NAME1, ... below each other, each turned about a general axis."""
+    draw = np.random.default_rng(seed)
+    made = []
+    for i in range(joints):
+        x, y, z = draw.uniform(-0.4, 0.4, 3).tolist()
+        roll, pitch, yaw = draw.uniform(-1.0, 1.0, 3).tolist()
+        axis = draw.normal(size=3)
+        a, b, c = (axis / np.linalg.norm(axis)).tolist()
+        joint = LinkJoint(f"q_{name}{i}", "revolute", (x, y, z), (roll, pitch, yaw), (a, b, c))
+        made.append(Hanging(f"{name}{i}", parent, joint))
+        parent = f"{name}{i}"
+    return made
 
 
-def _joint(name: str, parent: str, child: str, xyz: str, axis: str) -> str:
-    limits = '<limit lower="-1.5" upper="1.5" effort="1" velocity="1"/>'
-    return (
-        f'<joint name="{name}" type="revolute"><origin xyz="{xyz}" rpy="0 0 0"/>\n'
-        f'<parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>{limits}</joint>\n'
+def arms(joints: int = 3) -> Machine:
+    """Two arms on one base, whose hands are the last bodies."""
+    bodies = [*limb("l", "base", joints, 1), *limb("r", "base", joints, 2)]
+    return tree_machine(bodies, root="base")
+
+
+def humanoid() -> Machine:
+    """A waist of two joints that carries a head of two, and two arms of three."""
+    waist = limb("w", "ground", 2, 3)
+    limbs = (("h", 2), ("l", 3), ("r", 3))
+    bodies = [b for i, (name, n) in enumerate(limbs) for b in limb(name, "w1", n, 4 + i)]
+    return tree_machine([*waist, *bodies], root="ground")
+
+
+def marker(name: str, on: str, against: str, target: str) -> Instrument:
+    """The pose of a marker on one body, seen by a camera on another one."""
+    columns = [f"{name}_{part}" for part in ("qw", "qx", "qy", "qz")]
+    readings = [f"{name}_{axis}" for axis in "xyz"]
+    return pose(
+        name,
+        on=on,
+        against=against,
+        readings=readings,
+        columns=columns,
+        target=target,
+        station="eye",
     )
 
 
-def _link(name: str, mass: float) -> str:
-    inertial = f'<inertial><origin xyz="0.1 0 0"/><mass value="{mass}"/></inertial>'
-    return f'<link name="{name}">{inertial if mass else ""}</link>\n'
+def seen(name: str, on: str) -> Instrument:
+    """A reflector on a body, seen by the one tracker."""
+    readings = [f"{name}_{axis}" for axis in "xyz"]
+    return point(name, on=on, readings=readings, target=f"{name}_at", station="tracker")
 
 
-def dual_arm(folder: Path, mass: float = 0.0) -> Path:
-    """A URDF of a waist with two arms of four joints each; mass [kg] of each link."""
-    text = '<?xml version="1.0"?>\n<robot name="twin">\n<!-- kept -->\n<link name="base"/>\n'
-    text += _link("chest", mass) + _joint("waist", "base", "chest", "0 0 0.5", "0 0 1")
-    for side, sign in SIDES.items():
-        parent, xyz = "chest", f"0 {0.2 * sign} 0.3"
-        for i, axis in enumerate(AXES, 1):
-            child = f"{side}_hand" if i == len(AXES) else f"{side}_link{i}"
-            text += _link(child, mass) + _joint(f"{side}_{i}", parent, child, xyz, axis)
-            parent, xyz = child, "0.35 0 0.02"
-    path = folder / "twin.urdf"
-    path.write_text(text + "<!-- the end --></robot>\n", encoding="utf-8")
-    return path
+def free(machine: Machine, looking: Sequence[Instrument]) -> int:
+    """How many parameters these observations determine."""
+    return len(fix_redundant(assemble(machine, looking)).parameters.free)
 
 
-def twin(folder: Path, mass: float = 0.0) -> lc.Mechanism:
-    """Both hands seen by one tracker."""
-    data = {
-        "type": "tree",
-        "file": str(dual_arm(folder, mass)),
-        "use": [f"{side}_hand" for side in SIDES],
-        "gravity": [0, 1, -2],
-        "instrument": [
-            {
-                "type": "point",
-                "name": side[0],
-                "on": f"{side}_hand",
-                "station": "tracker",
-                "target": f"{side}_ball",
-                "readings": [f"{side[0]}_{axis}" for axis in "xyz"],
-            }
-            for side in SIDES
-        ],
-    }
-    return mechanism_from_data(data, str(folder / "project.toml"))
+# R revolute joints on the paths and L leaves, stations among them, tied by poses: 4 R + 6 (L - 1);
+# 3 fewer for a leaf of which a point alone is seen.
+HEAD = [marker("left", "l2", "h1", "left_at"), marker("right", "r2", "h1", "right_at")]
+GROUND = marker("wall", "ground", "h1", "wall_at")
 
 
-@pytest.fixture(scope="module")
-def calibrated(tmp_path_factory: pytest.TempPathFactory) -> lc.Result:
-    """A twin whose left arm is 1 mm longer than drawn."""
-    mechanism = twin(tmp_path_factory.mktemp("twin"))
-    sds = {p.name: 2e-3 if p.unit == "m" else 5e-3 for p in mechanism.parameters if not p.fixed}
-    placed = {n: math.inf for n in sds if n.startswith("tracker") or "ball" in n}
-    mechanism = mechanism.with_parameters(mechanism.parameters.with_prior(sds | placed))
-    truth = {p.name: p.nominal for p in mechanism.parameters} | TRUTH
-    poses = lc.random_poses(dict.fromkeys(JOINTS, (-1.2, 1.2)), 40, seed=1)
-    made = lc.simulate(mechanism, poses, noise=NOISE, seed=2, truth=truth)
-    return lc.calibrate(mechanism, made.dataset, noise=NOISE, method="implicit-loop")
+@pytest.mark.parametrize(
+    ("machine", "looking", "rank"),
+    [
+        (arms(), [marker("a", "l2", "r2", "a_at")], 4 * 6 + 6),
+        (arms(), [point("a", on="l2", against="r2", target="a_at", station="eye")], 4 * 6 + 3),
+        (arms(), [distance("a", on="l2", against="r2")], 4 * 6),
+        (arms(), [contact("a", between=("l2", "r2"), radius=(0.058, 0.058))], 4 * 6),
+        (arms(), [seen("a", "l2"), seen("b", "r2")], 4 * 6 + 12 - 6),
+        (humanoid(), HEAD[:1], 4 * 5 + 6),
+        (humanoid(), HEAD, 4 * 8 + 12),
+        (humanoid(), [*HEAD, GROUND], 4 * 10 + 18),
+    ],
+    ids=["pose", "point", "distance", "contact", "tracker", "head", "both hands", "wall"],
+)
+def test_as_many_parameters_are_free_as_the_observation_determines(
+    machine: Machine, looking: list[Instrument], rank: int
+) -> None:
+    assert free(machine, looking) == rank
 
 
-def test_joints_of_all_branches_have_ranges(calibrated: lc.Result) -> None:
-    mechanism = calibrated.machine
-    assert list(mechanism.joints) == JOINTS
-    assert mechanism.chain == ()
-    readings = {q: np.array([-0.1, 0.1]) for q in JOINTS}
-    # those of the URDF, which states them for both arms
-    assert [r.high for r in ranges_of(mechanism, readings, {})] == [1.5] * len(JOINTS)
+def test_a_part_held_by_both_hands_closes_a_ring_of_axes_and_measures_no_length() -> None:
+    # 4 parameters between each two of 12 axes that follow each other in a ring, less its size
+    assert free(arms(6), [held_part("part", between=("l5", "r5"))]) == 4 * 12 - 1
 
 
-def test_only_changed_origins_of_the_whole_urdf_are_patched(calibrated: lc.Result) -> None:
-    done = export(calibrated, "urdf")
-    (content,) = done.files.values()
-    source = Path(calibrated.machine.description["source"]).read_bytes()
-    old, new = source.splitlines(), content.splitlines()
-    assert len(old) == len(new)
-    changed = {a.split()[1] for a, b in zip(old, new, strict=True) if a != b}
-    # the waist stands where the tracker sees it stand, so that its origin stays
-    assert changed == {f'name="{q}"'.encode() for q in JOINTS if q != "waist"}
-    models = {one.model: one.measured.rms for one in done.machine.accuracy}
-    assert models["geometry"] < 2e-4 < 4e-4 < models["nominal"]
-    placed = {(f.name, f.seen_in) for f in done.machine.frames if f.model == "geometry"}
-    assert {("left_ball", "left_hand"), ("right_ball", "right_hand"), ("base", "tracker")} <= placed
-    with refused("unsupported", "serial arm"):
-        _written(format_named("dh"), done.machine, ExportOptions(), None)
+def test_joints_that_both_bodies_share_drop_out_and_are_held() -> None:
+    made = assemble(humanoid(), HEAD)
+    assert {"q_w0", "q_w1"} <= made.unused
+    held = fix_redundant(made)
+    assert all(held.parameters[f"q_w{i}_{k}"].fixed for i in range(2) for k in ("x", "rz"))
+    assert any("changes no reading" in words for words in held.remarks)
 
 
-def test_a_waist_gives_way_under_all_that_both_arms_weigh(tmp_path: Path) -> None:
-    mechanism = structured(twin(tmp_path, mass=3.0), harmonics=False)
-    names = {column.parameter for column in mechanism.structure.columns}
-    assert {f"waist_sag_z_{side}_hand_tool" for side in SIDES} <= names
-    assert not {"left_2_sag_y_right_hand_tool", "right_2_sag_y_left_hand_tool"} & names
-    rng = np.random.default_rng(0)
-    q = dict(zip(JOINTS, rng.uniform(-1.0, 1.0, len(JOINTS)), strict=True))
-    values = {p.name: p.nominal for p in mechanism.parameters}
-    tape = mechanism.tape
-    x = np.array([[q.get(name, 0.0)] for name in tape.quantities])
-    by = ["waist_yield", "left_2_yield", "waist_sag_z_right_hand_tool"]
-    engine = engine_for(tape, tuple(by), 1, ())
-    slopes = engine.evaluate(np.array([*values.values()]), x, np.empty((0, 1))).by_parameter
-    rows = (dict(zip(tape.loops, of_one[:, 0], strict=True)) for of_one in slopes)
-    change = dict(zip(by, rows, strict=True))
+def test_a_body_is_seen_from_another_one_as_both_are_from_the_ground() -> None:
+    machine = humanoid()
+    assert machine.tree is not None
+    q = np.random.default_rng(7).uniform(-1.0, 1.0, (4, len(machine.quantities)))
+    hand, head = machine.fk(q, on="l2"), machine.fk(q, on="h1")
+    np.testing.assert_allclose(
+        machine.fk(q, on="l2", against="h1"), np.linalg.inv(head) @ hand, atol=1e-14
+    )
+    values = {p.name: p.nominal for p in machine.parameters.values()}
+    joints = dict(zip(machine.quantities, q[0].tolist(), strict=True))
+    step_by_step = product(machine.tree.path("l2", "h1"), joints, values)
+    np.testing.assert_allclose(step_by_step, np.linalg.inv(head[0]) @ hand[0], atol=1e-14)
 
-    # by hand: the moment about the vertical axis of the waist, which turns both hands
-    g = np.array([0.0, 1.0, -2.0]) / math.sqrt(5.0)
-    moment = np.zeros(3)
-    for load in mechanism.masses:
-        body = next(
-            name
-            for name, link in mechanism.tree.links.items()
-            if load.joint in [step.joint for step in link.steps]
-        )
-        T = product(mechanism.tree.path(body), q, values)
-        moment += 9.80665 * 3.0 * np.cross((T @ [*load.point, 1.0])[:3], g)
-    for side in SIDES:
-        hand = product(mechanism.tree.path(f"{side}_hand"), q, values)[:3, 3]
-        moved = np.cross([0.0, 0.0, moment[2]], hand)
-        seen = [change["waist_yield"][f"{side[0]}_{axis}"] for axis in "xyz"]
-        assert np.abs(np.abs(seen) - np.abs(moved)).max() < 1e-9
-    # what yields in the left arm leaves the right hand; the right arm's weight turns the left one
-    assert [change["left_2_yield"][f"r_{axis}"] for axis in "xyz"] == [0.0, 0.0, 0.0]
-    assert abs(change["waist_sag_z_right_hand_tool"]["l_x"]) > 1e-3
+
+def test_a_displaced_body_moves_what_is_seen_of_it_and_from_it() -> None:
+    made = assemble(arms(), [contact("a", between=("l2", "r2"), radius=(0.05, 0.05))])
+    assert made.body is not None
+    assert set(made.body.displacements) == {"l2", "r2"}
+    whole = structured(made, discrepancy=4)
+    assert {"discrepancy_l2_x_cos1", "discrepancy_r2_x_cos1"} <= set(whole.parameters.names)
+    assert not any("_rx_" in n for n in whole.parameters.names if n.startswith("discrepancy"))
+    features = whole.structure and whole.structure.smooth
+    assert features is not None
+    assert features["l2"].joints == ("q_l0", "q_l1", "q_l2")
+
+
+@pytest.mark.parametrize(
+    ("bodies", "code", "stated"),
+    [
+        ([*limb("l", "base", 1, 0), *limb("l", "base", 1, 0)], "duplicate-name", ("'l0'",)),
+        (limb("l", "bass", 1, 0), "unknown-name", ("'l0'", "'bass'", "'base'")),
+        (
+            [Hanging("a", "b", LinkJoint("j")), Hanging("b", "a", LinkJoint("k"))],
+            "invalid-value",
+            ("a", "b"),
+        ),
+        ([Hanging("a", "base", LinkJoint("j", "fixed"))], "missing-key", ("'base'",)),
+    ],
+)
+def test_bodies_that_make_no_tree_are_refused(
+    bodies: list[Hanging], code: str, stated: tuple[str, ...]
+) -> None:
+    with refused(code, *stated):  # type: ignore[arg-type]
+        tree_machine(bodies, root="base")
+
+
+def test_observations_that_name_no_two_bodies_are_refused() -> None:
+    for looking, code in (
+        ([point(station="s")], "missing-key"),
+        ([point(on="l9")], "unknown-name"),
+        ([distance("a", on="l2", against="l2")], "conflicting-keys"),
+        ([point("a", on="l2"), point("b", on="r2", readings=("u", "v", "w"))], "duplicate-name"),
+    ):
+        with refused(code):  # type: ignore[arg-type]
+            assemble(arms(), looking)

@@ -14,6 +14,7 @@ from loopcal.document.findings import Outlier
 from loopcal.document.result_document import ResultDocument
 from loopcal.files.result.pose_table import PoseTable
 from loopcal.files.result.result_file import read_result
+from loopcal.mechanisms.parameters import Role
 from loopcal.report.page import MOST, parameter_groups, report_html
 from loopcal.report.source import read_source
 from loopcal.report.tables import (
@@ -149,6 +150,27 @@ def test_parameters_stand_with_change_and_share_of_the_prior(planar: Path) -> No
     assert row[-1] == "25 %"
     assert float(row[-2]) == pytest.approx((entry.value - entry.nominal) / entry.sd, abs=0.05)
     assert "fixed" in rows[other.name]
+
+
+def test_parameters_of_cameras_and_boards_are_named_so(planar: Path) -> None:
+    source = read_source(planar)
+    roles: list[tuple[str, Role]] = [
+        ("eye", "placement"),
+        ("eye", "lens"),
+        ("board", "mounting"),
+        ("board", "print"),
+    ]
+    first = source.document.parameters[: len(roles) + 1]
+    parameters = [replace(p, role=r, owner=o) for p, (o, r) in zip(first, roles, strict=False)]
+    document = replace(source.document, parameters=(*parameters, replace(first[4], owner="q1")))
+    made = parameter_groups(replace(source, document=document))
+    assert [(g.name, len(g.lines)) for g in made.groups] == [
+        ("camera eye", 2),
+        ("board", 2),
+        ("q1", 1),
+    ]
+    assert "cameras" in made.by
+    assert parameter_groups(source).by == "joint"
 
 
 def test_findings_stand_apart_each_with_its_code_and_remedy(planar: Path) -> None:

@@ -28,7 +28,14 @@ from loopcal.document.change_points import (
     Likeness,
 )
 from loopcal.document.choice import Candidate, Chosen, TermEntry
-from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, ScaleEntry, Undetermined
+from loopcal.document.findings import (
+    ColumnFault,
+    HalvesEntry,
+    OtherOptimum,
+    Outlier,
+    ScaleEntry,
+    Undetermined,
+)
 from loopcal.document.fit import ChiSquared, ParameterEntry
 from loopcal.document.result_document import CoarseReadings, ResultDocument
 from loopcal.document.verdict import UNASKED, Fact, Row
@@ -81,6 +88,7 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     "sds-too-small": ("chi_squared", ChiSquared.of(400.0, 114), False),
     "sds-too-large": ("chi_squared", ChiSquared.of(11.0, 114), False),
     "sds-generous": ("chi_squared", ChiSquared.of(57.0, 114), None),
+    "halves-disagree": ("halves", (HalvesEntry("eye_f", "px", 671.0, 734.0, 3.4, None),), False),
     "change-points": ("change_points", ChangePoints((SLIP,), 0.01, 120, ""), False),
     "changes-modelled": (
         "change_points",
@@ -132,6 +140,22 @@ def test_every_finding_has_its_answer(code: str) -> None:
     assert found.sound.passed is passed
     assert found.sound.next
     assert found.grade == ("bad" if passed is False else "care")
+
+
+def test_halves_of_the_images_may_differ_by_three_sds_in_the_focal_length() -> None:
+    def codes(*halves: HalvesEntry) -> list[str]:
+        return [one.code for one in findings_of(replace(clean(), halves=halves))]
+
+    near, far = (HalvesEntry("eye_f", "px", 700.0, 700.0 + d, 10.0, None) for d in (29.9, 30.1))
+    assert "halves-disagree" not in codes(near)
+    assert "halves-disagree" in codes(far)
+    # With few degrees of freedom the sd itself is not known.
+    assert "halves-disagree" not in codes(replace(far, degrees_of_freedom=10.0))
+    # The other parameters share the level.
+    rest = [HalvesEntry(f"eye_k{i}", "1", 0.0, d, 1.0, None) for i, d in enumerate((3.5, 0.0, 0.0))]
+    assert "halves-disagree" in codes(rest[0])
+    assert "halves-disagree" in codes(near, *rest)
+    assert "halves-disagree" not in codes(near, replace(rest[0], second=3.2), *rest[1:])
 
 
 @pytest.mark.parametrize(("share", "code"), [(0.4, "changes-small"), (0.6, "change-points")])

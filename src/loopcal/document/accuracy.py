@@ -54,6 +54,28 @@ class PixelSize:
 
 
 @dataclass(frozen=True)
+class BoardPlace:
+    """Where images put the board of a pose, less where the machine puts it [m].
+
+    By the shift of the board that explains the pixels of the pose best, turned as the machine turns
+    it.
+    """
+
+    instrument: str | None
+    """The camera; null: all cameras of a pose together."""
+    position: Distances | None
+    """In space; null: no image says how far away its board is."""
+    across: Size
+    """Rms across the line of sight."""
+    along: Size | None
+    """Rms along it."""
+    noise_across: Size | None
+    """What the noise of corners alone would make of `across`; null: its sd is not known."""
+    noise_along: Size | None
+    """The same of `along`."""
+
+
+@dataclass(frozen=True)
 class AccuracyEntry:
     """Computed minus measured outputs; the readings it is computed from are not corrected.
 
@@ -76,6 +98,8 @@ class AccuracyEntry:
     for no sds are stated or learnt."""
     pixels: tuple[PixelSize, ...] = ()
     """How large a pixel of each camera is at its board."""
+    places: tuple[BoardPlace, ...] = ()
+    """Of the boards that cameras see, with the calibrated parameters; all cameras together last."""
 
 
 @dataclass(frozen=True)
@@ -133,18 +157,25 @@ class ValidationEntry:
     """Those whose fit failed; they do not count."""
     coverage: Coverage | None = None
     """Null: the method states no regions."""
+    places: tuple[BoardPlace, ...] = ()
+    """Of the boards that cameras see, all cameras together last."""
     blocked: ValidationEntry | None = None
     """The same for regions of the joint space left out one by one; null: not asked for."""
+    images: ValidationEntry | None = None
+    """The same for regions of the image; null: no cameras, or too few images."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Which parts could not be predicted, and why."""
+        part_named = "Block" if "blocks" in self.scheme else "Fold"
+        part_named = "Image region" if "of" in self.scheme else part_named
         sentences = tuple(
-            f"{'Block' if 'blocks' in self.scheme else 'Fold'} {part.number} of {self.parts} "
-            f"({part.poses} poses) is not validated: {part.reason}."
+            f"{part_named} {part.number} of {self.parts} ({part.poses} poses) is not validated: "
+            f"{part.reason}."
             for part in self.failed
         )
-        return sentences if self.blocked is None else (*sentences, *self.blocked.warnings)
+        others = (one.warnings for one in (self.blocked, self.images) if one is not None)
+        return (*sentences, *(words for one in others for words in one))
 
 
 @dataclass(frozen=True)

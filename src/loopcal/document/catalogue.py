@@ -77,6 +77,14 @@ _ROWS = (
         _CHECK,
     ),
     _not_sound(
+        "halves-disagree",
+        "Two halves of the images, fitted apart, disagree: {place.parameters} is {first} by one "
+        "and {second} by the other, {sds:2} sds apart.",
+        "Measure the board, free what is held of lens and print, and take images at several "
+        "distances and tilts.",
+        _REPORT,
+    ),
+    _not_sound(
         "change-points",
         "Something moved along the run{what}.",
         "Add the effects that change_points of result.json lists, or measure again.",

@@ -176,6 +176,25 @@ class UsualSd:
 
 
 @dataclass(frozen=True)
+class HalvesEntry:
+    """A parameter of a lens by two halves of the images that were fitted apart."""
+
+    name: str
+    unit: str
+    first: float
+    second: float
+    sd: Size
+    """Of the difference [unit]."""
+    degrees_of_freedom: Size | None
+    """Of Student's t of the difference; null: its sd is known."""
+
+    @property
+    def sds(self) -> float:
+        """The difference over its sd."""
+        return (self.second - self.first) / self.sd
+
+
+@dataclass(frozen=True)
 class RegionRange:
     """Range of a reading in the working region [SI]."""
 
@@ -209,12 +228,13 @@ class RegionEntry:
 
     ranges: tuple[RegionRange, ...]
     by: tuple[RegionSd, ...]
-    """For each unit of outputs that of the instrument with the largest ratio; the worst first."""
+    """For each unit of outputs that of the instrument with the largest ratio; the worst first. What
+    cameras see has two: px, and m at the board."""
 
     @property
     def worst(self) -> RegionSd:
-        """The largest ratio of any unit."""
-        return self.by[0]
+        """The largest ratio of any unit; what is stated in px is stated in m as well."""
+        return next((one for one in self.by if one.unit != "px"), self.by[0])
 
     def of(self, unit: str) -> RegionSd | None:
         """Of one unit; None where no output has it."""

@@ -8,8 +8,8 @@ from typing import Any
 
 from loopcal.document.accuracy import Distances, ModelEntry, ValidationEntry
 from loopcal.document.change_points import ChangePoints
-from loopcal.document.choice import Chosen
-from loopcal.document.findings import Outlier
+from loopcal.document.choice import Candidate, Chosen
+from loopcal.document.findings import HalvesEntry, Outlier
 from loopcal.document.fit import IntervalEntry
 
 
@@ -20,7 +20,8 @@ class Parts:
     title, inputs: of the project; about_readings, notes: warnings ahead of those of the fit, and
     behind them; errors: true minus estimated value [SI] of the parameters whose truth is known;
     method: as it was asked for, where the choice made another one of it; nominal, noise_floor: of
-    the choice; change_points, discarded: what it modelled, and the outliers that it left out;
+    the choice; culprits: what it says of robot, lens and board; halves: of the lens by two halves
+    of the images; change_points, discarded: what it modelled, and the outliers that it left out;
     intervals: profile intervals by parameter; tolerance [SI], region: what the verdict judges;
     files: names of project and result, for command lines; None where there are no names.
     """
@@ -32,6 +33,8 @@ class Parts:
     errors: Mapping[str, float] | None = None
     method: str | None = None
     chosen: Chosen | None = None
+    culprits: tuple[Candidate, ...] = ()
+    halves: tuple[HalvesEntry, ...] = ()
     nominal: Distances | None = None
     noise_floor: float | None = None
     change_points: ChangePoints | None = None

@@ -10,15 +10,17 @@ from typing import Any, Literal
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
 from loopcal.document.change_points import ChangePoints, Dependence, Reliability
-from loopcal.document.choice import Chosen, TermEntry
+from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import (
     ColumnFault,
+    HalvesEntry,
     Identifiability,
     Observability,
     OtherOptimum,
     Outlier,
     OutlierTests,
     PredictionEntry,
+    RegionEntry,
     ScaleEntry,
 )
 from loopcal.document.fit import (
@@ -32,9 +34,12 @@ from loopcal.document.fit import (
 )
 from loopcal.document.tables import (
     accuracy_table,
+    culprit_table,
+    culprit_words,
     interval_table,
     model_table,
     parameter_table,
+    place_table,
     sensor_table,
     shown_parameters,
     term_table,
@@ -44,7 +49,7 @@ from loopcal.measurements.days import Days
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import unstated_mountings
 from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import percent, significant, with_unit, wrapped
+from loopcal.presentation.shown import columns, percent, significant, with_unit, wrapped
 
 SCHEMA: Literal[3] = 3
 
@@ -194,6 +199,12 @@ class ResultDocument:
     """The method in a few words; empty: written by an earlier version."""
     chosen: Chosen | None = None
     """What the method "auto" chose; null: the method was stated."""
+    culprits: tuple[Candidate, ...] = ()
+    """Of images: the machine as stated, with robot, lens and board freed one by one, and as chosen,
+    on poses not used. `difference` is to the first; empty: no cameras, or not validated."""
+    halves: tuple[HalvesEntry, ...] = ()
+    """The lenses by two halves of the images, fitted apart; empty: no lens was estimated, or a half
+    could not be fitted."""
     loss: str = "gaussian"
     status: StatusEntry
     parameters: tuple[ParameterEntry, ...]
@@ -264,6 +275,11 @@ class ResultDocument:
         """Days of the measurement: by the readings, else [record] date; None where unknown."""
         stated = (self.inputs.get("record") or {}).get("date")
         return self.data.measured or (None if stated is None else Days.of_text(str(stated)))
+
+    @property
+    def region(self) -> RegionEntry | None:
+        """The working region; None where it is not known."""
+        return None if self.prediction is None else self.prediction.region
 
     @property
     def sensors_exact(self) -> bool:
@@ -372,13 +388,19 @@ def _accuracy(document: ResultDocument) -> list[str]:
     note = "(computed from the other readings minus measured, on the poses used for the fit"
     if validation is not None and validation.accuracy is not None:
         note += f"; poses not used: {validation.words}"
-        if validation.blocked is not None:
-            note += f"; {validation.blocked.words}"
-    lines = [*accuracy_table(accuracy, validation), f"{note})", *_at_boards(accuracy, validation)]
-    lines += _coverage(validation)
+        elsewhere = (validation.blocked, validation.images)
+        note += "".join(f"; {one.words}" for one in elsewhere if one is not None)
+    lines = [*accuracy_table(accuracy, validation), f"{note})", *_coverage(validation)]
     if validation is not None and validation.log_likelihood is not None:
         value = significant(validation.log_likelihood, 6)
         lines.append(f"log-likelihood of poses not used: {value} (only differences count)")
+    if (places := place_table(accuracy, validation, document.region)) is not None:
+        lines += ["", *columns([places.head, *places.rows])]
+        lines.append("(by the images less by the machine, rms; 95 % and max in space)")
+    lines += _at_boards(accuracy, validation)
+    if (faults := culprit_table(document.culprits, accuracy.unit)) is not None:
+        lines += ["", *columns([faults.head, *faults.rows])]
+        lines += wrapped(culprit_words(document.culprits, accuracy.unit), "", "")
     return lines
 
 

@@ -7,15 +7,26 @@ from dataclasses import dataclass
 
 from loopcal.document.accuracy import (
     AccuracyEntry,
+    BoardPlace,
     Deviation,
     Distances,
     InstrumentDistances,
     ModelEntry,
     ValidationEntry,
 )
-from loopcal.document.choice import DECISIVE, TermEntry
+from loopcal.document.choice import DECISIVE, Candidate, TermEntry
+from loopcal.document.findings import RegionEntry
 from loopcal.document.fit import NoiseEntry, ParameterEntry
-from loopcal.presentation.shown import Table, by_sd, columns, percent, significant, size, unit_shown
+from loopcal.presentation.shown import (
+    Table,
+    by_sd,
+    columns,
+    percent,
+    significant,
+    size,
+    unit_shown,
+    with_unit,
+)
 
 
 @dataclass(frozen=True)
@@ -57,6 +68,9 @@ def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None)
     blocked = validation and validation.blocked and validation.blocked.accuracy
     if blocked:
         position.append(Stage("in regions not used", "", blocked))
+    images = validation and validation.images and validation.images.accuracy
+    if images:
+        position.append(Stage("in image regions not used", "", images))
     return Stages(tuple(position), _stages(turns, "rad"), accuracy.noise_floor)
 
 
@@ -87,6 +101,92 @@ def accuracy_table(accuracy: AccuracyEntry, validation: ValidationEntry | None) 
             *_distance_table("orientation", stages.orientation, accuracy.orientation.unit),
         ]
     return lines
+
+
+def place_table(
+    accuracy: AccuracyEntry, validation: ValidationEntry | None, region: RegionEntry | None
+) -> Table | None:
+    """Where images put boards, less where the machine puts them; None without cameras.
+
+    region: with the sd that is predicted at the measured poses.
+    """
+    several = len(accuracy.places) > 1
+    blocked, images = validation and validation.blocked, validation and validation.images
+    stages = (
+        ("calibrated", accuracy.places),
+        ("on poses not used", validation.places if validation else ()),
+        ("in regions not used", blocked.places if blocked else ()),
+        ("in image regions not used", images.places if images else ()),
+    )
+
+    def row(name: str, place: BoardPlace, *sizes: float | None) -> tuple[str, ...]:
+        name += f", {place.instrument or 'all cameras'}" if several else ""
+        return (name, *("" if one is None else size(one, "m") for one in sizes))
+
+    rows = []
+    for name, places in stages:
+        for one in places:
+            space = one.position
+            far = (None,) * 3 if space is None else (space.rms, space.p95, space.max)
+            rows.append(row(name, one, one.across, one.along, *far))
+    for one in accuracy.places:
+        if one.noise_across is not None:
+            sizes = one.noise_across, one.noise_along, None, None, None
+            rows.append(row("noise of corners alone", one, *sizes))
+    if rows and region is not None and (predicted := region.of("m")) is not None:
+        rows.append(("predicted sd", "", "", size(predicted.sd_at_poses, "m"), "", ""))
+    caption = "Place of the board by the images less that by the machine: rms across the line of "
+    head = ("board's place", "across view [mm]", "along view", "in space", "95 %", "max")
+    return Table(caption + "sight, along it, and in space", head, tuple(rows)) if rows else None
+
+
+_FAULT = {
+    "robot": "The geometry of the robot differs from its drawing.",
+    "lens": "The stated lens does not fit these images.",
+    "board": "The board is not as stated: measure the print.",
+}
+"""What follows where the images are predicted better with one of these freed."""
+# Paired standard errors that "better" needs (docs/explanation/verdict.md).
+_CERTAIN = 2.0
+
+
+def culprit_table(culprits: Sequence[Candidate], unit: str) -> Table | None:
+    """Robot, lens and board freed one by one, and by how much that predicts images better."""
+    if not culprits:
+        return None
+    stated, *freed = culprits
+    names = ["all as stated", *(one.name for one in freed[:-1]), "all of them, as calibrated"]
+    rows = []
+    for name, one in zip(names, culprits, strict=True):
+        if one.out_of_sample is None:
+            rows.append((name, one.failed or "", "", ""))
+            continue
+        gain = "" if one is stated or one.difference is None else size(-one.difference, unit)
+        sd = size(one.sd, unit, 2) if gain else ""
+        rows.append((name, size(one.out_of_sample.rms, unit), gain, sd))
+    caption = "What is at fault: each freed alone, all else held as stated; images not used"
+    return Table(caption, ("freed", f"rms [{unit_shown(unit)}]", "gain", "sd"), tuple(rows))
+
+
+def culprit_words(culprits: Sequence[Candidate], unit: str) -> str:
+    """What is at fault, in a sentence or two."""
+    if not culprits:
+        return ""
+    stated, *freed = culprits[:-1]
+    judged = [one for one in freed if one.out_of_sample and one.difference is not None]
+    better = [one for one in judged if -(one.difference or 0.0) > _CERTAIN * (one.sd or 0.0)]
+    before = stated.out_of_sample
+    if not better or before is None:
+        names = " and ".join(one.name for one in judged) or "nothing"
+        return f"Freed alone, {names} predict images not used no better than as stated."
+    best = min(better, key=lambda one: one.difference or 0.0)
+    assert best.out_of_sample is not None
+    words = (
+        f"Freeing the {best.name} gains most: {size(before.rms, unit, 3)} to "
+        f"{with_unit(best.out_of_sample.rms, unit, 3)} on images not used. {_FAULT[best.name]}"
+    )
+    others = [one.name for one in better if one is not best]
+    return words + (f" Freeing the {' or the '.join(others)} gains less." if others else "")
 
 
 def _distance_table(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from loopcal.document.accuracy import AccuracyEntry
 from loopcal.document.fit import ClosureEntry, StatusEntry
 from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
@@ -75,7 +77,13 @@ def _accuracy(result: FitResult) -> AccuracyEntry | None:
     if entry is None or result.all_poses is not None:
         return entry
     end = result.solution
-    return replace(entry, pixels=pixel_sizes(result.problem, end.parameters, end.corrections))
+    differences = np.array([result.differences_after[q] for q in result.mechanism.compared])
+    places = [sight.place(differences) for sight in result.sights]
+    return replace(
+        entry,
+        pixels=pixel_sizes(result.problem, end.parameters, end.corrections),
+        places=tuple(place for place in places if place),
+    )
 
 
 def _redundancy(result: FitResult) -> Redundancy | None:

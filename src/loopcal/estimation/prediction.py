@@ -108,7 +108,7 @@ def output_differences(
 
     Computed from the other readings as they are; unmeasured quantities come from the loops,
     beginning at their corrections. Turns from measured to computed orientations are the values of
-    their own loops there.
+    their own loops there, and so are the gaps between bodies of a whole robot.
     """
     mechanism = problem.mechanism
     quantities, depends = mechanism.tape.quantities, mechanism.tape.depends_on()
@@ -116,6 +116,7 @@ def output_differences(
     outputs = compared[: len(mechanism.outputs)]
     differences = np.full((len(compared), len(problem.poses)), np.nan)
     predicting = set(mechanism.predicting().tape.loops)
+    apart = {*mechanism.turns, *mechanism.gaps}
     for pattern in problem.patterns:
         if pattern.predicted:
             _of_images(problem, pattern, parameters, corrections, differences)
@@ -126,23 +127,25 @@ def output_differences(
         measured = [row for row in present if row not in pattern.unmeasured]
         further = [i for i in pattern.unmeasured if quantities[i] in inputs]
         unknown = list(dict.fromkeys([*present, *further]))
-        if not measured or len(unknown) > len(loops):
+        closing = [i for i in pattern.loops if mechanism.tape.loops[i] in apart]
+        if not (measured or closing) or len(unknown) > len(loops):
             continue  # nothing to compare with, or the other readings do not say where they are
         x = problem.readings[:, pattern.poses]
         if corrections is not None and pattern.unmeasured:
             x = x.copy()
             x[list(pattern.unmeasured)] += corrections[list(pattern.unmeasured)][:, pattern.poses]
         constants = problem.pose_constants[:, pattern.poses]
-        predicted = _closed(mechanism, loops, unknown, parameters, x, constants, problem.free)
+        predicted = x
+        if unknown:
+            predicted = _closed(mechanism, loops, unknown, parameters, x, constants, problem.free)
         for row in measured:
             computed = predicted[row] - problem.readings[row, pattern.poses]
             differences[compared.index(row), pattern.poses] = computed
-        turns = [i for i in pattern.loops if mechanism.tape.loops[i] in mechanism.turns]
-        if turns:
+        if closing:
             values = _loop_values(
-                held_loops(mechanism.tape, tuple(turns)), parameters, predicted, constants, ()
+                held_loops(mechanism.tape, tuple(closing)), parameters, predicted, constants, ()
             )
-            for loop, value in zip(turns, values, strict=True):
+            for loop, value in zip(closing, values, strict=True):
                 row = mechanism.compared.index(mechanism.tape.loops[loop])
                 differences[row, pattern.poses] = value
     return differences

@@ -20,6 +20,7 @@ from loopcal.document.result_document import DataEntry
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, deviations
 from loopcal.estimation.all_poses import AllPoses
+from loopcal.estimation.cameras.at_board import Sight, sights
 from loopcal.estimation.dependence.dependence import (
     Depending,
     Drifting,
@@ -308,6 +309,13 @@ class FitResult:
         """Quantity -> (N,) sds that were used."""
         sds = np.broadcast_to(self.problem.uncertainty.sd, self.solution.corrections.shape)
         return by_name(self.mechanism.tape.quantities, sds)
+
+    @cached_property
+    def sights(self) -> tuple[Sight, ...]:
+        """What the images say of the place of the body, by camera; none of a stream."""
+        if self.all_poses is not None:
+            return ()
+        return sights(self.problem, self.solution.parameters, self.solution.corrections)
 
     @cached_property
     def residuals_before(self) -> Mapping[str, Array]:

@@ -302,10 +302,21 @@ class Mechanism:
         """The small turns from a measured to the computed orientation, three for each."""
         return tuple(turn for o in self.orientations for turn in o.turns)
 
+    @cached_property
+    def gaps(self) -> tuple[str, ...]:
+        """Of a whole robot, gaps and turns between what touches: they should be as they are read.
+
+        On an arm alone they say nothing beside where the thing stands that it touches.
+        """
+        if self.tree is None or self.chain:
+            return ()
+        between = (q for f in self.families if f.form == "gap" for q in f.readings)
+        return tuple(q for q in between if q in self.implied)
+
     @property
     def compared(self) -> tuple[str, ...]:
-        """What can be compared with what was measured: outputs, and turns of orientations."""
-        return (*self.outputs, *self.turns)
+        """What can be compared with what was measured: outputs, turns of orientations, gaps."""
+        return (*self.outputs, *self.turns, *self.gaps)
 
     @property
     def unused(self) -> frozenset[str]:

@@ -51,9 +51,14 @@ def distance_unit(mechanism: Mechanism) -> str:
 
 def _seen(mechanism: Mechanism, family: Family) -> Iterator[Seen]:
     outputs = [q for q in family.readings if q in mechanism.outputs]
+    station = _station(family)
+    if gaps := [q for q in family.readings if q in mechanism.gaps]:
+        lengths, turns = (
+            tuple(q for q in gaps if mechanism.quantities[q] == si) for si in ("m", "rad")
+        )
+        yield Seen(family.name, None, family.form, lengths, "m", turns, bool(turns))
     if not outputs:
         return
-    station = _station(family)
     small = [q for q in mechanism.turns if q in family.readings]
     if family.form in POLAR:
         yield Seen(family.name, station, family.form, tuple(outputs), "m", ())

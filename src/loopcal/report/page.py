@@ -36,6 +36,8 @@ QUESTIONS = {
     "better": "Better than what you had?",
     "tolerance": "Good enough?",
 }
+_KINDS = {"lens": "camera", "print": "board"}
+"""By the role of a parameter what its owner is."""
 LITTLE = 0.5
 """Sd over prior sd above which it is said that the data tell little."""
 
@@ -169,10 +171,11 @@ class Group:
 
 @dataclass(frozen=True)
 class ParameterGroups:
-    """head: names of the columns; groups: in the order of the machine."""
+    """head: names of the columns; groups: in the order of the machine; by: what they are."""
 
     head: tuple[str, ...]
     groups: tuple[Group, ...]
+    by: str = "joint"
 
     @property
     def rows(self) -> list[tuple[str, ...]]:
@@ -185,12 +188,16 @@ def parameter_groups(source: Source) -> ParameterGroups:
     document = source.document
     shown = shown_parameters(document.parameters, document.terms)
     reach = _reach(shown)
+    kinds = {p.owner: _KINDS[p.role] for p in shown if p.role in _KINDS}
     grouped: dict[str, list[Line]] = {}
     for entry in shown:
         line = _line(entry, reach.get(entry.unit, 0.0), document)
-        grouped.setdefault(entry.owner or REST, []).append(line)
+        kind, name = kinds.get(entry.owner), entry.owner or REST
+        name = name if kind in (None, name) else f"{kind} {name}"
+        grouped.setdefault(name, []).append(line)
     groups = tuple(Group(name, tuple(lines)) for name, lines in grouped.items())
-    return ParameterGroups((*parameter_head(document), "change, 2 sd"), groups)
+    by = "part: robot, cameras, boards" if kinds else "joint"
+    return ParameterGroups((*parameter_head(document), "change, 2 sd"), groups, by)
 
 
 def _reach(entries: Iterable[ParameterEntry]) -> dict[str, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,10 @@ from loopcal.document.tables import (
     TERM_HEAD,
     Stage,
     accuracy_stages,
+    culprit_table,
+    culprit_words,
     distances_shown,
+    place_table,
     shown_parameters,
     term_rows,
 )
@@ -50,7 +54,12 @@ def accuracy_tables(document: ResultDocument) -> list[Table]:
         caption = "Angle between computed and measured orientation, the readings not corrected"
         unit = accuracy.orientation.unit
         tables.append(_distances("orientation", caption, unit, stages.orientation))
-    return tables
+    places = place_table(accuracy, validation, document.region)
+    faults = culprit_table(document.culprits, accuracy.unit)
+    if faults is not None:
+        words = culprit_words(document.culprits, accuracy.unit)
+        faults = replace(faults, caption=f"{faults.caption}. {words}")
+    return [*tables, *(one for one in (places, faults) if one is not None)]
 
 
 def _distances(

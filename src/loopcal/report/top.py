@@ -66,7 +66,8 @@ def accuracy_bars(document: ResultDocument) -> list[Bar]:
     sizes = [size for size in sizes if not (placed and size[0] == "nominal")]
     if stages.noise_floor is not None:
         sizes.append(("noise floor", stages.noise_floor, ""))
-    limit = _tolerance(document)
+    # The tolerance of what a camera sees is a length at the board.
+    limit = _tolerance(document) if accuracy.unit != "px" else None
     if limit is not None:
         sizes.append(("tolerance", limit, ""))
     # Exact readings may leave zeros alone.

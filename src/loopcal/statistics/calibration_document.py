@@ -20,6 +20,8 @@ def calibration_document(fit: ResultDocument, parts: Parts) -> ResultDocument:
         title=parts.title,
         method=parts.method or fit.method,
         chosen=parts.chosen,
+        culprits=parts.culprits,
+        halves=parts.halves,
         parameters=tuple(_parameter(one, parts) for one in fit.parameters),
         accuracy=_accuracy(fit.accuracy, parts.nominal, parts.noise_floor),
         validation=validation,

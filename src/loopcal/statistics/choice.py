@@ -41,8 +41,11 @@ from loopcal.execution.forked import helping, process_cores
 from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
 from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
+from loopcal.statistics.culprits import culprits
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
+from loopcal.statistics.halves import lens_halves
+from loopcal.statistics.image_regions import image_validation
 from loopcal.statistics.judged import Judged, begun, fitted, lean
 from loopcal.statistics.noise_floor import excess, noise_floor
 from loopcal.statistics.risks import (
@@ -144,6 +147,12 @@ def choose(
         judged = _with_fewer(case, judged, plan, executor, progress)
         judged = _refitted(judged, plan, len(case.data), executor)
     taken, chosen, validation = _choice(judged, plan, len(case.data))
+    about_images: dict[str, Any] = {}
+    if plan is not None:
+        accused = culprits(case, judged, taken, plan, run_changes.moved, executor)
+        about_images = {"culprits": accused, "halves": lens_halves(taken, plan, executor)}
+        if validation is not None:
+            validation = replace(validation, images=image_validation(taken, plan, executor))
     assert taken.whole is not None
     exact = (one.failed for one in judged if one.error and one.error.code == CONTRADICTED)
     words = chosen.words + run_changes.words()
@@ -156,6 +165,7 @@ def choose(
         nominal=placed and placed.distances,
         change_points=run_changes.entry,
         discarded=run_changes.discarded,
+        **about_images,
         validation=validation and validation.entry,
     )
     return Choice(result, validation)

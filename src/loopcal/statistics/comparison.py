@@ -101,7 +101,7 @@ def compare(
         stacked = points.S.reshape(-1, len(d))
         P = P - G @ np.linalg.lstsq(stacked @ G, stacked, rcond=None)[0]
     left_out = np.hstack([G, loose])
-    C = _covariance(a.by_residuals, b.by_residuals)
+    C = covariance_between(a.by_residuals, b.by_residuals)
     tested = _statistic(d, C, left_out)
     scattered = None
     if (tested.p_value or 0.0) < SIGNIFICANT:
@@ -259,7 +259,7 @@ def _brought(b: Calibrated, points: _Points) -> tuple[Calibrated, Array]:
     return brought, np.column_stack([motion.rotation, motion.shift])
 
 
-def _covariance(a: Calibrated, b: Calibrated) -> LearntCovariance:
+def covariance_between(a: Calibrated, b: Calibrated) -> LearntCovariance:
     """Of p_B - p_A; a prior that both share counts once."""
     same = np.isfinite(a.prior_sd) & (a.prior_sd == b.prior_sd) & (a.prior_sd > 0.0)
     # A prior is shared only if both began at the same drawing.
@@ -319,7 +319,7 @@ def _by_scatter(
 ) -> _ByScatter | None:
     """The test by the scatter of the poses; None where that does not show to be larger than C."""
     freedom = sum(one.scatter.freedom for one in (a, b) if one.scatter is not None)
-    seen = _covariance(a.by_scatter, b.by_scatter)
+    seen = covariance_between(a.by_scatter, b.by_scatter)
     K = contrasts(C, left_out)
     size = len(K)
     ratio = float(np.trace(seen.through(K).matrix)) / size if size else 0.0

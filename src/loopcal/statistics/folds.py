@@ -13,7 +13,7 @@ cosine and sine of angles, and on lengths over the largest range of any.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypedDict
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 
 Index = NDArray[np.intp]
 # Chosen, not derived: controllers return to a pose within less, people choose poses farther apart.
@@ -261,6 +261,8 @@ Array = NDArray[np.float64]
 # Chosen, not derived: k-means ends at a local optimum, and more starts cost time.
 _STARTS = 20
 # Chosen, not derived: a region of few poses says little, and its rms counts as much.
+_EACH = 5
+"""Different poses of a region of the image, on average."""
 _SMALLEST = 1 / 3
 """A clustering whose smallest block has less than this share of an even one is a poor choice."""
 
@@ -278,11 +280,51 @@ def blocks(mechanism: Mechanism, data: Dataset, groups: Index, number: int) -> t
             code="too-few-poses",
             remedy=f"use 2 to {len(distinct)} blocks",
         )
-    features = _features(mechanism, data)
+    return _regions(_features(mechanism, data), where, number)
+
+
+def _regions(features: Array, where: Index, number: int) -> tuple[Index, ...]:
+    """The positions of each cluster of features (f, N); where: the group of each pose."""
     counts = np.bincount(where)
     centres = np.array([np.bincount(where, row) for row in features]).T / counts[:, None]
     label = _clustered(centres, counts, number)[where]
     return tuple(np.flatnonzero(label == i) for i in range(number))
+
+
+def image_regions(
+    mechanism: Mechanism, data: Dataset, groups: Index, most: int = 5
+) -> Parts | None:
+    """Regions of the image, left out one by one: clusters of where cameras see their boards.
+
+    As many as leave each `_EACH` different poses, at least two; None without cameras, and for
+    fewer poses.
+    """
+    where = np.unique(groups, return_inverse=True)[1]
+    number = min(most, (int(where.max(initial=-1)) + 1) // _EACH)
+    middles = [*_middles(mechanism, data)]
+    if number < 2 or not middles:
+        return None
+    words = f"{number} regions of the image of {len(data)} poses"
+    indices = _regions(np.array(middles), where, number)
+    return Parts(indices, {"blocks": number, "of": "image"}, words)
+
+
+def _middles(mechanism: Mechanism, data: Dataset) -> Iterator[Array]:
+    """u and v (N,) of the middle of what each camera sees, over the larger of their ranges."""
+    for family in mechanism.families:
+        if family.form != PIXELS:
+            continue
+        columns = [
+            np.array([data.readings[q] for q in family.readings[axis::2] if q in data.readings])
+            for axis in (0, 1)
+        ]
+        seen = np.isfinite(columns[0]).sum(axis=0)
+        if not seen.any():
+            continue
+        both = np.array([np.nansum(column, axis=0) for column in columns]) / np.maximum(seen, 1)
+        # An image of other cameras alone is as near to all.
+        both[:, seen == 0] = both[:, seen > 0].mean(axis=1)[:, None]
+        yield from both / (float(np.ptp(both, axis=1).max()) or 1.0)
 
 
 def blocks_of(scheme: Scheme, mechanism: Mechanism, data: Dataset, groups: Index) -> Parts:

@@ -171,7 +171,7 @@ def drift_or_machine(document: ResultDocument) -> Fact | None:
 
     It is among the parameters only where the joints tell the order of the poses (`run_drift`).
     """
-    region = None if document.prediction is None else document.prediction.region
+    region = document.region
     for by in () if region is None else region.by:
         drifts = [p for p in document.parameters if (p.owner, p.unit) == (RUN_DRIFT, by.unit)]
         sd = max((p.sd or 0.0 for p in drifts), default=0.0)

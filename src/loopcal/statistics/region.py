@@ -13,23 +13,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import RegionEntry, RegionRange, RegionSd
+from loopcal.estimation.cameras.at_board import sight_of
+from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.constants import as_now
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.outputs import output_groups
+from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.statistics.prediction import Parts, parts_at
 from loopcal.statistics.predictor import Predictor, trace_sd
 
 Array = NDArray[np.float64]
 # If squares vary by as much as their mean, the rms of 400 is sure to 1 / (2 sqrt(400)) = 2.5 %.
 _POSES = 400
+# Chosen, not derived: of a six-axis arm one pose in twenty puts a board before a camera.
+_TRIED = 16_000
+"""Poses of the box among which those are sought that a camera sees."""
 # Chosen, not derived: memory of the sweep; more poses hardly change a mean.
 _MOST = 2000
 # A quarter turn either way (record 0054).
@@ -59,50 +65,105 @@ def region_of(
     if not driven:
         return None
     ranges = ranges_of(mechanism, {q: corrected[names.index(q)] for q in driven}, stated or {})
-    # A fixed seed: the same result has the same region.
-    rng = np.random.default_rng(0)
-    x = _poses_in(calibrated, ranges, rng)
-    if {one.source for one in ranges} == {"readings"}:
-        rows = [names.index(q) for q in driven]
-        first, last = rng.integers(0, problem.count, (2, _POSES))
-        x[rows] = corrected[rows][:, first]
-        # One share for all joints: a point on the straight way between two poses.
-        x[rows] += rng.random(_POSES) * (corrected[rows][:, last] - x[rows])
     now = as_now(mechanism, problem.pose_constants)
-    constants = now[:, rng.integers(0, now.shape[1] or 1, _POSES)]
     also = [q for i, q in enumerate(names) if unread[i] and q not in still]
+    between = driven if {one.source for one in ranges} == {"readings"} else []
+    groups = output_groups(mechanism)
+    cameras = all(group.points > 1 for group in groups)
+    count = _TRIED if cameras else _POSES
+    x, constants = _random_poses(calibrated, ranges, count, corrected, now, between)
+    if cameras:
+        solved = solving(mechanism, also)
+        values = np.array([p.nominal for p in solved.parameters])
+        pixels = predict_outputs(solved, values, np.nan_to_num(x), constants)
+        seen = np.any([_in_view(corrected, names, group, pixels) for group in groups], axis=0)
+        kept = np.flatnonzero(seen)[:_POSES]
+        if len(kept) < _FEWEST:
+            return None
+        x, constants = x[:, kept], constants[:, kept]
     region = _parts(calibrated, x, constants, also)
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
     fit = _parts(calibrated, corrected[:, some], now[:, some], also, True)
     worst: dict[str, tuple[float, RegionSd]] = {}
-    for group in output_groups(mechanism):
+    for group in groups:
         at, over = (trace_sd(parts.covariance, group) for parts in (fit, region))
+        sizes = {group.unit: (at, over)}
         if group.points > 1:
-            rows = [names.index(q) for q in group.outputs]
-            over[~_in_view(corrected[rows], region.outputs[list(group.rows)])] = np.nan
-        at, over = at[np.isfinite(at)], over[~np.isnan(over)]
-        if not at.size or len(over) < _FEWEST:
-            continue
-        mean, far = (float(np.sqrt(np.square(v).mean())) for v in (at, over))
-        ratio = far / mean if mean else np.inf
-        finite = (far, ratio) if np.isfinite(far) and np.isfinite(ratio) else (None, None)
-        if ratio >= worst.get(group.unit, (0.0, None))[0]:
-            worst[group.unit] = ratio, RegionSd(group.unit, mean, *finite)
+            out = ~_in_view(corrected, names, group, region.outputs)
+            over[out] = np.nan
+            at, over = (
+                _at_board(calibrated, group, *one)
+                for one in ((corrected[:, some], now[:, some], fit), (x, constants, region))
+            )
+            over[out] = np.nan
+            sizes["m"] = at, over
+        for unit, (at, over) in sizes.items():
+            ratio, sd = _ratio(unit, at[np.isfinite(at)], over[~np.isnan(over)])
+            if sd is not None and ratio >= worst.get(unit, (0.0, None))[0]:
+                worst[unit] = ratio, sd
     by = sorted(worst.values(), key=lambda one: -one[0])
     return RegionEntry(tuple(ranges), tuple(one for _, one in by)) if by else None
 
 
-def _in_view(seen: Array, predicted: Array) -> NDArray[np.bool_]:
-    """(N,) the poses of a region that put the middle of a board where a camera sees it.
+def _random_poses(
+    calibrated: Predictor,
+    ranges: Sequence[RegionRange],
+    count: int,
+    corrected: Array,
+    now: Array,
+    between: Sequence[str],
+) -> tuple[Array, Array]:
+    """Readings (k, N) and constants (c, N) of random poses of the box, or on the ways between
+    those measured, corrected (k, M), of these readings; now: the constants (c, M) there."""
+    names = calibrated.mechanism.tape.quantities
+    # A fixed seed: the same result has the same region.
+    rng = np.random.default_rng(0)
+    x = _poses_in(calibrated, ranges, rng, count)
+    if between:
+        rows = [names.index(q) for q in between]
+        first, last = rng.integers(0, corrected.shape[1], (2, count))
+        x[rows] = corrected[rows][:, first]
+        # One share for all joints: a point on the straight way between two poses.
+        x[rows] += rng.random(count) * (corrected[rows][:, last] - x[rows])
+    return x, now[:, rng.integers(0, now.shape[1] or 1, count)]
 
-    seen, predicted: pixels u, v of its points in turn (2 points, N). A camera sees as far as
-    corners reach, and half of that farther on each side.
+
+def _ratio(unit: str, at: Array, over: Array) -> tuple[float, RegionSd | None]:
+    """Of the sds over the region to those at the poses of the fit; no sd where poses are few."""
+    if not at.size or len(over) < _FEWEST:
+        return 0.0, None
+    mean, far = (float(np.sqrt(np.square(v).mean())) for v in (at, over))
+    ratio = far / mean if mean else np.inf
+    finite = (far, ratio) if np.isfinite(far) and np.isfinite(ratio) else (None, None)
+    return ratio, RegionSd(unit, mean, *finite)
+
+
+def _at_board(
+    calibrated: Predictor, group: OutputGroup, x: Array, constants: Array, parts: Parts
+) -> Array:
+    """(N,) sd [m] of the board that a camera sees at readings x (k, N)."""
+    mechanism = calibrated.mechanism
+    values = np.array([p.nominal for p in mechanism.parameters])
+    sight = sight_of(mechanism, group.instrument, values, np.nan_to_num(x), constants)
+    o = len(mechanism.outputs)
+    return replace(sight, slopes=sight.slopes[:, :, :o]).sds(parts.covariance)
+
+
+def _in_view(
+    readings: Array, names: Sequence[str], group: OutputGroup, outputs: Array
+) -> NDArray[np.bool_]:
+    """(N,) the poses of a region that put a whole board where a camera sees it.
+
+    readings (k, M): with the pixels at the poses of the fit, in the order of names; outputs (o, N):
+    with those of the region. A camera sees as far as corners reach, and half of that farther on
+    each side.
     """
-    inside = np.ones(predicted.shape[1], dtype=bool)
+    inside = np.ones(outputs.shape[1], dtype=bool)
     for axis in (0, 1):
-        low, high = np.nanmin(seen[axis::2]), np.nanmax(seen[axis::2])
-        middle, half = 0.5 * (low + high), high - low
-        inside &= np.abs(np.median(predicted[axis::2], axis=0) - middle) <= half
+        seen = readings[[names.index(q) for q in group.outputs[axis::2]]]
+        low, high = np.nanmin(seen), np.nanmax(seen)
+        off = outputs[list(group.rows[axis::2])] - 0.5 * (low + high)
+        inside &= (np.abs(off) <= high - low).all(axis=0)
     return inside
 
 
@@ -128,14 +189,14 @@ def ranges_of(
 
 
 def _poses_in(
-    calibrated: Predictor, ranges: Sequence[RegionRange], rng: np.random.Generator
+    calibrated: Predictor, ranges: Sequence[RegionRange], rng: np.random.Generator, count: int
 ) -> Array:
     """(k, N) random readings [SI] of the box, what it does not hold as is typical."""
     names = calibrated.mechanism.tape.quantities
     home = np.array([calibrated.typical.get(q, 0.0) for q in names])
-    x = np.repeat(home[:, None], _POSES, axis=1)
+    x = np.repeat(home[:, None], count, axis=1)
     for one in ranges:
-        x[names.index(one.quantity)] = rng.uniform(one.low, one.high, _POSES)
+        x[names.index(one.quantity)] = rng.uniform(one.low, one.high, count)
     return x
 
 
@@ -146,7 +207,7 @@ def sds_in(
 
     constants: those of each pose [SI], such as a temperature.
     """
-    x = _poses_in(calibrated, ranges, np.random.default_rng(0))
+    x = _poses_in(calibrated, ranges, np.random.default_rng(0), _POSES)
     values = [constants[name] for name in calibrated.mechanism.tape.pose_constants]
     rows = np.repeat(np.reshape(values, (-1, 1)), _POSES, axis=1)
     covariance = _parts(calibrated, x, rows, []).from_parameters

@@ -13,10 +13,12 @@ from collections.abc import Callable, Sequence
 from loopcal.document.accuracy import Coverage
 from loopcal.document.change_points import ChangePoint, hold, when
 from loopcal.document.choice import DECISIVE, TermEntry
+from loopcal.document.findings import HalvesEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.presentation.shown import percent
+from loopcal.small_samples import t_quantile
 from loopcal.statistics.calibrated import rejected_by, residual_factor
 from loopcal.statistics.judged_machine import far_from_nominal, off_the_drawing, prior_tension
 from loopcal.statistics.judged_readings import (
@@ -40,6 +42,9 @@ SMALL = 0.5
 # Half an sd beside one in quadrature: 0.25 / (1 + 0.25) = 0.2.
 LEAST_SHARE = 0.2
 """The share of the variance that adds half an sd to errors, as in SMALL."""
+# Three sds of a normal distribution, both sides.
+APART = 0.0027
+"""How rarely two halves of honest images may put a parameter so far apart."""
 # Chosen, not derived: what fits a line.
 _NAMED = 3
 """Change points that a finding names."""
@@ -72,7 +77,7 @@ def _beside(document: ResultDocument, point: ChangePoint) -> float:
 
     The sds are as stated: what residuals add to them may be the change itself.
     """
-    region = None if document.prediction is None else document.prediction.region
+    region = document.region
     stated = None if region is None else region.of(point.unit)
     if stated is None or point.moves is None or not stated.sd_at_poses:
         return math.inf
@@ -239,7 +244,7 @@ def _scales(document: ResultDocument) -> Fact | None:
     worst = min(sure, key=lambda one: (not one.instruments, one.p_value))
     numbers = {"ppm": Figure(1e6 * worst.size), "sd": Figure(1e6 * worst.sd)}
     numbers["moves"] = Figure(worst.moves, "m")
-    region = None if document.prediction is None else document.prediction.region
+    region = document.region
     stated = None if region is None else region.of("m")
     sd = 0.0 if stated is None else stated.sd_at_poses or 0.0
     little = worst.moves < SMALL * sd
@@ -257,6 +262,23 @@ def _optima(document: ResultDocument) -> Fact | None:
     if not others:
         return None
     return fact("other-optimum", optimum=f"{others[0].words[0].upper()}{others[0].words[1:]}")
+
+
+def _halves(document: ResultDocument) -> Fact | None:
+    """Lenses that two halves of the images see differently."""
+    rest = sum(not one.name.endswith("_f") for one in document.halves)
+
+    def over(one: HalvesEntry) -> float:
+        # Each focal length stands alone; the others share the level (Bonferroni).
+        level = APART if one.name.endswith("_f") else APART / rest
+        return abs(one.sds) / t_quantile(1.0 - level, one.degrees_of_freedom or math.inf)
+
+    worst = max(document.halves, key=over, default=None)
+    if worst is None or over(worst) <= 1.0:
+        return None
+    first, second = (Figure(value, worst.unit) for value in (worst.first, worst.second))
+    numbers = {"sds": Figure(abs(worst.sds)), "first": first, "second": second}
+    return fact("halves-disagree", Where(parameters=(worst.name,)), numbers)
 
 
 def _undetermined(document: ResultDocument) -> Fact | None:
@@ -303,6 +325,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _unsettled,
     undetected,
     _mounting,
+    _halves,
     _optima,
     _undetermined,
     _no_test,

@@ -20,7 +20,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.accuracy import Coverage, FailedPart, ValidationEntry
+from loopcal.document.accuracy import BoardPlace, Coverage, FailedPart, ValidationEntry
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
 from loopcal.estimation.dependence.dependence import Drifting
@@ -82,8 +82,9 @@ class Validation:
     terms, distances: (N,) between computed and measured outputs, both in the order of `poses`;
     parts: how many parts were to be predicted; failed: those whose fit failed, which do not count;
     inside: (N,) 1 where the measured point lies in its stated region of probability `LEVEL`, else
-    0, NaN where a pose has none, None where the method states none; blocked: the same for regions
-    of the joint space left out one by one, None where that was not asked for.
+    0, NaN where a pose has none, None where the method states none; places: of the boards that
+    cameras see; blocked: the same for regions of the joint space left out one by one, None where
+    that was not asked for; images: the same for regions of the image.
     """
 
     __repr__ = brief
@@ -98,7 +99,9 @@ class Validation:
     parts: int = 1
     failed: tuple[FailedPart, ...] = ()
     inside: Array | None = None
+    places: tuple[BoardPlace, ...] = ()
     blocked: Validation | None = None
+    images: Validation | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -128,7 +131,9 @@ class Validation:
             self.parts,
             self.failed,
             self.coverage,
+            self.places,
             None if self.blocked is None else self.blocked.entry,
+            None if self.images is None else self.images.entry,
         )
 
 
@@ -502,4 +507,13 @@ def _pooled(
         len(made),
         failed,
         inside[predicted] if judged else None,
+        _places(whole, data, differences) if predictives is not None else (),
     )
+
+
+def _places(whole: FitResult, data: Dataset, differences: Array) -> tuple[BoardPlace, ...]:
+    """Of differences (c, N); none where the fit had other poses."""
+    if whole.problem.poses != data.poses:
+        return ()
+    places = (sight.place(differences) for sight in whole.sights)
+    return tuple(place for place in places if place)

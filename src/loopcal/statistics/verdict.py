@@ -14,7 +14,7 @@ guard band the decision is open (JCGM 106:2012, section 8.3).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from loopcal import chi_squared
 from loopcal.document import catalogue
-from loopcal.document.accuracy import Distances
+from loopcal.document.accuracy import BoardPlace, Distances
 from loopcal.document.catalogue import CATALOGUE
 from loopcal.document.choice import beats
 from loopcal.document.result_document import ResultDocument
@@ -57,7 +57,8 @@ def judged(
     command lines.
     """
     made = findings_of(document, tolerance, files)
-    metric = document.accuracy is not None and document.accuracy.unit == "m"
+    accuracy = document.accuracy
+    metric = accuracy is not None and (accuracy.unit == "m" or bool(accuracy.places))
     verdict = Verdict.of(made, files.get("project") if metric else None)
     return replace(document, verdict=verdict, findings=made)
 
@@ -123,7 +124,7 @@ def valid(document: ResultDocument) -> Fact:
     """Where: the predicted sd in the working region beside that at the measured poses."""
     if document.column_faults or not document.status.converged:
         return fact("region-not-judged")
-    region = None if document.prediction is None else document.prediction.region
+    region = document.region
     if region is None:
         return fact("region-unknown")
     sources = {one.source for one in region.ranges}
@@ -225,29 +226,43 @@ def _compared(document: ResultDocument, unseen: Distances) -> _Compared:
     return _Compared(unseen.rms, tuple(sorted(paired, key=lambda r: r.name != _DRAWN)))
 
 
+_ONLY_IMAGES = "only the images say where the board is"
+
+
 def good_enough(document: ResultDocument, tolerance: float | None) -> Fact | None:
     """Whether 95 % of poses keep a tolerance; None where none is stated."""
     if tolerance is None:
         return None
     accuracy, validation = document.accuracy, document.validation
-    unseen = None if validation is None else (validation.blocked or validation).accuracy
+    held = None if validation is None else validation.blocked or validation
     if accuracy is None:
         return fact("no-distances", reason=document.why_no_accuracy)
+    unit, unseen = accuracy.unit, None if held is None else held.accuracy
+    if unit == "px":
+        if not accuracy.places:
+            return fact("no-distances", reason=_ONLY_IMAGES)
+        unit, unseen = "m", None if held is None else _place(held.places)
     if unseen is None:
         return fact("tolerance-untested")
-    unit = accuracy.unit
     quantile = Quantile.of_summary(unseen.p95, unseen.poses or document.data.used)
     quantile = quantile and quantile.widened(_beyond(document, unit))
-    region = None if document.prediction is None else document.prediction.region
+    region = document.region
     seen = region is not None and region.of(unit) is not None
     where = "in the working region" if seen else "near the measured poses"
     return kept(quantile, tolerance, unit, where)
 
 
+def _place(places: Sequence[BoardPlace]) -> Distances | None:
+    """By all cameras together; where they see several bodies, by the worst of them."""
+    together = [one.position for one in places if one.instrument is None]
+    every = together or [one.position for one in places]
+    return max((one for one in every if one), key=lambda one: one.p95, default=None)
+
+
 def _beyond(document: ResultDocument, unit: str) -> float:
     """95 % of the error [unit] that the parameters add in the working region to that at the poses;
     0 where the region is not known."""
-    region = None if document.prediction is None else document.prediction.region
+    region = document.region
     region_sd = None if region is None else region.of(unit)
     if region_sd is None:
         return 0.0

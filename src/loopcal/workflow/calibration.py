@@ -129,7 +129,7 @@ def run_calibration(
                 remedy=nearest(name, QUESTIONS),
             )
     run = _Run(named_project(project, function), request, out, executor, listeners, function)
-    refuse_tolerance(run.project.mechanism, request.tolerance)
+    refuse_tolerance(run.project.mechanism, request.tolerance, at_boards=True)
     stream = project_stream(run.project)
     folded = run.fit.method.choice or (run.validation is not None and run.validation.folds)
     if executor and not (folded or stream or run.patterns or request.compare):

@@ -84,16 +84,18 @@ def project_files(project: Project, function: str | None) -> dict[str, str]:
     return {} if project.path is None or function else {"project": str(project.path)}
 
 
-def refuse_tolerance(mechanism: Mechanism, tolerance: float | None) -> None:
+def refuse_tolerance(
+    mechanism: Mechanism, tolerance: float | None, *, at_boards: bool = False
+) -> None:
     """Raise InputError for a tolerance [m] that is not above zero, or of a machine without lengths
-    among its outputs."""
+    among its outputs; at_boards: those of boards that cameras see are judged as well."""
     if tolerance is None:
         return
     from loopcal.statistics.verification import check_tolerance
 
     check_tolerance(tolerance)
     units = {mechanism.quantities[q] for q in mechanism.outputs}
-    if "m" not in units:
+    if not units & {"m", "px" if at_boards else "m"}:
         raise InputError(
             f"the tolerance is a distance, but {mechanism.name!r} has no output that is a length",
             code="wrong-unit",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from loopcal.document.accuracy import ValidationEntry
+from loopcal.statistics.verdict import findings_of
 from tests.mechanisms.test_camera import LENS, POINTS, hands, pixels
 from tests.refusals import refused
 
@@ -52,6 +55,14 @@ def test_a_folder_becomes_a_project_that_finds_the_lens(tmp_path: Path, robot: b
     assert f.sd is not None
     assert abs(f.value - LENS.fx) < 4.0 * f.sd
     assert f.sd < 0.05 * LENS.fx
+    document = result.document
+    assert document.accuracy is not None
+    assert bool(document.accuracy.places) == robot  # a board that nobody holds is where it is seen
+    held = ValidationEntry({}, "", 24, document.accuracy.after, None)
+    held = replace(held, places=document.accuracy.places)
+    for tolerance, robot_code in ((10e-3, "within-tolerance"), (1e-5, "outside-tolerance")):
+        codes = [one.code for one in findings_of(replace(document, validation=held), tolerance)]
+        assert (robot_code if robot else "unknown-accuracy") in codes
 
 
 def test_corners_without_a_board_are_refused(tmp_path: Path) -> None:

@@ -145,7 +145,7 @@ def _budget(
     from_parameters = _rms(prediction.from_parameters, group, usable)
     poses = f"{document.data.used} poses and the sds of their readings, with placement and effects"
     parts = [Contribution("estimated parameters", poses, from_parameters, True)]
-    region = None if document.prediction is None else document.prediction.region
+    region = document.region
     valid = None if region is None else region.of("m")
     stated = _rms(prediction.covariance, group, usable)
     if prediction.from_readings is None:

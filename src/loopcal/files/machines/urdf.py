@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed, nearest, unknown_name
 from loopcal.files.machines.safe_xml import at, children, local, read_xml
 from loopcal.files.toml.reader import shown
-from loopcal.mechanisms.bodies import Hanging
+from loopcal.mechanisms.bodies import Hanging, tree_machine
 from loopcal.mechanisms.chain import AxisFrame, fixed_frame, product, refuse_long_chain
 from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.machine import Machine
@@ -60,6 +60,21 @@ def read_tree(
         for e in elements.values()
     )
     return root, bodies, _masses(robot, root, elements.values())
+
+
+def urdf_tree(
+    path: str | Path, use: Sequence[str], *, root: str | None = None, name: str | None = None
+) -> Machine:
+    """The machine of a whole robot: all joints between the root of a URDF and the links in `use`.
+
+    T_A_B of two links is the product of the joints between them, as of `urdf`; instruments name the
+    two (`on`, `against`). use: such as both hands, or a hand and the camera's link; root: the link
+    that stands for the ground, by default the one on which all others hang.
+
+    Raises InputError with file and line as `urdf` does.
+    """
+    top, bodies, masses = read_tree(path, use, root)
+    return tree_machine(bodies, root=top, name=name or Path(path).stem, masses=masses)
 
 
 @dataclass(frozen=True)
