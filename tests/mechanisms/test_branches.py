@@ -15,6 +15,7 @@ from loopcal.companions.robot.exports.registry import format_named
 from loopcal.expressions.engine import engine_for
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.mechanisms.chain import product
+from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.mechanisms.structure.structured import structured
 from loopcal.statistics.region import ranges_of
 from tests.refusals import refused
@@ -151,3 +152,13 @@ def test_a_waist_gives_way_under_all_that_both_arms_weigh(tmp_path: Path) -> Non
     # what yields in the left arm leaves the right hand; the right arm's weight turns the left one
     assert [change["left_2_yield"][f"r_{axis}"] for axis in "xyz"] == [0.0, 0.0, 0.0]
     assert abs(change["waist_sag_z_right_hand_tool"]["l_x"]) > 1e-3
+
+
+def test_the_skeleton_shows_both_arms(tmp_path: Path) -> None:
+    mechanism = twin(tmp_path)
+    lines, labels = skeleton(mechanism, dict.fromkeys(JOINTS, 0.0)), skeleton_labels(mechanism)
+    assert lines is not None
+    assert len(lines) == len(labels) == 2 * (1 + 4 + 2) + 1
+    assert [q for q in labels if q in JOINTS] == JOINTS  # the waist, in both, is named once
+    ends = lines[[i for i, name in enumerate(labels) if name == "end point"]]
+    assert ends == pytest.approx(np.array([[1.05, 0.2, 0.86], [1.05, -0.2, 0.86]]))

@@ -183,15 +183,15 @@ class Traced:
 
 def seen_points(mechanism: Mechanism) -> tuple[SeenPoint, ...]:
     """The points in space that instruments see of an arm or a tree; none of other machines."""
-    seen = []
-    for family in mechanism.families if mechanism.tree is not None else ():
+    seen, tree = [], mechanism.tree
+    for family in () if tree is None else mechanism.families:
         outputs = point_outputs(mechanism, family)
         target = tuple(n for n in family.mounted if mechanism.parameters[n].unit == "m")
         if len(outputs) != 3 or len(target) not in (0, 3):
             continue
         stands = family.placement
         station = stands.steps if isinstance(stands, Station) else ()
-        steps = (*station, *mechanism.tree.path(family.on, family.against))
+        steps = (*station, *tree.path(family.on, family.against))
         seen.append(SeenPoint(family, outputs, steps, target))
     return tuple(seen)
 

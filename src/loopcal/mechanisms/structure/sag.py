@@ -161,8 +161,8 @@ class Branch:
         """The frames of base and joints, that of the body, and by number of a frame the small turn
         (3,) by which it gives way; all in the first frame of the chain."""
         links, body, masses = self._links(x, p)
-        own = [c for c in columns if c.load in self.loads or (c.load == MASSES and self._weighed)]
-        return links, body, self._link_turns(links, body, masses, own, x, p)
+        kept = [c for c in columns if c.load in self.loads or (c.load == MASSES and self._weighed)]
+        return links, body, self._link_turns(links, body, masses, kept, x, p)
 
     def next_axis(self, joint: str, x: Values, p: Values) -> tuple[str, Vector] | None:
         """The next joint behind the base or a joint, and its axis (3,) in the first frame; None

@@ -225,11 +225,11 @@ def _in_space(mechanism: Mechanism) -> Sag | None:
         if places_itself(mechanism):
             ahead = next(i for i, step in enumerate(chain) if step.joint)
         moves = {step.joint for step in chain}
-        own = tuple(load for load in waiting if load.joint in moves)
+        borne = tuple(load for load in waiting if load.joint in moves)
         waiting = [load for load in waiting if load.joint not in moves]
         several = name if len(ends) > 1 else ""
         target = _target(mechanism, several)
-        branches.append(Branch(chain, ahead, target, down, own, mechanism.payload, several))
+        branches.append(Branch(chain, ahead, target, down, borne, mechanism.payload, several))
     stands = {}
     for name, path in paths.items():
         apart = [tree.ways(name, end) for end in ends]
