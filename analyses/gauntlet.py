@@ -56,7 +56,11 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "LOOPCAL_THREADS": "1"}
 def stamp() -> str:
     """A hash of all that a draw judges: the package, and the gauntlet's own files."""
     here, package = Path(__file__).parent, Path(loopcal.__file__).parent
-    own = [*here.glob("gauntlet*.py"), *here.glob("lives_[pt]*.py")]
+    own = [
+        *here.glob("gauntlet*.py"),
+        *here.glob("lives_[pt]*.py"),
+        *here.glob("cameras_truth.py"),
+    ]
     files = [*sorted(package.rglob("*.py")), *sorted(own)]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:12]
 

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from analyses.gauntlet_cameras import Photographed
 from analyses.gauntlet_days import Day, Planted, afterwards, made
 from analyses.gauntlet_kinds import KINDS, Kind
 from analyses.gauntlet_rivals import Rival, rival
@@ -89,7 +90,10 @@ def answered(name: str, draw: int, root: Path) -> Draw:
     kind, begun = KINDS[name], time.process_time()
     answer: Draw = {"kind": name, "draw": draw}
     try:
-        answer |= _later(kind, draw, root) if kind.later else _first(kind, draw, root)
+        if kind.photographed is not None:
+            answer |= _images(kind, kind.photographed, draw, root)
+        else:
+            answer |= _later(kind, draw, root) if kind.later else _first(kind, draw, root)
     except Exception as error:  # an error of the gauntlet's own is counted and ends nothing
         answer["failed"] = repr(error)[:300]
     return answer | {"cpu": round(time.process_time() - begun, 2)}
@@ -138,6 +142,26 @@ def _first(kind: Kind, draw: int, root: Path) -> Draw:
         (folder / RIVAL_POINTS).write_text(json.dumps(kept))
     else:
         shutil.rmtree(folder)
+    return answer
+
+
+def _images(kind: Kind, photographed: Photographed, draw: int, root: Path) -> Draw:
+    """A folder of corners, board and poses that `init` calibrates."""
+    folder = root / f"{re.sub('[^a-z0-9]+', '-', kind.name)}-{draw}"
+    shutil.rmtree(folder, ignore_errors=True)
+    shots, planted = photographed.written(draw, folder / "images", _seed(kind.name, draw))
+    robot = ["--dh", "images/dh.csv"] if (folder / "images" / "dh.csv").exists() else []
+    done = asked(folder, "init", "images", *robot, "--out", "calibration", "--run")
+    answer: Draw = {"planted": planted.document(), "exit": done.returncode}
+    answer |= {"family": shots.rig.family, "told": done.stdout}
+    path = folder / CALIBRATION / "result.json"
+    if not path.exists():
+        return answer | {"refused": True, "told": done.stdout + done.stderr[-4000:]}
+    result = json.loads(path.read_text("utf-8"))
+    answer |= {question: result["verdict"][question]["passed"] for question in QUESTIONS}
+    answer |= {"codes": [result["verdict"][question]["code"] for question in QUESTIONS]}
+    answer["findings"] = [{"place": one["place"]} for one in result["findings"]]
+    shutil.rmtree(folder)
     return answer
 
 

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from analyses import gauntlet_days as days
+from analyses.gauntlet_cameras import KINDS as PHOTOGRAPHED
+from analyses.gauntlet_cameras import Photographed
 from analyses.gauntlet_days import Event
 from analyses.gauntlet_truth import Arm
 from analyses.lives_parallel import relinked
@@ -55,6 +57,7 @@ class Kind:
     happens: Callable[[Machine], bool] = lambda user: True
     column: bool = False
     placed: bool = False
+    photographed: Photographed | None = None
     cell: str = ","
 
     def machine(self, draw: int) -> Machine:
@@ -197,4 +200,8 @@ LATER = (
         column=True,
     ),
 )
-KINDS = {kind.name: kind for kind in (*CLEAN, *FIRST, *LATER)}
+IMAGES = tuple(
+    Kind(name, clean=names is None, names=names, photographed=photographed)
+    for name, (photographed, names) in PHOTOGRAPHED.items()
+)
+KINDS = {kind.name: kind for kind in (*CLEAN, *FIRST, *LATER, *IMAGES)}

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from analyses.gauntlet_kinds import CLEAN, FIRST, KINDS, LATER, Kind
+from analyses.gauntlet_kinds import CLEAN, FIRST, IMAGES, KINDS, LATER, Kind
 from analyses.kept import Draw
 from analyses.lives_truth import DEGREE
 
@@ -135,6 +135,7 @@ def tables(draws: Sequence[Draw]) -> str:
     clean = [draw for kind in CLEAN for draw in by[kind.name]]
     lines = []
     groups = {"first day, clean": CLEAN, "first day, faulty": FIRST, "later day": LATER}
+    groups["images"] = IMAGES
     for title, kinds in groups.items():
         rows = [row(kind, by[kind.name]) for kind in kinds if by[kind.name]]
         if rows:

@@ -19,7 +19,7 @@ from analyses import gauntlet_days as days
 from analyses import rates
 from analyses.gauntlet_asked import answered, asked
 from analyses.gauntlet_days import Planted, afterwards, made
-from analyses.gauntlet_kinds import CLEAN, FIRST, KINDS, LATER
+from analyses.gauntlet_kinds import CLEAN, FIRST, IMAGES, KINDS, LATER
 from analyses.gauntlet_rivals import rival
 from analyses.gauntlet_truth import Arm, drawn
 from analyses.kept import kept
@@ -239,4 +239,4 @@ def test_a_rate_has_the_interval_of_its_number_of_draws() -> None:
 
 def test_there_are_kinds_enough() -> None:
     assert len(CLEAN) >= 20
-    assert len(KINDS) == len(CLEAN) + len(FIRST) + len(LATER) >= 70
+    assert len(KINDS) == len(CLEAN) + len(FIRST) + len(LATER) + len(IMAGES) >= 70

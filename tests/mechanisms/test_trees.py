@@ -135,9 +135,8 @@ def test_a_displaced_body_moves_what_is_seen_of_it_and_from_it() -> None:
     whole = structured(made, discrepancy=4)
     assert {"discrepancy_l2_x_cos1", "discrepancy_r2_x_cos1"} <= set(whole.parameters.names)
     assert not any("_rx_" in n for n in whole.parameters.names if n.startswith("discrepancy"))
-    features = whole.structure and whole.structure.smooth
-    assert features is not None
-    assert features["l2"].joints == ("q_l0", "q_l1", "q_l2")
+    assert whole.structure is not None
+    assert whole.structure.smooth["l2"].joints == ("q_l0", "q_l1", "q_l2")
 
 
 @pytest.mark.parametrize(

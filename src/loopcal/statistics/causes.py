@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.mechanisms.outputs import measured_points
 from loopcal.statistics.pose_tests import Fitted, try_rows
 from loopcal.units import from_si, to_si
@@ -175,8 +176,14 @@ def _of_several(problem: Problem, dataset: Dataset, x: Array, units: list[str]) 
         for j, name in enumerate(names)
         if name in dataset.readings and name not in problem.mechanism.disturbances
     ]
+    for family in problem.mechanism.families:
+        if family.form == PIXELS:
+            # A board detected from its other end numbers its points backwards.
+            pairs = np.array([names.index(q) for q in family.readings]).reshape(-1, 2)
+            words = f"points of {family.name!r} in another order: turned by half a turn"
+            yield _Guess(words, None, _with(x, pairs.ravel(), x[pairs[::-1].ravel()]))
     for j, other in combinations(real, 2):
-        if units[j] == units[other]:
+        if units[j] == units[other] != "px":
             words = f"{names[j]} and {names[other]} exchanged"
             yield _Guess(words, None, _with(x, [j, other], [x[other], x[j]]))
     for unit, ratios in _RATIOS.items():

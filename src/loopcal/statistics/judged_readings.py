@@ -71,22 +71,34 @@ class Readings:
         single = whole / max(len(self.data.quantities), 1) if poses else 1.0
         if by_residuals:
             whole, single = whole**_UNLIKE, single**_UNLIKE
+        corners = [entry.pose for entry in self.outliers if entry.unit == "px"]
         named = [
             entry.pose
             for entry in self.outliers
-            if entry.p_value <= (whole if entry.quantity is None else single)
+            if entry.unit != "px" and entry.p_value <= (whole if entry.quantity is None else single)
         ]
         bad = tuple(dict.fromkeys(named))
         # Too few poses are left to tell: any few can be fitted exactly.
         few = 2 * poses < self.data.used or 2 * len(bad) > poses
-        if not bad or (by_residuals and few):
+        if by_residuals and few:
+            bad = ()
+        count = [] if not bad else [f"{len(bad)} poses" if len(bad) > 1 else "1 pose"]
+        if corners:
+            images = len(set(corners))
+            count.append(
+                f"{len(corners)} corner{'s' * (len(corners) > 1)} in {images} "
+                f"image{'s' * (images > 1)}"
+            )
+        if not count:
             return None
+        several = len(count) > 1 or len(bad) > 1 or len(corners) > 1
+        bad = tuple(dict.fromkeys([*bad, *corners]))
         return fact(
             "outliers",
             Where(poses=bad),
             {"poses": len(bad)},
             named=", ".join(bad[:5]) + (", ..." if len(bad) > 5 else ""),
-            count=f"{len(bad)} poses do" if len(bad) > 1 else "1 pose does",
+            count=" and ".join(count) + (" do" if several else " does"),
         )
 
     def _rows_copied(self) -> Fact | None:

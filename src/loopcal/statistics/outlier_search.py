@@ -2,7 +2,8 @@
 
 One gross error bends a fit and hides itself and others. So the search starts from a robust fit,
 leaves out what is remarkable there, fits the rest, and tests every pose against that fit, those
-left out as well, until the same poses are left out twice (Rousseeuw and Leroy 1987).
+left out as well, until the same poses are left out twice (Rousseeuw and Leroy 1987). An image is a
+pose, and is tested without those of its corners that do not fit the others (`wrong_corners`).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from loopcal.statistics.pose_tests import (
     settle,
     tail,
 )
+from loopcal.statistics.wrong_corners import wrong_corners
 
 Array = NDArray[np.float64]
 # Concentration keeps the other seven tenths (docs/explanation/outliers.md).
@@ -54,7 +56,8 @@ class Search:
     """The search for the set of poses that do not fit."""
 
     def __init__(self, result: FitResult, level: float, scale: str) -> None:
-        self.result, self.problem = result, result.problem
+        self.result, self.corners = result, wrong_corners(result, 0.5 * level)
+        self.problem = self.corners.problem if self.corners.corners else result.problem
         self.exact = result.fit.solver.exact
         self.level = level
         learnt = scale == "auto" and result.estimate is not None
@@ -80,7 +83,8 @@ class Search:
         parameters = np.array([result.value[n] for n in problem.mechanism.parameters.names])
         corrections = np.array([result.corrections[q] for q in problem.mechanism.tape.quantities])
         covariance = result.spectrum.covariance()
-        fit = self._scaled(Fitted(parameters, corrections, covariance, 1.0), none)
+        fit = Fitted(parameters, corrections, covariance, 1.0)
+        fit = self._fitted(fit, none) if self.corners.corners else self._scaled(fit, none)
         tests = pose_tests(problem, fit, ~none)
         unremarkable = result.status.converged and not self._remarkable(tests).any()
         if unremarkable and fit.factor == 1.0:

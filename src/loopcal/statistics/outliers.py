@@ -134,6 +134,7 @@ def find_poses(result: FitResult, level: float = _LEVEL, scale: str = _SCALE) ->
     root = float(np.sqrt(fit.factor))
     chi = result.chi_squared
     rejected = chi.p_value if chi is not None and chi.too_large else None
+    named += search.corners.outliers
     return Outliers(named, level, search.tested(tests), root, fit.factor != 1.0, rejected=rejected)
 
 

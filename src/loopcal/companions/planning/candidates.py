@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.companions.planning.view import faces, in_image
 from loopcal.errors import InputError, listed
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -129,12 +130,16 @@ def drawn(mechanism: Mechanism, ranges: Mapping[str, Span], site: PlanSettings) 
     return _joined(parts, number, lambda pose: (int(pose) - 1) % number % 2 == 0)
 
 
-def stated_candidates(mechanism: Mechanism, poses: Dataset, site: PlanSettings) -> Candidates:
+def stated_candidates(
+    mechanism: Mechanism, poses: Dataset, site: PlanSettings, *, seen: bool = False
+) -> Candidates:
     """These poses, without those whose loops do not close and those that are not allowed.
+
+    seen: whether cameras are known to see the boards, as of candidates at another machine.
 
     Raises InputError where none is left.
     """
-    return _joined([_sifted(mechanism, poses, site)], len(poses))
+    return _joined([_sifted(mechanism, poses, site, seen=seen)], len(poses))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +156,9 @@ class _Sifted:
         return 0 if self.driven is None else len(self.driven)
 
 
-def _sifted(mechanism: Mechanism, poses: Dataset, site: PlanSettings) -> _Sifted:
+def _sifted(
+    mechanism: Mechanism, poses: Dataset, site: PlanSettings, *, seen: bool = False
+) -> _Sifted:
     computed = {*mechanism.outputs, *mechanism.turns, *mechanism.disturbances}
     computed |= {column for o in mechanism.orientations for column in o.columns}
     units = {**mechanism.quantities, **mechanism.pose_constants}
@@ -164,10 +171,14 @@ def _sifted(mechanism: Mechanism, poses: Dataset, site: PlanSettings) -> _Sifted
     driven = Dataset.from_arrays(readings, units={q: units[q] for q in readings}, poses=poses.poses)
     closes = stated & within_reach(mechanism, driven)
     refused = {} if closes.all() else {"loops do not close": int((~closes).sum())}
+    # Before anything is predicted: beside a camera there are no pixels.
+    if not seen and not (before := faces(mechanism, driven)).all():
+        refused["board not before a camera"] = int((closes & ~before).sum())
+        closes &= before
     if not closes.any():
         return _Sifted(len(poses), refused)
     closed = simulate(mechanism, driven.take(np.flatnonzero(closes)), noise=EXACT, seed=0).dataset
-    rules = allowed(mechanism, site, closed)
+    rules = allowed(mechanism, site, closed, seen=seen)
     refused |= rules.refused
     if not rules.poses.any():
         return _Sifted(len(poses), refused)
@@ -280,7 +291,9 @@ class Allowed:
     refused: Mapping[str, int] = field(default_factory=dict)
 
 
-def allowed(mechanism: Mechanism, site: PlanSettings, data: Dataset) -> Allowed:
+def allowed(
+    mechanism: Mechanism, site: PlanSettings, data: Dataset, *, seen: bool = False
+) -> Allowed:
     """The rules applied to closed candidates, each to what the ones before it left.
 
     Raises InputError where a rule needs a point that the mechanism does not have.
@@ -292,6 +305,8 @@ def allowed(mechanism: Mechanism, site: PlanSettings, data: Dataset) -> Allowed:
         refused[rule] = int((left & bad).sum())
         np.logical_and(left, ~bad, out=left)
 
+    if not seen and not (whole := in_image(mechanism, data)).all():
+        without("board not whole in the image", ~whole)
     if site.forbidden is not None:
         without("forbidden rows", _forbidden(mechanism, site.forbidden, data))
     if site.reach is None and not site.keep_out and site.sight is None:

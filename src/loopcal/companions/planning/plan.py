@@ -255,7 +255,7 @@ def _tests(mechanism: Mechanism, pool: Candidates, settings: PlanSettings) -> Da
 def _problem(
     mechanism: Mechanism, driven: Dataset, noise: Noise, typical: Mapping[str, float]
 ) -> Problem:
-    closed = stated_candidates(mechanism, driven, PlanSettings()).closed
+    closed = stated_candidates(mechanism, driven, PlanSettings(), seen=True).closed
     return as_problem(mechanism, with_sds(closed, typical), noise)
 
 

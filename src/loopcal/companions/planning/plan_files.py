@@ -121,7 +121,17 @@ def run_plan(
     except InputError as error:
         raise error.at(read.name) from None
     # In the columns of the project, with the use of each pose.
-    tables = readings_tables(made.poses, read.data, {}, folder / POSES, {"use": made.use})
+    poses, data = made.poses, read.data
+    if data is not None and any(part.spread for part in data.join):
+        # Corners are not commanded.
+        data = replace(data, join=tuple(part for part in data.join if not part.spread))
+        pixels = {q for q in poses.readings if basis.mechanism.quantities.get(q) == "px"}
+        poses = Dataset.from_arrays(
+            {q: v for q, v in poses.readings.items() if q not in pixels},
+            units={q: unit for q, unit in poses.units.items() if q not in pixels},
+            poses=poses.poses,
+        )
+    tables = readings_tables(poses, data, {}, folder / POSES, {"use": made.use})
     files: dict[str, str | bytes] = {**tables}
     document = marked({"title": read.title, **made.document()}, files)
     files[DOCUMENT] = marked_json(document)

@@ -58,7 +58,6 @@ def explained(reading: Reading, result: Adjusted) -> Explained:
             "Inspect corners and poses."
         )
         facts.append(Fact("image-unexplained", sentence, {"images": len(names)}, names))
-    facts += _corner_facts(corners, result, FAR * typical)
     reading = replace(reading, corners=new)
     if rows and reading.T_base_flange is not None:
         T = reading.T_base_flange.copy()
@@ -145,22 +144,3 @@ def _row_facts(corners: Corners, rows: dict[int, int]) -> list[Fact]:
         names = (corners.poses[image],)
         facts.append(Fact("pose-of-another-image", sentence, values, names, applied=True))
     return facts
-
-
-def _corner_facts(corners: Corners, result: Adjusted, limit: float) -> list[Fact]:
-    """Single corners beyond their view's median by `FAR`, where the view itself fits."""
-    views = corners.views
-    medians = views.medians(result.distance)
-    within = (medians <= limit)[views.of_corner]
-    wrong = within & (result.distance > np.maximum(FAR * medians[views.of_corner], limit))
-    if not wrong.any():
-        return []
-    images = _names(corners, sorted(set(corners.image[wrong].tolist())))
-    share = float(wrong.mean())
-    where = f"image {images[0]}" if len(images) == 1 else f"{len(images)} images"
-    sentence = (
-        f"Of {len(corners)} corners, {int(wrong.sum())} in {where} differ by more than {limit:.2g} "
-        "px. Inspect them, or leave them to the search for outliers."
-    )
-    values: dict[str, float | str] = {"corners": int(wrong.sum()), "share": share, "px": limit}
-    return [Fact("wrong-corners", sentence, values, images)]

@@ -28,6 +28,8 @@ THINNED = (60, 12)
 """Images and corners per view of a trial: far more than a mistake needs to show."""
 FITS = 1.3
 """If the robot adds less than this to what single images leave, nothing is suspected."""
+PLANES = 20
+"""Images of a trial of numberings, which shows in each of them."""
 DRAWS = 2
 """Random starts of a trial: a wrong reading fails with all of them."""
 HOPELESS = 40.0
@@ -35,8 +37,8 @@ HOPELESS = 40.0
 WITHOUT_DOUBT = 0.2
 """The same that ends a search: the images by themselves do not fit better."""
 CLEAR_PLANE = 0.85
-"""The same for homographies, which no error of the robot enters: 60 views of 12 corners have a log
-likelihood ratio of 700 ln(1 / 0.85) = 110."""
+"""The same for homographies, which no error of the robot enters: 20 views of 12 corners have a log
+likelihood ratio of 240 ln(1 / 0.85) = 39."""
 UNITS = {
     1000.0: "mm",
     100.0: "cm",
@@ -131,7 +133,7 @@ def plane_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float
     Of each view exp(mean log sqrt(r^2 + m^2)), m the median of the distances r: a seventh of the
     corners far off doubles it, for numbers displaced by one are wrong at the ends of rows only.
     """
-    corners = reading.corners if poses is not None else reading.thinned(*THINNED).corners
+    corners = reading.corners
     flat = np.array([board.planar for board in corners.boards])[corners.board]
     corners = corners.where(flat)
     if not len(corners):
@@ -160,7 +162,10 @@ def _better(
     before: what is left now [px]; 0 to measure it. enough: what leaves no other suspicion to try.
     mounts: what the flange may hold, for each suspicion anew.
     """
-    few, mounts = reading.thinned(*THINNED), mounts or (reading.held,)
+    # Numbers that are displaced by one are wrong at the ends of rows, of which a few corners of a
+    # view may have none.
+    few = reading.thinned(*(THINNED if size is misfit else (PLANES, len(reading.corners))))
+    mounts = mounts or (reading.held,)
     poses = view_poses(few)
     before = before or size(few, poses, np.inf)
     after, reason, held = (CLEAR if size is misfit else CLEAR_PLANE) * before, None, few.held
@@ -228,7 +233,11 @@ def _mounted(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact], 
     mounts = [replace(reading, held=h) for h in ((True, False) if held is None else (held,))]
     tried = [_scale(one) for one in mounts]
     sizes = [misfit(one) for one, _ in tried]
-    best, facts = tried[sizes.index(min(sizes))]
+    # Without a turn of the hand a mirror on one mount is the other mount without any.
+    weighed = [
+        size / (CLEAR if facts else 1.0) for size, (_, facts) in zip(sizes, tried, strict=True)
+    ]
+    best, facts = tried[weighed.index(min(weighed))]
     return best, facts, sizes
 
 

@@ -6,8 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from loopcal.files.toml.writer import document
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import GEOMETRY
+from loopcal.units import from_si
 
 PROJECT, READINGS = "project.toml", "readings.csv"
 HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
@@ -28,3 +33,17 @@ class Begun:
     def text(self) -> str:
         """Of the project file."""
         return document(self.tables, (HEAD,), {"data": self.remarks})
+
+
+def drawn(mechanism: Mechanism, length: float, twist: float, zero: float) -> dict[str, Any]:
+    """[parameters]: how well the drawing states an arm's own ones, as sds [mm, mrad, mrad]."""
+    sds = {"length": (length, "mm"), "zero": (zero, "mrad")}
+    entries = {}
+    for p in mechanism.parameters:
+        if p.role in GEOMETRY and p.role != "scale" and not p.fixed:
+            sd, of = sds.get(p.role, (twist, "mrad") if p.unit == "rad" else sds["length"])
+            if p.unit == "m":
+                sd, of = length, "mm"
+            value = float(from_si(np.array(p.nominal), of))
+            entries[p.name] = {"value": value, "unit": of, "sd": sd}
+    return entries

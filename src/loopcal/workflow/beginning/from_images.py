@@ -29,14 +29,13 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.mechanisms.instruments.camera import PIXEL
-from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import yaw_pitch_roll
 from loopcal.units import from_si, unit
-from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
+from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn
 
 Array = NDArray[np.float64]
-CORNERS = "corners.csv"
+CORNERS, WRONG = "corners.csv", "wrong-corners.csv"
+"""Those of the project, and those that do not fit, which it leaves out."""
 USUAL_LENS = "brown5"
 CORNER, ENCODER, PLACE, TURN = 0.02, 50e-6, 1e-4, 1e-4
 """Where the learning of sds begins: a corner, at least [px], a joint [rad], a stated pose [m],
@@ -71,6 +70,27 @@ Describe = Callable[[Sequence[Field]], Robot]
 
 
 @dataclass(frozen=True, eq=False)
+class FromImages:
+    """What was begun from images, and its parts, of which corners may be left out."""
+
+    begun: Begun
+    project: _Project
+
+    def without(self, readings: Mapping[str, NDArray[np.bool_]], words: str) -> Begun:
+        """The same without some readings, by name and pose; words: why, which joins the remarks."""
+        project = self.project
+        wrong = project.marked(readings)
+        begun = project.begun
+        corners = begun.corners
+        kept = replace(begun, corners=corners.where(~wrong), residuals=begun.residuals[~wrong])
+        left = _Project(kept, project.hand, project.table, project.stated)
+        out = replace(begun, corners=corners.where(wrong), residuals=begun.residuals[wrong])
+        aside = _Project(out, project.hand, project.table, project.stated)
+        made = _made(left, (*self.begun.remarks, words))
+        return replace(made, beside={**made.beside, WRONG: aside.corners()})
+
+
+@dataclass(frozen=True, eq=False)
 class Hand:
     """The body that moves: its columns of readings by quantity [SI], and T_base_flange (N, 4, 4)
     by pose; table: of the mechanism without instruments; noise: of its readings."""
@@ -86,7 +106,7 @@ class Hand:
 
 def from_images(
     entries: Sequence[Any], describe: Describe | None, joints: str | None, folder: Path
-) -> Begun:
+) -> FromImages:
     """`init` of a folder or files that hold corners.
 
     describe: the robot by the columns of its joints, None where nothing describes one; joints:
@@ -113,8 +133,14 @@ def from_images(
         *hand.remarks,
         *project.left_out,
         *turned,
-        *(fact.sentence for fact in begun.facts),
+        # The poses of joints are those of a drawing, which scatter does not show to be wrong.
+        *(f.sentence for f in begun.facts if describe is None or f.code != "board-pitch"),
     )
+    return FromImages(_made(project, remarks), project)
+
+
+def _made(project: _Project, remarks: tuple[str, ...]) -> Begun:
+    begun = project.begun
     words = (
         f"{len(project.kept)} images with {len(begun.corners)} corners; the calibration begins at "
         f"{begun.rms:.2f} px rms"
@@ -266,28 +292,17 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
     T = mechanism.fk(np.stack(list(readings.values()), axis=1))
     slides = [n for n in names if mechanism.quantities[n] == "m"]
     noise: dict[str, Any] = {name: {"sd": 10, "unit": "um", "estimate": "group"} for name in slides}
-    for name in names:
-        if name not in slides:
-            noise[name] = {"sd": 1e6 * ENCODER, "unit": "urad"}
+    if turning := [name for name in names if name not in slides]:
+        noise[",".join(turning)] = {"sd": 1e6 * ENCODER, "unit": "urad", "estimate": "group"}
     words = f"joints are {', '.join(f.label for f in columns)} of {source.name}, {how}"
     remarks = (*robot.remarks, words)
     if len(every) > 1:
         remarks += ("other columns may be the joints too: name them with --joints if they are",)
     if any(f.unit is None for f in columns):
         remarks += ("joints without a unit are taken in rad, or in deg beyond two turns",)
-    return Hand(poses, robot.table, readings, T, noise, remarks, _drawn(mechanism))
-
-
-def _drawn(mechanism: Mechanism) -> dict[str, Any]:
-    """How well the drawing states the arm's own parameters."""
-    sds = {"length": (_LENGTH, "mm"), "zero": (_ZERO, "mrad")}
-    entries = {}
-    for p in mechanism.parameters:
-        if p.role in GEOMETRY and p.role != "scale" and not p.fixed:
-            sd, of = sds.get(p.role, (_TWIST, "mrad") if p.unit == "rad" else sds["length"])
-            value = float(from_si(np.array(p.nominal), of))
-            entries[p.name] = {"value": value, "unit": of, "sd": sd}
-    return entries
+    return Hand(
+        poses, robot.table, readings, T, noise, remarks, drawn(mechanism, _LENGTH, _TWIST, _ZERO)
+    )
 
 
 def _si(column: Field, si: str) -> Array:
@@ -465,17 +480,32 @@ class _Project:
             noise[name] = {"sd": round(sd, 3), "unit": "px", "estimate": "group"}
         return noise
 
+    def _labels(self) -> list[str]:
+        """Under which each corner is read."""
+        corners = self.begun.corners
+        ids = [list(b.points) for b in corners.boards]
+        eyes = [self.eyes[camera] for camera in corners.cameras]
+        boards = [self.boards[board.name] for board in corners.boards]
+        which = zip(corners.camera, corners.board, corners.point, strict=True)
+        return [f"{eyes[c]}:{boards[b]}:{ids[b][k]}" for c, b, k in which]
+
+    def marked(self, readings: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
+        """(N,) the corners one of whose coordinates is marked, by reading and image kept."""
+        row = {image: i for i, image in enumerate(self.kept)}
+        none = np.zeros(len(self.kept), dtype=bool)
+        marks = [
+            image in row and bool(readings.get(f"{label}:u", none)[row[image]])
+            for label, image in zip(self._labels(), self.begun.corners.image.tolist(), strict=True)
+        ]
+        return np.array(marks, dtype=bool)
+
     @property
     def dataset(self) -> Dataset:
         """The readings, under the names that they have in the project."""
         corners, kept = self.begun.corners, self.kept
         readings = {name: values[kept] for name, values in self.hand.readings.items()}
-        ids = [list(b.points) for b in corners.boards]
         row = {image: i for i, image in enumerate(kept)}
-        pairs = zip(corners.image, corners.camera, corners.board, corners.point, strict=True)
-        for (image, camera, board, point), pixel in zip(pairs, corners.uv, strict=True):
-            eye, name = self.eyes[corners.cameras[camera]], self.boards[corners.boards[board].name]
-            label = f"{eye}:{name}:{ids[board][point]}"
+        for label, image, pixel in zip(self._labels(), corners.image, corners.uv, strict=True):
             for axis, value in zip(PIXEL, pixel, strict=True):
                 column = readings.setdefault(f"{label}:{axis}", np.full(len(kept), np.nan))
                 if image in row:

@@ -25,13 +25,16 @@ from loopcal.files.toml.reader import SCHEMA
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.units import from_si, unit
-from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
+from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn
 
 Array = NDArray[np.float64]
 ENCODER, SLIDE = 50e-6, 10e-6
 """Where the learning of the joints' sds begins [rad], [m]."""
 GUESSED = {"m": 0.1e-3, "rad": 0.5e-3, "px": 0.3}
 """Where that of what is observed begins, gaps of things that touch among them."""
+DRAWN_MM, DRAWN_MRAD = 2.0, 5.0
+"""How far a robot is from its drawing, as sds: what stands between two hands tells some directions
+apart by nothing else. Chosen: twice and more what arms of many makers are off by."""
 SAME_PLACE = {"rad": 5e-3, "m": 5e-3}
 """Poses that are no farther apart in any joint are one place that was approached again."""
 PLACE = "place"
@@ -82,6 +85,7 @@ def from_tree(
     units = {**mechanism.quantities, **mechanism.pose_constants}
     readings = {q: rows.values(q) for q in used}
     places = _places(mechanism, readings)
+    table["parameters"] = drawn(mechanism, DRAWN_MM, DRAWN_MRAD, DRAWN_MRAD)
     tables: dict[str, Any] = {
         "schema": SCHEMA,
         "title": " and ".join(dict.fromkeys(s.path.stem if s.path else s.name for s in sources)),
@@ -246,8 +250,8 @@ def _seen(
         q: np.where(chosen, _si(fields[name], units[q]), np.nan)
         for q, name in zip(spoken, names, strict=True)
     }
-    there = np.all([np.isfinite(v) for v in seen.values()], axis=0) if seen else chosen
-    return seen | {q: np.where(there, 0.0, np.nan) for q in silent}
+    complete = np.all([np.isfinite(v) for v in seen.values()], axis=0) if seen else chosen
+    return seen | {q: np.where(complete, 0.0, np.nan) for q in silent}
 
 
 def _where(source: Source, one: Observation) -> Any:

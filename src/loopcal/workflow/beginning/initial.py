@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import RegionRange
-from loopcal.errors import InputError, UsageError, nearest
+from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.faults.search import column_faults
+from loopcal.estimation.fit import Fit
 from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.atomic import write_files
-from loopcal.files.cameras.folder import are_images, tables_of
+from loopcal.files.cameras.folder import are_images, files_of, tables_of
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
@@ -50,12 +51,14 @@ from loopcal.mechanisms.outputs import measured_points, output_groups
 from loopcal.presentation.shown import columns as in_columns
 from loopcal.presentation.shown import in_unit, significant, unit_shown, with_unit
 from loopcal.small_samples import LearntCovariance
+from loopcal.statistics.case import Case
 from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
+from loopcal.statistics.wrong_corners import wrong_corners
 from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
 from loopcal.workflow.beginning.delays import Delay, delays
-from loopcal.workflow.beginning.from_images import CORNERS, from_images
+from loopcal.workflow.beginning.from_images import CORNERS, WRONG, from_images
 from loopcal.workflow.beginning.from_tree import dh_tree, from_tree, urdf_tree
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
@@ -322,10 +325,15 @@ def _of_images(
     """The project of a folder or files with corners of boards, or images of them."""
     if write:
         refuse_foreign(*(folder / name for name in (PROJECT, READINGS, CORNERS)))
-    described = any((robot.urdf, robot.dh, robot.machine))
+    described = [one for one in (robot.urdf, robot.dh, robot.machine) if one is not None]
     describe = partial(_described, robot, folder) if described else None
+    robots = {Path(one).resolve() for one in described}
+    # A folder may hold the file of the robot as well.
+    readings = [path for path in files_of(readings) if path.resolve() not in robots]
     made = from_images(readings, describe, robot.joints, folder)
-    return _kept(made, folder, write=write)
+    project = read_project(folder / PROJECT, text=made.begun.text)
+    wrong = _wrong_corners(project, made.begun.dataset)
+    return _kept(made.without(*wrong) if wrong else made.begun, folder, write=write)
 
 
 def _of_tree(readings: Sequence[Any], robot: RobotFile, folder: Path) -> Begun:
@@ -363,6 +371,27 @@ def _kept(made: Begun, folder: Path, *, write: bool) -> InitialProject:
     files = {PROJECT: made.text.encode("utf-8"), **made.beside}
     write_files(folder, files)
     return replace(done, written=tuple(folder / name for name in files))
+
+
+def _wrong_corners(
+    project: Project, dataset: Dataset
+) -> tuple[Mapping[str, NDArray[np.bool_]], str] | None:
+    """Readings of corners that do not fit the others of their images, and words on them."""
+    noise = Noise(project.noise.noise().entries)
+    try:
+        result = Case(project.mechanism, dataset, noise, Fit(method="implicit-loop")).calibrated()
+    except (InputError, NoTrustworthyResult):
+        return None  # for the calibration to say
+    wrong = wrong_corners(result)
+    if not wrong.corners:
+        return None
+    images = int(wrong.single.any(axis=0).sum())
+    sds = ", ".join(f"{sd:.2g} px" for sd in wrong.sd.values())
+    words = (
+        f"Left out {wrong.corners} of {wrong.count} corners, in {images} of {len(dataset)} images: "
+        f"they do not fit the others of their images, whose sd is {sds}. {WRONG} lists them."
+    )
+    return dict(zip(result.problem.mechanism.tape.quantities, wrong.single, strict=True)), words
 
 
 def _described(robot: RobotFile, folder: Path, fields: Sequence[Field]) -> Robot:
