@@ -168,8 +168,8 @@ class _Full:
         joints = list(machine.joints)
         if poses is not None:
             measured = {q: poses.readings[q] for q in joints if q in poses.readings}
-            spans = {q: v[np.isfinite(v)] for q, v in measured.items()}
-            spans = {q: (float(v.min()), float(v.max())) for q, v in spans.items() if len(v)}
+            read = {q: v[np.isfinite(v)] for q, v in measured.items()}
+            spans = {q: (float(v.min()), float(v.max())) for q, v in read.items() if len(v)}
             ranges = spans | ranges
         if not set(joints) <= ranges.keys():
             return None

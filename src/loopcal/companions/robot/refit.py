@@ -183,8 +183,11 @@ class Traced:
 
 def seen_points(mechanism: Mechanism) -> tuple[SeenPoint, ...]:
     """The points in space that instruments see of an arm or a tree; none of other machines."""
-    seen, tree = [], mechanism.tree
-    for family in () if tree is None else mechanism.families:
+    tree = mechanism.tree
+    if tree is None:
+        return ()
+    seen = []
+    for family in mechanism.families:
         outputs = point_outputs(mechanism, family)
         target = tuple(n for n in family.mounted if mechanism.parameters[n].unit == "m")
         if len(outputs) != 3 or len(target) not in (0, 3):
