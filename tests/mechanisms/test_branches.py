@@ -12,8 +12,10 @@ import loopcal as lc
 from loopcal.companions.robot.export_files import _written, export
 from loopcal.companions.robot.exports.format import ExportOptions
 from loopcal.companions.robot.exports.registry import format_named
+from loopcal.estimation.fit import Fit, modelled
 from loopcal.expressions.engine import engine_for
 from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.mechanisms.structure.structured import structured
@@ -165,3 +167,17 @@ def test_the_skeleton_shows_both_arms(tmp_path: Path) -> None:
     assert [q for q in labels if q in JOINTS] == JOINTS  # the waist, in both, is named once
     ends = lines[[i for i, name in enumerate(labels) if name == "end point"]]
     assert ends == pytest.approx(np.array([[1.05, 0.2, 0.86], [1.05, -0.2, 0.86]]))
+
+
+def test_unread_joints_of_one_arm_leave_the_waist_stiff(tmp_path: Path) -> None:
+    mechanism = twin(tmp_path)
+    read = {q: np.zeros(4) for q in (*JOINTS, *mechanism.outputs)}
+    gaps = {q: np.array([0.0, 0.0, np.nan, np.nan]) for q in JOINTS if q.startswith("right")}
+    bending = []
+    for readings in (read, read | gaps):
+        made = modelled(
+            Fit(model_error="structured"), mechanism, Dataset(readings, {}, tuple("abcd"))
+        )
+        assert made.structure is not None
+        bending.append({column.joint for column in made.structure.columns})
+    assert bending[0] - bending[1] == {"waist"}

@@ -172,7 +172,7 @@ def entrants(
     if made is None and images:
         made = machine  # what is smooth in pixels is the lens's as well as the arm's
     if made is None:
-        made = modelled(with_error, machine, len(case.data)) if lossless else machine
+        made = modelled(with_error, machine, case.data) if lossless else machine
     for method in methods if len(made.terms) > len(machine.terms) else ():
         if method.weighting is Weighting.READ:
             continue  # the noise of the model error says nothing about the parameters anyway

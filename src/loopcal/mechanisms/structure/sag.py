@@ -325,6 +325,12 @@ class Sag:
         return list(dict.fromkeys(name for branch in self.branches for name in branch.names))
 
     @property
+    def shared(self) -> tuple[str, ...]:
+        """The joints that carry several branches."""
+        every = [joint for branch in self.branches for joint in branch.joints]
+        return tuple(name for name in dict.fromkeys(every) if every.count(name) > 1)
+
+    @property
     def units(self) -> dict[str, str]:
         """The SI units of the joints' readings."""
         steps = (step for branch in self.branches for step in branch.chain)

@@ -136,9 +136,12 @@ def structured(
 
 
 def without(
-    mechanism: Mechanism, structured_mechanism: Mechanism, terms: Collection[str]
+    mechanism: Mechanism,
+    structured_mechanism: Mechanism,
+    terms: Collection[str],
+    stiff: Collection[str] = (),
 ) -> Mechanism:
-    """A mechanism structured like another, but for the terms of these names.
+    """A mechanism structured like another, but for the terms of these names, and sag of joints.
 
     The drives of turning joints and of slides stay together.
     """
@@ -149,7 +152,9 @@ def without(
     remaining = [*structure.smooth.values()] if any(t.name == DISCREPANCY for t in kept) else []
     return structured(
         mechanism,
-        sag=tuple(c.parameter for c in structure.columns if c.parameter in names),
+        sag=tuple(
+            c.parameter for c in structure.columns if c.parameter in names and c.joint not in stiff
+        ),
         harmonics=any(term.name in DRIVES for term in kept),
         discrepancy=max((len(smooth.harmonics) for smooth in remaining), default=False),
     )
