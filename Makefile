@@ -7,7 +7,7 @@ VERSIONS ?= 3.11 3.12 3.13
 # What is installed beside loopcal itself.
 EXTRAS   ?= app,test
 # Independent programs that some tests compare with; those tests skip where they are absent.
-PARTNERS ?= casadi distributed drake example-robot-data-loaders mujoco opencv-python-headless pin playwright pytransform3d roboticstoolbox-python \
+PARTNERS ?= axe-playwright-python casadi distributed drake example-robot-data-loaders mujoco opencv-python-headless pin playwright pytransform3d roboticstoolbox-python \
 	rosbags rtb-data urchin xacro
 
 # Programs that `make benchmark` compares with, beside those of the tests.

@@ -48,7 +48,7 @@ SIGMAS = 1.959963984540054
 
 def truth(rig: Rig) -> dict[str, float]:
     """Under the names that parameters have in a project."""
-    true = {}
+    true: dict[str, float] = {}
     for j, link in enumerate(rig.arm.links, 1):
         true |= {f"a_{j}": link.a, f"d_{j}": link.d}
         true |= {f"alpha_{j}": link.alpha, f"offset_{j}": link.offset}

@@ -1,7 +1,8 @@
-"""Contrast of all text of a page, as WCAG 2.2 measures it."""
+"""Contrast of all text of a page, as WCAG 2.2 measures it, and what axe-core finds in the page."""
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Any
 
 MEASURE = r"""
@@ -54,3 +55,16 @@ def weak_texts(page: Any) -> list[str]:
     """Ratio and text of what is below 4.5, or below 3 for large text and icons."""
     found: list[str] = page.evaluate(MEASURE)
     return found
+
+
+def violations(page: Any) -> list[str]:
+    """Rule and element of what axe-core objects to; none where it is absent (`make partners`).
+
+    The contrast of text in figures is for `weak_texts`: axe does not measure it.
+    """
+    if find_spec("axe_playwright_python") is None:
+        return []
+    from axe_playwright_python.sync_playwright import Axe
+
+    broken = Axe().run(page).response["violations"]
+    return [f"{rule['id']}: {node['html'][:200]}" for rule in broken for node in rule["nodes"]]

@@ -77,7 +77,7 @@ class Keys(Hand):
 
 def test_from_two_files_to_a_urdf_by_keyboard(browser: Any, cell: tuple[Served, Path]) -> None:
     served, folder = cell
-    page = new_page(browser)
+    page = new_page(browser, (820, 1180))
     page.goto(served.address)
     keys = Keys(page, folder)
     keys.drop("Drop the URDF here", EXAMPLE / "arm.urdf")

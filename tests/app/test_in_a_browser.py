@@ -11,7 +11,7 @@ import pytest
 
 from loopcal.companions.app import words
 from tests.app.conftest import SCRIPT
-from tests.app.contrast import weak_texts
+from tests.app.contrast import violations, weak_texts
 from tests.app.pointing import Hand, new_page
 from tests.app.serving import Served
 from tests.browser import PATIENCE, Seen, expect
@@ -67,11 +67,46 @@ def test_every_step_opens_in_its_window_with_names_as_text_and_contrast(
         assert wide <= 0, f"{name} is {wide} pixels wider than the window"
         assert seen.page.evaluate(MADE_OF_NAMES) == 0, name
         assert weak_texts(seen.page) == [], name
+        assert violations(seen.page) == [], name
         assert "This is a fault of loopcal" not in seen.page.inner_text("body"), name
     expect(seen.page.locator("body")).to_contain_text(SCRIPT)  # the log shows it
+    assert_addresses_are_kept(seen.page, served.address)
     seen.page.close()
     assert seen.complaints == []
     assert seen.requests == []
+
+
+SCROLLED = "() => Math.abs(scrollY - 150) < 2"
+
+
+def assert_addresses_are_kept(page: Any, address: str) -> None:
+    """Each step and selection has an address; back, reload and place are the browser's."""
+
+    def heading(name: str) -> Any:
+        return page.get_by_role("heading", name=name, exact=True, level=1)
+
+    assert page.url == f"{address}/history"
+    Hand(page).step("Fit")
+    page.evaluate("scrollTo(0, 150)")
+    page.wait_for_function("() => addresses.places['/fit'] === 150")
+    Hand(page).step("Check")
+    assert page.url == f"{address}/check"
+    assert page.evaluate("scrollY") == 0
+    page.go_back()
+    heading("Fit").wait_for()
+    page.wait_for_function(SCROLLED)
+    page.reload()
+    heading("Fit").wait_for()
+    page.wait_for_function(SCROLLED)
+    page.go_back()
+    heading("History").wait_for()
+    Hand(page).step("Diagnose")
+    select(page, 3)
+    page.wait_for_function("() => location.search.startsWith('?poses=')")
+    page.goto(page.url)  # as from a bookmark
+    Hand(page).sees("3 of 49 poses selected")
+    page.goto(f"{address}/history?run=1")
+    page.get_by_role("heading", level=2).filter(has_text=SCRIPT).wait_for()
 
 
 def test_an_error_and_a_name_handed_in_are_shown_as_text(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -11,8 +12,10 @@ import pytest
 
 from loopcal.companions.app.pages import stand
 from loopcal.companions.app.project_folder import Entry
-from loopcal.companions.app.session import Session
+from loopcal.companions.app.session import Session, read_robot
 from loopcal.companions.app.steps import LIGHTS, State
+from loopcal.errors import InputError
+from tests.app.conftest import SCRIPT
 from tests.app.plain_command import command
 from tests.command_line import run_here
 
@@ -99,3 +102,80 @@ def test_what_was_made_of_an_earlier_result_is_known_as_such(
     for name in made:
         (folder / name).write_text("changed by hand", "utf-8")
     assert session.deployed() == dict.fromkeys(made, False)
+
+
+def noted_now(session: Session, line: str) -> None:
+    """The log has a run of a command that read what there is now."""
+    of = session.read_by(line.split()[0])
+    session.folder.noted("ended", "x", {"command": f"loopcal {line}", "code": 0, "of": of})
+
+
+def test_what_read_other_files_than_there_are_now_is_not_good(
+    hostile: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "arm"
+    shutil.copytree(hostile, folder)
+    session = Session(folder, command)
+    for line in ("check project.toml --json", "plan project.toml", "verify project-result day.csv"):
+        noted_now(session, line)
+    assert session.state().outdated == frozenset()
+    assert lights(session.state())["plan"] == "good"
+    session.changed(["record", "customer"], "x", "no number follows from it")
+    assert session.state().outdated == frozenset()
+    session.changed(["plan", "seed"], 5, "a plan follows from it")
+    assert session.state().outdated == {"plan"}
+    session.excluded([session.every_pose().poses[3]], "bad")  # type: ignore[union-attr]
+    assert session.state().outdated == {"check", "plan"}
+    assert lights(session.state())["check"] == lights(session.state())["plan"] == "care"
+    assert lights(session.state())["fit"] == "care"
+    session.folder.undo()
+    assert session.state().outdated == {"plan"}
+    result = folder / "project-result" / "result.json"
+    result.write_text(result.read_text("utf-8").replace('"schema"', ' "schema"', 1), "utf-8")
+    assert session.state().outdated == {"plan", "verify"}
+
+
+def test_readings_handed_in_are_read_or_the_step_says_that_they_are_not(
+    hostile: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "arm"
+    shutil.copytree(hostile, folder)
+    session = Session(folder, command)
+    assert lights(session.state())["data"] == "good"
+    content = (folder / f"{SCRIPT}.csv").read_bytes()
+    session.folder.take("later.csv", content, "data")
+    session.folder.take("day.csv", content, "validate")  # of another day, as verify reads it
+    session.folder.take("robot.urdf", b"<robot/>", "data")
+    assert session.waiting() == ("later.csv",)
+    assert lights(session.state())["data"] == "care"
+    session.changed(["data", "file"], "later.csv", "handed in")
+    assert session.waiting() == ()
+    assert lights(session.state())["data"] == "good"
+    assert lights(session.state())["fit"] == "care"  # the result is of the other file
+    session.folder.undo()
+    session.left_aside("later.csv")
+    assert session.waiting() == ()
+    (folder / f"{SCRIPT}.csv").write_bytes(b"lost")
+    assert lights(session.state())["data"] == "bad"
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "content"),
+    [
+        ("urdf", "arm.urdf", bytes(range(256)) * 8),
+        ("urdf", "arm.urdf", b"<robot name='r'><link name='a'/></robot>"),
+        ("dh", "arm.csv", b"\x93\x01\x7f\n\x02,\x03"),
+    ],
+)
+def test_a_robot_that_is_none_is_refused_and_not_kept(
+    tmp_path: Path, kind: str, name: str, content: bytes
+) -> None:
+    session = Session(tmp_path, command)
+    with pytest.raises(InputError):
+        session.folder.take(name, content, "robot", partial(read_robot, kind))
+    assert not (tmp_path / name).exists()
+    (tmp_path / name).write_bytes(content)  # by another program
+    with pytest.raises(InputError):
+        session.choose_robot(kind, name)
+    assert session.robot() == (None, None)
+    assert not session.folder.log().entries

@@ -259,7 +259,7 @@ class Thinned:
     words: str
 
 
-def thinned(sizes: NDArray[np.float64], most: int = POINTS) -> Thinned:
+def thinned(sizes: NDArray[np.float64], most: int = POINTS, what: str = "poses") -> Thinned:
     """At most `most` of the poses with sizes (N,): evenly chosen, and the largest; NaN are none."""
     usable = np.flatnonzero(np.isfinite(sizes))
     if usable.size <= most:
@@ -270,6 +270,6 @@ def thinned(sizes: NDArray[np.float64], most: int = POINTS) -> Thinned:
     index = np.union1d(even, top)
     return Thinned(
         index,
-        f" Shown are {index.size:,} of {usable.size:,} poses, evenly chosen, with the "
+        f" Shown are {index.size:,} of {usable.size:,} {what}, evenly chosen, with the "
         f"{largest} largest among them; all numbers of this report come from all poses.",
     )

@@ -59,8 +59,8 @@ def arrows(
             f"pose {ids[i]}<br>{significant(s / factor, 3)} {unit}" if s == s else ""
             for i, s in zip(chosen.index, size, strict=True)
         ]
-        scale = _scale(at, size)
-        drawn[name] = _stage(at, scale * along, size / factor, labels, f"{unit} {name}")
+        scale = enlargement(at, size)
+        drawn[name] = arrow_traces(at, scale * along, size / factor, labels, f"{unit} {name}")
         times = f"{scale:,.0f}" if scale >= 1 else f"{scale:.3g}"
         enlargements.append(f"{times} times {name}")
     data: list[dict[str, Any]] = []
@@ -83,7 +83,7 @@ def arrows(
     )
 
 
-def _stage(
+def arrow_traces(
     at: Array, along: Array, size: Array, labels: Sequence[str], words: str
 ) -> list[dict[str, Any]]:
     """Arrows by shade, and a mark at each point that names its pose."""
@@ -93,7 +93,7 @@ def _stage(
     for i, colour in enumerate(SHADES):
         which = (shade == i) & np.isfinite(size)
         if which.any():
-            lines = _lines(at[:, which], along[:, which])
+            lines = arrow_lines(at[:, which], along[:, which])
             name = f"up to {significant(float(edges[i + 1]), 2)} {words}"
             line = {"color": colour, "width": 2}
             traces.append(spots("lines", lines, name=name, line=line, hoverinfo="skip"))
@@ -131,7 +131,7 @@ def _switch(stages: Sequence[str], still: int, of: Sequence[str]) -> dict[str, A
     return {"updatemenus": [{**menu, **place, "showactive": False}]}
 
 
-def _scale(at: Array, size: Array) -> float:
+def enlargement(at: Array, size: Array) -> float:
     extent = float(np.linalg.norm(np.ptp(at, axis=1))) or 1.0
     # The 95th percentile of the arrows becomes 8 % of the extent: visible, without overlap.
     value = 0.08 * extent / max(float(np.nanpercentile(size, 95)), 1e-15)
@@ -179,7 +179,7 @@ def _scene(data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {"aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": eye}, **axes}
 
 
-def _lines(start: Array, arrow: Array) -> Array:
+def arrow_lines(start: Array, arrow: Array) -> Array:
     """Shafts and heads of arrows (d, n) as one broken line: NaN lifts the pen."""
     end = start + arrow
     flat = np.zeros_like(arrow)

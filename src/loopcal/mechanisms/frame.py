@@ -75,7 +75,10 @@ class Between:
 
 @dataclass(frozen=True)
 class BodyFrame:
-    """A body by its rotation matrix R (3, 3) and origin o (3,): p_base = R p + o."""
+    """A body by its rotation matrix R (3, 3) and origin o (3,): p_base = R p + o.
+
+    Of arrays of N poses (3, 3, N) and (3, N).
+    """
 
     rotation: NDArray[Any]
     origin: Vector
@@ -86,7 +89,7 @@ class BodyFrame:
 
     def direction(self, v: Vector) -> Vector:
         """R v."""
-        turned: Vector = self.rotation @ v
+        turned: Vector = sum(self.rotation[:, k] * v[k] for k in range(3))
         return turned
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.machine import Machine
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.parallel.registry import PARALLEL
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.serial import tool_names
@@ -34,8 +34,9 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     if described.get("type") == "planar-two-link":
         return None if mechanism.families else _planar(values, joints)
     root = BASE if mechanism.tree is None else mechanism.tree.root
-    ground = [f.placement for f in mechanism.families if f.against == root]
-    stands = next((place for place in ground if place), None)
+    # Pixels are no points: a machine before cameras is drawn in its base.
+    seen = (f for f in mechanism.families if f.form != PIXELS and f.against == root)
+    stands = next((f.placement for f in seen if f.placement), None)
     station = stands.steps if isinstance(stands, Station) else ()
     kind = described.get("type")
     if kind in PARALLEL:
@@ -66,6 +67,21 @@ def _branches(mechanism: Mechanism) -> list[tuple[tuple[Step, ...], tuple[str, .
     mounted = {f.on: f.mounted for f in reversed(mechanism.families)}
     targets = {leaf: [n for n in mounted.get(leaf, ()) if n in lengths] for leaf in tree.leaves}
     return [(tree.path(leaf), tuple(at) if len(at) == 3 else ()) for leaf, at in targets.items()]
+
+
+def body_poses(mechanism: Mechanism, readings: Mapping[str, Array]) -> Array | None:
+    """T_base_body (N, 4, 4) [m] at readings (N,) by name; NaN where one is missing.
+
+    None where the readings alone do not place the body, as in closed loops.
+    """
+    kind = (mechanism.description or {}).get("type")
+    machine = PARALLEL[kind]() if kind in PARALLEL else None
+    joints = tuple(mechanism.joints) if mechanism.chain else ()
+    names = (*machine.quantities, *machine.pose_constants) if machine else joints
+    if not names or not {*names} <= readings.keys() or (machine and machine.loops):
+        return None
+    made = mechanism if machine is None else machine
+    return made.fk(readings)
 
 
 def skeleton_labels(mechanism: Mechanism) -> tuple[str, ...]:

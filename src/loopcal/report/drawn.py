@@ -15,9 +15,11 @@ from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.figure import Figure, colours
 from loopcal.figures.sensors import Change, changes, correlations, drift, normalised
 from loopcal.figures.space import Machine, arrows
+from loopcal.mechanisms.mechanism import PIXELS, Family
 from loopcal.mechanisms.outputs import point_outputs, points
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.presentation.shown import factor, unit_shown
+from loopcal.report.images import image_figures
 from loopcal.report.source import Source
 
 Array = NDArray[np.float64]
@@ -26,23 +28,47 @@ _OVER_POSES = ("residuals", "drift")
 
 def figures(source: Source) -> dict[str, Figure]:
     """By key, those that the result has the numbers for."""
-    sensors = {
-        quantity: values
-        for quantity in source.document.data.quantities
-        if (values := source.table.normalised.get(quantity)) is not None
-    }
-    shades = colours([*source.document.data.quantities, *source.table.differences_after])
+    sensors = _sensors(source)
+    means = {name: by_image(values) for name, values in sensors.items()}
+    shades = colours([*sensors, *source.table.differences_after])
     possible_figures = [
         *_of_outputs(source),
+        *image_figures(source, _machine),
         _residuals(source, shades),
         normalised(sensors, shades),
-        drift(sensors, source.table.poses, shades),
+        drift(means, source.table.poses, shades),
         _parameters(source.document),
         _correlations(source.document),
     ]
     marks = _changed(source)
     drawn = [figure for figure in possible_figures if figure is not None]
     return {f.key: f.marked(marks) if f.key in _OVER_POSES else f for f in drawn}
+
+
+def _sensors(source: Source) -> dict[str, Array]:
+    """Corrections over their sds by sensor, (N,); of a camera (points, N), u and v apart."""
+    table = source.table.normalised
+    images = _images(source)
+    pixels = {q for family in images for q in family.readings}
+    plain = {q: table[q] for q in source.document.data.quantities if q in table and q not in pixels}
+    for family in images:
+        for i, axis in enumerate("uv"):
+            rows = [table[q] for q in family.readings[i::2] if q in table]
+            plain |= {f"{family.name} {axis}": np.array(rows)} if rows else {}
+    return plain
+
+
+def _images(source: Source) -> list[Family]:
+    families = source.mechanism.families if source.mechanism else ()
+    return [family for family in families if family.form == PIXELS]
+
+
+def by_image(values: Array) -> Array:
+    """(N,) means over the points of an image of (points, N), NaN without any."""
+    if values.ndim == 1:
+        return values
+    count = np.isfinite(values).sum(axis=0)
+    return np.where(count, np.nansum(values, axis=0) / np.maximum(count, 1), np.nan)
 
 
 def _changed(source: Source) -> dict[int, str]:
@@ -101,6 +127,9 @@ def _residuals(source: Source, shades: Mapping[str, str]) -> Figure | None:
     before, after = table.differences_before, table.differences_after
     if accuracy is not None and after:
         scale, unit = factor(accuracy.unit), unit_shown(accuracy.unit)
+        if accuracy.unit == "px":
+            first, last = (by_camera(source, d) for d in (before, after))
+            return over_poses(first, last, table.poses, unit, "Rms residual of each image")
         alike = [n for n in after if _unit(source, n) in (None, accuracy.unit)]
         scaled = [{n: d[n] / scale for n in alike} for d in (before, after)]
         what = "Computed minus measured"
@@ -130,6 +159,12 @@ def pose_distances(source: Source, differences: Mapping[str, Array]) -> Array:
     apart = _apart(source, differences)
     lengths = None if apart is None else by_pose(apart)
     return _length(source, differences) if lengths is None else lengths
+
+
+def by_camera(source: Source, differences: Mapping[str, Array]) -> dict[str, Array]:
+    """By instrument, (N,) rms distances of an image [px]."""
+    apart = _apart(source, differences) or ()
+    return {one.seen.instrument: one.position for one in apart if one.position is not None}
 
 
 def _apart(source: Source, differences: Mapping[str, Array]) -> Sequence[Apart] | None:

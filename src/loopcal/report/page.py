@@ -21,6 +21,7 @@ from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import FitResult
 from loopcal.report import tables, top
 from loopcal.report.drawn import distances, figures
+from loopcal.report.images import image_table
 from loopcal.report.section import Section
 from loopcal.report.source import Source, source_of
 from loopcal.report.tables import parameter_cells, parameter_head
@@ -30,6 +31,8 @@ SectionsOf = Callable[[Source], Iterable[Section]]
 """What a report says of a result beyond the calibration."""
 MOST = 8
 """So many results stand side by side; a browser draws some sixteen scenes in space at most."""
+OF_IMAGES = ("scene", "image-", "radius-", "projection-")
+"""How the keys of figures of cameras begin."""
 QUESTIONS = {
     "sound": "Sound?",
     "valid": "Valid where?",
@@ -79,7 +82,7 @@ def page_of(
 
 def _result(source: Source, sections: Iterable[Section], number: int) -> dict[str, Any]:
     """What the template says of one result."""
-    document = source.document
+    document, drawn = source.document, figures(source)
     verdict = UNJUDGED if document.verdict is None else document.verdict
     before, after = (
         distances(source, d) if d else np.empty(0)
@@ -99,7 +102,9 @@ def _result(source: Source, sections: Iterable[Section], number: int) -> dict[st
         "record": top.record(source),
         "bars": top.accuracy_bars(document),
         "region": top.region_bars(source),
-        "figures": figures(source),
+        "figures": drawn,
+        "images": [key for key in drawn if key.startswith(OF_IMAGES)],
+        "image_table": image_table(source),
         "sections": {section.key: section for section in sections},
         "accuracy": tables.accuracy_tables(document),
         "worst": tables.worst_table(source, before, after),

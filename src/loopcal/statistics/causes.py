@@ -181,7 +181,7 @@ def _of_several(problem: Problem, dataset: Dataset, x: Array, units: list[str]) 
             # A board detected from its other end numbers its points backwards.
             pairs = np.array([names.index(q) for q in family.readings]).reshape(-1, 2)
             words = f"points of {family.name!r} in another order: turned by half a turn"
-            yield _Guess(words, None, _with(x, pairs.ravel(), x[pairs[::-1].ravel()]))
+            yield _Guess(words, None, _with(x, pairs.ravel().tolist(), x[pairs[::-1].ravel()]))
     for j, other in combinations(real, 2):
         if units[j] == units[other] != "px":
             words = f"{names[j]} and {names[other]} exchanged"

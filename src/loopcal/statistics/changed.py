@@ -31,6 +31,8 @@ _WORDS = {
     "length": "lengths",
     "mounting": "mountings",
     "scale": "scales",
+    "lens": "lenses",
+    "print": "prints",
     "expansion": "scales",
 }
 _CONDITIONS = ("load", "expansion")

@@ -19,14 +19,15 @@ from loopcal.mechanisms.structure.sag import LOAD, TOOL
 from loopcal.mechanisms.structure.structured import driven_joints
 
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
-# joint that is mastered anew, a link that a crash bends, a tool that is exchanged, 50 K of warming
-# at 24e-6 per kelvin. A load may do anything.
+# joint that is mastered anew, a link that a crash bends, a tool that is exchanged, a print that was
+# fitted to another page, 50 K of warming at 24e-6 per kelvin. A load may do anything.
 _MOST = {
     "zero": 0.5,
     "angle": 0.05,
     "length": 0.03,
     "mounting": 1.0,
     "scale": 0.1,
+    "print": 0.1,
     "expansion": 1.2e-3,
 }
 """The largest change of a kind [SI]."""
@@ -197,6 +198,22 @@ def _tool(problem: Problem, mounted: Sequence[tuple[str, ...]]) -> Possible | No
     return Possible("mounting", names, parts=tuple(parts), label="the tool")
 
 
+def _cameras(problem: Problem) -> Iterator[Possible]:
+    """The place of each camera beside the machine, its lens, and the size of each print."""
+    parameters = [p for p in problem.mechanism.parameters if p.name in problem.names]
+    for eye in dict.fromkeys(p.owner for p in parameters if p.role == "lens"):
+        lens_names = {p.name.removeprefix(f"{eye}_"): p.name for p in parameters if p.owner == eye}
+        if place := tuple(p.name for p in parameters if p.owner == eye and p.role == "placement"):
+            yield Possible("mounting", place, label=eye)
+        if "f" in lens_names:
+            yield Possible("lens", (lens_names["f"],))
+        if centre := tuple(lens_names[key] for key in ("cx", "cy") if key in lens_names):
+            yield Possible("lens", centre, label=f"the principal point of {eye}")
+    for p in parameters:
+        if p.role == "print" and p.name == f"{p.owner}_scale":
+            yield Possible("print", (p.name,))
+
+
 def _dimensions(problem: Problem) -> Iterator[Possible]:
     for p in problem.mechanism.parameters:
         if p.role in GEOMETRY:
@@ -225,5 +242,7 @@ def _expansion(problem: Problem) -> Iterator[Possible]:
 
 
 ALONG_A_RUN: tuple[Cause, ...] = (_targets, _stations, _joints, _readings, _loads)
-BETWEEN_DAYS: tuple[Cause, ...] = (_zeros, _mountings, _loads, _dimensions, _expansion)
+BETWEEN_DAYS: tuple[Cause, ...] = (
+    *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion),
+)
 """Of changes that do the same the first speaks: zeros of joints, then mountings."""

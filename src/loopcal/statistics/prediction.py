@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs, solving
-from loopcal.estimation.problem.constants import with_latest
+from loopcal.estimation.problem.constants import with_implied, with_latest
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
@@ -241,6 +241,9 @@ def predict(
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     machine = calibrated.mechanism.predicting()
     data = with_latest(machine, data)
+    read = {q for family in calibrated.mechanism.families for q in family.readings}
+    moving = {q: v for q, v in machine.implied.items() if q not in read}
+    data = with_implied(replace(machine, implied=moving, orientations=()), data)
     guessed = _guessed(calibrated, data, stated_noise)
     hidden = {q for q in machine.tape.quantities if q not in data.readings or q in guessed}
     aside = (*machine.disturbances, *machine.outputs, *machine.unused)

@@ -47,12 +47,16 @@ DETERMINED = 1e-9
 def freed(mechanism: Mechanism, remounted: bool | Sequence[str] = False) -> tuple[str, ...]:
     """The parameters that are found anew: where every instrument stands, and what was mounted anew.
 
-    remounted: True for everything that instruments look at; or names of instruments, targets
-    or parameters (globs). Raises InputError for a name that is none of these.
+    Cameras stay where they were calibrated. remounted: True for everything that instruments look
+    at; or names of instruments, targets or parameters (globs). Raises InputError for a name that is
+    none of these.
     """
     names = [n for family in mechanism.families for n in family.standing]
     if mechanism.placement is not None:
         names += mechanism.placement.parameters
+    # Where a camera stands beside the machine is what was calibrated.
+    cameras = {p.owner for p in mechanism.parameters if p.role == "lens"}
+    names = [n for n in names if mechanism.parameters[n].owner not in cameras]
     patterns = remounted if not isinstance(remounted, bool) else mounted(mechanism, remounted)
     for name in (patterns,) if isinstance(patterns, str) else patterns:
         names += _named(mechanism, name)

@@ -81,7 +81,7 @@ def wrong_corners(result: FitResult, level: float = LEVEL) -> WrongCorners:
     parameters = np.array([result.value[n] for n in problem.mechanism.parameters.names])
     corrections = np.array([result.corrections[q] for q in names])
     if not count or result.fit.solver.exact:
-        return WrongCorners(none, none.any(axis=0), count, {}, corrections, problem)
+        return WrongCorners(none, np.asarray(none.any(axis=0)), count, {}, corrections, problem)
     limit = float(np.sqrt(2.0 * np.log(count / level)))
     aside, earlier = none, [none]
     for _ in range(_ROUNDS):

@@ -8,7 +8,6 @@ from pathlib import Path
 from loopcal.errors import InputError
 from loopcal.estimation.plausible import refuse_other_units
 from loopcal.files.atomic import write_files
-from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import load_sample
 from loopcal.files.tables.writer import check_ending, table_bytes
@@ -17,7 +16,7 @@ from loopcal.measurements.noise import Noise
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.prediction import Prediction, predict
 from loopcal.workflow.projects import named_project, project_files
-from loopcal.workflow.readings import Files
+from loopcal.workflow.readings import Files, new_readings
 from loopcal.workflow.saved_result import read_result
 
 
@@ -69,7 +68,7 @@ def run_prediction(
         # Refused ahead of the work, not after it.
         check_ending(out)
     read = read_result(result, mechanism=function)
-    done = predict(read.predictor, read_new_readings(readings, read.inputs, read.mechanism))
+    done = predict(read.predictor, new_readings(readings, read.inputs, read.mechanism))
     if out is not None:
         path = Path(out)
         write_files(path.parent, {path.name: table_bytes(done.columns(), path.suffix)})

@@ -10,6 +10,7 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
+from loopcal.files.cameras.folder import are_images
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_poses import poses_of_result
 from loopcal.files.tables.readers import column_labels, read_dataset, read_once
@@ -17,7 +18,7 @@ from loopcal.measurements.checks import refuse_implausible
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.tables import column_names
 from loopcal.mechanisms.frame import joint_rows
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.parameters import matching
 
 Units = Mapping[str, str] | None
@@ -65,6 +66,21 @@ def first_of(files: Files) -> str | Path:
     return files if isinstance(files, str | Path) else files[0]
 
 
+def new_readings(
+    data: Any, inputs: Mapping[str, Any], mechanism: Mechanism, *, whole: bool = False
+) -> Dataset:
+    """Files or tables of another day: of cameras what `init` takes, else a project's columns.
+
+    whole: with the outputs. Raises InputError for what is none of both.
+    """
+    entries = [data] if isinstance(data, str | Path) else list(data)
+    if any(family.form == PIXELS for family in mechanism.families) and are_images(entries):
+        from loopcal.workflow.beginning.from_images import later_images
+
+        return later_images(entries, mechanism)
+    return read_new_readings(data, inputs, mechanism, whole=whole)
+
+
 def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
     """Further readings for a result; a path is read in the columns of its project, several in the
     layout of its first files.
@@ -79,7 +95,7 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
         data = folder
     if isinstance(data, list | tuple) and all(isinstance(one, str | Path) for one in data):
         if len(data) > 1:
-            return read_new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
+            return new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
         data = first_of(data)
     if not isinstance(data, str | Path):
         return _of_table(result, data, units, whole=whole)
@@ -87,7 +103,7 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
     if poses is not None:
         return poses
     if units is None:
-        return read_new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
+        return new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
     return readings(data, mechanism, units)
 
 

@@ -14,7 +14,6 @@ from typing import Any
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
 from loopcal.files.machines.mechanism_file import read_mechanism
-from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_data import load_dataset
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.toml.reader import read_toml
@@ -22,7 +21,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.workflow.beginning.initial import InitialProject
 from loopcal.workflow.calibration import calibrated
-from loopcal.workflow.readings import Units, readings
+from loopcal.workflow.readings import Units, new_readings, readings
 from loopcal.workflow.result import Result
 from loopcal.workflow.saved_result import read_result
 
@@ -92,7 +91,7 @@ def _of_project(project: Project, data: Any, units: Units) -> Stated:
         loaded = load_dataset(project)
         dataset, noise = loaded.dataset, loaded.noise
     elif isinstance(data, str | Path) and units is None:
-        dataset = read_new_readings(data, project.inputs, project.mechanism, whole=True)
+        dataset = new_readings(data, project.inputs, project.mechanism, whole=True)
     else:
         dataset = readings(data, project.mechanism, units)
     settings = project.fit.settings

@@ -58,8 +58,10 @@ def test_changes_that_a_result_states_join_the_effects_that_are_there() -> None:
         'column = "pose"\nsince = 1\nover = 5\n'
     )
     begun = with_shift("[mechanism]  # mine\n", ["x"], [4.0], "pose")
-    once = with_changes(begun, lines)
-    assert once == with_changes(once, lines)
+    starts: dict[tuple[str, ...], tuple[float, ...]] = {("x",): (9.0,), ("y",): ()}
+    once = with_changes(begun, lines, starts)
+    assert once == with_changes(once, lines, starts)
+    assert with_changes(begun, lines, {("x",): (), ("z",): (9.0,)}) == begun
     assert once.startswith("[mechanism]  # mine\n")
     effects = tomllib.loads(once)["mechanism"]["effect"]
     assert [effect["type"] for effect in effects] == ["shift", "drift"]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from nicegui import ui
 
 from loopcal.companions.app import words
 from loopcal.companions.app.guard import LARGEST
-from loopcal.companions.app.view import View
+from loopcal.companions.app.view import View, command
 from loopcal.companions.app.worker import Action
 
 Options = Sequence[str] | Mapping[str, str]
@@ -88,7 +89,12 @@ def reason(view: View, name: str, choices: Sequence[str]) -> Any:
 
 
 def offer(
-    view: View, label: str, line: Callable[[], Sequence[str]], *, what: str | None = None
+    view: View,
+    label: str,
+    line: Callable[[], Sequence[str]],
+    *,
+    what: str | None = None,
+    look: str = "unelevated",
 ) -> None:
     """A button that runs a command, and the line that does the same; it follows the controls."""
 
@@ -99,9 +105,9 @@ def offer(
         view.run(what or label, *line())
 
     with ui.row().classes("items-center w-full"):
-        ui.button(label, on_click=run).props("unelevated")
-        shown = ui.code(action().command, language="text").classes("text-caption command")
-        shown.props(f'aria-label="{words.SAME}"')
+        ui.button(label, on_click=run).props(look)
+        shown = command(action().command).classes("text-caption")
+        shown.props(f'role=group aria-label="{words.SAME}"')
     view.follow.append(lambda: shown.set_content(action().command))
 
 
@@ -135,34 +141,38 @@ def _kept(view: View, name: str) -> Callable[[Any], None]:
 FILES = "document.querySelector('#{box} input[type=file]')"
 
 
-def uploader(view: View, label: str, then: Callable[[str], Any] | None = None) -> None:
-    """A place to drop files, and a button to choose them; then: called with the name of each."""
+def uploader(
+    view: View,
+    label: str,
+    then: Callable[[str], Any] = lambda _: None,
+    check: Callable[[Path], Any] = lambda _: None,
+) -> None:
+    """A place to drop files, and a button to choose them; then: called with the name of each;
+    check: called with its path, raises for one that is not taken."""
 
     async def taken(event: Any) -> None:
         content = await event.file.read()
 
         def take() -> None:
-            path = view.session.folder.take(event.file.name, content)
-            if then is not None:
-                then(path.name)
+            then(view.session.folder.take(event.file.name, content, view.shown, check).name)
 
-        view.act(take)
+        await view.act_aside(take)
 
     def going(on: bool) -> None:
         view.uploading = on
         view.session.news.tell()
 
-    box = ui.upload(
-        label=label,
-        multiple=True,
-        auto_upload=True,
-        max_file_size=LARGEST,
-        on_upload=taken,
-        on_rejected=lambda: ui.notify(words.TOO_LARGE, type="negative"),
-    )
-    box.on("start", lambda: going(True)).on("finish", lambda: going(False))
-    box.classes("w-full").props("flat bordered")
-    button = ui.button(words.CHOOSE_FILES, icon="upload_file").props("outline")
-    button.props(f'aria-label="{label}: {words.CHOOSE_FILES}"')
-    # Every act has a way by keyboard (docs/decisions/0095).
-    button.on("click", js_handler=f"() => {FILES.format(box=box.html_id)}.click()")
+    with ui.element("div").classes("drop"):
+        box = ui.upload(
+            label=label,
+            multiple=True,
+            auto_upload=True,
+            max_file_size=LARGEST,
+            on_upload=taken,
+            on_rejected=lambda: ui.notify(words.TOO_LARGE, type="negative"),
+        )
+        box.on("start", lambda: going(True)).on("finish", lambda: going(False)).props("flat")
+        button = ui.button(words.CHOOSE_FILES, icon="upload_file").props("outline")
+        button.props(f'aria-label="{label}: {words.CHOOSE_FILES}"')
+        # Every act has a way by keyboard (docs/decisions/0095).
+        button.on("click", js_handler=f"() => {FILES.format(box=box.html_id)}.click()")

@@ -50,9 +50,18 @@ def with_shift(text: str, changing: Sequence[str], at: Sequence[float], column: 
     return _with_effect(text, effect)
 
 
-def with_changes(text: str, lines: str) -> str:
-    """The text with the effects of other lines: `change_points.toml` of a result."""
+def with_changes(text: str, lines: str, begins: Mapping[tuple[str, ...], Sequence[float]]) -> str:
+    """The text with effects of other lines: `change_points.toml` of a result.
+
+    begins: what changes together -> the numbers from which on its steps are taken; of what has no
+    steps, the whole effect.
+    """
     for effect in _parsed(lines).unwrap().get("mechanism", {}).get("effect", []):
+        names = tuple(effect["changing"])
+        if names not in begins:
+            continue
+        if "at" in effect:
+            effect["at"] = [at for at in effect["at"] if at in begins[names]]
         text = _with_effect(text, effect)
     return text
 

@@ -12,6 +12,7 @@ from typing import Any
 from nicegui import background_tasks, run, ui
 
 from loopcal.companions.app import words
+from loopcal.companions.app.addresses import Address
 from loopcal.companions.app.pages import BY_KEY, Step, stand
 from loopcal.companions.app.session import Session
 from loopcal.companions.app.shown_run import ShownRun
@@ -19,12 +20,15 @@ from loopcal.companions.app.view import Part, Place, View, title
 from loopcal.errors import LoopcalError
 from loopcal.presentation.shown import shortened
 
-SCRIPTS = {"/linked.js": "linked.js", "/fields.js": "fields.js"}
+SCRIPTS = {f"/{name}": name for name in ("addresses.js", "fields.js", "linked.js")}
 """Programs of the page, by their addresses."""
-TIP = 'anchor="center right" self="center left"'
+VERDICT = ("fit", "diagnose", "deploy")
+"""Steps that begin with the verdict."""
 PATIENCE = 0.3
 """Seconds before a page says that it waits for files."""
 STYLE = Path(__file__).with_name("scripts") / "style.css"
+CLOSED = "document.querySelector('.q-drawer__backdrop:not(.hidden)')?.click()"
+"""Close the steps where they lie over the page, as on a phone."""
 
 
 async def build(session: Session) -> None:
@@ -34,46 +38,64 @@ async def build(session: Session) -> None:
     ui.add_css(STYLE)
     for address in SCRIPTS:
         ui.add_head_html(f'<script src="{address}"></script>')
-    ui.colors(primary="#0b5cad")
-    view = View(session)
+    ui.colors(primary="#14515c")
+    view = View(session, begins_at(session))
+    view.run_script = ui.context.client.run_javascript
+    request = ui.context.client.request
+    view.go(Address.of(request.url.path, request.url.query, BY_KEY))
 
-    with ui.header(elevated=False).classes("items-center q-px-md"):
-        menu_button = ui.button(icon="menu").props('flat color=white aria-label="Steps"')
-        ui.label("loopcal").classes("text-h6")
-        ui.label(str(session.folder.path.name)).classes("text-body2")
+    with ui.header(elevated=False).classes("items-center head"):
+        menu_button = ui.button(icon="menu").props('flat color=none aria-label="Steps"')
+        ui.label(words.NAME).classes("mark")
+        ui.label(str(session.folder.path.name)).classes("folder")
         ui.space()
         with ui.row().classes("items-center no-wrap") as waiting:
-            ui.spinner(color="white")
+            ui.spinner()
             ui.label(words.READING)
         waiting.set_visibility(False)
         # None: as the browser prefers.
         ui.dark_mode(value=None)
-    drawer = (
-        ui.left_drawer(value=True).classes("q-pa-sm").props("width=200 breakpoint=700 bordered")
-    )
+    # Without a value it is open only where it leaves room for the page.
+    drawer = ui.left_drawer().classes("q-pa-sm").props("width=176 breakpoint=700 bordered")
+    drawer.props(f'role=navigation aria-label="{words.STEPS}"')
     menu_button.on_click(drawer.toggle)
+    state = _State(view)
 
     def content() -> None:
+        another = view.step != view.shown
         view.begin()
         shown = BY_KEY[view.step]
         title(shown.label, shown.words)
+        state.draw()
         _shown(view)
+        view.addressed(words.TITLE.format(step=shown.label, folder=session.folder.path.name))
+        if another:
+            ui.run_javascript("addresses.drawn()")
 
     def show(key: str) -> None:
-        view.step = key
+        view.step, view.entry = key, None
+        ui.run_javascript(f"addresses.show('/{key}'); {CLOSED}")
         session.news.tell()
 
+    def went(event: Any) -> None:
+        said = event.args
+        view.go(Address.of(str(said["path"]), str(said["query"]), BY_KEY))
+        view.refresh()
+        session.news.tell()
+
+    ui.on("went", went)
     with drawer:
         lights = {step.key: _Light(step, show) for step in stand(session.state())}
     with ui.column().classes("w-full q-pa-md") as page:
         view.refresh = Place(content).refresh
-    with ui.footer(elevated=True).classes("run") as foot:
+    with ui.footer(elevated=False).classes("run") as foot:
         shown_run = ShownRun(session, foot)
     notice = _Notice(view)
 
     def light() -> None:
         for step in stand(session.state()):
             lights[step.key].show(step, chosen=step.key == view.step)
+        state.update()
 
     light()
     lit = Part(lambda: (stand(session.state()), view.step), light)
@@ -97,6 +119,13 @@ async def build(session: Session) -> None:
 
     following = background_tasks.create(follow())
     ui.context.client.on_delete(lambda: following.cancel())
+
+
+def begins_at(session: Session) -> str:
+    """The step at which the work on a folder goes on."""
+    if session.source() is not None:
+        return "fit"
+    return "robot" if session.project() is None else "data"
 
 
 def _update(part: Part | View | _Notice) -> None:
@@ -135,6 +164,34 @@ def _shown(view: View) -> None:
         ui.label(words.FAULT.format(fault=f"{type(error).__name__}: {error}")).classes("bad")
 
 
+class _State:
+    """How the step of a page stands, in words below its title."""
+
+    def __init__(self, view: View) -> None:
+        self.view = view
+        self.icon: Any = None
+        self.words: Any = None
+
+    def draw(self) -> None:
+        """Draw it where the page is being drawn, unless that begins with the verdict itself."""
+        self.words = None
+        if self.view.step in VERDICT and self.view.session.source() is not None:
+            return
+        with ui.element("div").classes("state"):
+            self.icon, self.words = ui.icon(""), ui.label()
+        self.update()
+
+    def update(self) -> None:
+        """Show the light as it is now."""
+        if self.words is None or self.words.is_deleted:
+            return
+        now = next(s for s in stand(self.view.session.state()) if s.key == self.view.step)
+        self.icon.set_name(words.LIGHTS[now.light][0])
+        self.icon.props("aria-hidden=true").classes(replace=now.light)
+        self.words.set_text(shortened(now.words))
+        self.words.classes(replace=now.light)
+
+
 class _Light:
     """The button of a step. It stays where it is, so that neither a click nor the focus is lost
     where its light changes."""
@@ -143,18 +200,14 @@ class _Light:
         self.button = ui.button(on_click=lambda: show(step.key)).classes("step")
         self.button.props("no-caps align=left")
         with self.button:
-            self.icon = ui.icon("")
+            self.icon = ui.icon("").props("aria-hidden=true size=18px")
             ui.label(step.label).classes("q-ml-sm")
-            self.words = ui.tooltip("").props(TIP).classes("tip")
         self.show(step, chosen=False)
 
     def show(self, step: Step, *, chosen: bool) -> None:
         """How the step stands now, and whether the page shows it."""
         icon, said = words.LIGHTS[step.light]
-        look, other = ("outline", "flat") if chosen else ("flat", "outline")
         current = "step" if chosen else "false"
-        props = f'{look} aria-label="{step.label}: {said}" aria-current={current}'
-        self.button.props(props, remove=other)
+        self.button.props(f'flat aria-label="{step.label}: {said}" aria-current={current}')
         self.icon.set_name(icon)
         self.icon.classes(replace=step.light)
-        self.words.set_text(shortened(step.words))

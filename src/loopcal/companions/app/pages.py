@@ -46,7 +46,7 @@ PAGES = (
     Page(
         "Data",
         "Give the readings. loopcal recognises columns and units; correct what is wrong.",
-        steps.made("readings"),
+        steps.data,
         data.show,
     ),
     Page(

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.companions.app.beside import LeftOut
+from loopcal.companions.app.capsules import capsules, vertices
 from loopcal.figures.figure import axis, layout, names, numbers, spots, thinned, upright
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points
@@ -23,9 +27,20 @@ Array = NDArray[np.float64]
 MOST = 2_000
 """Points of one figure; of more the largest and a sample of the rest."""
 CHOSEN, REST, DIM = "#d55e00", "#0072b2", "rgba(0,114,178,0.35)"
+GREY = "#8a919c"
+"""Of poses that the fit does not use, on either ground."""
+ABOVE = 1.25
+"""A figure reaches so many times as high as the largest error used. Beyond it poses left out are
+drawn at its edge: one slip of an encoder would flatten all others."""
 TRANSPARENT = "rgba(0,0,0,0)"
 Framed = tuple[Array, Array]
 """What the axes of a flat figure show: (N,) each."""
+SAMPLED = 30
+"""Poses whose machine makes the extent of the figure in space."""
+BEHIND = 0.6
+"""Opacity of the machine there: points behind it show."""
+ROOM = 0.15
+"""Share of the width of a figure that the name of a change needs."""
 SIZE = "distance"
 """The error of a pose as one number: the length of its differences."""
 GRID = "rgba(128,128,128,0.3)"
@@ -63,15 +78,17 @@ def machine_figure(
     flat = points.shape[1] == 2
     data = [
         spots(
-            "lines+markers+text",
+            "lines+markers+text" if flat else "markers+text",
             points.T,
             line={"color": REST, "width": 6},
-            marker={"size": 8 if flat else 5, "color": REST},
+            marker={"size": 8 if flat else 4, "color": REST},
             text=names(skeleton_labels(mechanism)),
             textposition="top center",
             hoverinfo="text",
         )
     ]
+    if not flat:
+        data.append(capsules(points))
     if cloud is not None and len(cloud):
         marker = {"size": 5 if flat else 3, "color": CHOSEN, "opacity": 0.7}
         count = [f"pose {i}" for i in range(1, len(cloud) + 1)]
@@ -98,11 +115,16 @@ def _room(points: Array) -> dict[str, Any]:
     return spots("markers", corners.T, marker={"size": 1, "opacity": 0.0}, hoverinfo="skip")
 
 
-def moved(mechanism: Mechanism, joints: Mapping[str, float]) -> dict[str, Any]:
-    """What `restyle` makes of the machine's trace to move it to another pose."""
+def moved(mechanism: Mechanism, joints: Mapping[str, float]) -> list[Any]:
+    """What `restyle` makes of the machine's traces to move it to another pose, and which these
+    are."""
     points = skeleton(mechanism, joints)
     assert points is not None
-    return {k: [numbers(v)] for k, v in zip("xyz", points.T, strict=False)}
+    if points.shape[1] == 2:
+        return [{k: [numbers(v)] for k, v in zip("xy", points.T, strict=True)}, [0]]
+    body = vertices(points)
+    both = zip("xyz", points.T, body.T, strict=True)
+    return [{k: [numbers(joint), numbers(corner)] for k, joint, corner in both}, [0, 1]]
 
 
 def end_points(mechanism: Mechanism, poses: Sequence[Mapping[str, float]]) -> Array | None:
@@ -119,7 +141,9 @@ class Errors:
 
     shown: name -> (N,) in `unit`, the size first; numbers: (N,) of the poses, their ids where
     these rise; drawn: positions of the poses that are drawn; steps: numbers from which on
-    something is modelled as moved; selected: positions of the poses that are marked.
+    something is modelled as moved; selected: positions of the poses that are marked; changed:
+    numbers from which on a finding says that something changed, and how it is named; left_out:
+    the poses that the fit does not use.
     """
 
     source: Source
@@ -129,27 +153,38 @@ class Errors:
     drawn: NDArray[np.int64]
     steps: tuple[float, ...] = ()
     selected: Sequence[int] = ()
+    changed: Mapping[float, str] = field(default_factory=dict)
+    left_out: LeftOut | None = None
 
     @classmethod
     def of(
-        cls, source: Source, steps: Sequence[float] = (), selected: Sequence[int] = ()
+        cls,
+        source: Source,
+        steps: Sequence[float] = (),
+        selected: Sequence[int] = (),
+        *,
+        differences: Mapping[str, Array] | None = None,
+        changed: Mapping[float, str] = MappingProxyType({}),
+        left_out: LeftOut | None = None,
     ) -> Errors | None:
-        """None for a result without outputs."""
+        """None for a result without outputs. differences: shown instead of the result's."""
         table, accuracy = source.table, source.document.accuracy
         if accuracy is None or not table.differences_after:
             return None
+        if differences is None:
+            differences = table.differences_after
         scale = factor(accuracy.unit)
         units = {} if source.document.mechanism is None else source.document.mechanism.quantities
-        shown = {SIZE: pose_distances(source, table.differences_after) / scale}
-        for name, values in table.differences_after.items():
+        shown = {SIZE: pose_distances(source, differences) / scale}
+        for name, values in differences.items():
             if units.get(name) == accuracy.unit:
                 shown[name] = values / scale
         kept = thinned(np.nan_to_num(shown[SIZE]), MOST).index
         order = np.arange(1.0, len(table.poses) + 1.0)
         if ids_are_numbers(table.poses):
             order = np.array([float(pose) for pose in table.poses])
-        unit = unit_shown(accuracy.unit)
-        return cls(source, shown, unit, order, kept, tuple(steps), selected)
+        unit, at = unit_shown(accuracy.unit), tuple(steps)
+        return cls(source, shown, unit, order, kept, at, selected, changed, left_out)
 
     @property
     def size(self) -> Array:
@@ -175,17 +210,81 @@ class Errors:
         return replace(self, drawn=kept, steps=steps) if len(indices) else None
 
     def over_poses(self, what: str = SIZE) -> dict[str, Any]:
-        """The error over the poses in their order."""
-        trace = self._points(self.numbers, self.shown[what])
+        """The error over the poses in their order, with its level between changes."""
+        values = self.shown[what]
+        data = [self._points(self.numbers, values)]
+        low, high = self.numbers[self.drawn[[0, -1]]] if len(self.drawn) else (0.0, 0.0)
+        changed = {at: name for at, name in self.changed.items() if low < at <= high}
+        if changed:
+            data.append(self._level(sorted({*changed, *self.steps}), values))
+        data += self._aside(None, what, low, high)
         # Between the last pose ahead of a change and the first one behind it.
-        lines = [upright(at - 0.5, CHOSEN, 1) for at in self.steps]
-        return self._flat([trace], "pose, in the order of measurement", what, 300, shapes=lines)
+        lines = [upright(at - 0.5, CHOSEN, 1) for at in sorted({*self.steps, *changed})]
+        said = [
+            {
+                "x": at - 0.5,
+                "y": 1.0,
+                "yref": "paper",
+                "text": text,
+                "showarrow": False,
+                "xanchor": "left" if at < 0.5 * (low + high) else "right",
+                "yanchor": "bottom",
+                "font": {"color": CHOSEN, "size": 12},
+            }
+            for at, text in names_apart(changed, ROOM * (high - low))
+        ]
+        title = "pose, in the order of measurement"
+        return self._flat(data, title, what, 300, shapes=lines, annotations=said)
+
+    def _level(self, steps: Sequence[float], values: Array) -> dict[str, Any]:
+        """A line at the median between one change and the next: the step as an eye takes it."""
+        ends = [-np.inf, *steps, np.inf]
+        x: list[float | None] = []
+        y: list[float | None] = []
+        for begin, end in pairwise(ends):
+            inside = (begin <= self.numbers) & (self.numbers < end) & np.isfinite(values)
+            if inside.any():
+                level = float(np.median(values[inside]))
+                span = self.numbers[inside]
+                x += [float(span[0]) - 0.5, float(span[-1]) + 0.5, None]
+                y += [level, level, None]
+        line = {"color": CHOSEN, "width": 2}
+        return {
+            **{"type": "scatter", "mode": "lines", "line": line, "hoverinfo": "skip"},
+            **{"x": x, "y": y},
+        }
+
+    def _aside(
+        self, joint: str | None, what: str, low: float = -np.inf, high: float = np.inf
+    ) -> list[dict[str, Any]]:
+        """The poses that the fit does not use, in grey; over a joint or over the numbers."""
+        aside = self.left_out
+        if aside is None or (joint is not None and joint not in aside.readings):
+            return []
+        accuracy = self.source.document.accuracy
+        scale = factor("m" if accuracy is None else accuracy.unit)
+        sizes = aside.sizes / scale
+        values = sizes if what == SIZE else aside.differences[what] / scale
+        at = aside.numbers if joint is None else aside.readings[joint] / factor(self._unit(joint))
+        # One left out at an end of the run lies outside of the numbers of the poses used.
+        span = max(high - low, 1.0)
+        kept = np.isfinite(values) & (at >= low - 0.05 * span) & (at <= high + 0.05 * span)
+        most = ABOVE * float(np.nanmax(np.abs(self.shown[what]), initial=0.0))
+        beyond = np.abs(values) > most
+        shapes = np.where(beyond, np.where(values > 0.0, "triangle-up", "triangle-down"), "x")
+        said = [
+            f"pose {p}, not used: {v:.3g} {self.unit}"
+            for p, v in zip(aside.poses, sizes, strict=True)
+        ]
+        drawn = np.array([at, np.clip(values, -most, most)])[:, kept]
+        marker = {"color": GREY, "size": 8, "symbol": shapes[kept].tolist()}
+        text = [one for one, keep in zip(said, kept, strict=True) if keep]
+        return [spots("markers", drawn, marker=marker, text=names(text), hoverinfo="text")]
 
     def over_joint(self, name: str, what: str = SIZE) -> dict[str, Any]:
         """The error over one joint."""
-        trace = self._points(self.joint(name), self.shown[what])
-        title = f"{name} [{unit_shown(self._unit(name))}]"
-        return self._flat([trace], title, what, 220)
+        data = [self._points(self.joint(name), self.shown[what]), *self._aside(name, what)]
+        return self._flat(data, f"{name} [{unit_shown(self._unit(name))}]", what, 220)
 
     def joint(self, name: str) -> Array:
         """(N,) readings of a joint, in the unit shown."""
@@ -240,15 +339,54 @@ class Errors:
             trace["unselected"] = {"marker": {"opacity": 0.35}}
             trace.pop("selected")
         titles = [f"{k} [m]" for k in "xyz"[: len(at)]]
+        data, body = [trace, self._ring(trace)], self._body(self.posed)
         if solid:
             more: dict[str, Any] = {"scene": _space(titles)}
+            if body is not None:
+                data.append(capsules(body) | {"opacity": BEHIND})
+                self._hold(more["scene"], at)
         else:
             more = {f"{k}axis": axis(t) for k, t in zip("xy", titles, strict=True)} | _BRUSHED
         return {
-            "data": [trace, self._ring(trace)],
+            "data": data,
             "layout": look(420, showlegend=False, uirevision="space", **more),
             "config": _SPATIAL,
         }
+
+    @property
+    def posed(self) -> int:
+        """Position of the pose in which the machine is drawn: the first one selected, or of all."""
+        return min(self.selected, default=0)
+
+    def posing(self) -> list[Any] | None:
+        """What `restyle` makes of the figure in space to draw the machine in that pose; None where
+        none is drawn."""
+        body = self._body(self.posed) if self.solid else None
+        if body is None:
+            return None
+        return [{k: [numbers(v)] for k, v in zip("xyz", vertices(body).T, strict=True)}, [2]]
+
+    def _body(self, position: int) -> Array | None:
+        """(k, 3) the skeleton of the machine in one pose [m], where it has a known shape."""
+        mechanism, readings = self.source.mechanism, self.source.table.readings
+        if mechanism is None:
+            return None
+        joints = {q: float(v[position]) for q, v in readings.items() if np.isfinite(v[position])}
+        try:
+            points = skeleton(mechanism, joints)
+        except KeyError:
+            return None  # a joint that was not read in this pose
+        return points if points is not None and points.shape[1] == 3 else None
+
+    def _hold(self, scene: dict[str, Any], at: Array) -> None:
+        """State the ranges of the axes, so that the scene stays where the machine moves."""
+        some = np.linspace(0, len(self.size) - 1, SAMPLED).astype(int)
+        bodies = [body for i in set(some.tolist()) if (body := self._body(i)) is not None]
+        everything = np.vstack([at.T, *bodies])
+        low, high = np.nanmin(everything, axis=0), np.nanmax(everything, axis=0)
+        beside = 0.05 * float((high - low).max())
+        for k, begin, end in zip("xyz", low, high, strict=True):
+            scene[f"{k}axis"]["range"] = [float(begin) - beside, float(end) + beside]
 
     def _ring(self, trace: Mapping[str, Any]) -> dict[str, Any]:
         """The trace that rings the selected poses in space."""
@@ -256,7 +394,7 @@ class Errors:
         ring = {"color": TRANSPARENT, "size": 10, "line": {"color": CHOSEN, "width": 3}}
         at = {k: [trace[k][i] for i in marked] for k in "xyz" if k in trace}
         ring_trace = {"type": trace["type"], "mode": "markers", "marker": ring, "hoverinfo": "skip"}
-        return {**ring_trace, **at}
+        return {**ring_trace, **at, "meta": "ring"}  # linked.js knows it by that
 
     def _marked(self) -> list[int]:
         """Which of the drawn poses are selected."""
@@ -315,6 +453,15 @@ class Errors:
             hoverinfo="text",
             **({} if len(at) == 3 else marks),
         )
+
+
+def names_apart(changed: Mapping[float, str], room: float) -> list[tuple[float, str]]:
+    """The names of changes in the order of the run, where they leave each other room."""
+    kept: list[tuple[float, str]] = []
+    for at, name in sorted(changed.items()):
+        if not kept or at - kept[-1][0] > room:
+            kept.append((at, name))
+    return kept
 
 
 def _space(titles: Sequence[str], camera: Any = None) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,7 +17,7 @@ from pathlib import Path
 from stat import S_ISREG
 from typing import Any, BinaryIO
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, LoopcalError
 from loopcal.files.atomic import write_atomic
 from loopcal.files.outputs import leads_into
 from loopcal.files.result.deployed import FOLDER as NOTES
@@ -212,9 +212,18 @@ class ProjectFolder:
         except (InputError, OSError, UnicodeDecodeError):
             return None
 
-    def take(self, name: str, content: bytes) -> Path:
-        """Keep a file that was handed in, under its own last name. Raises InputError for a name
-        that cannot stand, and where a file of other content has it."""
+    def take(
+        self,
+        name: str,
+        content: bytes,
+        step: str = "",
+        check: Callable[[Path], Any] = lambda _: None,
+    ) -> Path:
+        """Keep a file that was handed in at a step, under its own last name.
+
+        Raises InputError for a name that cannot stand, where a file of other content has it, and
+        what `check` raises for the file: it is not kept then.
+        """
         last = name.replace("\\", "/").rsplit("/", 1)[-1].strip()
         if not last or last[0] in ".-" or not last.isprintable() or len(last) > 200:
             raise InputError(
@@ -238,9 +247,27 @@ class ProjectFolder:
                 place=last,
                 remedy="rename one of them",
             )
+        new = not path.exists()
         write_atomic(path, content)
-        self.noted("file", f"took in {last}", {"name": last, "bytes": len(content)})
+        try:
+            check(path)
+        except LoopcalError:
+            if new:
+                path.unlink()
+            raise
+        record = {"name": last, "bytes": len(content), "step": step}
+        self.noted("file", f"took in {last}", record)
         return path
+
+    def handed_in(self, step: str) -> list[str]:
+        """Names of the files that were taken in at a step, the last one last."""
+        last: dict[str, str] = {}
+        for entry in self.log().entries:
+            if entry.kind in ("file", "aside"):
+                name = str(entry.record.get("name"))
+                last.pop(name, None)
+                last[name] = str(entry.record.get("step"))
+        return [name for name, of in last.items() if of == step]
 
     def change(self, text: str, what: str, reason: str) -> None:
         """Write the project anew, and the change into the log."""

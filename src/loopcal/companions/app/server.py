@@ -46,6 +46,7 @@ def serve(
             remedy="pip install loopcal[app]",
         ) from None
     from loopcal.companions.app.frame import SCRIPTS, build
+    from loopcal.companions.app.pages import BY_KEY
     from loopcal.companions.app.project_folder import FolderLock, existing_folder
     from loopcal.companions.app.session import Session
     from loopcal.files.outputs import INSIDE
@@ -68,7 +69,13 @@ def serve(
     app.add_api_route("/file/{name:path}", lambda name: sent(session, name))
     app.add_api_route("/page/{name:path}", lambda name: shown(session, name))
     # Large files are read ahead of the first drawing, which a shorter time would cut off.
-    ui.page("/", title=f"loopcal: {path.name}", response_timeout=60.0)(partial(build, session))
+    # Its bar has no name for a screen reader; the page says itself what it waits for.
+    app.config.quasar_config["loadingBar"]["skipHijack"] = True
+    for address in ("/", *(f"/{key}" for key in BY_KEY)):
+        page = ui.page(
+            address, title=f"loopcal: {path.name}", language="en-US", response_timeout=60.0
+        )
+        page(partial(build, session))
     app.on_shutdown(session.worker.cancel)
     ui.run(
         host=host,

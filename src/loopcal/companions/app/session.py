@@ -7,13 +7,15 @@ import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any, Generic, TypeVar
 
+from loopcal.companions.app.cards import begins
 from loopcal.companions.app.edits import with_changes, with_shift, with_value, without_poses
-from loopcal.companions.app.project_folder import RESULT, ProjectFolder
+from loopcal.companions.app.project_folder import RESULT, Entry, ProjectFolder
 from loopcal.companions.app.refits import Asked, News, Refits
 from loopcal.companions.app.steps import State
 from loopcal.companions.app.worker import Action, Command, Run, Worker
@@ -21,10 +23,13 @@ from loopcal.companions.robot.programs.registry import BY_ENDING as PROGRAMS
 from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files.machines.python_function import load_function
+from loopcal.files.machines.urdf import NO_URDF, branches
 from loopcal.files.project.data_table import DataTable
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.stream import load_sample
+from loopcal.files.recognition.dh_table import read_dh
+from loopcal.files.tables.registry import BY_ENDING as READERS
 from loopcal.measurements.dataset import Dataset
 from loopcal.report.source import Source, read_source
 from loopcal.statistics.changes import COLUMN, ids_are_numbers
@@ -92,9 +97,11 @@ class Session:
         self.refits = Refits(self.worker.context, self.news.tell, self.function)
         self.last: dict[str, Run] = {}  # of each command, since the server started
         self.finished = 0
+        self._of = ""  # what the run that goes on reads
         self._noted: Run | None = None
         self._source: Cached[Source | None] = Cached()
         self._loaded: Cached[LoadedData] = Cached()
+        self._whole: Cached[Dataset] = Cached()
         self._deployed: Cached[dict[str, bool]] = Cached()
         self._project: Cached[Project | None] = Cached()
         self._shown: tuple[Source, Refit | None, Source] | None = None
@@ -122,6 +129,7 @@ class Session:
 
     def start(self, action: Action) -> Run:
         """Run a command in the folder; before a calibration ends, its fit is looked at."""
+        self._of = self.read_by(action.words[0])
         run = self.worker.start(action, str(self.folder.path))
         if action.words[0] == "calibrate" and "--out" not in action.words:
             named = dict(pairwise(action.words))
@@ -211,7 +219,8 @@ class Session:
 
     def _ended(self, run: Run) -> None:
         self.last[run.action.words[0]] = run
-        content = {"command": run.action.command, "code": run.code, "cancelled": run.cancelled}
+        command = run.action.command
+        content = {"command": command, "code": run.code, "cancelled": run.cancelled, "of": self._of}
         if run.action.words[0] == "check" and (answer := checked(run)) is not None:
             content["verdict"] = answer["verdict"]
         self.folder.noted("ended", run.action.what, content)
@@ -280,6 +289,7 @@ class Session:
     def state(self) -> State:
         """What the lights of the steps follow from."""
         source, project, objection = self.source(), self.project(), self.objection()
+        loaded = self.readings()
         runs = {
             str(e.record.get("command", "")).split(" ")[1]: e
             for e in self.folder.log().entries
@@ -292,7 +302,45 @@ class Session:
             stale=self.stale,
             deployed=self.deployed(),
             runs=runs,
+            outdated=frozenset(c for c, e in runs.items() if self._outdated(c, e)),
+            unread=self.unread() if project is not None else "",
+            waiting=self.waiting(),
+            warned=tuple(map(str, loaded.warnings)) if loaded is not None else (),
         )
+
+    def read_by(self, command: str) -> str:
+        """A digest of what a command reads: the project with its readings, or the result."""
+        if command not in ("check", "plan", "calibrate"):
+            return str(self._result_at())
+        project, times = self.project(), self._times()
+        inputs = {} if project is None else project.inputs
+        counted = {**_that_count(inputs), "plan": inputs.get("plan") if command == "plan" else None}
+        files = () if project is None or project.data is None else _files(project.data)
+        at = [counted, [times.get(file) for file in files]]
+        return sha256(json.dumps(at, sort_keys=True, default=str).encode()).hexdigest()
+
+    def _outdated(self, command: str, entry: Entry) -> bool:
+        """Whether a run of the log read something else than there is now."""
+        of = entry.record.get("of")
+        return of is not None and of != self.read_by(command)
+
+    def outdated(self, command: str) -> bool:
+        """Whether the last run of a command read something else than there is now."""
+        return command in self.state().outdated
+
+    def waiting(self) -> tuple[str, ...]:
+        """Files of readings that were handed in at the step Data, and that the project does not
+        read; those that were left aside are not named again."""
+        project = self.project()
+        if project is None or project.data is None:
+            return ()
+        unread = {file.name for file in self.folder.listed()} - set(_files(project.data))
+        names = [name for name in self.folder.handed_in("data") if name in unread]
+        return tuple(name for name in names if name.lower().endswith(tuple(READERS)))
+
+    def left_aside(self, name: str) -> None:
+        """Do not ask again what becomes of a file of readings."""
+        self.folder.noted("aside", f"left {name} aside", {"name": name, "step": ""})
 
     @property
     def stale(self) -> bool:
@@ -313,7 +361,9 @@ class Session:
         return None, None
 
     def choose_robot(self, kind: str, value: str) -> None:
-        """Describe the robot of a project to come."""
+        """Describe the robot of a project to come. Raises as `read_robot`."""
+        if kind != "machine":
+            read_robot(kind, self.folder.inside(value))
         self.folder.noted("robot", f"robot from {value}", {"robot": kind, "value": value})
 
     def readings(self) -> LoadedData | None:
@@ -322,6 +372,16 @@ class Session:
         if project is None:
             return None
         return self._loaded.read(self._readings_at(), lambda: load_sample(project))
+
+    def every_pose(self) -> Dataset | None:
+        """The readings, those of poses that the project leaves out among them."""
+        project, loaded = self.project(), self.readings()
+        if project is None or loaded is None or project.data is None:
+            return None if loaded is None else loaded.dataset
+        if not project.data.exclude:
+            return loaded.dataset
+        whole = replace(project, data=replace(project.data, exclude=()))
+        return self._whole.read(self._readings_at(), lambda: load_sample(whole).dataset)
 
     def _readings_at(self) -> object:
         """Another value whenever the readings may have changed."""
@@ -368,6 +428,12 @@ class Session:
         effects = mechanism.get("effect", []) if isinstance(mechanism, dict) else []
         return sorted({float(at) for effect in effects for at in effect.get("at", ())})
 
+    def left_out(self) -> tuple[str, ...]:
+        """Ids of the poses that the project leaves out."""
+        project = self.project()
+        data = None if project is None else project.data
+        return () if data is None else tuple(map(str, data.exclude))
+
     def shifted(self, names: Sequence[str], run: Sequence[str], reason: str) -> None:
         """Take parameters as others from the first to the last pose of a run.
 
@@ -392,11 +458,16 @@ class Session:
         self._write(text, f"{', '.join(names)} moved from pose {first} to {last}", reason)
 
     def modelled(self, changes: ChangePoints, reason: str) -> None:
-        """Put the changes that a result found into the project."""
-        change_words = "; ".join(
-            f"{', '.join(p.names)} from pose {p.pose} on" for p in changes.found
-        )
-        self._write(with_changes(self._counted(), changes.toml), f"moved: {change_words}", reason)
+        """Put the changes along the run that a finding names into the project."""
+        source = self.source()
+        starts = begins(changes.found, () if source is None else source.table.poses)
+        at = {
+            names: [number for number, p in starts.items() if p.names == names]
+            for names in (p.names for p in changes.found)
+        }
+        change_words = "; ".join(point.what for point in changes.found)
+        text = with_changes(self._counted(), changes.toml, at)
+        self._write(text, f"accepted: {change_words}", reason)
 
     def _counted(self) -> str:
         """The text with a column of numbers of poses."""
@@ -419,6 +490,16 @@ class Session:
         self.read(text)  # raises where it would not be read
         self.folder.change(text, what, reason)
         self._look_ahead()
+
+
+def read_robot(kind: str, path: Path) -> None:
+    """Raises InputError for a file that describes no robot of its kind."""
+    if kind == "dh":
+        read_dh(path)
+    elif not branches(path):
+        raise InputError(
+            "no joint of this robot moves", code="no-data", place=path.name, remedy=NO_URDF
+        )
 
 
 def _all_selected() -> InputError:

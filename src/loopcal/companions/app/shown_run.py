@@ -10,8 +10,9 @@ from nicegui import ui
 
 from loopcal.companions.app import words
 from loopcal.companions.app.session import Session
-from loopcal.companions.app.view import Part, Place, text_block
+from loopcal.companions.app.view import Part, Place, command, text_block
 from loopcal.companions.app.worker import Run
+from loopcal.presentation.shown import shortened
 
 SAID = 1_500
 """Characters of what a failed run said that are shown at once; the end of it."""
@@ -55,7 +56,7 @@ class ShownRun:
             return
         with ui.row().classes("items-center w-full q-gutter-sm"):
             ui.label(run.action.what).classes("text-subtitle2")
-            ui.code(run.action.command, language="text").classes("text-caption gt-sm command")
+            command(run.action.command).classes("text-caption gt-sm")
             ui.space()
             if run.code is None:
                 ui.spinner(size="sm")
@@ -64,7 +65,9 @@ class ShownRun:
             else:
                 _end(run)
         if run.code not in (None, 0) and not run.cancelled:
-            text_block(run.text[max(run.text.rfind("loopcal: "), 0) :][-SAID:])
+            said = run.text[max(run.text.rfind("loopcal: "), 0) :][-SAID:]
+            with ui.expansion(shortened(said)).classes("why said"):
+                text_block(said)
 
     def follow(self) -> None:
         """Show the progress alone."""

@@ -12,6 +12,8 @@ LIGHTS = ("none", "good", "care", "bad")
 """Not begun, done, done with something to look at, wrong."""
 GRADES = {"good": "good", "weak": "care", "undetermined": "bad"}
 """The light of what a check says of the poses."""
+FILE_FAULTS = ("column-fault", "rows-copied", "readings-coarse")
+"""Findings that speak of the file of readings."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,14 @@ class State:
     """Files for the robot and the record: whether each is of the result."""
     runs: Mapping[str, Entry]
     """The last run of each command."""
+    outdated: frozenset[str] = frozenset()
+    """Commands whose last run read other files than there are now."""
+    unread: str = ""
+    """Why the readings cannot be read."""
+    waiting: tuple[str, ...] = ()
+    """Files of readings handed in that the project does not read."""
+    warned: tuple[str, ...] = ()
+    """What looks odd about the readings."""
 
 
 Light = Callable[[State], tuple[str, str]]
@@ -63,9 +73,30 @@ def ran(command: str, what: str) -> Light:
         if run is None:
             return "none", f"not asked yet: {what}"
         code = run.record.get("code")
-        return ("good", "done") if code == 0 else ("bad", f"ended with code {code}")
+        if code != 0:
+            return "bad", f"ended with code {code}"
+        if command in state.outdated:
+            return "care", "its inputs have changed since: run it again"
+        return "good", "done"
 
     return lit
+
+
+def data(state: State) -> tuple[str, str]:
+    """Whether the readings are read, all of them, and nothing about them looks odd."""
+    light, said = made("readings")(state)
+    if light != "good":
+        return light, said
+    if state.unread:
+        return "bad", state.unread
+    if state.waiting:
+        return "care", f"handed in but not read by the project: {', '.join(state.waiting)}"
+    document = state.document
+    faults = () if document is None or state.stale else document.findings
+    for finding in faults:
+        if finding.place.files or finding.code in FILE_FAULTS:
+            return {"no": "bad", "open": "care", "yes": "good"}[finding.mark], finding.title
+    return ("care", state.warned[0]) if state.warned else ("good", "read by the project")
 
 
 def checked(state: State) -> tuple[str, str]:
@@ -73,11 +104,9 @@ def checked(state: State) -> tuple[str, str]:
     light, said = ran("check", "what the poses can determine")(state)
     run = state.runs.get("check")
     verdict = None if run is None else run.record.get("verdict")
-    return (
-        (light, said)
-        if verdict is None
-        else (GRADES[str(verdict)], f"what the poses can determine: {verdict}")
-    )
+    if verdict is None or light != "good":
+        return light, said
+    return GRADES[str(verdict)], f"what the poses can determine: {verdict}"
 
 
 def fit(state: State) -> tuple[str, str]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from nicegui import background_tasks, run, ui
 
 from loopcal.companions.app import words
+from loopcal.companions.app.addresses import Address
 from loopcal.companions.app.pictures import GRID
 from loopcal.companions.app.session import Session
 from loopcal.errors import LoopcalError
@@ -18,6 +20,8 @@ from loopcal.presentation.shown import with_unit
 
 WHOLE = 100
 """Rows of a table that is shown without turning its pages."""
+MOST_LINES = 400
+"""Lines of a difference that are shown."""
 
 
 @dataclass(eq=False)
@@ -46,11 +50,15 @@ class View:
 
     session: Session
     step: str = "robot"
+    entry: int | None = None
+    """Number of the entry of the log that is shown."""
     selected: list[int] = field(default_factory=list)
     kept: dict[str, Any] = field(default_factory=dict)
     poses: tuple[str, ...] = ()
     """Ids of the poses of the result that is shown."""
     refresh: Callable[[], Any] = lambda: None
+    run_script: Callable[[str], Any] = lambda _: None
+    """Runs a program in the browser, also from a task that draws nothing."""
     boxes: dict[str, Any] = field(default_factory=dict)
     """The control of each name as it was drawn last."""
     follow: list[Callable[[], Any]] = field(default_factory=list)
@@ -101,6 +109,24 @@ class View:
         for follower in self.follow:
             follower()
 
+    def address(self) -> Address:
+        """Of what it shows."""
+        if self.entry is not None:
+            return Address(self.step, run=self.entry)
+        return Address.selecting(self.step, self.selected, self.poses)
+
+    def go(self, address: Address) -> None:
+        """Show what an address says, in the result as it stands."""
+        self.step, self.entry = address.step or self.step, address.run
+        if address.poses and (source := self.session.source()) is not None:
+            self.poses = source.table.poses
+            self.selected[:] = address.selected(self.poses)
+
+    def addressed(self, title: str = "") -> None:
+        """Name the address to the browser."""
+        said = f"{json.dumps(self.address().text)}, {json.dumps(title)}"
+        self.run_script(f"addresses.show({said})")
+
     def select_among(self, poses: Sequence[str]) -> None:
         """Keep the selected poses, by their ids, where the result has others than before."""
         ids = {self.poses[i] for i in self.selected}
@@ -133,10 +159,13 @@ class View:
         """Begin a run of `loopcal LINE`."""
         return self.act(lambda: self.session.start(self.session.action(what, line)))
 
-    def files(self, ends: tuple[str, ...]) -> list[str]:
-        """Files of the folder itself that end so."""
+    def files(self, ends: tuple[str, ...], step: str = "") -> list[str]:
+        """Files of the folder itself that end so; those handed in at a step first, the last one
+        ahead of all."""
         names = (file.name for file in self.session.folder.listed())
-        return [name for name in names if "/" not in name and name.lower().endswith(ends)]
+        kept = [name for name in names if "/" not in name and name.lower().endswith(ends)]
+        handed_in = self.session.folder.handed_in(step) if step else []
+        return sorted(kept, key=lambda name: -handed_in.index(name) if name in handed_in else 1)
 
     def project_name(self) -> str:
         """Of the project file in the folder."""
@@ -190,7 +219,7 @@ def _stale(session: Session) -> None:
 def title(label: str, words: str) -> None:
     """The head of a step, and what is done there."""
     ui.label(label).classes("text-h5").props("role=heading aria-level=1")
-    ui.label(words).classes("text-body1 q-mb-sm")
+    ui.label(words).classes("text-body1")
 
 
 def heading(text: str) -> None:
@@ -218,6 +247,28 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], **more: Any) ->
     return made_table.props(f"dense flat {hidden}").classes("w-full")
 
 
+def command(line: str) -> Any:
+    """A command line, with a button that copies it."""
+    made = ui.code(line, language="text").classes("command")
+    made.copy_button.props(f'aria-label="{words.COPY}"')
+    return made
+
+
+def difference(lines: Sequence[str]) -> None:
+    """Lines of a difference, marked; so many of them."""
+    with ui.element("div").classes("printed difference").props('tabindex="0" role=region'):
+        for one in lines[:MOST_LINES]:
+            ui.label(one or " ").classes(_kind(one))
+        if len(lines) > MOST_LINES:
+            ui.label(f"and {len(lines) - MOST_LINES:,} lines more")
+
+
+def _kind(line: str) -> str:
+    if line.startswith(("---", "+++", "@@")):
+        return "none"
+    return "gone" if line.startswith("-") else "come" if line.startswith("+") else ""
+
+
 def figure(drawn: Any) -> Any:
     """A figure of the report, drawn by plotly in the page's own colours."""
     layout = {
@@ -232,11 +283,15 @@ def figure(drawn: Any) -> Any:
     heading(drawn.title)
     ui.label(drawn.caption).classes("text-caption")
     content = {"data": list(drawn.data), "layout": layout, "config": {"displaylogo": False}}
-    return ui.plotly(content).classes("w-full").props(f'aria-label="{_plain(drawn.label)}"')
+    return plot(content, drawn.label)
 
 
-def _plain(text: str) -> str:
-    return text.replace('"', "'").replace("<", "").replace(">", "")
+def plot(drawn: Mapping[str, Any], label: str) -> Any:
+    """A figure of plotly in its place, which is as high as it will be; label: of its picture."""
+    made = ui.plotly(dict(drawn)).classes("w-full plot")
+    made.style(f"--high: {drawn['layout'].get('height', 300)}px")
+    plain = label.replace('"', "'").replace("<", "").replace(">", "")
+    return made.props(f'role=figure aria-label="{plain}"')
 
 
 # Parts of a page that are drawn anew without losing what a user does meanwhile.

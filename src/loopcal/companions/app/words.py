@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+NAME, STEPS = "loopcal", "Steps"
+TITLE = "{step} - {folder} - loopcal"
 LIGHTS = {
     "none": ("radio_button_unchecked", "not begun"),
     "good": ("check_circle", "good"),
@@ -62,7 +64,14 @@ NONE_SELECTED = (
 ENDS = ("From pose", "To pose")
 STEPPERS = {-1: ("chevron_left", "one pose earlier"), 1: ("chevron_right", "one pose later")}
 RUN, RUN_RMS = "pose {first} to {last}", "pose {first} to {last}, rms {rms}"
-RUNS = "Select a run between them:"
+RUNS = "Select a run"
+FROM_POSE = "from pose {pose}"
+WHY = "Why"
+UNASKED = "not asked"
+ACCEPT, ACCEPTED = "Accept", "In the project; fit again."
+BEFORE_AFTER = {True: "Before", False: "After"}
+BEFORE_AFTER_NAME = "errors before or after the changes are taken up"
+EXCLUDE_NAMED = "Exclude pose {poses}"
 ZOOM_IN, ZOOM_OUT = "Zoom in", "Show all poses"
 PARAMETERS_MOVED = "{what} moved here"
 BY_LOOPCAL = "found by loopcal"
@@ -81,7 +90,7 @@ BAD_CELLS = (
     "{count} cells are no numbers. Correct the file and drop it again, or exclude the poses."
 )
 COLUMNS = (
-    "Select a row of the table below: the robot moves to that pose. "
+    "Press a pose in the table below: the robot moves there. "
     "If it looks wrong, choose another column or unit."
 )
 PLAN_RANGES = "Ranges of the joints"
@@ -95,6 +104,8 @@ COMPARED = (
     "Calibrate with several methods, each validated on ten parts of the poses that its fit does "
     "not use. Each result gets a folder of its own."
 )
+ROBOT_DRAWN = "the robot"
+ROBOT_IN_ROW, ROBOT_PLANNED = "the robot in the selected row", "the robot in the planned poses"
 MAP = "Click a point: the sliders and the prediction below show its pose."
 NOT_OF_RESULT = "Not of this result. Write it again."
 DIFFERENCE = "Lines that change are marked with - (before) and + (after)."
@@ -105,6 +116,7 @@ CORRECT = (
     "The corrected program is a new file; the original stays."
 )
 RECORD = "State who measured what, and with what. The record is a page for print."
+NO_ENTRY, NOTHING_DONE = "The log has no line {number}.", "Nothing has been done here yet."
 EVENT = "What happened: collision, new belt, moved base ..."
 MACHINE = "Calibrations, verifications and events of the machine, in the folder machine.history."
 NO_HISTORY = "The machine has no history yet. Add this result, or an event."
@@ -156,19 +168,17 @@ OPEN_RECORD = "Open the record"
 SOURCE_FILE = "Your own file"
 ZERO_OFFSETS_JOINTS = "Zero offsets of joints"
 ORIENTATIONS = "Orientations"
-DETECTED_CHANGES = "Found by loopcal"
-STATE_CHANGES = "Put these changes into the project"
 SELECTED_POSES = "Selected poses"
 FIT_AGAIN = "Fit again"
 EXCLUDE = "Exclude"
 SELECT_NONE = "Select none"
 SELECT_THESE_POSES = "Select these poses"
-DETAILS = "Details"
 CALIBRATE = "Calibrate"
 SIDE_BY_SIDE = "Methods side by side"
 ANOTHER_METHOD = "Another method"
 TRY_IT = "Try it"
 PARAMETERS = "Parameters"
+FIXED = "{count} parameters are fixed"
 METHOD = "Method"
 VALIDATE_ON = "Validate on"
 CALIBRATE_OTHERWISE = "Calibrate by another method"
@@ -195,10 +205,17 @@ DROP_ANOTHER_DAY = "Drop readings of another day here"
 READINGS = "Readings"
 VERIFY_IT = "Verify"
 PREDICT_ONE_POSE = "Predict one pose"
+COPY = "Copy"
 CLOSE = "Close"
 CANCEL = "Cancel"
 OUTPUT = "Output"
 EXCLUDE_BAD = ("Exclude 1 pose", "Exclude {count} poses")
+WAITING = "{name} is in the folder, but the project does not read it."
+USE_INSTEAD, LEAVE_ASIDE = "Use it instead of {name}", "Leave it aside"
+STATE_SOURCE = "The project reads several files. Name it in [[data.source]], or remove the project."
+DROPPED, USE_AGAIN = "handed in", "Use them again"
+OUTDATED = "The inputs have changed since this was computed. Run it again."
+CHECKED_EARLIER = "Checked at {at} UTC. Check again to see the answer."
 EXCLUDED = "Excluded: pose {poses}"
 UNDO = "Undo: {what}"
 BY_METHOD = "Method: {label}"

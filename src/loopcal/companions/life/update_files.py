@@ -16,13 +16,12 @@ from loopcal.companions.life.updating import updated
 from loopcal.document.result_document import WrittenResult
 from loopcal.errors import InputError, UsageError
 from loopcal.files.outputs import refuse_foreign
-from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_file import NAMES
 from loopcal.files.result.result_poses import poses_of_result
 from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verdict import refuses
 from loopcal.units import difference_to_si
-from loopcal.workflow.readings import Files, first_of
+from loopcal.workflow.readings import Files, first_of, new_readings
 from loopcal.workflow.result import Result, save_result
 from loopcal.workflow.saved_result import read_result
 
@@ -93,7 +92,7 @@ def run_update(
     data = poses_of_result(first, read.mechanism)
     if data is None:
         inputs = _with_file(inputs, first)
-        data = read_new_readings(readings, read.inputs, read.mechanism, whole=True)
+        data = new_readings(readings, read.inputs, read.mechanism, whole=True)
     try:
         done = updated(read.calibrated, data, Since(mounting.moved, anew, allowed), None)
     except InputError as error:

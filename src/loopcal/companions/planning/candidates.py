@@ -313,8 +313,8 @@ def allowed(
         return Allowed(left, refused)
     family = _sees_point(mechanism)
     base = _base(mechanism, family)
-    seen = np.array([data.readings[q] for q in point_outputs(mechanism, family)])
-    read = points(family, seen)
+    measured = np.array([data.readings[q] for q in point_outputs(mechanism, family)])
+    read = points(family, measured)
     at = _moved(base, read)
     if site.reach is not None:
         without("reach", ~site.reach.holds(at))

@@ -21,7 +21,6 @@ from loopcal.estimation.result import FitResult
 from loopcal.files.atomic import write_all
 from loopcal.files.json_writer import marked, marked_json
 from loopcal.files.outputs import expanded, refuse_foreign
-from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_data import load_dataset
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables
@@ -34,6 +33,7 @@ from loopcal.measurements.plan_settings import PlanSettings
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.workflow.projects import named_project
+from loopcal.workflow.readings import new_readings
 from loopcal.workflow.resolved import result_of
 
 POSES, DOCUMENT, PAGE = "plan.csv", "plan.json", "plan.html"
@@ -160,7 +160,7 @@ def settings_of(project: Project) -> PlanSettings:
     settings, name = project.plan, project.inputs.get("plan", {}).get("forbidden")
     if name is not None:
         path = expanded(name, project.folder, Place(project.name).at("plan", "forbidden"))
-        rows = read_new_readings(path, project.inputs, project.mechanism)
+        rows = new_readings(path, project.inputs, project.mechanism)
         settings = replace(settings, forbidden=rows)
     try:
         ranges_of(project.mechanism, settings.ranges, None)
@@ -182,7 +182,7 @@ def basis_of(project: Project, existing: Any = None) -> PlanningBasis:
     if isinstance(existing, Dataset):
         return PlanningBasis(project.mechanism, project.noise.noise(), existing)
     if isinstance(existing, str | Path) and poses_of_result(existing, project.mechanism) is None:
-        data = read_new_readings(existing, project.inputs, project.mechanism, whole=True)
+        data = new_readings(existing, project.inputs, project.mechanism, whole=True)
         return PlanningBasis(project.mechanism, project.noise.noise(), data)
     return of_calibration(existing)
 
@@ -242,4 +242,4 @@ def candidates_of(project: Project, path: str | Path | None) -> Dataset | None:
     poses = poses_of_result(path, project.mechanism)
     if poses is not None:
         return poses
-    return read_new_readings(path, project.inputs, project.mechanism)
+    return new_readings(path, project.inputs, project.mechanism)

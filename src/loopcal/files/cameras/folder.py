@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from loopcal.errors import InputError, listed
@@ -19,6 +20,8 @@ from loopcal.files.tables.readers import read_table
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 
+_RESULT = "result.json"
+"""Beside it stands what a calibration wrote."""
 _TABLES = (".csv", ".tsv", ".txt")
 _WORDS = re.compile(r"[^a-z]+")
 
@@ -35,13 +38,15 @@ class Files:
 
 
 def files_of(entries: Sequence[Any]) -> list[Path]:
-    """The files that the entries name, those of folders one by one."""
+    """The files that the entries name, those of folders one by one but for results in them."""
     paths: list[Path] = []
     for entry in entries:
         if not isinstance(entry, str | Path):
             return []
         path = Path(entry)
-        paths += sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+        inside = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+        results = {p.parent for p in inside if p.name == _RESULT}
+        paths += [p for p in inside if results.isdisjoint(p.parents)]
     return paths
 
 
@@ -90,8 +95,11 @@ def _header(path: Path) -> tuple[str, ...]:
         return ()
 
 
-def read_files(entries: Sequence[Any]) -> Files:
-    """What the files hold, by their contents. Raises InputError where no board is described."""
+def read_files(entries: Sequence[Any], usual: Mapping[str, Board] = MappingProxyType({})) -> Files:
+    """What the files hold, by their contents.
+
+    usual: the boards where no file describes one. Raises InputError where there is none.
+    """
     paths = files_of(entries)
     kinds = {path: _kind(path) for path in paths}
     boards: dict[str, Board] = {}
@@ -107,6 +115,7 @@ def read_files(entries: Sequence[Any]) -> Files:
         elif kind == "poses" or (kind == "document" and _document(path, boards, lenses, tables)):
             poses.append(path)
     images = [path for path, kind in kinds.items() if kind == "image"]
+    boards = boards or dict(usual)
     if not boards:
         raise InputError(
             "no file describes the board",

@@ -352,7 +352,7 @@ def _pose_column(
     column of texts that differ in all rows."""
     repeated: dict[int, int] = {}
     for i in table.columns:
-        if _stem(headings, i) not in _IDS or len(table.rows) < 2:
+        if _stem(headings, i) not in _IDS or not len(table.rows):
             continue
         ids = table.ids(i)
         kinds = len(set(ids))

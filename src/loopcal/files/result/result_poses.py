@@ -36,10 +36,11 @@ def read_result_poses(folder: Path, mechanism: Mechanism) -> Dataset | None:
 def poses_of_result(path: str | Path, mechanism: Mechanism) -> Dataset | None:
     """The poses of a folder that `loopcal calibrate` wrote, or of the result.json in it.
 
-    None for any other file. Raises InputError where residuals.csv is absent or cannot be read.
+    None for any other file or folder. Raises InputError where residuals.csv is absent or cannot be
+    read.
     """
     path = Path(path)
-    if path.name != "result.json" and not path.is_dir():
+    if path.name != "result.json" and not (path / "result.json").is_file():
         return None
     folder = path if path.is_dir() else path.parent
     poses = read_result_poses(folder, mechanism)

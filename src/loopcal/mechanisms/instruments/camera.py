@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from inspect import signature
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.expressions.vectors import cross, dot, vector
 from loopcal.keys import Key
 from loopcal.mechanisms.cameras.board import Board
-from loopcal.mechanisms.cameras.lens import FRAME, LENSES, project
-from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.cameras.lens import FRAME, LENSES, Intrinsics, project
+from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.frame import ChainFrame, Frame, Values, Vector
 from loopcal.mechanisms.machine import Instrument, recorded
-from loopcal.mechanisms.mechanism import PIXELS
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.station import MOTIONS, Name, Station, placed_by
 
@@ -256,3 +259,53 @@ def _eye_in_hand(body: Frame, station: Station, mount: Sequence[Step], p: Values
         for u in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     )
     return origin, ex, ey, cross(ex, ey)
+
+
+# What a machine's description says of its cameras.
+
+
+@dataclass(frozen=True)
+class CameraEntry:
+    """A camera and the board it sees, with their calibrated or nominal values [SI].
+
+    T_eye, T_board: (4, 4) of their places as `camera` defines them.
+    """
+
+    name: str
+    board: Board
+    on_body: bool
+    intrinsics: Intrinsics
+    T_eye: NDArray[np.float64]
+    T_board: NDArray[np.float64]
+
+
+def cameras_of(mechanism: Mechanism) -> tuple[CameraEntry, ...]:
+    """The cameras on the base or the body of a mechanism that can be described, by instrument."""
+    values = {p.name: p.nominal for p in mechanism.parameters}
+    usual = {name: one.default for name, one in signature(camera).parameters.items()}
+    entries = []
+    for described in (mechanism.description or {}).get("instrument", ()):
+        if described["type"] != "camera":
+            continue
+        stated = {**usual, **described}
+        if stated["on"] not in ("base", "body"):
+            continue  # of a tree: its places are those of other bodies
+        eye, lens = stated["eye"] or stated["name"], stated["lens"]
+        intrinsic = {key: values[f"{eye}_{key}"] for key in (*FRAME, *LENSES[lens])}
+        points = {
+            str(k): (float(x), float(y), float(z)) for k, (x, y, z) in stated["points"].items()
+        }
+        T_eye, T_board = (
+            product(Station(name).steps, {}, values) for name in (eye, stated["board"])
+        )
+        entries.append(
+            CameraEntry(
+                eye,
+                Board(stated["board"], points),
+                stated["on"] == "body",
+                Intrinsics.of(lens, intrinsic),
+                T_eye,
+                T_board,
+            )
+        )
+    return tuple(entries)

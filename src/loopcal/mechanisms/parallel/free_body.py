@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -52,7 +53,10 @@ def free_body(
         ex, ey, ez = written.axes(x)
         R = np.array([[ex[i], ey[i], ez[i]] for i in range(3)])
         at = [x[c] if read else x[f"{c}0"] + x[c] for c in POSITION]
-        return BodyFrame(R @ _turned(*(x[w] for w in TURNS)), vector(*at))
+        turned = _turned(*(x[w] for w in TURNS))
+        written_frame = BodyFrame(R, vector(*at))
+        columns = [written_frame.direction(turned[:, k]) for k in range(3)]
+        return replace(written_frame, rotation=np.stack(columns, axis=1))
 
     return Machine(
         name,

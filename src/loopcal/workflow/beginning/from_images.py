@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,7 +29,8 @@ from loopcal.files.toml.reader import SCHEMA
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
-from loopcal.mechanisms.instruments.camera import PIXEL
+from loopcal.mechanisms.instruments.camera import PIXEL, cameras_of
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.placement import yaw_pitch_roll
 from loopcal.units import from_si, unit
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn
@@ -61,6 +63,10 @@ middle of the image. Chosen: lenses are refocused, images cut."""
 _MOUNTED, _TURNED = 20.0, 3.0
 """As sds [mm, deg]: where a board or camera sits on a hand that is never turned, which no image
 shows, beside where the start puts it."""
+UNFIT = ("image-unexplained", "wrong-corners")
+"""Codes of facts about images that are not corrected."""
+SAME = 1e-4
+"""Points of one board differ by less than this share of it: files round."""
 _FEWEST = 3
 """Points that an image needs to show where a board of unknown pose is."""
 
@@ -114,27 +120,14 @@ def from_images(
     something remains open.
     """
     files = read_files(entries)
-    table = files.corners
-    hand = _hand(files, describe, joints, folder)
-    boards = [_named(files.boards, name) for name in table.boards]
-    corners = _corners(table, boards, hand.poses)
-    lenses, turned = _upright(_by_camera(files.lenses, table.cameras), table)
-    begun = start(corners, hand.T_base_flange, lenses, dict(table.sizes))
-    if set(lenses) >= set(table.cameras):
-        # What was stated is nominal: what the images add to it is for the calibration to say.
-        begun = with_stated_lenses(begun)
-    if hand.T_base_flange is None:
-        hand = _unread(begun, hand)
-    elif begun.T_base_flange is not None and "x" in hand.readings:
-        hand = replace(hand, readings=_flange(begun.T_base_flange))
-    project = _Project(begun, hand, table, lenses)
+    project, turned = _understood(files, _hand(files, describe, joints, folder))
     remarks = (
         *files.remarks,
-        *hand.remarks,
+        *project.hand.remarks,
         *project.left_out,
         *turned,
         # The poses of joints are those of a drawing, which scatter does not show to be wrong.
-        *(f.sentence for f in begun.facts if describe is None or f.code != "board-pitch"),
+        *(f.sentence for f in project.begun.facts if describe is None or f.code != "board-pitch"),
     )
     return FromImages(_made(project, remarks), project)
 
@@ -147,6 +140,90 @@ def _made(project: _Project, remarks: tuple[str, ...]) -> Begun:
     )
     beside = {READINGS: project.readings(), CORNERS: project.corners()}
     return Begun(project.tables, beside, remarks, project.dataset, words)
+
+
+def _understood(
+    files: Files, hand: Hand, held: bool | None = None
+) -> tuple[_Project, tuple[str, ...]]:
+    """A project of the files, and what was changed of the stated lenses; held: the board is on the
+    flange, None where the images are to show it."""
+    table = files.corners
+    boards = [_named(files.boards, name) for name in table.boards]
+    corners = _corners(table, boards, hand.poses)
+    lenses, turned = _upright(_by_camera(files.lenses, table.cameras), table)
+    begun = start(corners, hand.T_base_flange, lenses, dict(table.sizes), held)
+    if set(lenses) >= set(table.cameras):
+        # What was stated is nominal: what the images add to it is for the calibration to say.
+        begun = with_stated_lenses(begun)
+    if hand.T_base_flange is None:
+        hand = _unread(begun, hand)
+    elif begun.T_base_flange is not None and "x" in hand.readings:
+        hand = replace(hand, readings=_flange(begun.T_base_flange))
+    return _Project(begun, hand, table, lenses), turned
+
+
+def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
+    """Readings of another day from the files that `init` takes, for calibrated cameras.
+
+    The board and the lenses are those of the calibration. Warns of what had to be corrected, of
+    images that do not fit and of wrong corners. Raises InputError for another board.
+    """
+    cameras = cameras_of(mechanism)
+    usual = {one.board.name: one.board for one in cameras}
+    files = read_files(entries, usual)
+    for name in files.corners.boards:
+        _refuse_another(_named(files.boards, name), usual, name)
+    lenses = {one.name: one.intrinsics for one in cameras}
+    eyes = {camera: _word(camera, "camera") for camera in files.corners.cameras}
+    if strange := [camera for camera, eye in eyes.items() if eye not in lenses]:
+        raise InputError(
+            f"the camera {strange[0]!r} is not in the calibration",
+            code="unknown-name",
+            place=files.corners.file,
+            remedy=f"its cameras are {listed(list(lenses), 5)}",
+        )
+    files = replace(files, lenses={camera: lenses[eye] for camera, eye in eyes.items()})
+    joints = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
+    described = mechanism.description or {}
+    arm = {key: value for key, value in described.items() if key != "instrument"}
+    robot = Robot(arm, len(joints), joints)
+    hand = _hand(files, (lambda _: robot) if joints else None, None, Path())
+    project, _ = _understood(files, hand, not cameras[0].on_body)
+    for fact in project.begun.facts:
+        if (fact.applied and fact.code != "mount") or fact.code in UNFIT:
+            warnings.warn(fact.sentence, stacklevel=2)
+    for words in project.left_out:
+        warnings.warn(words, stacklevel=2)
+    data = project.dataset
+    pixels = {q for family in mechanism.families for q in family.readings}
+    unseen = {q: np.full(len(data), np.nan) for q in pixels - data.readings.keys()}
+    return data.with_readings(unseen)
+
+
+def _refuse_another(stated: Board, usual: Mapping[str, Board], name: str) -> None:
+    """Raise InputError for a board whose points are not those of the calibration."""
+    board = usual.get(_word(name, "board"))
+    if board is None:
+        raise InputError(
+            f"the calibration has no board {name!r}",
+            code="unknown-name",
+            remedy=f"its boards are {listed(list(usual), 5)}",
+        )
+    for point, at in board.points.items():
+        other = stated.points.get(point)
+        if other is None or np.linalg.norm(np.subtract(other, at)) > SAME * max(board.half):
+            where = "absent" if other is None else f"at ({_mm(other)}) mm"
+            raise InputError(
+                f"the point {point!r} of the board {name!r} is {where}; the calibration has it at "
+                f"({_mm(at)}) mm",
+                code="conflicting-keys",
+                remedy="use the board of the calibration and its description, or calibrate anew "
+                "with this one",
+            )
+
+
+def _mm(point: Sequence[float]) -> str:
+    return ", ".join(f"{1e3 * value:.6g}" for value in point)
 
 
 def _named(boards: Mapping[str, Board], name: str) -> Board:

@@ -1,7 +1,8 @@
 /* One selection of poses in all figures of a page. Only marks change; no figure is drawn anew.
 
    A figure takes part by its class "linked". Its first trace has the positions of its poses as
-   customdata. In space, the second trace rings the selected poses. */
+   customdata; those of poses that no fit uses have none. In space, a second trace rings the selected
+   poses. */
 const linked = {
   chosen: [],
   waiting: 0,
@@ -26,7 +27,8 @@ const linked = {
      since the last click. */
   take(event, emit) {
     if (!event?.points.length && !event?.range) return;
-    let positions = event.points.map((point) => point.customdata);
+    let positions = event.points.map((point) => point.customdata).filter((one) => one != null);
+    if (!event.range && !positions.length) return; // a pose that the fit does not use
     if (!event.range && positions.length === 1) {
       const [begin, end] = [linked.last ?? positions[0], positions[0]].sort((a, b) => a - b);
       if (!linked.shift) linked.last = positions[0];
@@ -77,7 +79,7 @@ const linked = {
     const chosen = new Set(linked.chosen);
     for (const figure of document.querySelectorAll(".linked.js-plotly-plot")) {
       const [trace, ring] = figure.data ?? [];
-      if (!ring) continue;
+      if (ring?.meta !== "ring") continue;
       const where = trace.customdata.flatMap((position, i) => (chosen.has(position) ? [i] : []));
       const axes = ["x", "y", "z"].filter((k) => trace[k]);
       const at = Object.fromEntries(axes.map((k) => [k, where.map((i) => trace[k][i])]));

@@ -24,6 +24,11 @@ def show(view: View) -> None:
         return
     offer(view, words.CHECK, lambda: ("check", view.project_name(), "--json"))
     run = view.session.last.get("check")
+    before = view.session.state().runs.get("check")
+    if view.session.outdated("check"):
+        ui.label(words.OUTDATED).classes("care")
+    elif run is None and before is not None:
+        ui.label(words.CHECKED_EARLIER.format(at=before.at.replace("T", " ")[:16]))
     if run is None:
         return
     if (answer := checked(run)) is not None:

@@ -12,7 +12,7 @@ from loopcal.companions.app import words
 from loopcal.companions.app.cells import bad_cells, columns
 from loopcal.companions.app.controls import folded, offer, text, uploader
 from loopcal.companions.app.pictures import joints_of, machine_figure, moved
-from loopcal.companions.app.view import View, heading, table
+from loopcal.companions.app.view import View, heading, plot, table
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.registry import BY_ENDING
@@ -21,6 +21,9 @@ from loopcal.presentation.shown import in_unit, unit_shown
 
 ENDS = tuple(BY_ENDING)
 UNITS = {"rad": ("rad", "deg", "mrad"), "m": ("m", "mm", "cm", "um", "in"), "1": ("1",)}
+POSE = """<q-td :props="props"><q-btn flat dense no-caps :label="props.value"
+  @click="$parent.$emit('chosen', props.row)"></q-btn></q-td>"""
+"""The pose of a row, which moves the robot there."""
 ROWS = 2_000
 """Rows of readings shown; of more the first ones."""
 
@@ -36,6 +39,7 @@ def show(view: View) -> None:
         else:
             _recognise(view)
         return
+    _waiting(view, project)
     unread = view.session.unread()
     if unread:
         ui.label(unread).classes("bad printed")
@@ -43,11 +47,28 @@ def show(view: View) -> None:
     loaded = view.session.readings()
     with ui.element("div").classes("beside"):
         with ui.column().classes("figures"):
-            plot = None if loaded is None else _robot(project, loaded.dataset)
+            drawn_robot = None if loaded is None else _robot(project, loaded.dataset)
         with ui.column().classes("acts"):
             _columns(view, project)
     if loaded is not None:
-        _rows(view, project, loaded, plot)
+        _rows(view, project, loaded, drawn_robot)
+
+
+def _waiting(view: View, project: Project) -> None:
+    """Files that were handed in, and what becomes of them."""
+    stated = project.inputs.get("data", {}).get("file")
+    for name in view.session.waiting():
+        with ui.element("section").classes("card care-edge"):
+            ui.label(words.WAITING.format(name=name)).classes("care card-title")
+            with ui.element("div").classes("deeds"):
+                if isinstance(stated, str):
+                    use = partial(view.session.changed, ["data", "file"], name, words.DROPPED)
+                    label = words.USE_INSTEAD.format(name=stated)
+                    ui.button(label, on_click=partial(view.act_aside, use)).props("unelevated")
+                else:
+                    ui.label(words.STATE_SOURCE)
+                aside = partial(view.session.left_aside, name)
+                ui.button(words.LEAVE_ASIDE, on_click=partial(view.act, aside)).props("outline")
 
 
 def _recognise(view: View) -> None:
@@ -134,7 +155,7 @@ def _robot(project: Project, data: Dataset) -> Any:
     drawn = machine_figure(mechanism, _pose(project, data, 0)) if len(data) else None
     if drawn is None:
         return None
-    return ui.plotly(drawn).classes("w-full").props('aria-label="the robot in the selected row"')
+    return plot(drawn, words.ROBOT_IN_ROW)
 
 
 def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
@@ -142,7 +163,7 @@ def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
     return {j: float(data[j][index]) if j in data.readings else 0.0 for j in joints}
 
 
-def _rows(view: View, project: Project, loaded: LoadedData, plot: Any) -> None:
+def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any) -> None:
     data, mechanism = loaded.dataset, project.mechanism
     units = {**mechanism.quantities, **mechanism.pose_constants}
     names = [name for name in data.readings if name in units]
@@ -158,19 +179,18 @@ def _rows(view: View, project: Project, loaded: LoadedData, plot: Any) -> None:
     heading(more if len(data) > ROWS else f"{len(data):,} poses")
 
     def chosen(event: Any) -> None:
-        if plot is not None and event.selection:
-            pose = _pose(project, data, event.selection[0]["index"])
-            plot.run_plot_method("restyle", moved(mechanism, pose), [0])
+        if drawn_robot is not None:
+            pose = _pose(project, data, int(event.args["index"]))
+            drawn_robot.run_plot_method("restyle", *moved(mechanism, pose))
 
     made = ui.table(
         columns=head,
         rows=rows,
         row_key="index",
-        selection="single",
-        on_select=chosen,
         pagination=12,
     )
-    made.props("dense flat").classes("w-full")
+    made.props("dense flat").classes("w-full").on("chosen", chosen)
+    made.add_slot("body-cell-pose", POSE)
     made.add_slot(
         "body-cell",
         "<q-td :props=\"props\" :class=\"props.value === '' ? 'blank' : ''\">"
@@ -178,10 +198,13 @@ def _rows(view: View, project: Project, loaded: LoadedData, plot: Any) -> None:
     )
     left = project.inputs.get("data", {}).get("exclude", [])
     if left:
-        ui.label(words.EXCLUDED.format(poses=", ".join(map(str, left)))).classes("text-body2")
+        with ui.row().classes("items-center"):
+            ui.label(words.EXCLUDED.format(poses=", ".join(map(str, left))))
+            use = partial(view.session.changed, ["data", "exclude"], None, words.USE_AGAIN)
+            ui.button(words.USE_AGAIN, on_click=partial(view.act_aside, use)).props("outline")
 
 
 def _row(data: Dataset, i: int, names: list[str], units: dict[str, str]) -> dict[str, Any]:
     values = {n: float(data[n][i]) for n in names}
-    shown = {n: "" if np.isnan(v) else f"{in_unit(v, units[n]):z.4f}" for n, v in values.items()}
+    shown = {n: "" if np.isnan(v) else f"{in_unit(v, units[n]):z.3f}" for n, v in values.items()}
     return {"index": i, "pose": data.poses[i], **shown}

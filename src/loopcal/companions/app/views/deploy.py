@@ -20,15 +20,12 @@ from loopcal.companions.app.controls import (
     uploader,
     written,
 )
-from loopcal.companions.app.view import View, heading
+from loopcal.companions.app.view import View, difference, heading
+from loopcal.companions.app.views.findings import headline
 from loopcal.companions.robot.exports.registry import EXPORTS
 from loopcal.companions.robot.exports.tables import ORIENTATIONS
 from loopcal.companions.robot.programs.registry import BY_ENDING
 from loopcal.files.result.deployed import PREVIEW
-from loopcal.presentation.shown import shortened
-
-LONGEST = 400
-"""Lines of a difference that are shown."""
 
 
 def show(view: View) -> None:
@@ -37,11 +34,7 @@ def show(view: View) -> None:
     if source is None:
         ui.label(view.session.unreadable() or words.NO_RESULT)
         return
-    verdict = source.document.verdict
-    if verdict is not None and verdict.grade != "good":
-        ui.label(shortened(verdict.headline)).classes(f"text-subtitle1 {verdict.grade}")
-    if view.session.state().stale:
-        ui.label(words.STALE).classes("care")
+    headline(view, source.document)
     _export(view)
     _correct(view)
     _record(view)
@@ -83,7 +76,8 @@ def _export(view: View) -> None:
     preview = f"{PREVIEW}/{one.name}"
     offer(view, words.PREVIEW, lambda: line("--force", "--out", preview), what=words.PREVIEW_EXPORT)
     ran = view.session.last.get("export")
-    if ran is not None and ran.code == 0 and preview in ran.action.words:
+    current = not view.session.outdated("export")
+    if ran is not None and ran.code == 0 and current and preview in ran.action.words:
         printed(view, "export")
         before = str(view.kept.get("export.source") or "")
         for name in folder.inside_of(preview):
@@ -108,7 +102,7 @@ def _correct(view: View) -> None:
     heading(words.CORRECT_PROGRAM)
     ui.label(words.CORRECT).classes("text-body2")
     uploader(view, words.DROP_PROGRAM)
-    files = view.files(tuple(BY_ENDING))
+    files = view.files(tuple(BY_ENDING), "deploy")
     if not files:
         return
     with ui.row().classes("items-end"):
@@ -131,7 +125,8 @@ def _correct(view: View) -> None:
         return [*asked, *pulses(view), "--force"]
 
     offer(view, words.CORRECT_IT, line)
-    printed(view, "correct")
+    if not view.session.outdated("correct"):
+        printed(view, "correct")
     if view.session.folder.content(target()) is not None:
         _difference(view, str(view.kept["correct.file"]), target(), target())
         _made(view, target())
@@ -179,17 +174,7 @@ def _difference(view: View, before: str, after: str, name: str) -> None:
     lines = list(unified_diff(old, new, before or "nothing", name, lineterm="", n=1))
     with ui.expansion(name, value=True).classes("w-full"):
         ui.label(words.DIFFERENCE if lines else words.NO_DIFFERENCE).classes("text-caption")
-        with ui.element("div").classes("printed difference").props('tabindex="0"'):
-            for one in lines[:LONGEST]:
-                ui.label(one or " ").classes(_kind(one))
-            if len(lines) > LONGEST:
-                ui.label(f"and {len(lines) - LONGEST:,} lines more")
-
-
-def _kind(line: str) -> str:
-    if line.startswith(("---", "+++", "@@")):
-        return "none"
-    return "gone" if line.startswith("-") else "come" if line.startswith("+") else ""
+        difference(lines)
 
 
 def _bytes(size: int) -> str:

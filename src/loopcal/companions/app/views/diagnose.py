@@ -1,21 +1,22 @@
-"""One selection of poses in all figures; what is found is left out, or taken as moved."""
+"""The findings first; then one selection of poses in all figures, to exclude or take as moved."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 from nicegui import ui
 
 from loopcal.companions.app import words
+from loopcal.companions.app.beside import left_out, without_changes
+from loopcal.companions.app.cards import begins
 from loopcal.companions.app.pictures import Errors, Framed
-from loopcal.companions.app.view import Part, View, heading, stale, table
+from loopcal.companions.app.view import Part, View, heading, stale
+from loopcal.companions.app.views.findings import offer_findings
 from loopcal.companions.app.views.fit import offer_fit
 from loopcal.companions.app.views.linked import OVER_POSES, Linked, offer_selection
-from loopcal.document.change_points import ChangePoints
-from loopcal.report.tables import outlier_table
+
+IN_SPACE = "error in space"
 
 
 def show(view: View) -> None:
@@ -36,9 +37,23 @@ def show(view: View) -> None:
     def of() -> object:
         return session.shown(), linked.errors.steps if session.refits.going else _steps(view)
 
+    def switch() -> None:
+        now = _errors(view)
+        if now is not None:
+            linked.follow(now)
+
+    def judged() -> object:
+        return session.source(), tuple(session.steps()), session.left_out()
+
+    def findings() -> None:
+        source = session.source()
+        if source is not None:
+            offer_findings(linked, source.document, switch)
+
     view.anew_when(lambda: session.source() is None)
     view.parts.append(Part(of, follow))
     stale(view)
+    view.part(judged, findings)
     view.part(session.shown, partial(_thinned, linked))
     with ui.element("div").classes("diagnose"):
         with ui.column().classes("main"):
@@ -54,11 +69,31 @@ def show(view: View) -> None:
 
 def _errors(view: View) -> Errors | None:
     """Those of the result, or of the first fit since the project has changed."""
-    source = view.session.shown()
-    if source is None:
+    session = view.session
+    source, judged = session.shown(), session.source()
+    if source is None or judged is None:
         return None
     view.select_among(source.table.poses)
-    return Errors.of(source, _steps(view), view.selected)
+    before = without_changes(source) if view.kept.get("diagnose.before") else None
+    # A first fit states no changes: those of the judged result stand until it is judged anew.
+    points = () if judged.document.change_points is None else judged.document.change_points.found
+    shown = [p for p in points if before is not None or not p.modelled]
+    changed = begins(shown, judged.table.poses)
+    stated = _steps(view)
+    taken_up = begins([p for p in points if p not in shown], judged.table.poses)
+    data = session.every_pose()
+    return Errors.of(
+        source,
+        sorted({*stated, *taken_up}),
+        view.selected,
+        differences=before,
+        changed={
+            at: words.FROM_POSE.format(pose=p.pose)
+            for at, p in changed.items()
+            if before is not None or at not in stated
+        },
+        left_out=None if data is None else left_out(source, data),
+    )
 
 
 def _steps(view: View) -> tuple[float, ...]:
@@ -94,7 +129,8 @@ def _elsewhere(linked: Linked) -> None:
         ways = {False: words.DRAG_TURNS, True: words.DRAG_SELECTS}
         turn = ui.toggle(ways, value=False).props(f'no-caps aria-label="{words.DRAG}"')
         turn.on_value_change(lambda e: ui.run_javascript(f"linked.framing({str(e.value).lower()})"))
-    linked.plot(lambda e: e.in_space(), "error in space")
+    linked.plot(lambda e: e.in_space(), IN_SPACE)
+    linked.later.append(partial(linked.pose, IN_SPACE))
 
     def of(name: str) -> Framed:
         return linked.errors.joint(name), linked.errors.shown[linked.what]
@@ -109,12 +145,11 @@ def _elsewhere(linked: Linked) -> None:
 
 
 def _again(linked: Linked) -> None:
-    """Undo, fit again, and what loopcal has found by itself."""
+    """Undo, and fit again."""
     view, session = linked.view, linked.view.session
     view.part(lambda: len(session.folder.log().entries), partial(_undo, view))
     heading(words.FIT_AGAIN)
     offer_fit(view)
-    view.part(lambda: (session.source(), session.shown()), partial(_detected, linked))
 
 
 def _undo(view: View) -> None:
@@ -123,50 +158,3 @@ def _undo(view: View) -> None:
         label = words.UNDO.format(what=edits[-1].what[:60])
         undo = partial(view.act, view.session.folder.undo)
         ui.button(label, on_click=undo, icon="undo").props("outline")
-
-
-def _detected(linked: Linked) -> None:
-    """What loopcal has found by itself, with the poses to look at."""
-    view, source = linked.view, linked.view.session.source()
-    if source is None:
-        return
-    document = source.document
-    changes = document.change_points
-    points = () if changes is None else changes.found
-    outliers = outlier_table(document)
-    if not points and outliers is None:
-        return
-    heading(words.DETECTED_CHANGES)
-    poses = linked.errors.source.table.poses
-    for point in points:
-        words_ = str(point)
-        ui.label(f"{words_[0].upper()}{words_[1:]}.").classes("text-body2")
-    _runs(linked, [poses.index(p.pose) for p in points if p.shape == "step" and p.pose in poses])
-    if changes is not None and changes.toml:
-        _state(view, changes)
-    if outliers is not None:
-        odd = [poses.index(str(row[0])) for row in outliers.rows if str(row[0]) in poses]
-        ui.label(f"{outliers.caption}: pose {', '.join(str(row[0]) for row in outliers.rows[:12])}")
-        if odd:
-            ui.button(words.SELECT_THESE_POSES, on_click=partial(linked.select, odd)).props("flat")
-        with ui.expansion(words.DETAILS).classes("w-full"):
-            table(outliers.head, outliers.rows)
-
-
-def _runs(linked: Linked, steps: Sequence[int]) -> None:
-    """The runs of poses between positions where something has moved."""
-    if not steps:
-        return
-    poses = linked.errors.source.table.poses
-    with ui.row().classes("q-gutter-xs items-center"):
-        ui.label(words.RUNS)
-        for first, end in pairwise(sorted({0, *steps, len(poses)})):
-            label = words.RUN.format(first=poses[first], last=poses[end - 1])
-            select = partial(linked.select, range(first, end))
-            ui.button(label, on_click=select).props("outline")
-
-
-def _state(view: View, changes: ChangePoints) -> None:
-    state = partial(view.session.modelled, changes, words.BY_LOOPCAL)
-    button = ui.button(words.STATE_CHANGES, on_click=partial(view.act, state))
-    button.props("outline")

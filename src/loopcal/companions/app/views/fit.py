@@ -10,19 +10,19 @@ from nicegui import ui
 from loopcal.companions.app import words
 from loopcal.companions.app.controls import as_number, choice, offer, page, written
 from loopcal.companions.app.view import View, heading, stale, table
+from loopcal.companions.app.views.findings import verdict
+from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.errors import LoopcalError
 from loopcal.estimation.methods.registry import METHODS, method_named
 from loopcal.files.result.result_file import read_result
-from loopcal.presentation.shown import by_sd, in_unit, shortened, unit_shown
-from loopcal.report.page import QUESTIONS
+from loopcal.presentation.shown import by_sd, in_unit, unit_shown
 from loopcal.report.tables import accuracy_tables, model_table
 from loopcal.units import to_si
 from loopcal.workflow.projects import Refit
 
 PARAMETER_HEAD = ("parameter", "nominal", "calibrated", "change", "sd", "unit")
-MARKS = {"yes": "good", "open": "care", "no": "bad"}
 
 
 def show(view: View) -> None:
@@ -39,7 +39,9 @@ def show(view: View) -> None:
         stale(view)
         document = source.document
         view.part(view.session.refit, lambda: _provisional(view.session.refit(), document))
-        _verdict(document)
+        verdict(document)
+        if document.method_label:
+            ui.label(words.BY_METHOD.format(label=document.method_label))
         with ui.row():
             page(f"{view.session.folder.result.name}/report.html", words.OPEN_WHOLE_REPORT)
         for accuracy_table in accuracy_tables(document):
@@ -49,16 +51,14 @@ def show(view: View) -> None:
         if models is not None:
             heading(models.caption)
             table(models.head, models.rows)
-        heading(words.PARAMETERS)
-        table(PARAMETER_HEAD, _rows(document))
+        _parameters(document, words.PARAMETERS)
     _side_by_side(view)
 
 
 def _provisional(refit: Refit | None, document: ResultDocument) -> None:
     """The parameters that the first fit of a changed project found."""
     if refit is not None:
-        heading(words.PROVISIONAL_PARAMETERS)
-        table(PARAMETER_HEAD, _rows(refit.shown_in(document)))
+        _parameters(refit.shown_in(document), words.PROVISIONAL_PARAMETERS)
         heading(words.LAST_RESULT)
 
 
@@ -103,34 +103,26 @@ def _labelled(method: str) -> str:
     return f"{method}: {method_named(method).label}"
 
 
-def _verdict(document: ResultDocument) -> None:
-    if document.verdict is None:
-        return
-    with ui.card().classes("w-full").props("flat bordered"):
-        ui.label(shortened(document.verdict.headline)).classes(f"text-h6 {document.verdict.grade}")
-        with ui.grid(columns="auto auto 1fr").classes("items-start"):
-            for one in document.findings:
-                ui.label(QUESTIONS[one.question or "sound"]).classes("text-weight-medium")
-                ui.label(one.mark).classes(MARKS[one.mark])
-                with ui.column().classes("gap-0"):
-                    ui.label(f"{one.words} {one.next.words if one.next else ''}")
-                    if one.next and one.next.command:
-                        ui.code(one.next.command, language="bash")
-    if document.method_label:
-        ui.label(words.BY_METHOD.format(label=document.method_label))
+def _parameters(document: ResultDocument, caption: str) -> None:
+    """Those that the fit estimates, and folded those that are fixed."""
+    shown = shown_parameters(document.parameters, document.terms)
+    fitted, fixed = [p for p in shown if not p.fixed], [p for p in shown if p.fixed]
+    heading(caption)
+    table(PARAMETER_HEAD, [_row(p) for p in fitted])
+    if fixed:
+        label = words.FIXED.format(count=len(fixed))
+        with ui.expansion(label).classes("w-full why"):
+            table([*PARAMETER_HEAD[:2], "unit"], [[*_row(p)[:2], _row(p)[-1]] for p in fixed])
 
 
-def _rows(document: ResultDocument) -> list[list[str]]:
+def _row(p: ParameterEntry) -> list[str]:
     return [
-        [
-            p.name,
-            by_sd(p.nominal, p.sd, p.unit),
-            by_sd(p.value, p.sd, p.unit),
-            by_sd(p.value - p.nominal, p.sd, p.unit, sign=True),
-            "" if p.sd is None else f"{in_unit(p.sd, p.unit):.2g}",
-            "" if p.unit == "1" else unit_shown(p.unit),
-        ]
-        for p in shown_parameters(document.parameters, document.terms)
+        p.name,
+        by_sd(p.nominal, p.sd, p.unit),
+        by_sd(p.value, p.sd, p.unit),
+        by_sd(p.value - p.nominal, p.sd, p.unit, sign=True),
+        "" if p.sd is None else f"{in_unit(p.sd, p.unit):.2g}",
+        "" if p.unit == "1" else unit_shown(p.unit),
     ]
 
 

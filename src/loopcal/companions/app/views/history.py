@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from difflib import unified_diff
+
 from nicegui import ui
 
 from loopcal.companions.app import words
 from loopcal.companions.app.controls import offer, page, text
-from loopcal.companions.app.view import View, figure, heading, table
+from loopcal.companions.app.project_folder import Entry
+from loopcal.companions.app.view import View, command, difference, figure, heading, table
 from loopcal.companions.life.history import History
 from loopcal.companions.life.history_folder import read_entries
 from loopcal.companions.life.pages import history_parts
@@ -14,12 +17,42 @@ from loopcal.errors import LoopcalError
 from loopcal.presentation.shown import Table
 
 FOLDER = "machine.history"
+NUMBER = (
+    '<q-td :props="props"><a :href="\'/history?run=\' + props.value">{{ props.value }}</a></q-td>'
+)
+"""The number of a line of the log, with its address."""
 
 
 def show(view: View) -> None:
     """The step."""
+    if view.entry is not None:
+        _entry(view, view.entry)
     _done(view)
     _machine(view)
+
+
+def _entry(view: View, number: int) -> None:
+    """One line of the log, with what it changed in the project."""
+    entry = next((e for e in view.session.folder.log().entries if e.number == number), None)
+    if entry is None:
+        ui.label(words.NO_ENTRY.format(number=number)).classes("care")
+        return
+    record = entry.record
+    with ui.element("section").classes("card"):
+        title = ui.label(f"{entry.number}: {entry.what}").classes("card-title")
+        title.props("role=heading aria-level=2")
+        ui.label(f"{_time(entry)} UTC {record.get('reason') or ''}").classes("detail")
+        if record.get("command"):
+            command(str(record["command"]))
+            ui.label(words.ENDED.format(code=_end(record.get("code")))).classes("detail")
+        texts = record.get("before"), record.get("after")
+        if entry.kind == "edit":
+            old, new = (text.splitlines() if isinstance(text, str) else [] for text in texts)
+            difference([*unified_diff(old, new, "before", "after", lineterm="", n=1)])
+
+
+def _time(entry: Entry) -> str:
+    return entry.at.replace("T", " ")[:19]
 
 
 def _done(view: View) -> None:
@@ -37,7 +70,7 @@ def _done(view: View) -> None:
     rows = [
         [
             str(e.number),
-            e.at.replace("T", " ")[:19],
+            _time(e),
             e.what + (" (undone)" if e.number in undone else ""),
             str(e.record.get("reason", "")),
             str(e.record.get("command", "")),
@@ -46,7 +79,12 @@ def _done(view: View) -> None:
         for e in reversed(log.entries)
         if e.kind != "begun"
     ]
-    table(["no.", "time (UTC)", "what", "reason", "command", "exit code"], rows, pagination=10)
+    if not rows:
+        ui.label(words.NOTHING_DONE)
+        return
+    head = ["no.", "time (UTC)", "what", "reason", "command", "exit code"]
+    made = table(head, rows, pagination=10)
+    made.add_slot("body-cell-0", NUMBER)
 
 
 def _machine(view: View) -> None:
@@ -62,7 +100,7 @@ def _machine(view: View) -> None:
     def event() -> list[str]:
         return ["history", FOLDER, "--event", str(view.kept["history.event"]).strip()]
 
-    offer(view, words.ADD_THIS_EVENT, event, what=words.ADD_HISTORY)
+    offer(view, words.ADD_THIS_EVENT, event, what=words.ADD_HISTORY, look="outline")
     try:
         history = History(read_entries(view.session.folder.inside(FOLDER)))
         parts = history_parts(history)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -14,6 +15,7 @@ from loopcal.companions.app import words
 from loopcal.companions.app.controls import reason, written
 from loopcal.companions.app.pictures import SIZE, Errors, Framed
 from loopcal.companions.app.view import Part, Place, View, heading, table
+from loopcal.companions.app.view import plot as view_plot
 
 TAKE = "(event) => linked.take(event, emit)"
 """The page marks what an event of plotly selects (linked.js); its positions and range travel."""
@@ -55,7 +57,7 @@ class Linked:
         drawn = make(self.errors)
         if drawn is None:
             return
-        plot = ui.plotly(drawn).classes("w-full linked").props(f'aria-label="{label}"')
+        plot = view_plot(drawn, label).classes("linked")
         self._plots[label] = plot, make
 
         def taken(event: Any) -> None:
@@ -86,6 +88,7 @@ class Linked:
         if number == self._latest:
             for hear in self.later:
                 hear()
+            self.view.addressed()
 
     def select(self, positions: Sequence[int]) -> None:
         """Select these poses in every figure."""
@@ -120,6 +123,13 @@ class Linked:
         self.view.kept["diagnose.span"] = span
         self.draw([OVER_POSES])
         self._tell()
+
+    def pose(self, label: str) -> None:
+        """Move the machine of the figure in space to the first of the selected poses."""
+        plot, _ = self._plots.get(label, (None, None))
+        posing = replace(self.errors, selected=tuple(self.view.selected)).posing()
+        if plot is not None and posing is not None and not plot.is_deleted:
+            plot.run_plot_method("restyle", *posing)
 
     def follow(self, errors: Errors) -> bool:
         """Show other errors in the figures that are there; False where these cannot."""

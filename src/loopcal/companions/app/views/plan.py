@@ -24,7 +24,7 @@ from loopcal.companions.app.controls import (
 )
 from loopcal.companions.app.pictures import end_points, joints_of, machine_figure, moved
 from loopcal.companions.app.project_folder import PLAN_DOCUMENT
-from loopcal.companions.app.view import View, heading, table
+from loopcal.companions.app.view import View, heading, plot, table
 from loopcal.companions.robot.programs.registry import WRITTEN
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.registry import BY_ENDING
@@ -116,6 +116,8 @@ def _planned(view: View, project: Project) -> None:
     content = folder.content(f"{folder.plan.name}/{PLAN_DOCUMENT}")
     if content is None:
         return
+    if view.session.outdated("plan"):
+        ui.label(words.OUTDATED).classes("care")
     document: dict[str, Any] = json.loads(content)
     poses: list[dict[str, Any]] = document["poses"]
     heading(f"{len(poses)} poses")
@@ -154,7 +156,7 @@ def _drawn(view: View, project: Project, poses: Sequence[dict[str, float]]) -> N
     if drawn is None:
         return
     ui.label(words.PLANNED).classes("text-body2")
-    plot = ui.plotly(drawn).classes("w-full").props('aria-label="the robot in the planned poses"')
+    drawn_robot = plot(drawn, words.ROBOT_PLANNED)
     with ui.row().classes("items-center w-full no-wrap"):
         pose_label = ui.label(f"pose {first}").classes("w-24")
 
@@ -162,7 +164,7 @@ def _drawn(view: View, project: Project, poses: Sequence[dict[str, float]]) -> N
             number = int(event.value)
             view.keep("plan.pose", number)
             pose_label.set_text(f"pose {number}")
-            plot.run_plot_method("restyle", moved(mechanism, poses[number - 1]), [0])
+            drawn_robot.run_plot_method("restyle", *moved(mechanism, poses[number - 1]))
 
         slider = ui.slider(min=1, max=len(poses), step=1, value=first, on_change=at)
         slider.props('aria-label="planned pose"').classes("col")

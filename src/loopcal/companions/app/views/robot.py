@@ -11,13 +11,16 @@ from nicegui import ui
 from loopcal.companions.app import words
 from loopcal.companions.app.controls import uploader
 from loopcal.companions.app.pictures import joints_of, machine_figure, moved
-from loopcal.companions.app.view import View, heading, table
+from loopcal.companions.app.session import read_robot
+from loopcal.companions.app.view import View, heading, plot, table
 from loopcal.files.machines.registry import drawn
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.registry import TEXT
+from loopcal.mechanisms.parameters import Parameter
 from loopcal.presentation.shown import in_unit, unit_shown
 
 KINDS = {"urdf": "URDF", "dh": words.DH_TABLE, "machine": words.TYPE}
+PARAMETER_HEAD = ("parameter", "nominal", "unit", "role")
 ENDS = {"urdf": (".urdf", ".xml"), "dh": (*TEXT.endings, ".xlsx")}
 
 
@@ -52,7 +55,8 @@ def _choose(view: View) -> None:
         options = list(drawn())
     else:
         chosen = partial(view.session.choose_robot, shown)
-        uploader(view, words.DROP_ROBOT.format(kind=KINDS[shown]), chosen)
+        check = partial(read_robot, shown)
+        uploader(view, words.DROP_ROBOT.format(kind=KINDS[shown]), chosen, check)
         options = view.files(ENDS[shown])
     selected = value if kind == shown and value in options else None
     box = ui.select(options, value=selected, label=KINDS[shown], on_change=of_value).classes("w-96")
@@ -71,27 +75,28 @@ def _machine(view: View, project: Project) -> None:
     if figure is not None:
         with ui.element("div").classes("beside"):
             with ui.column().classes("figures"):
-                plot = ui.plotly(figure).classes("w-full").props('aria-label="the robot"')
+                drawn_robot = plot(figure, words.ROBOT_DRAWN)
             with ui.column().classes("acts"), ui.grid(columns="auto 1fr 5rem").classes("w-full"):
 
                 def move(name: str, value: float) -> None:
                     joints[name] = value
-                    plot.run_plot_method("restyle", moved(mechanism, joints), [0])
+                    drawn_robot.run_plot_method("restyle", *moved(mechanism, joints))
 
                 for name in joints_of(mechanism):
                     unit = mechanism.quantities.get(name, "rad")
                     _slider(name, unit, joints[name], partial(move, name))
-    rows = [
-        [
-            p.name,
-            f"{in_unit(p.nominal, p.unit):.6g}",
-            unit_shown(p.unit) if p.unit != "1" else "",
-            p.role,
-        ]
-        for p in mechanism.parameters
-    ]
-    heading(f"{len(rows)} parameters")
-    table(["parameter", "nominal", "unit", "role"], rows)
+    parameters = [*mechanism.parameters]
+    heading(f"{len(parameters)} parameters")
+    table(PARAMETER_HEAD, [_row(p) for p in parameters if not p.fixed])
+    fixed = [_row(p) for p in parameters if p.fixed]
+    if fixed:
+        with ui.expansion(words.FIXED.format(count=len(fixed))).classes("w-full why"):
+            table(PARAMETER_HEAD, fixed)
+
+
+def _row(p: Parameter) -> list[str]:
+    nominal = f"{in_unit(p.nominal, p.unit):.6g}"
+    return [p.name, nominal, unit_shown(p.unit) if p.unit != "1" else "", p.role]
 
 
 def _slider(name: str, unit: str, value: float, move: Any) -> None:

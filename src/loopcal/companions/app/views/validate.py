@@ -11,7 +11,7 @@ from loopcal.companions.app import words
 from loopcal.companions.app.controls import choice, offer, printed, uploader
 from loopcal.companions.app.pictures import machine_figure, moved
 from loopcal.companions.app.predicting import Map, Probe, map_figure
-from loopcal.companions.app.view import View, figure, heading
+from loopcal.companions.app.view import View, figure, heading, plot
 from loopcal.files.tables.registry import BY_ENDING
 from loopcal.presentation.shown import in_unit, unit_shown
 from loopcal.report import top
@@ -27,8 +27,6 @@ def show(view: View) -> None:
     if source is None:
         ui.label(view.session.unreadable() or words.NO_RESULT)
         return
-    if view.session.state().stale:
-        ui.label(words.STALE).classes("care")
     with ui.grid(columns="auto 1fr auto").classes("w-full items-center"):
         for bar in top.accuracy_bars(source.document):
             ui.label(bar.label)
@@ -83,7 +81,7 @@ class _Pose:
         with ui.element("div").classes("beside"):
             with ui.column().classes("figures"):
                 drawn = machine_figure(self.mechanism, self.joints)
-                self.plot = None if drawn is None else ui.plotly(drawn).classes("w-full")
+                self.plot = None if drawn is None else plot(drawn, words.ROBOT_DRAWN)
             with ui.column().classes("acts"):
                 self.outputs = ui.column()
                 with ui.grid(columns="auto 1fr 5.5rem").classes("w-full items-center"):
@@ -124,26 +122,25 @@ class _Pose:
                 ui.label(line).classes("text-subtitle1")
         if self.plot is not None:
             moving = moved(self.mechanism, self.joints)
-            self.plot.run_plot_method("restyle", moving, [0])
+            self.plot.run_plot_method("restyle", *moving)
 
 
 def _region(view: View, source: Source, probe: Probe, region_map: Map) -> None:
     """The sd over the working region, and one pose of it."""
     drawn = map_figure(region_map)
-    plot = None
+    region_plot = None
     if drawn is not None:
         ui.label(words.MAP).classes("text-body2")
-        plot = ui.plotly(drawn).classes("w-full")
-        plot.props('aria-label="predicted sd over the working region"')
+        region_plot = plot(drawn, words.PREDICTED_SD)
     pose = _Pose(view, source, probe)
-    if plot is not None:
+    if region_plot is not None:
         picked = "(event) => emit((event?.points ?? []).map((point) => point.customdata))"
 
         def clicked(event: Any) -> None:
             if event.args:
                 pose.go(region_map.pose(int(event.args[0])))
 
-        plot.on("plotly_click", clicked, js_handler=picked)
+        region_plot.on("plotly_click", clicked, js_handler=picked)
 
 
 def _another_day(view: View) -> None:
@@ -151,10 +148,13 @@ def _another_day(view: View) -> None:
     heading(words.ANOTHER_DAY)
     ui.label(words.VERIFY).classes("text-body2")
     uploader(view, words.DROP_ANOTHER_DAY)
-    tables = view.files(ENDS)
+    tables = view.files(ENDS, "validate")
     if not tables:
         return
     result = view.session.folder.result.name
     choice(view, "verify.file", words.READINGS, tables)
     offer(view, words.VERIFY_IT, lambda: ("verify", result, str(view.kept["verify.file"])))
-    printed(view, "verify")
+    if view.session.outdated("verify"):
+        ui.label(words.OUTDATED).classes("care")
+    else:
+        printed(view, "verify")

@@ -1,0 +1,113 @@
+"""Another day of a calibrated camera, from a folder of its files: sound, moved, reprinted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from loopcal.statistics.verified import Verification
+from loopcal.workflow.result import write_result
+from tests.mechanisms import test_camera
+from tests.mechanisms.test_camera import POINTS, hands, mechanism, pixels, readings
+from tests.refusals import refused
+from tests.workflow.beginning.test_from_images import written
+
+COUNT, SD = 12, 0.1
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result of a calibration."""
+    T = hands(COUNT, 5)
+    uv = pixels(T, on="base") + np.random.default_rng(5).normal(0.0, SD, (len(POINTS), 2, COUNT))
+    noise = lc.Noise({"[xyz]": 1e-5, "w?": 1e-5, "eye": SD})
+    data = lc.Dataset.from_arrays(readings(T, uv))
+    result = lc.calibrate(mechanism("base"), data, noise=noise, method="implicit-loop")
+    folder = tmp_path_factory.mktemp("days") / "result"
+    write_result(result, folder, title="camera", inputs={}, warnings=())
+    return folder
+
+
+def day(folder: Path, seed: int, count: int) -> Path:
+    """A folder of files as `init` takes them, with positions in mm."""
+    T = hands(count, seed)
+    noise = np.random.default_rng(seed).normal(0.0, SD, (len(POINTS), 2, count))
+    written(folder, pixels(T, on="base") + noise, T)
+    corners = folder / "corners.csv"
+    corners.write_text(corners.read_text("utf-8").replace(",1,board", ",eye,board"), "utf-8")
+    return folder
+
+
+def verified(first: Path, folder: Path) -> Verification:
+    return lc.verify(lc.read_result(first), folder)
+
+
+def changes(done: Verification) -> list[str]:
+    assert done.changes is not None
+    return [change.name for change in done.changes.found]
+
+
+def test_a_folder_of_another_day_is_read_as_that_of_the_first(first: Path, tmp_path: Path) -> None:
+    done = verified(first, day(tmp_path, 7, 8))
+    assert done.verdict["consistent"].passed
+    assert changes(done) == []
+    assert done.calibrated is not None
+    assert done.calibrated.rms < 3.0 * SD
+
+
+def test_a_single_image_is_a_day_too(first: Path, tmp_path: Path) -> None:
+    assert verified(first, day(tmp_path, 8, 1)).verdict["consistent"].passed
+
+
+def test_a_moved_camera_is_named(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    x, y, z, rz, ry, rx = test_camera.FAR
+    monkeypatch.setattr(test_camera, "FAR", (x + 0.004, y, z, rz, ry + 0.004, rx))
+    done = verified(first, day(tmp_path, 7, 8))
+    assert not done.verdict["consistent"].passed
+    assert changes(done)[0] == "eye"
+
+
+def test_another_size_of_the_print_is_named(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    larger = {p: (1.01 * a, 1.01 * b, c) for p, (a, b, c) in POINTS.items()}
+    monkeypatch.setattr(test_camera, "POINTS", larger)
+    done = verified(first, day(tmp_path, 7, 8))
+    assert not done.verdict["consistent"].passed
+    assert changes(done)[0] == "board_scale"
+
+
+def test_another_board_is_refused_with_the_point_that_differs(first: Path, tmp_path: Path) -> None:
+    folder = day(tmp_path, 7, 3)
+    text = (folder / "points.csv").read_text("utf-8").replace("0.04", "0.03")
+    (folder / "points.csv").write_text(text, "utf-8")
+    with refused("conflicting-keys", "'1'", "30", "40"):
+        verified(first, folder)
+
+
+def test_an_image_in_another_order_is_put_right_with_a_warning(first: Path, tmp_path: Path) -> None:
+    folder = day(tmp_path, 7, 8)
+    names = list(POINTS)
+    lines = (folder / "corners.csv").read_text("utf-8").splitlines()
+    for i, line in enumerate(lines):
+        cells = line.split(",")
+        if cells[0] == "3":
+            cells[3] = names[len(names) - 1 - names.index(cells[3])]
+            lines[i] = ",".join(cells)
+    (folder / "corners.csv").write_text("\n".join(lines) + "\n", "utf-8")
+    with pytest.warns(UserWarning, match="3 does not number"):
+        done = verified(first, folder)
+    assert done.verdict["consistent"].passed
+
+
+def test_predictions_take_the_folder_as_well(first: Path, tmp_path: Path) -> None:
+    result, folder = lc.read_result(first), day(tmp_path, 9, 3)
+    done = result.predict(folder)
+    T = hands(3, 9)
+    true = pixels(T, on="base")[0, 0]
+    assert done.outputs["eye:board:0:u"] == pytest.approx(true, abs=1.0)
