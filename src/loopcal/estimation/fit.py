@@ -26,7 +26,7 @@ from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import Prior, PriorLike
 from loopcal.mechanisms.structure.smooth import vectors_for
-from loopcal.mechanisms.structure.structured import structured
+from loopcal.mechanisms.structure.structured import structured, without
 
 if TYPE_CHECKING:
     from loopcal.measurements.dataset import Dataset
@@ -220,14 +220,19 @@ def weighed(fit: Fit, data: Dataset) -> Dataset:
     return replace(data, sds={}) if fit.method.exact else data
 
 
-def modelled(fit: Fit, mechanism: Mechanism, poses: int) -> Mechanism:
-    """The mechanism with the terms for its model error that a fit of so many poses asks for.
+def modelled(fit: Fit, mechanism: Mechanism, data: Dataset, poses: int | None = None) -> Mechanism:
+    """The mechanism with the terms for its model error that a fit of these data asks for.
 
-    A mechanism that is structured already stays as it is.
+    poses: how many there are in all, if these are not all. A mechanism that is structured already
+    stays as it is. Where joints of one arm are unread while another is looked at, nothing says how
+    the joints that carry both give way.
     """
-    if fit.model_error == "none":
+    if fit.model_error == "none" or mechanism.structure is not None:
         return mechanism
-    return structured(mechanism, discrepancy=vectors_for(poses))
+    made = structured(mechanism, discrepancy=vectors_for(len(data) if poses is None else poses))
+    sag = None if made.structure is None else made.structure.sag
+    gaps = any(np.isnan(data.readings[q]).any() for q in mechanism.joints if q in data.readings)
+    return without(mechanism, made, (), sag.shared) if sag and sag.shared and gaps else made
 
 
 def _isotropic(mechanism: Mechanism) -> bool:

@@ -117,7 +117,7 @@ def prepared(state: State) -> State:
     Raises InputError for settings that do not go together.
     """
     fit, data = state.fit, state.data
-    mechanism = modelled(fit, fit.with_prior(state.mechanism), state.poses)
+    mechanism = modelled(fit, fit.with_prior(state.mechanism), data, state.poses)
     noise = used_noise(fit, mechanism, data, state.noise)
     if noise is not None:
         if noise.estimate or mechanism.learnt_terms:

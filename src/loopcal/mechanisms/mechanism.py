@@ -354,8 +354,8 @@ class Mechanism:
                 code="unsupported",
                 remedy="calibrate it, and use result.predict(readings)",
             )
-        joints = tuple(dict.fromkeys(step.joint for step in self.chain if step.joint))
         nominal = {p.name: p.nominal for p in self.parameters}
+        joints = tuple(self.joints)
         return forward_kinematics(lambda x: ChainFrame(self.chain, x, nominal), q, joints)
 
     def forward_kinematics(self, q: Any) -> NDArray[np.float64]:

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.expressions.engine import Stage, engine_for
-from loopcal.mechanisms.chain import product
+from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.parallel.registry import PARALLEL
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.serial import tool_names
 from loopcal.mechanisms.station import Station, Target
+from loopcal.mechanisms.tree import BASE
 
 Array = NDArray[np.float64]
 _MOST, _SETTLED, _OPEN = 50, 1e-10, 0.05
@@ -23,7 +24,8 @@ _MOST, _SETTLED, _OPEN = 50, 1e-10, 0.05
 def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     """Points (k, 3), or (k, 2) of a planar machine, [m]; lines are parted by a row of NaN.
 
-    Of an arm from the first joint to the tool point, of a parallel machine its legs and bodies.
+    Of an arm from the first joint to the tool point, of a robot with several arms each of these,
+    of a parallel machine its legs and bodies.
     joints: readings [m, rad] of one pose. In the instrument's frame, with the mechanism's own
     parameters; None for mechanisms that are not machines of a known kind.
     """
@@ -31,9 +33,10 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     described = mechanism.description or {}
     if described.get("type") == "planar-two-link":
         return None if mechanism.families else _planar(values, joints)
+    root = BASE if mechanism.tree is None else mechanism.tree.root
     # Pixels are no points: a machine before cameras is drawn in its base.
-    placed = (f.placement for f in mechanism.families if f.form != PIXELS)
-    stands = next(filter(None, placed), None)
+    seen = (f for f in mechanism.families if f.form != PIXELS and f.against == root)
+    stands = next((f.placement for f in seen if f.placement), None)
     station = stands.steps if isinstance(stands, Station) else ()
     kind = described.get("type")
     if kind in PARALLEL:
@@ -41,18 +44,29 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
         lines = _parallel_lines(mechanism, machine, joints)
         T_station_base = product(station, {}, values)
         return None if lines is None else _seen(lines, T_station_base, machine.dimension)
-    if not mechanism.chain:
+    if not mechanism.joints:
         return None
-    steps = (*station, *mechanism.chain)
-    tool = target_names(mechanism)
-    T, points = np.eye(4), []
-    for step in steps:
-        if step.joint is not None:
-            points.append(T[:3, 3])
-        T = T @ product([step], joints, values)
-    at = np.array([values[name] for name in tool] or [0.0, 0.0, 0.0])
-    points += [T[:3, 3], T[:3, :3] @ at + T[:3, 3]]
-    return np.array(points)
+    arms: list[Array] = []
+    for path, tool in _branches(mechanism):
+        T, points = product(station, {}, values), []
+        for step in path:
+            if step.joint is not None:
+                points.append(T[:3, 3])
+            T = T @ product([step], joints, values)
+        at = np.array([values[name] for name in tool] or [0.0, 0.0, 0.0])
+        points += [T[:3, 3], T[:3, :3] @ at + T[:3, 3]]
+        arms.append(np.array(points))
+    return _seen(arms, np.eye(4), 3)
+
+
+def _branches(mechanism: Mechanism) -> list[tuple[tuple[Step, ...], tuple[str, ...]]]:
+    """The steps to each leaf of a tree, and the parameters of what is looked at on it."""
+    tree, lengths = mechanism.tree, {p.name for p in mechanism.parameters if p.unit == "m"}
+    if tree is None or mechanism.chain:
+        return [(mechanism.chain, target_names(mechanism))]
+    mounted = {f.on: f.mounted for f in reversed(mechanism.families)}
+    targets = {leaf: [n for n in mounted.get(leaf, ()) if n in lengths] for leaf in tree.leaves}
+    return [(tree.path(leaf), tuple(at) if len(at) == 3 else ()) for leaf, at in targets.items()]
 
 
 def body_poses(mechanism: Mechanism, readings: Mapping[str, Array]) -> Array | None:
@@ -62,8 +76,8 @@ def body_poses(mechanism: Mechanism, readings: Mapping[str, Array]) -> Array | N
     """
     kind = (mechanism.description or {}).get("type")
     machine = PARALLEL[kind]() if kind in PARALLEL else None
-    joints = dict.fromkeys(step.joint for step in mechanism.chain if step.joint)
-    names = (*machine.quantities, *machine.pose_constants) if machine else tuple(joints)
+    joints = tuple(mechanism.joints) if mechanism.chain else ()
+    names = (*machine.quantities, *machine.pose_constants) if machine else joints
     if not names or not {*names} <= readings.keys() or (machine and machine.loops):
         return None
     made = mechanism if machine is None else machine
@@ -71,11 +85,18 @@ def body_poses(mechanism: Mechanism, readings: Mapping[str, Array]) -> Array | N
 
 
 def skeleton_labels(mechanism: Mechanism) -> tuple[str, ...]:
-    """The name of the joint at each point of an arm's skeleton, and of its end; none of others."""
+    """The name of the joint at each point of an arm's skeleton, and of its end; none of others.
+
+    Where branches part the name of a joint stands once.
+    """
     if (mechanism.description or {}).get("type") == "planar-two-link":
         return ("phi2", "phi3", "end point")
-    joints = [step.joint for step in mechanism.chain if step.joint is not None]
-    return (*joints, "", "end point") if joints else ()
+    labels: list[str] = []
+    for path, _ in _branches(mechanism):
+        joints = [step.joint for step in path if step.joint]
+        named = [joint if joint not in labels else "" for joint in joints]
+        labels += [*([""] if labels else []), *named, *(["", "end point"] if joints else [])]
+    return tuple(labels)
 
 
 def _seen(lines: Sequence[Array], T: Array, dimension: int) -> Array:

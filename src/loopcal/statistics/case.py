@@ -172,7 +172,7 @@ def entrants(
     if made is None and images:
         made = machine  # what is smooth in pixels is the lens's as well as the arm's
     if made is None:
-        made = modelled(with_error, machine, len(case.data)) if lossless else machine
+        made = modelled(with_error, machine, case.data) if lossless else machine
     for method in methods if len(made.terms) > len(machine.terms) else ():
         if method.weighting is Weighting.READ:
             continue  # the noise of the model error says nothing about the parameters anyway
@@ -181,7 +181,7 @@ def entrants(
         name = f"{method.name} with model error"
         yield Entrant(name, replace(case, mechanism=made, fit=error_fit), True)
     for method in methods:
-        if images and (method.weighting is Weighting.READ or (method.exact and machine.chain)):
+        if images and (method.weighting is Weighting.READ or (method.exact and machine.joints)):
             # The weights of images cost as much as a fit; without its drawing's priors an arm that
             # pixels alone see lies in a valley.
             continue

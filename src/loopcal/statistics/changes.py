@@ -135,7 +135,7 @@ def _modelled(case: Case, way: Fit, run_changes: Changes, new: Sequence[ChangePo
     full = replace(case, mechanism=made.mechanism, data=made.data)
     part = _kept(case, full, run_changes.kept)
     # The machine has the prior already.
-    machine = modelled(way, way.with_prior(part.case.mechanism), len(part.case.data))
+    machine = modelled(way, way.with_prior(part.case.mechanism), part.case.data)
     way = way.changed(prior=None)
     whole = replace(part.case, mechanism=machine, fit=way).calibrated()
     if not whole.status.converged:

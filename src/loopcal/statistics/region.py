@@ -172,7 +172,7 @@ def ranges_of(
 ) -> list[RegionRange]:
     """The box of the working region; readings: (N,) [SI] of what drives the machine."""
     limits = joint_limits(mechanism)
-    turning = {s.joint for s in mechanism.chain if s.joint and s.motion[0] == "r"}
+    turning = {q for q, unit in mechanism.joints.items() if unit == "rad"}
     ranges = []
     for q, row in readings.items():
         if q in stated:

@@ -63,7 +63,7 @@ def look(height: int, **more: Any) -> dict[str, Any]:
 
 def joints_of(mechanism: Mechanism) -> list[str]:
     """The readings that pose a machine: joints of its chain, else what is no measured point."""
-    joints = [step.joint for step in mechanism.chain if step.joint]
+    joints = list(mechanism.joints)
     measured = {name for point in measured_points(mechanism) for name in point}
     return joints or [name for name in mechanism.quantities if name not in measured]
 

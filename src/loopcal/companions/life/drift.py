@@ -226,7 +226,7 @@ class Drifting:
     def _readings(self) -> dict[str, Array] | None:
         """Of poses in which the loops close; None for an arm, whose joints move freely."""
         mechanism = self.calibrated.mechanism
-        if mechanism.chain:
+        if mechanism.joints:
             return None
         poses = self.calibrated.poses or self.data
         some = np.unique(np.linspace(0, len(poses) - 1, _LOOKED_AT).astype(int))

@@ -88,7 +88,7 @@ def ranges_of(
     ranges = {**limits, **stated}
     driven = [q for q in units if q not in outputs and q not in mechanism.disturbances]
     missing = [q for q in driven if q not in ranges]
-    turning = {s.joint for s in mechanism.chain if s.joint and s.motion[0] == "r"}
+    turning = {q for q, unit in mechanism.joints.items() if unit == "rad"}
     for q in missing:
         if q in mechanism.latest:
             ranges[q] = (mechanism.latest[q],) * 2

@@ -105,9 +105,11 @@ def arm_joints(mechanism: Mechanism) -> dict[str, str]:
         raise InputError(
             f"{mechanism.name!r} is not a serial arm",
             code="unsupported",
-            remedy="correct targets of serial arms; for parallel machines export the parameters",
+            remedy="load the calibrated robot: loopcal export RESULT --to urdf"
+            if mechanism.joints
+            else "correct targets of serial arms; for parallel machines export the parameters",
         )
-    return {step.joint: step.unit for step in mechanism.chain if step.joint}
+    return dict(mechanism.joints)
 
 
 def _machine(

@@ -25,6 +25,7 @@ from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.files.machines.further_points import with_points
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.chain import Step, product
+from loopcal.mechanisms.limits import listed_joints
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import LinkJoint, calibrated_origins
 from loopcal.mechanisms.outputs import POLAR, cartesian_slopes
@@ -34,6 +35,7 @@ from loopcal.mechanisms.rest import rest_chain
 from loopcal.mechanisms.serial import places_itself
 from loopcal.mechanisms.station import MOTIONS, Station
 from loopcal.mechanisms.structure.structured import EFFECT
+from loopcal.mechanisms.tree import BODY
 from loopcal.small_samples import t_quantile
 from loopcal.statistics.predictor import Predictor
 
@@ -59,7 +61,7 @@ def exported(
     """
     values = {p.name: p.value for p in document.parameters}
     name = document.mechanism.name if document.mechanism else mechanism.name
-    if not mechanism.chain:
+    if not mechanism.joints:
         return Exported(name, None, (), document.parameters, values)
     beyond = {
         n: v for names in mechanism.effects.values() for n in names if (v := values[n]) != 0.0
@@ -77,12 +79,12 @@ def exported(
         geometry = {n: v for n, v in refitted.values.items() if n in bare}
     elif beyond:
         warnings.append(
-            "The geometry is not refitted to the full model, which is written as a function. "
-            "Expect errors as large as the effects that are left out."
+            "The geometry is not refitted to the full model: it is written as a function, or no "
+            "instrument sees a point. Expect errors as large as the effects that are left out."
         )
     zeros = None if full is None else _zeros(document, mechanism, full, bare)
     described = mechanism.description or {}
-    joints = [j for j in described.get("joints", ()) if isinstance(j, LinkJoint)]
+    joints = [j for j in listed_joints(mechanism) if isinstance(j, LinkJoint)]
     origins = calibrated_origins(
         joints, geometry, axes=bool(described.get("axes")), apart=offsets_apart
     )
@@ -93,7 +95,7 @@ def exported(
         accuracy = _accuracy(document, full, zeros, geometry)
     return Exported(
         name,
-        rest_chain(mechanism.chain, geometry),
+        rest_chain(mechanism.chain, geometry) if mechanism.chain else None,
         origins,
         document.parameters,
         geometry,
@@ -104,10 +106,10 @@ def exported(
         tuple(warnings),
         {
             one.name: one.limits
-            for one in described.get("joints", ())
+            for one in listed_joints(mechanism)
             if getattr(one, "limits", None) and getattr(one, "mimic", None) is None
         },
-        _links(joints, geometry, axes=bool(described.get("axes"))),
+        _links(joints, geometry, axes=bool(described.get("axes"))) if mechanism.chain else {},
     )
 
 
@@ -144,9 +146,12 @@ class _Full:
     def of(
         cls, document: ResultDocument, predictor: Predictor, poses: Dataset | None
     ) -> _Full | None:
-        """None for an arm written as a function, or where the region is unknown."""
+        """None for an arm written as a function, a tree of which no point is seen, and where the
+        region is unknown."""
         machine, floating = predictor.mechanism, Station(None)
         seen = seen_points(machine)
+        if not seen and not machine.chain:
+            return None
         if not seen:
             floating = Station("base:")
             machine = _looked_at(machine)
@@ -160,10 +165,12 @@ class _Full:
         ranges = {}
         if stored is not None and stored.region is not None:
             ranges = {r.quantity: (r.low, r.high) for r in stored.region.ranges}
-        joints = list(dict.fromkeys(s.joint for s in machine.chain if s.joint))
+        joints = list(machine.joints)
         if poses is not None:
             measured = {q: poses.readings[q] for q in joints if q in poses.readings}
-            ranges = {q: (float(v.min()), float(v.max())) for q, v in measured.items()} | ranges
+            read = {q: v[np.isfinite(v)] for q, v in measured.items()}
+            spans = {q: (float(v.min()), float(v.max())) for q, v in read.items() if len(v)}
+            ranges = spans | ranges
         if not set(joints) <= ranges.keys():
             return None
         rng = np.random.default_rng(0)
@@ -254,7 +261,7 @@ def _zeros(
     start |= full.standing
     names = [p.name for p in mechanism.parameters if not p.fixed and p.role in placed]
     names += full.floating
-    joints = {s.joint: s.unit for s in mechanism.chain if s.joint}
+    joints = mechanism.joints
     determined = separable(full.goals, start, names, list(joints))
     refitted = refit(full.goals, start, names, determined)
     spread = full.predictor.covariance.through(refitted.map @ full.by_parameter())
@@ -310,7 +317,8 @@ def _distances(distances: Array) -> Distances | None:
 
 
 def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tuple[Placed, ...]:
-    """Tools on the flange, stations beside the base; of transitions, which have none, axis 1."""
+    """Tools on the flange or their body, stations beside the base or theirs; of transitions, which
+    have none, axis 1."""
     placed: dict[str, Placed] = {}
     for family in mechanism.families:
         units = [(n, mechanism.parameters[n].unit) for n in family.mounted]
@@ -320,13 +328,15 @@ def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tu
             tool = mechanism.parameters[shift[0]].owner
             named = zip(MOTIONS[3], [*shift, *turns], strict=False)
             T = product([Step(motion, name) for motion, name in named], {}, values)
-            placed.setdefault(tool, Placed(tool, "flange", T, bool(turns), model))
+            flange = "flange" if family.on == BODY else family.on
+            placed.setdefault(tool, Placed(tool, flange, T, bool(turns), model))
         stands = family.placement
         if isinstance(stands, Station) and stands.name is not None and len(stands.steps) == 6:
             T = product(stands.steps, {}, values)
             name = stands.name if stands.name != "base" else "instrument"
-            placed.setdefault(f"base in {name}", Placed("base", name, T, True, model))
-            placed.setdefault(f"{name} in base", Placed(name, "base", inverse(T), True, model))
+            base = family.against
+            placed.setdefault(f"{base} in {name}", Placed(base, name, T, True, model))
+            placed.setdefault(f"{name} in {base}", Placed(name, base, inverse(T), True, model))
     if places_itself(mechanism):
         ahead = Station("base:").steps if "base:_x" in values else ()
         first = rest_chain((*ahead, *mechanism.chain), values).along_z.joints[0]

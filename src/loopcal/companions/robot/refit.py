@@ -182,16 +182,20 @@ class Traced:
 
 
 def seen_points(mechanism: Mechanism) -> tuple[SeenPoint, ...]:
-    """The points in space that instruments see of an arm; none of other machines."""
+    """The points in space that instruments see of an arm or a tree; none of other machines."""
+    tree = mechanism.tree
+    if tree is None:
+        return ()
     seen = []
-    for family in mechanism.families if mechanism.chain else ():
+    for family in mechanism.families:
         outputs = point_outputs(mechanism, family)
         target = tuple(n for n in family.mounted if mechanism.parameters[n].unit == "m")
         if len(outputs) != 3 or len(target) not in (0, 3):
             continue
         stands = family.placement
         station = stands.steps if isinstance(stands, Station) else ()
-        seen.append(SeenPoint(family, outputs, (*station, *mechanism.chain), target))
+        steps = (*station, *tree.path(family.on, family.against))
+        seen.append(SeenPoint(family, outputs, steps, target))
     return tuple(seen)
 
 

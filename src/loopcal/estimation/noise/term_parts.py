@@ -110,8 +110,7 @@ def with_parts(
 def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[TermPart]:
     """By how much base and joints give way under gravity."""
     joints = [j for j in arm.names if any(c.joint == j for c in columns)]
-    read = tuple(dict.fromkeys(step.joint for step in arm.chain if step.joint))
-    read = (*read, arm.payload) if arm.payload else read
+    read = (*arm.units, arm.payload) if arm.payload else tuple(arm.units)
     if not joints or not all(q in at.readings for q in read):
         return []
 

@@ -279,7 +279,7 @@ def typed_robot(kind: str) -> Robot:
         )
         no_chain.command = f"loopcal new my-{kind} --mechanism {kind}"
         raise no_chain
-    driven = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
+    driven = tuple(mechanism.joints)
     row = machine_type(kind)
     if row.joints is None:
         return Robot({"type": kind}, len(driven), driven)

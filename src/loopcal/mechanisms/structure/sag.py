@@ -19,6 +19,10 @@ moment of all that stand behind it, with a compliance c [rad/(N m)]:
 
 What the tool carries is estimated where the masses of the links are known, and may be known to
 differ by pose.
+
+Of a robot with several arms each is such a branch, with points of its own. A joint that carries
+several gives way under the weights of all, and so moves all that stands behind it. The base moves
+each arm by that arm's own weights alone: the joints of the others need not be read for it.
 """
 
 from __future__ import annotations
@@ -35,7 +39,7 @@ from loopcal.expressions.trace import trace
 from loopcal.expressions.vectors import cross, dot, norm, rotate, vector
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.effects.gravity import ACCELERATION, Load, end_of
-from loopcal.mechanisms.frame import Direction, Values, Vector
+from loopcal.mechanisms.frame import ChainFrame, Direction, Values, Vector
 from loopcal.mechanisms.structure.smooth import Smooth
 
 Array = NDArray[np.float64]
@@ -84,12 +88,13 @@ class _Link:
 
 
 @dataclass(frozen=True)
-class Sag:
-    """An arm that may give way under gravity.
+class Branch:
+    """An arm, alone or one of several, that may give way under gravity.
 
     chain: its steps; ahead: how many of them only place it, in whose last frame gravity is stated;
     target: the coordinates of the tool in the body's frame; gravity: its nominal direction; masses:
-    those that are known; payload: the known constant [kg] that the tool carries.
+    those that are known, each of one branch alone; payload: the known constant [kg] that the tool
+    carries; name: begins the names of its weights, where there are several.
     """
 
     chain: tuple[Step, ...]
@@ -98,6 +103,10 @@ class Sag:
     gravity: tuple[float, float, float]
     masses: tuple[Load, ...] = ()
     payload: str | None = None
+    name: str = ""
+
+    def _named(self, weight: str) -> str:
+        return f"{self.name}_{weight}" if self.name else weight
 
     @property
     def down(self) -> Direction:
@@ -107,7 +116,7 @@ class Sag:
     @property
     def carried(self) -> tuple[str, ...]:
         """The parameter of what the tool carries, where the masses of the links show it."""
-        return (LOAD,) if self.masses else ()
+        return (self._named(LOAD),) if self.masses else ()
 
     @property
     def joints(self) -> dict[str, int]:
@@ -125,7 +134,8 @@ class Sag:
         n = len(self.joints)
         inner = {"elbow": (n + 1) // 2, "wrist": n - 1}
         used = {at: name for name, at in inner.items() if at > 1}
-        return {**{name: at for at, name in used.items()}, TOOL: None}
+        named = {self._named(name): at for at, name in used.items()}
+        return {**named, self._named(TOOL): None}
 
     @property
     def names(self) -> list[str]:
@@ -141,61 +151,18 @@ class Sag:
                 for load in loads:
                     about_joint = motion == f"r{axis}"
                     yield Column(f"{joint}_sag_{axis}_{load}", joint, axis, load, about_joint)
-        for joint, i in self.joints.items() if self.masses or self.payload else ():
+        for joint, i in self.joints.items() if self._weighed else ():
             if self.chain[i].motion[0] == "r":
                 yield Column(f"{joint}_yield", joint, self.chain[i].motion[1], MASSES, True)
 
-    def columns(self, nominal: Mapping[str, float]) -> tuple[Column, ...]:
-        """The columns that do something, each once.
-
-        At random poses of the nominal arm, with gravity tilted a little: what turns about it does
-        nothing otherwise. Two that displace the body alike would count twice.
-        """
-        candidates = list(self.candidates())
-        units = {step.joint: step.unit for step in self.chain if step.joint}
-        names = [column.parameter for column in candidates]
-        payload = () if self.payload is None else (self.payload,)
-        p = {**nominal, **dict.fromkeys(names, 0.0), **dict.fromkeys(self.down.tilts, 0.1)}
-        p |= dict.fromkeys(self.carried, 0.0)
-        tape = trace(
-            lambda x, p: [
-                *np.concatenate(self.displacement(candidates, cast("Any", x), cast("Any", p)))
-            ],
-            quantities=tuple(units),
-            pose_constants=payload,
-            parameters=tuple(p),
-        )
-        engine = engine_for(tape, tuple(names), _POSES, ())
-        rng = np.random.default_rng(0)
-        carried = rng.uniform(*_PAYLOADS, (len(payload), _POSES))
-        # Within most joints' limits: readings outside would show columns that no pose can.
-        spans = [(-2.5, 2.5) if unit == "rad" else (0.0, 0.7) for unit in units.values()]
-        x = np.array([rng.uniform(*span, _POSES) for span in spans])
-        each = engine.evaluate(np.array(list(p.values())), x, carried).by_parameter
-        kept: list[int] = []
-        for i, change in enumerate(each):
-            size = float(np.linalg.norm(change))
-            if size > _ALIKE and not any(_alike(change, each[k], size) for k in kept):
-                kept.append(i)
-        return tuple(candidates[i] for i in kept)
-
-    def displacement(
+    def turns(
         self, columns: Sequence[Column], x: Values, p: Values
-    ) -> tuple[Vector, Vector]:
-        """Shift d and turn w of the body (3,) each, in the first frame of the chain."""
+    ) -> tuple[list[_Link], _Link, dict[int, Vector]]:
+        """The frames of base and joints, that of the body, and by number of a frame the small turn
+        (3,) by which it gives way; all in the first frame of the chain."""
         links, body, masses = self._links(x, p)
-        shift, turn = vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)
-        for number, bend in self._link_turns(links, body, masses, columns, x, p).items():
-            turn = turn + bend
-            shift = shift + cross(bend, body.origin - links[number].origin)
-        return shift, turn
-
-    def link_turns(self, columns: Sequence[Column], x: Values, p: Values) -> dict[str, Vector]:
-        """By base and joint, the small turn (3,) by which it gives way, in the first frame of the
-        chain."""
-        links, body, masses = self._links(x, p)
-        turns = self._link_turns(links, body, masses, columns, x, p)
-        return {self.names[number]: turn for number, turn in turns.items()}
+        kept = [c for c in columns if c.load in self.loads or (c.load == MASSES and self._weighed)]
+        return links, body, self._link_turns(links, body, masses, kept, x, p)
 
     def next_axis(self, joint: str, x: Values, p: Values) -> tuple[str, Vector] | None:
         """The next joint behind the base or a joint, and its axis (3,) in the first frame; None
@@ -204,6 +171,10 @@ class Sag:
         behind = self.names[at] if at < len(self.names) else ""
         motion = self.chain[self.joints[behind]].motion if behind else "t"
         return (behind, self._links(x, p)[0][at].axes[motion[1]]) if motion[0] == "r" else None
+
+    @property
+    def _weighed(self) -> bool:
+        return bool(self.masses or self.payload)
 
     def _link_turns(
         self,
@@ -250,7 +221,7 @@ class Sag:
         self, masses: Sequence[Vector], tool: Vector, x: Values, p: Values
     ) -> list[tuple[Any, Vector]]:
         """Of the known masses behind base and each joint, sum m g_0 [N] and sum m g_0 r (3,)."""
-        carried: Any = p[LOAD] if self.masses else 0.0
+        carried: Any = p[self.carried[0]] if self.masses else 0.0
         weight = (carried if self.payload is None else carried + x[self.payload]) * ACCELERATION
         moment = tool * weight
         sums: list[tuple[Any, Vector]] = []
@@ -313,6 +284,137 @@ class Sag:
         # less of the MA1400's workspace set: 0.36 instead of 0.30 mm in-sample.
         below = foot - e * norm(links[3].origin - second.origin) if len(links) > 3 else foot
         return [_Link(below, base.axes), _Link(foot, first.axes), *links[2:]]
+
+
+@dataclass(frozen=True)
+class Stands:
+    """A body: path to it; end: the branch that ends there, None where none does; shared: of each
+    branch, how many joints the two have in common; on: the branches that it is part of."""
+
+    path: tuple[Step, ...]
+    end: int | None
+    shared: tuple[int, ...]
+    on: frozenset[int]
+
+
+@dataclass(frozen=True)
+class Sag:
+    """The branches of a robot, one of a serial arm; bodies: those that instruments look at."""
+
+    branches: tuple[Branch, ...]
+    bodies: Mapping[str, Stands]
+
+    @property
+    def down(self) -> Direction:
+        """The direction of gravity, and the two parameters that tilt it."""
+        return self.branches[0].down
+
+    @property
+    def carried(self) -> tuple[str, ...]:
+        """The parameters of what the tools carry."""
+        return tuple(name for branch in self.branches for name in branch.carried)
+
+    @property
+    def weight(self) -> float:
+        """Sum [kg] of the known masses."""
+        return sum(load.mass or 0.0 for branch in self.branches for load in branch.masses)
+
+    @property
+    def names(self) -> list[str]:
+        """Of the links: the base, and behind each joint."""
+        return list(dict.fromkeys(name for branch in self.branches for name in branch.names))
+
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """The joints that carry several branches."""
+        every = [joint for branch in self.branches for joint in branch.joints]
+        return tuple(name for name in dict.fromkeys(every) if every.count(name) > 1)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The SI units of the joints' readings."""
+        steps = (step for branch in self.branches for step in branch.chain)
+        return {step.joint: step.unit for step in steps if step.joint}
+
+    @property
+    def payload(self) -> str | None:
+        """The known constant [kg] that the tool of a serial arm carries."""
+        return self.branches[0].payload
+
+    def candidates(self) -> list[Column]:
+        """All columns, whether or not they are of any effect; those of known masses once."""
+        every = [column for branch in self.branches for column in branch.candidates()]
+        return list({column.parameter: column for column in every}.values())
+
+    def columns(self, nominal: Mapping[str, float]) -> tuple[Column, ...]:
+        """The columns that do something, each once.
+
+        At random poses of the nominal arm, with gravity tilted a little: what turns about it does
+        nothing otherwise. Two that displace the body alike would count twice.
+        """
+        candidates, units = self.candidates(), self.units
+        names = [column.parameter for column in candidates]
+        payload = () if self.payload is None else (self.payload,)
+        p = {**nominal, **dict.fromkeys(names, 0.0), **dict.fromkeys(self.down.tilts, 0.1)}
+        p |= dict.fromkeys(self.carried, 0.0)
+        tape = trace(
+            lambda x, p: [
+                component
+                for moved in self.displacements(candidates, cast("Any", x), cast("Any", p)).values()
+                for component in np.concatenate(moved)
+            ],
+            quantities=tuple(units),
+            pose_constants=payload,
+            parameters=tuple(p),
+        )
+        engine = engine_for(tape, tuple(names), _POSES, ())
+        rng = np.random.default_rng(0)
+        carried = rng.uniform(*_PAYLOADS, (len(payload), _POSES))
+        # Within most joints' limits: readings outside would show columns that no pose can.
+        spans = [(-2.5, 2.5) if unit == "rad" else (0.0, 0.7) for unit in units.values()]
+        x = np.array([rng.uniform(*span, _POSES) for span in spans])
+        each = engine.evaluate(np.array(list(p.values())), x, carried).by_parameter
+        kept: list[int] = []
+        for i, change in enumerate(each):
+            size = float(np.linalg.norm(change))
+            if size > _ALIKE and not any(_alike(change, each[k], size) for k in kept):
+                kept.append(i)
+        return tuple(candidates[i] for i in kept)
+
+    def displacements(
+        self, columns: Sequence[Column], x: Values, p: Values
+    ) -> dict[str, tuple[Vector, Vector]]:
+        """By body, its shift d and turn w (3,) each, in the first frame of the chain."""
+        turned = [branch.turns(columns, x, p) for branch in self.branches]
+        moved = {}
+        for name, stands in self.bodies.items():
+            if stands.end is None:
+                origin = ChainFrame(stands.path, x, p).point(vector(0.0, 0.0, 0.0))
+            else:
+                origin = turned[stands.end][1].origin
+            shift, turn = vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)
+            for i, (links, _, turns) in enumerate(turned):
+                for number, bend in turns.items():
+                    if number <= stands.shared[i] and (number or i in stands.on):
+                        turn = turn + bend
+                        shift = shift + cross(bend, origin - links[number].origin)
+            moved[name] = shift, turn
+        return moved
+
+    def link_turns(self, columns: Sequence[Column], x: Values, p: Values) -> dict[str, Vector]:
+        """By base and joint, the small turn (3,) by which it gives way, in the first frame of the
+        chain."""
+        turned: dict[str, Vector] = {}
+        for branch in self.branches:
+            for number, turn in branch.turns(columns, x, p)[2].items():
+                name = branch.names[number]
+                turned[name] = turned[name] + turn if name in turned else turn
+        return turned
+
+    def next_axis(self, joint: str, x: Values, p: Values) -> tuple[str, Vector] | None:
+        """As of the first branch that has the joint."""
+        branch = next(one for one in self.branches if joint in one.names)
+        return branch.next_axis(joint, x, p)
 
 
 def _alike(one: Array, other: Array, size: float) -> bool:

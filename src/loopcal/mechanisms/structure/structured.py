@@ -25,7 +25,7 @@ from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
 from loopcal.mechanisms.serial import places_itself
-from loopcal.mechanisms.structure.sag import Column, Sag, Structure
+from loopcal.mechanisms.structure.sag import Branch, Column, Sag, Stands, Structure
 from loopcal.mechanisms.structure.smooth import DISCREPANCY, FEATURES, Smooth
 from loopcal.mechanisms.terms import Term
 
@@ -95,7 +95,7 @@ def structured(
     to 5 mm and 50 mrad, flat where all its values are 0 and so unstated; lengths, twists and
     zeros share a learnt sd each (see `GEOMETRY_TERMS`). Further parameters, nominally 0:
 
-    - sag, of serial arms: JOINT_sag_AXIS_LOAD [rad/m] about the joints' axes (median 0.5 mrad per
+    - sag, of arms in space: JOINT_sag_AXIS_LOAD [rad/m] about the joints' axes (median 0.5 mrad per
       metre) and across them (0.2), and two tilts of gravity, known to 5 degrees (see `Sag`).
       Gravity pulls along `Mechanism.gravity`;
     - compliance, where masses or a payload are known: JOINT_yield [rad/(N m)] of each turning joint
@@ -136,9 +136,12 @@ def structured(
 
 
 def without(
-    mechanism: Mechanism, structured_mechanism: Mechanism, terms: Collection[str]
+    mechanism: Mechanism,
+    structured_mechanism: Mechanism,
+    terms: Collection[str],
+    stiff: Collection[str] = (),
 ) -> Mechanism:
-    """A mechanism structured like another, but for the terms of these names.
+    """A mechanism structured like another, but for the terms of these names, and sag of joints.
 
     The drives of turning joints and of slides stay together.
     """
@@ -149,7 +152,9 @@ def without(
     remaining = [*structure.smooth.values()] if any(t.name == DISCREPANCY for t in kept) else []
     return structured(
         mechanism,
-        sag=tuple(c.parameter for c in structure.columns if c.parameter in names),
+        sag=tuple(
+            c.parameter for c in structure.columns if c.parameter in names and c.joint not in stiff
+        ),
         harmonics=any(term.name in DRIVES for term in kept),
         discrepancy=max((len(smooth.harmonics) for smooth in remaining), default=False),
     )
@@ -205,18 +210,51 @@ def _arm(mechanism: Mechanism) -> Sag | None:
 
 
 def _in_space(mechanism: Mechanism) -> Sag | None:
-    """The arm; None without a chain."""
-    chain = mechanism.chain
-    if not chain:
+    """What bears the bodies that are looked at; None where no joint does."""
+    tree, body = mechanism.tree, mechanism.body
+    if tree is None or body is None:
         return None
-    ahead = 0
-    if places_itself(mechanism):
-        ahead = next(i for i, step in enumerate(chain) if step.joint)
-    lengths = {p.name for p in mechanism.parameters if p.unit == "m"}
-    # the coordinates of the first thing that is mounted on the body
-    at = [n for n in mechanism.parameters.of_role("mounting") if n in lengths][:3]
-    down = mechanism.gravity or DOWN
-    return Sag(chain, ahead, tuple(at), down, mechanism.masses, mechanism.payload)
+    paths = {name: tree.path(name) for name in body.displacements}
+    ends = [
+        name
+        for name, path in paths.items()
+        if any(step.joint for step in path)
+        and not any(other != name and not tree.ways(name, other)[0] for other in paths)
+    ]
+    if not ends:
+        return None
+    down, waiting = mechanism.gravity or DOWN, [*mechanism.masses]
+    branches = []
+    for name in ends:
+        chain, ahead = paths[name], 0
+        if places_itself(mechanism):
+            ahead = next(i for i, step in enumerate(chain) if step.joint)
+        moves = {step.joint for step in chain}
+        borne = tuple(load for load in waiting if load.joint in moves)
+        waiting = [load for load in waiting if load.joint not in moves]
+        several = name if len(ends) > 1 else ""
+        target = _target(mechanism, several)
+        branches.append(Branch(chain, ahead, target, down, borne, mechanism.payload, several))
+    stands = {}
+    for name, path in paths.items():
+        apart = [tree.ways(name, end) for end in ends]
+        common = [path[: len(path) - len(to)] for to, _ in apart]
+        stands[name] = Stands(
+            path,
+            ends.index(name) if name in ends else None,
+            tuple(len(Branch(steps, 0, (), down).joints) for steps in common),
+            frozenset(i for i, (to, _) in enumerate(apart) if not to),
+        )
+    return Sag(tuple(branches), stands)
+
+
+def _target(mechanism: Mechanism, body: str) -> tuple[str, ...]:
+    """The coordinates of the first thing that is mounted on one of several bodies, or on any."""
+    lengths = [p.name for p in mechanism.parameters if p.unit == "m" and p.role == "mounting"]
+    if body:
+        lengths = next((list(f.mounted) for f in mechanism.families if f.on == body), [])
+        lengths = [n for n in lengths if mechanism.parameters[n].unit == "m"]
+    return tuple(lengths[:3])
 
 
 def _columns(
@@ -287,7 +325,7 @@ def _displaced(
         ]
         added += [Parameter(n, 0.0, "rad", TILTED, meaning=GRAVITY_TILT) for n in arm.down.tilts]
         if any(c.term == "compliance" for c in columns):
-            weighing = CARRIED * sum(load.mass or 0.0 for load in arm.masses)
+            weighing = CARRIED * arm.weight
             added += [Parameter(n, 0.0, "kg", weighing, meaning=LOAD_MASS) for n in arm.carried]
         terms += [
             *_term(
@@ -348,10 +386,11 @@ def _displaced(
         places: dict[str, Any] = {}
         for i, end in enumerate(ENDS[: len(first_body)]):
             row = {v.name: x[v.name + end] for v in mechanism.variables if v.name + end in x}
+            moved = {} if arm is None else arm.displacements(columns, row, p)
             for name, ends in body.displacements.items():
                 total = dict.fromkeys(axes, 0.0)
-                if arm is not None:
-                    sagged = arm.displacement(columns, row, p)
+                if name in moved:
+                    sagged = moved[name]
                     total |= dict(zip(axes, (*sagged[0], *sagged[1]), strict=True))
                 if name in smooth:
                     features = smooth[name].features(row)

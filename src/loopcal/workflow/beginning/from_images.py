@@ -290,7 +290,7 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
         )
     columns, how = every[0]
     mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
-    names = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
+    names = tuple(mechanism.joints)
     readings = {
         name: _si(column, mechanism.quantities[name])
         for name, column in zip(names, columns, strict=True)

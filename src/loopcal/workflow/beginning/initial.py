@@ -420,8 +420,7 @@ def _robot(robot: RobotFile, fields: Fields, folder: Path, signs: Sequence[int])
 
 def _machine(robot: Robot, fields: Fields, folder: Path) -> Machine:
     mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
-    joints = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
-    return Machine(mechanism, joints)
+    return Machine(mechanism, tuple(mechanism.joints))
 
 
 def _joined(sources: Sequence[Source], robot: RobotFile, folder: Path) -> Fields:
@@ -551,8 +550,7 @@ def _weakest(made: Check, dataset: Dataset) -> str:
     # Other dimensions have no usual error: taken as exact, they favour the drawing.
     sds = [DRAWN.get(machine.parameters[name].dimension, 0.0) for name in predictor.names]
     drawing = replace(predictor, covariance=LearntCovariance.certain(np.diag(np.square(sds))))
-    joints = dict.fromkeys(step.joint for step in machine.chain if step.joint)
-    ranges = ranges_of(machine, {name: dataset[name] for name in joints}, {})
+    ranges = ranges_of(machine, {name: dataset[name] for name in machine.joints}, {})
     constants = {name: float(np.median(dataset[name])) for name in machine.tape.pose_constants}
     made_sds, drawn_sds = (sds_in(one, ranges, constants) for one in (predictor, drawing))
     both = zip(output_groups(machine), made_sds, drawn_sds, strict=True)
