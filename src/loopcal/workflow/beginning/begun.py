@@ -40,7 +40,8 @@ def drawn(mechanism: Mechanism, length: float, twist: float, zero: float) -> dic
     sds = {"length": (length, "mm"), "zero": (zero, "mrad")}
     entries = {}
     for p in mechanism.parameters:
-        if p.role in GEOMETRY and p.role != "scale" and not p.fixed:
+        # What was held beside free ones stays beside stated ones: each has its sd.
+        if p.role in GEOMETRY and p.role != "scale":
             sd, of = sds.get(p.role, (twist, "mrad") if p.unit == "rad" else sds["length"])
             if p.unit == "m":
                 sd, of = length, "mm"
