@@ -181,3 +181,18 @@ def test_unread_joints_of_one_arm_leave_the_waist_stiff(tmp_path: Path) -> None:
         assert made.structure is not None
         bending.append({column.joint for column in made.structure.columns})
     assert bending[0] - bending[1] == {"waist"}
+
+
+def test_a_hand_is_predicted_where_the_joints_of_the_other_are_unread(
+    calibrated: lc.Result,
+) -> None:
+    q = np.random.default_rng(3).uniform(-0.5, 0.5, (len(JOINTS), 3))
+    whole = dict(zip(JOINTS, q, strict=True))
+    one_arm = {
+        n: np.where([1, 1, 0], v, np.nan) if n[:5] == "right" else v for n, v in whole.items()
+    }
+    seen, partly = (calibrated.predict(readings).outputs for readings in (whole, one_arm))
+    for axis in "xyz":
+        np.testing.assert_array_equal(partly[f"l_{axis}"], seen[f"l_{axis}"])
+        np.testing.assert_array_equal(partly[f"r_{axis}"][:2], seen[f"r_{axis}"][:2])
+        assert np.isnan(partly[f"r_{axis}"][2])

@@ -307,8 +307,12 @@ def parts_at(
     listed = [nothing if q in unused else data[q] for q in solved.tape.pose_constants]
     constants = np.array(listed).reshape(-1, len(data))
     values = np.array([p.nominal for p in solved.parameters])
+    unread = _unread_joints(solved, x)
+    x[unread] = 0.0
     y = predict_outputs(solved, values, x, constants)
     x[[names.index(q) for q in solved.outputs]] = y
+    for i, moved_by in enumerate(_moved_by(solved) if unread.any() else ()):
+        y[i, unread[moved_by].any(axis=0)] = np.nan
     S = output_sensitivity(solved, values, calibrated.names, x, constants)
     o = len(calibrated.units)
     slopes = S.by_parameter[:, :o]
@@ -318,6 +322,23 @@ def parts_at(
     return Parts(
         y[:o], slopes, from_parameters, left if readings is None else readings, left is not None
     )
+
+
+def _unread_joints(mechanism: Mechanism, x: Array) -> NDArray[np.bool_]:
+    """(k, N) joints of a whole robot that a pose does not read: what others move is predicted."""
+    tree, names = mechanism.tree, mechanism.tape.quantities
+    joints = mechanism.joints if tree is not None and len(tree.leaves) > 1 else {}
+    return np.isnan(x) & np.isin(names, list(joints))[:, None]
+
+
+def _moved_by(mechanism: Mechanism) -> list[list[int]]:
+    """By output, the positions of the quantities of its loop."""
+    tape = mechanism.tape
+    depends = dict(zip(tape.loops, tape.depends_on(), strict=True))
+    return [
+        [tape.quantities.index(n) for n in depends.get(q, ()) if n in tape.quantities]
+        for q in mechanism.outputs
+    ]
 
 
 def _guessed(calibrated: Predictor, data: Dataset, noise: Noise | None) -> set[str]:
