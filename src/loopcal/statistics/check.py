@@ -265,7 +265,9 @@ def _ranges(problem: Problem, data: Dataset, *, stated: bool) -> tuple[Range, ..
         values = data.readings.get(quantity, np.empty(0))
         values = values[~np.isnan(values)]
         low, high = (float(values.min()), float(values.max())) if values.size else (None, None)
-        sd = float(np.median(sds[row])) if stated else None
+        read = np.isfinite(sds[row])
+        # Of a whole robot other poses read other things.
+        sd = float(np.median(sds[row][read] if read.any() else sds[row])) if stated else None
         ranges.append(Range(quantity, unit, int(values.size), low, high, sd))
     return tuple(ranges)
 
