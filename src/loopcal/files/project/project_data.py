@@ -62,7 +62,10 @@ def load_dataset(project: Project) -> LoadedData:
     read, join_warnings = _read(project, spec, place, columns_aside(project))
     loaded = loaded_from(project, read)
     units = {**project.mechanism.quantities, **project.mechanism.pose_constants}
-    odd = check_dataset(loaded.dataset, units, points=measured_points(project.mechanism))
+    read_as_0 = project.mechanism.implied.keys() & loaded.dataset.readings.keys()
+    silent = [q for q in read_as_0 if not np.nan_to_num(loaded.dataset.readings[q]).any()]
+    points = measured_points(project.mechanism)
+    odd = check_dataset(loaded.dataset, units, trusted=silent, points=points)
     return replace(loaded, warnings=(*join_warnings, *odd))
 
 
