@@ -25,8 +25,8 @@ from loopcal.mechanisms.mechanism import PIXELS
 
 Array = NDArray[np.float64]
 LEVEL = 1e-3
-"""Probability that any corner is set aside where all are good. Chosen: a user who finds corners left
-out should be able to trust that they were wrong; those that matter are far beyond."""
+"""Probability that any corner is set aside where all are good. Chosen: whoever finds corners
+left out should be able to trust that they were wrong; those that matter are far beyond."""
 HALF = 0.5
 """Share of its corners from which an image is wrong as a whole."""
 _ROUNDS = 12
