@@ -470,7 +470,7 @@ def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None
                 raise InputError(
                     f"{min(sits)!r} would say where something sits on {i.on!r} and on {other.on!r}",
                     code="duplicate-name",
-                    remedy="give each instrument a target with a name of its own: "
+                    remedy="give the target of each instrument another name: "
                     f'target = "{i.name}_target"',
                 )
         if shared := set(i.placement) & on_bodies:

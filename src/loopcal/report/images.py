@@ -119,7 +119,7 @@ def _view(source: Source, entry: CameraEntry, T_base_body: Array) -> CameraView:
     uv, residuals = measured[:, point, image], off[:, point, image]
     width, height = map(float, intrinsics.image or (0, 0))
     if intrinsics.image is None:
-        # Nobody stated it: about as far beyond the principal point as before it, and all corners.
+        # The size is not stated: take twice the principal point, and let it hold all corners.
         middle = 2.0 * np.array([intrinsics.cx, intrinsics.cy]) + 1.0
         width, height = np.maximum(middle, uv.max(axis=1, initial=0.0)).tolist()
     ids = list(board.points)
@@ -145,7 +145,7 @@ def _view(source: Source, entry: CameraEntry, T_base_body: Array) -> CameraView:
 
 
 def _placed(view: CameraView, point: NDArray[np.intp]) -> Array:
-    """T with the poses that nobody reads from the corners of each image alone."""
+    """T (N, 4, 4); where the pose is not read, the one that the corners of the image show."""
     T, zero = view.T.copy(), np.zeros(len(view.image), dtype=np.intp)
     names = tuple(map(str, range(len(T))))
     corners = Corners.of(

@@ -20,9 +20,9 @@ moment of all that stand behind it, with a compliance c [rad/(N m)]:
 What the tool carries is estimated where the masses of the links are known, and may be known to
 differ by pose.
 
-Of a robot with several arms each is such a branch, with points of its own. A joint that carries
-several gives way under the weights of all, and so moves all that stands behind it. The base moves
-each arm by that arm's own weights alone: the joints of the others need not be read for it.
+A robot with several arms has one branch for each arm, with a set of points each. A joint that
+carries several arms gives way under the weight of all of them, and moves them all. The base gives
+way under each arm apart, so that the joints of the other arms need not be read.
 """
 
 from __future__ import annotations

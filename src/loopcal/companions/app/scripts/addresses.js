@@ -1,4 +1,4 @@
-/* The address of what the page shows, and where it was scrolled to; each step has a place of its own.
+/* The address of what the page shows. The scroll position is kept for each step.
 
    The server names the address (`show`) and says when a step is drawn (`drawn`). Back and forth are
    told to it by the event "went". */
