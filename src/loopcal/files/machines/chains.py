@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.files.machines.attached import Instruments
-from loopcal.files.machines.machine_type import ChainTable, MachineType, looked_at
+from loopcal.files.machines.machine_type import ChainTable, MachineType, UrdfPath, looked_at
 from loopcal.files.machines.mechanism_writer import SOURCE
 from loopcal.files.machines.urdf import read_masses, read_urdf
 from loopcal.files.outputs import expanded
@@ -26,14 +26,7 @@ class Urdf(ChainTable):
     """The chain of joints between two links of a robot, from its URDF or listed here."""
 
     name: Annotated[str | None, Key("Name of the machine.")] = None
-    file: Annotated[
-        str | None,
-        Key(
-            "Path of the URDF, relative to this file; ${NAME} is replaced by the environment "
-            "variable NAME.",
-            example="robot.urdf",
-        ),
-    ] = None
+    file: UrdfPath = None
     base: Annotated[str | None, Key("Link that does not move.")] = None
     tip: Annotated[str | None, Key("Link that carries what is measured.")] = None
     joint: Annotated[tuple[LinkJoint, ...] | None, Key("The chain itself, in place of a file.")] = (

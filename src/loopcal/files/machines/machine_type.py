@@ -89,6 +89,15 @@ class ChainTable(ArmTable):
     ] = ()
 
 
+UrdfPath = Annotated[
+    str | None,
+    Key(
+        "Path of the URDF, relative to this file; ${NAME} is replaced by the environment "
+        "variable NAME.",
+        example="robot.urdf",
+    ),
+]
+
 Build = Callable[[Any, Any, Scope, Place], Mechanism]
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from loopcal.errors import InputError, placed
 from loopcal.files.machines.attached import Instruments
-from loopcal.files.machines.machine_type import ChainTable, MachineType, looked_at
+from loopcal.files.machines.machine_type import ChainTable, MachineType, UrdfPath, looked_at
 from loopcal.files.machines.mechanism_writer import SOURCE
 from loopcal.files.machines.serial import NominalJoint
 from loopcal.files.machines.urdf import read_tree
@@ -43,14 +43,7 @@ class Tree(ChainTable):
     """A robot of several arms, heads or hands: bodies that hang on each other."""
 
     name: Annotated[str, Key("Name of the machine.")] = NAME
-    file: Annotated[
-        str | None,
-        Key(
-            "Path of the URDF, relative to this file; ${NAME} is replaced by the environment "
-            "variable NAME.",
-            example="robot.urdf",
-        ),
-    ] = None
+    file: UrdfPath = None
     root: Annotated[
         str | None,
         Key(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,12 +13,16 @@ from loopcal.errors import listed
 from loopcal.files.recognition.headers import Heading, words
 from loopcal.files.tables.recording import Recording
 from loopcal.measurements.resolution import written_step
+from loopcal.units import unit
 
 Array = NDArray[np.float64]
 STATIONS = frozenset(words("columns", "station"))
 TOOLS = frozenset(words("columns", "tool"))
 TIMES = frozenset(words("columns", "time"))
 _STAMPS = frozenset({"time", "timestamp", "stamp"})
+# Chosen, not derived: joints turn less than twice about, and cells are smaller.
+_LARGE = {"rad": (4.0 * np.pi, "deg"), "m": (50.0, "mm")}
+"""By SI unit, a number above which a column without a unit is in the other one."""
 STILL = 1e-3
 """An axis whose readings span so much less than another's stands still."""
 
@@ -109,6 +113,26 @@ class Source:
 
     def __len__(self) -> int:
         return len(self.fields[0].values)
+
+
+def in_si(columns: Mapping[str, Field], units: Mapping[str, str]) -> dict[str, Array]:
+    """Name -> numbers [SI] of its column; units: name -> SI unit. See `taken_in`."""
+    taken = taken_in(columns, units)
+    return {
+        name: np.asarray(unit(f.unit or taken[units[name]]).factor * f.values)
+        for name, f in columns.items()
+    }
+
+
+def taken_in(columns: Mapping[str, Field], units: Mapping[str, str]) -> dict[str, str]:
+    """SI unit -> that of the columns without a stated one, by the size of all of them together."""
+    taken = {}
+    for si in dict.fromkeys(units[name] for name in columns):
+        every = [f.values for name, f in columns.items() if units[name] == si and f.unit is None]
+        numbers = np.abs(np.concatenate([*every, np.zeros(1)]))
+        limit, other = _LARGE.get(si, (np.inf, si))
+        taken[si] = other if float(np.nanmax(numbers)) > limit else si
+    return taken
 
 
 def counted(field: Field, names: Sequence[str]) -> Field:

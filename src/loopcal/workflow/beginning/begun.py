@@ -15,6 +15,9 @@ from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.units import from_si
 
 PROJECT, READINGS = "project.toml", "readings.csv"
+JOINTS = {"rad": (50e-6, "urad"), "m": (10e-6, "um")}
+"""By unit of joints, a guess of their sd [SI] and the unit in which it is written: an encoder of 17
+bits (2 pi / 2^17 = 48 urad), a linear scale."""
 HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
 
 
@@ -48,3 +51,13 @@ def drawn(mechanism: Mechanism, length: float, twist: float, zero: float) -> dic
             value = float(from_si(np.array(p.nominal), of))
             entries[p.name] = {"value": value, "unit": of, "sd": sd}
     return entries
+
+
+def joint_noise(joints: Mapping[str, str]) -> dict[str, Any]:
+    """[noise] of joints, name -> SI unit: a guess for those of a kind, which is learnt."""
+    noise = {}
+    for si, (sd, of) in JOINTS.items():
+        if names := [name for name, kind in joints.items() if kind == si]:
+            value = float(from_si(np.array(sd), of))
+            noise[",".join(names)] = {"sd": round(value, 6), "unit": of, "estimate": "group"}
+    return noise

@@ -19,7 +19,7 @@ from loopcal.files.cameras.folder import Files, read_files
 from loopcal.files.cameras.places import read_places
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.expressions import joint_columns
-from loopcal.files.recognition.fields import Field
+from loopcal.files.recognition.fields import Field, in_si, taken_in
 from loopcal.files.recognition.joint_sets import joint_sets
 from loopcal.files.recognition.robots import Robot
 from loopcal.files.recognition.sources import sources_of
@@ -30,14 +30,14 @@ from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.mechanisms.instruments.camera import PIXEL
 from loopcal.mechanisms.placement import yaw_pitch_roll
-from loopcal.units import from_si, unit
-from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn
+from loopcal.units import from_si
+from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn, joint_noise
 
 Array = NDArray[np.float64]
 CORNERS, WRONG = "corners.csv", "wrong-corners.csv"
 """Those of the project, and those that do not fit, which it leaves out."""
 USUAL_LENS = "brown5"
-CORNER, ENCODER, PLACE, TURN = 0.02, 50e-6, 1e-4, 1e-4
+CORNER, PLACE, TURN = 0.02, 1e-4, 1e-4
 """Where the learning of sds begins: a corner, at least [px], a joint [rad], a stated pose [m],
 [rad]."""
 _NORMAL = 1.4826
@@ -290,33 +290,21 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
         )
     columns, how = every[0]
     mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
-    names = tuple(mechanism.joints)
-    readings = {
-        name: _si(column, mechanism.quantities[name])
-        for name, column in zip(names, columns, strict=True)
-    }
+    stated = dict(zip(mechanism.joints, columns, strict=True))
+    readings = in_si(stated, mechanism.joints)
     poses = source.ids or tuple(str(i) for i in range(1, len(source) + 1))
     T = mechanism.fk(np.stack(list(readings.values()), axis=1))
-    slides = [n for n in names if mechanism.quantities[n] == "m"]
-    noise: dict[str, Any] = {name: {"sd": 10, "unit": "um", "estimate": "group"} for name in slides}
-    if turning := [name for name in names if name not in slides]:
-        noise[",".join(turning)] = {"sd": 1e6 * ENCODER, "unit": "urad", "estimate": "group"}
+    noise = joint_noise(mechanism.joints)
     words = f"joints are {', '.join(f.label for f in columns)} of {source.name}, {how}"
     remarks = (*robot.remarks, words)
     if len(every) > 1:
         remarks += ("other columns may be the joints too: name them with --joints if they are",)
     if any(f.unit is None for f in columns):
-        remarks += ("joints without a unit are taken in rad, or in deg beyond two turns",)
+        taken = " and ".join(taken_in(stated, mechanism.joints).values())
+        remarks += (f"joints without a unit are taken in {taken}",)
     return Hand(
         poses, robot.table, readings, T, noise, remarks, drawn(mechanism, _LENGTH, _TWIST, _ZERO)
     )
-
-
-def _si(column: Field, si: str) -> Array:
-    stated = column.unit
-    if stated is None and si == "rad":
-        stated = "deg" if float(np.nanmax(np.abs(column.values))) > 4 * np.pi else "rad"
-    return np.asarray(unit(stated or si).factor * column.values)
 
 
 def _flange(T: Array) -> dict[str, Array]:

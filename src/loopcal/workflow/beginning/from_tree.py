@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import fnmatch
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -15,23 +14,21 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.dh_table import Row, read_dh
-from loopcal.files.recognition.fields import Field, Source
+from loopcal.files.recognition.fields import Field, Source, in_si, taken_in
 from loopcal.files.recognition.joint_sets import named_joints
 from loopcal.files.recognition.observations import Observation
 from loopcal.files.recognition.robots import joint_table
 from loopcal.files.recognition.sources import sources_of
+from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Family, Mechanism
-from loopcal.units import from_si, unit
-from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn
+from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn, joint_noise
 
 Array = NDArray[np.float64]
-ENCODER, SLIDE = 50e-6, 10e-6
-"""Where the learning of the joints' sds begins [rad], [m]."""
-GUESSED = {"m": 0.1e-3, "rad": 0.5e-3, "px": 0.3}
-"""Where that of what is observed begins, gaps of things that touch among them."""
+GUESSED = {"m": (0.1, "mm"), "rad": (0.5, "mrad"), "px": (0.3, "px")}
+"""Where the learning of the sds of observations begins, gaps of things that touch among them."""
 DRAWN_MM, DRAWN_MRAD = 2.0, 5.0
 """How far a robot is from its drawing, as sds: what stands between two hands tells some directions
 apart by nothing else. Chosen: twice and more what arms of many makers are off by."""
@@ -70,7 +67,7 @@ def from_tree(
 ) -> Begun:
     """`init` of a robot of several bodies.
 
-    robot: the [mechanism] table without instruments (`urdf_tree`, `dh_tree`); looking: what was
+    robot: the [mechanism] table without instruments (`urdf_table`, `dh_table`); looking: what was
     observed; folder: where the project will lie. Raises InputError where something remains open.
     """
     looking = [replace(one, table=_with_readings(one)) for one in looking]
@@ -110,12 +107,12 @@ def from_tree(
     return Begun(tables, beside, (*remarks, *words), dataset, said)
 
 
-def urdf_tree(relative: str, root: str | None) -> dict[str, Any]:
+def urdf_table(relative: str, root: str | None) -> dict[str, Any]:
     """The [mechanism] of a URDF by its path in the project; its leaves are those observed."""
     return {"type": "tree", "file": relative, **({"root": root} if root else {})}
 
 
-def dh_tree(path: Path, root: str | None) -> tuple[dict[str, Any], tuple[str, ...]] | None:
+def dh_table(path: Path, root: str | None) -> tuple[dict[str, Any], tuple[str, ...]] | None:
     """The [mechanism] of a table with a column of bodies and one of their parents, and remarks.
 
     None where the table has no such columns.
@@ -165,14 +162,19 @@ def _rows(
     """The poses of all files, and what was read in which, in words."""
     rows, words = _Rows(), list[str]()
     families = {family.name: family for family in mechanism.families}
+    units = {**mechanism.quantities, **mechanism.pose_constants}
     several = len(sources) > 1
     for source in sources:
         joints = _joints(source, mechanism, looking)
+        read: dict[str, Field] = {}
         seen: dict[str, Array] = {}
         for one in looking:
             family = families[one.name]
             if one.of_file(source.path) and _reach(mechanism, family) <= joints.keys():
-                seen |= _seen(source, one, family, mechanism)
+                columns = _columns(source, one, family, mechanism)
+                if columns is not None:
+                    read |= columns
+                    seen |= _seen(columns, _where(source, one), family, mechanism)
         if not seen:
             raise InputError(
                 "no observation stands in this file",
@@ -184,17 +186,22 @@ def _rows(
                 else "its columns are named "
                 f"as no joint of the robot: joints are {listed(list(mechanism.joints), 30)}",
             )
-        columns = {name: _si(f, mechanism.joints[name]) for name, f in joints.items()}
+        by_joint = in_si(joints, mechanism.joints)
         any_seen = np.any([np.isfinite(v) for v in seen.values()], axis=0)
         ids = source.ids or tuple(str(i) for i in range(1, len(source) + 1))
         stem = source.path.stem if source.path else source.name
         kept = np.flatnonzero(any_seen)
         rows.add(
             [f"{stem}:{ids[i]}" if several else ids[i] for i in kept],
-            {name: v[kept] for name, v in {**columns, **seen}.items()},
+            {name: v[kept] for name, v in {**by_joint, **seen}.items()},
         )
         met = [o.name for o in looking if any(q in seen for q in families[o.name].readings)]
         words.append(f"{source.name}: {len(kept)} poses with {listed(met, 8)}")
+        for what, some in (("joints", joints), ("readings", read)):
+            unstated = {q: f for q, f in some.items() if f.unit is None and units[q] != "1"}
+            if unstated:
+                taken = " and ".join(taken_in(unstated, units).values())
+                words.append(f"{source.name}: {what} without a unit are taken in {taken}")
     return rows, tuple(words)
 
 
@@ -219,15 +226,13 @@ def _joints(
     return named
 
 
-def _seen(
+def _columns(
     source: Source, one: Observation, family: Family, mechanism: Mechanism
-) -> dict[str, Array]:
-    """The readings of an observation in the rows of a file; empty where it has none."""
-    chosen = _where(source, one)
+) -> dict[str, Field] | None:
+    """The columns of what an observation reads; None where the file does not have them."""
     constants = [c for c in mechanism.pose_constants if c.startswith(f"{one.name}_")]
     silent = [q for q in family.readings if q in mechanism.implied]
     spoken = [q for q in (*family.readings, *constants) if q not in silent]
-    units = {**mechanism.quantities, **mechanism.pose_constants}
     names = one.columns or tuple(spoken)
     if len(names) != len(spoken):
         raise InputError(
@@ -245,11 +250,17 @@ def _seen(
                 place="--observe",
                 remedy=f"its columns are {listed([f.label for f in source.fields], 30)}",
             )
-        return {}
-    seen = {
-        q: np.where(chosen, _si(fields[name], units[q]), np.nan)
-        for q, name in zip(spoken, names, strict=True)
-    }
+        return None
+    return {q: fields[name] for q, name in zip(spoken, names, strict=True)}
+
+
+def _seen(
+    columns: Mapping[str, Field], chosen: Any, family: Family, mechanism: Mechanism
+) -> dict[str, Array]:
+    """The readings of an observation in the chosen rows of a file, gaps of what touches as 0."""
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    silent = [q for q in family.readings if q in mechanism.implied]
+    seen = {q: np.where(chosen, v, np.nan) for q, v in in_si(columns, units).items()}
     complete = np.all([np.isfinite(v) for v in seen.values()], axis=0) if seen else chosen
     return seen | {q: np.where(complete, 0.0, np.nan) for q in silent}
 
@@ -260,21 +271,26 @@ def _where(source: Source, one: Observation) -> Any:
         return np.ones(len(source), dtype=bool)
     label, value = one.where
     column = next((f for f in source.fields if label in (f.label, f.stem)), None)
-    if column is None:
+    cells: Sequence[str]
+    if column is not None:
+        cells = [column.words(float(v)) for v in column.values]
+    else:
+        cells = _texts(source, label)
+    return np.array([fnmatchcase(cell, value) for cell in cells])
+
+
+def _texts(source: Source, label: str) -> Sequence[str]:
+    """The cells of a column of words."""
+    table = None if source.path is None else read_table(source.path)
+    if table is None or label not in table.names or len(table.rows) != len(source):
+        names = [f.label for f in source.fields] if table is None else list(table.names)
         raise InputError(
-            f"{source.name} has no column {label!r} of numbers or names",
+            f"{source.name} has no column {label!r} with a cell in each row",
             code="missing-column",
             place="--observe",
-            remedy=f"its columns are {listed([f.label for f in source.fields], 30)}",
+            remedy=f"its columns are {listed(names, 30)}",
         )
-    return np.array([column.words(float(v)) == value for v in column.values])
-
-
-def _si(column: Field, si: str) -> Array:
-    stated = column.unit
-    if stated is None and si == "rad":
-        stated = "deg" if float(np.nanmax(np.abs(column.values))) > 4 * np.pi else "rad"
-    return np.asarray(unit(stated or si).factor * column.values)
+    return table.ids(table.names.index(label))
 
 
 def _refuse_unobserved(mechanism: Mechanism, rows: _Rows, looking: Sequence[Observation]) -> None:
@@ -311,23 +327,11 @@ def _places(mechanism: Mechanism, readings: Mapping[str, Array]) -> Array:
 
 
 def _noise(mechanism: Mechanism, used: Sequence[str]) -> dict[str, Any]:
-    """Sds where learning begins: joints by themselves, and each observation."""
-    noise: dict[str, Any] = {}
-    for joint, si in mechanism.joints.items():
-        if joint in used:
-            sd, of = (ENCODER, "urad") if si == "rad" else (SLIDE, "um")
-            noise[joint] = {"sd": float(from_si(np.array(sd), of)), "unit": of}
+    """Sds where learning begins: of joints of a kind, and of each observation."""
+    noise = joint_noise({joint: si for joint, si in mechanism.joints.items() if joint in used})
     for family in mechanism.families:
         for si in dict.fromkeys(mechanism.quantities[q] for q in family.readings):
-            of = {"m": "mm", "rad": "mrad", "px": "px"}.get(si, si)
-            value = float(from_si(np.array(GUESSED.get(si, 1.0)), of))
+            sd, of = GUESSED[si]
             names = [q for q in family.readings if mechanism.quantities[q] == si]
-            # A name with * for the rest learns one sd for all of them.
-            same = itertools.takewhile(
-                lambda letters: len({*letters}) == 1, zip(*names, strict=False)
-            )
-            together = "".join(letters[0] for letters in same) + "*"
-            alike = set(fnmatch.filter(mechanism.quantities, together)) == set(names)
-            for name in [together] if alike and len(names) > 1 else names:
-                noise[name] = {"sd": value, "unit": of, "estimate": "group"}
+            noise[",".join(names)] = {"sd": sd, "unit": of, "estimate": "group"}
     return noise

@@ -59,7 +59,7 @@ from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
 from loopcal.workflow.beginning.delays import Delay, delays
 from loopcal.workflow.beginning.from_images import CORNERS, WRONG, from_images
-from loopcal.workflow.beginning.from_tree import dh_tree, from_tree, urdf_tree
+from loopcal.workflow.beginning.from_tree import dh_table, from_tree, urdf_table
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,
@@ -340,9 +340,9 @@ def _of_tree(readings: Sequence[Any], robot: RobotFile, folder: Path) -> Begun:
     """The project of a robot of several bodies and what was observed between them."""
     looking, remarks = observations(robot.observe), tuple[str, ...]()
     if robot.urdf is not None:
-        table = urdf_tree(relative(Path(robot.urdf), folder), robot.base)
+        table = urdf_table(relative(Path(robot.urdf), folder), robot.base)
     else:
-        tree = None if robot.dh is None else dh_tree(Path(robot.dh), robot.base)
+        tree = None if robot.dh is None else dh_table(Path(robot.dh), robot.base)
         if tree is None:
             raise UsageError(
                 "observations are of a robot of several bodies, which nothing describes",

@@ -46,7 +46,7 @@ def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
             remedy=f"its cameras are {listed(list(lenses), 5)}",
         )
     files = replace(files, lenses={camera: lenses[eye] for camera, eye in eyes.items()})
-    joints = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
+    joints = tuple(mechanism.joints)
     described = mechanism.description or {}
     arm = {key: value for key, value in described.items() if key != "instrument"}
     robot = Robot(arm, len(joints), joints)

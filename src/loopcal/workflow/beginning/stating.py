@@ -27,16 +27,14 @@ from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
 from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.units import from_si, to_si, unit
-from loopcal.workflow.beginning.begun import HEAD, READINGS
+from loopcal.workflow.beginning.begun import HEAD, JOINTS, READINGS
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
 
 Array = NDArray[np.float64]
 SDS = " sd"
 """The end of the columns of sds in the file of converted readings."""
-ENCODER = 50e-6
-"""Guess of an encoder's sd at the joint [rad], that of 17 bits (2 pi / 2^17 = 48 urad)."""
-SLIDE, WIRE, CAMERA, TURN = 10e-6, 0.2e-3, 1e-3, 2e-3
-"""Guesses of sds: a linear scale, a draw-wire encoder, a camera's position [m], its turns [rad]."""
+WIRE, CAMERA, TURN = 0.2e-3, 1e-3, 2e-3
+"""Guesses of sds: a draw-wire encoder, a camera's position [m], its turns [rad]."""
 _TRACKER = "leica-at500"
 _POINTS = ("point", "spherical")
 _EXPANDED = re.compile(r"u(nc|ncertainty)?(_?(95|exp|k_?2))?|expanded_uncertainty|messunsicherheit")
@@ -399,7 +397,7 @@ class _Instrument:
 def _joint_noise(
     readings: Mapping[str, Reading], noise: dict[str, Any], guesses: list[str]
 ) -> None:
-    for si, sd, shown in (("rad", ENCODER, "urad"), ("m", SLIDE, "um")):
+    for si, (sd, shown) in JOINTS.items():
         joints = {name: r for name, r in readings.items() if r.si == si}
         if joints:
             noise[",".join(joints)] = _entry(sd, si, list(joints.values()), shown)

@@ -1,0 +1,140 @@
+"""`init` of whole robots: files, columns and rows of what was observed between their bodies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from loopcal.errors import Code
+from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
+from loopcal.files.machines.mechanism_writer import mechanism_to_toml
+from tests.refusals import refused
+
+BODIES = """body,parent,joint,a [mm],d [mm],alpha [deg],theta [deg]
+l1,base,lq1,60,350,90,0
+l2,l1,lq2,420,0,0,0
+lh,l2,,0,100,0,0
+r1,base,rq1,60,350,90,10
+r2,r1,rq2,400,0,0,0
+rh,r2,,0,100,0,0
+"""
+URDF = """<robot name="two">
+<link name="base"/><link name="left"/><link name="right"/>
+<joint name="lq1" type="revolute"><parent link="base"/><child link="left"/><axis xyz="0 0 1"/>
+</joint>
+<joint name="rq1" type="revolute"><parent link="base"/><child link="right"/><axis xyz="0 0 1"/>
+</joint></robot>
+"""
+TOUCH = "contact name=touch between=lh,rh radius=20mm,30mm"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A table of bodies, poses of both arms with words, and those of one arm under other names."""
+    (tmp_path / "bodies.csv").write_text(BODIES, encoding="utf-8")
+    draw = np.random.default_rng(0)
+    rows = ["pose,kind,lq1,lq2,rq1,rq2,x,y,z"]
+    for i in range(12):
+        q = ",".join(f"{v:.3f}" for v in draw.uniform(-20.0, 20.0, 4))
+        point = "400.0,100.0,350.0" if i % 3 == 0 else ",,"
+        rows.append(f"{i},{'upper' if i < 8 else 'lower'},{q},{point}")
+    (tmp_path / "both.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    one = [f"{i},{0.1 * i},{0.2 * i},0.4,0.1,0.3" for i in range(5)]
+    head = "pose,A1 [rad],A2 [rad],X [m],Y [m],Z [m]"
+    (tmp_path / "one.csv").write_text("\n".join([head, *one]) + "\n", encoding="utf-8")
+    return tmp_path
+
+
+def begun(folder: Path, files: tuple[str, ...], *observe: str) -> lc.InitialProject:
+    """The project of these files."""
+    paths = [folder / name for name in files]
+    return lc.init(*paths, dh=folder / "bodies.csv", observe=observe, out=folder / "cell")
+
+
+def test_each_file_has_the_observations_whose_joints_and_columns_it_has(folder: Path) -> None:
+    made = begun(
+        folder,
+        ("both.csv", "one.csv"),
+        TOUCH,
+        "point name=near on=lh station=eye columns=x,y,z file=both",
+        "point name=far on=lh station=eye columns=X,Y,Z file=one joints=lq1:A1,lq2:A2",
+    )
+    data = made.dataset
+    assert len(data) == 12 + 5
+    assert np.isfinite(data["touch_gap"]).sum() == 12
+    assert np.isfinite(data["near_x"]).sum() == 4
+    assert np.isfinite(data["far_x"]).sum() == 5
+    # degrees and millimetres by the size of all numbers of a kind; the others as stated
+    assert np.nanmax(np.abs(data["rq1"])) < np.radians(20.0)
+    assert data["lq2"][-1] == pytest.approx(0.8)
+    assert data["near_x"][0] == pytest.approx(0.4)
+    assert any("joints without a unit are taken in deg" in words for words in made.remarks)
+    assert any("readings without a unit are taken in mm" in words for words in made.remarks)
+    assert len(set(data.poses)) == 17
+
+
+def test_a_word_in_a_column_says_in_which_rows_it_was_observed(folder: Path) -> None:
+    made = begun(folder, ("both.csv",), f"{TOUCH} where=kind:up*")
+    assert len(made.dataset) == 8
+
+
+def test_the_drawing_is_stated_and_no_length_is_left_without_an_sd(folder: Path) -> None:
+    parameters = begun(folder, ("both.csv",), TOUCH).mechanism.parameters
+    drawn = [p for p in parameters if p.role in ("length", "twist", "zero")]
+    assert all(np.isfinite(p.prior_sd) for p in drawn)
+    assert parameters["touch_distance"].nominal == pytest.approx(0.05)
+    assert parameters["touch_distance"].fixed
+
+
+def test_a_urdf_needs_no_list_of_its_links(folder: Path) -> None:
+    (folder / "two.urdf").write_text(URDF, encoding="utf-8")
+    made = lc.init(
+        folder / "both.csv",
+        urdf=folder / "two.urdf",
+        observe=["point on=left columns=x,y,z", "contact between=left,right"],
+    )
+    assert dict(made.mechanism.joints) == {"lq1": "rad", "rq1": "rad"}
+
+
+@pytest.mark.parametrize(
+    ("observe", "code", "stated"),
+    [
+        (("point on=lh columns=x,y",), "wrong-shape", ("3", "2")),
+        (("point on=lh columns=x,y,w file=both",), "missing-column", ("'w'", "both.csv")),
+        (("point on=hand columns=x,y,z",), "unknown-name", ("'hand'",)),
+        (("point on=lh columns=a,b,c",), "missing-column", ("both.csv",)),
+        ((f"{TOUCH} where=sort:up",), "missing-column", ("'sort'", "kind")),
+        (("point on", TOUCH), "invalid-usage", ("'on'",)),
+        ((TOUCH, TOUCH), "invalid-usage", ("'touch'",)),
+    ],
+)
+def test_what_does_not_fit_is_refused(
+    folder: Path, observe: tuple[str, ...], code: Code, stated: tuple[str, ...]
+) -> None:
+    with refused(code, *stated):
+        begun(folder, ("both.csv",), *observe)
+    assert not (folder / "cell").exists()
+
+
+def test_a_tree_is_written_again_bit_for_bit(folder: Path) -> None:
+    table = {
+        "type": "tree",
+        "root": "base",
+        "body": [
+            {"name": "a", "parent": "base", "row": {"name": "q1", "a": 0.3, "alpha": 1.5}},
+            {"name": "b", "parent": "base", "joint": {"name": "q2", "axis": [0, 0, 1]}},
+            {"name": "hand", "parent": "b", "row": {"name": "hand", "d": 0.1}, "fixed": True},
+        ],
+        "instrument": [{"type": "contact", "between": ["a", "hand"], "radius": [0.02, 0.03]}],
+        "observation": [{"type": "held-part", "between": ["a", "b"]}],
+    }
+    made = mechanism_from_data(table, "here")
+    path = folder / "tree.toml"
+    path.write_text(mechanism_to_toml(made), encoding="utf-8")
+    again = read_mechanism(path)
+    assert again.tree == made.tree
+    assert again.tape == made.tape
+    assert again.parameters == made.parameters
