@@ -145,17 +145,14 @@ def repeated(mechanism: Mechanism, data: Dataset, sds: Mapping[str, float] | Non
 
     The same are readings that differ by no more than `SAME` of their range, or by no more than
     `NOISY` times their sd, but never by more than `MOST` of their range; sds: quantity -> sd of a
-    reading [SI]. Columns with gaps do not count, but for whole robots: what is unread in one pose
-    and read in another tells them apart.
+    reading [SI]. What is unread in one pose and read in another tells them apart.
     """
     from scipy.spatial import KDTree
 
-    # Of a whole robot other joints are read in other poses.
-    whole = mechanism.tree is not None and not mechanism.chain
     gaps = {q: np.isnan(data.readings[q]) for q in driven(mechanism, data)}
-    complete = [q for q, gap in gaps.items() if not gap.any() or (whole and not gap.all())]
+    read = [q for q, gap in gaps.items() if not gap.all()]
     moving = []
-    for q in complete:
+    for q in read:
         span = float(np.nanmax(data.readings[q]) - np.nanmin(data.readings[q]))
         if gaps[q].any():
             moving.append(2.0 * gaps[q])
@@ -163,7 +160,7 @@ def repeated(mechanism: Mechanism, data: Dataset, sds: Mapping[str, float] | Non
             near = min(max(SAME * span, NOISY * (sds or {}).get(q, 0.0)), MOST * span)
             moving.append(np.where(gaps[q], 0.0, data.readings[q] / near))
     if not moving:
-        return np.arange(len(data)) if not complete else np.zeros(len(data), dtype=np.intp)
+        return np.arange(len(data)) if not read else np.zeros(len(data), dtype=np.intp)
     # the first pose of a group is its centre: dense paths are cut, not chained into one
     group = np.full(len(data), -1, dtype=np.intp)
     # In units of `near` the same pose is a cube of half width 1, the ball of the maximum norm.
