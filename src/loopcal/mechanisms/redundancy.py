@@ -159,6 +159,8 @@ def redundant(
     """
     free = [p.name for p in mechanism.parameters if not p.fixed and math.isinf(p.prior_sd)]
     order = [n for n in dict.fromkeys((*first, *free)) if n in free]
+    if not order:
+        return ()
     looked_at = samples(
         mechanism, ranges=ranges or {}, unsure=unsure, readings=readings or {}, seed=seed
     )

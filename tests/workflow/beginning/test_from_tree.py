@@ -89,6 +89,37 @@ def test_the_drawing_is_stated_and_no_length_is_left_without_an_sd(folder: Path)
     assert parameters["touch_distance"].fixed
 
 
+@pytest.mark.parametrize(("off", "stated"), [(0.0, True), (0.05, False)])
+def test_a_target_is_where_the_drawing_has_a_body_for_it_unless_points_deny_it(
+    folder: Path, off: float, stated: bool
+) -> None:
+    rows = ["lq1,lq2,x [m],y [m],z [m]"]
+    draw = np.random.default_rng(1)
+    for _ in range(20):
+        a, b = draw.uniform(-100.0, 100.0, 2)
+        # both rows of the arm; the second joint turns about the third axis of the first one's row
+        arm = (0.42 + off) * np.array([np.cos(np.radians(b)), np.sin(np.radians(b))])
+        c, s = np.cos(np.radians(a)), np.sin(np.radians(a))
+        point = (c * (0.06 + arm[0]) + s * 0.1, s * (0.06 + arm[0]) - c * 0.1, 0.35 + arm[1])
+        rows.append(",".join(f"{v:.6f}" for v in (a, b, *point)))
+    (folder / "seen.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    made = begun(folder, ("seen.csv",), "point name=near on=lh columns=x,y,z")
+    near = made.mechanism.parameters["near_target_x"]
+    assert (near.prior_sd == pytest.approx(2e-3)) == stated
+    assert any("'lh' within 2 mm" in words for words in made.remarks) == stated
+
+
+@pytest.mark.parametrize(
+    ("observe", "sd"), [(TOUCH, 2e-3), ("contact name=touch between=l2,r2", np.inf)]
+)
+def test_balls_are_centred_where_the_drawing_has_bodies_for_them(
+    folder: Path, observe: str, sd: float
+) -> None:
+    parameters = begun(folder, ("both.csv",), observe).mechanism.parameters
+    assert parameters["touch_1_x"].prior_sd == sd
+    assert parameters["touch_2_x"].prior_sd == sd
+
+
 def test_a_urdf_needs_no_list_of_its_links(folder: Path) -> None:
     (folder / "two.urdf").write_text(URDF, encoding="utf-8")
     made = lc.init(

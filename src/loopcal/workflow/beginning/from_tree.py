@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
+from loopcal.estimation.mounted import bodies_of, see_points
+from loopcal.estimation.problem.alignment import align
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.dh_table import Row, read_dh
 from loopcal.files.recognition.fields import Field, Source, in_si, taken_in
@@ -23,6 +25,7 @@ from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn, joint_noise
 
@@ -32,6 +35,10 @@ GUESSED = {"m": (0.1, "mm"), "rad": (0.5, "mrad"), "px": (0.3, "px")}
 DRAWN_MM, DRAWN_MRAD = 2.0, 5.0
 """How far a robot is from its drawing, as sds: what stands between two hands tells some directions
 apart by nothing else. Chosen: twice and more what arms of many makers are off by."""
+DENIED = 3.0
+"""A target that takes up this many sds of the drawing, beside an unplaced one, sits elsewhere."""
+NOWHERE = 1e-9
+"""A body no farther [m] from its parent's origin is only turned: nobody drew a point there."""
 SAME_PLACE = {"rad": 5e-3, "m": 5e-3}
 """Poses that are no farther apart in any joint are one place that was approached again."""
 PLACE = "place"
@@ -82,7 +89,9 @@ def from_tree(
     units = {**mechanism.quantities, **mechanism.pose_constants}
     readings = {q: rows.values(q) for q in used}
     places = _places(mechanism, readings)
-    table["parameters"] = drawn(mechanism, DRAWN_MM, DRAWN_MRAD, DRAWN_MRAD)
+    sitting, said = _sitting(mechanism, looking, readings)
+    table["parameters"] = drawn(mechanism, DRAWN_MM, DRAWN_MRAD, DRAWN_MRAD) | sitting
+    words += said
     tables: dict[str, Any] = {
         "schema": SCHEMA,
         "title": " and ".join(dict.fromkeys(s.path.stem if s.path else s.name for s in sources)),
@@ -103,8 +112,8 @@ def from_tree(
     columns: dict[str, Any] = {"pose": rows.poses, **readings, PLACE: places}
     beside = {READINGS: table_bytes(columns, ".csv")}
     dataset = Dataset.from_arrays(readings, units={q: units[q] for q in used}, poses=rows.poses)
-    said = f"{rows.count} poses with {listed([one.name for one in looking], 8)}"
-    return Begun(tables, beside, (*remarks, *words), dataset, said)
+    count = f"{rows.count} poses with {listed([one.name for one in looking], 8)}"
+    return Begun(tables, beside, (*remarks, *words), dataset, count)
 
 
 def urdf_table(relative: str, root: str | None) -> dict[str, Any]:
@@ -324,6 +333,57 @@ def _places(mechanism: Mechanism, readings: Mapping[str, Array]) -> Array:
             near = (np.abs(x[i:] - x[i]) <= 1.0).all(axis=1) & (places[i:] < 0.0)
             places[i:][near] = i
     return np.asarray(np.unique(places, return_inverse=True)[1] + 1.0)
+
+
+def _sitting(
+    mechanism: Mechanism, looking: Sequence[Observation], readings: Mapping[str, Array]
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """[parameters] of what sits where the drawing has a body of its own for it, and in words.
+
+    Such a body has no joint but a place on its parent: the drawing states the point, as far as a
+    drawing does. Poses that hardly turn a hand could not tell its target from the station.
+    """
+    assert mechanism.tree is not None
+    nominal = {p.name: p.nominal for p in mechanism.parameters}
+    families = {family.name: family for family in mechanism.families}
+    bodies: dict[str, str] = {}
+    for one in looking:
+        family, target = families[one.name], one.table.get("target")
+        if one.table["type"] == "contact":
+            bodies[one.table.get("centre", f"{one.name}_2")] = family.against
+            target = target or f"{one.name}_1"
+        if target and _drawn_there(mechanism, family, readings):
+            bodies[target] = family.on
+    entries: dict[str, Any] = {}
+    words = []
+    for target, body in bodies.items():
+        link = mechanism.tree.links.get(body)
+        names = [f"{target}_{axis}" for axis in "xyz"]
+        if link is None or any(step.joint for step in link.steps) or not nominal.keys() >= {*names}:
+            continue
+        if np.abs(bodies_of(ChainFrame(link.steps, {}, nominal), 1).origins).max() > NOWHERE:
+            entries |= {name: {"value": 0.0, "unit": "mm", "sd": DRAWN_MM} for name in names}
+            words.append(
+                f"{target} is at the origin of {body!r} within {DRAWN_MM:g} mm, as drawn; if it "
+                f"sits elsewhere on that body, delete {listed(names, 3)} below"
+            )
+    return entries, tuple(words)
+
+
+def _drawn_there(mechanism: Mechanism, family: Family, readings: Mapping[str, Array]) -> bool:
+    """Whether measured points do not deny that the target is at the origin of its body."""
+    if family.form != "point" or len(family.readings) != 3:
+        return True
+    assert mechanism.tree is not None
+    seen = np.array([readings[q] for q in family.readings])
+    nominal = {p.name: p.nominal for p in mechanism.parameters}
+    path = mechanism.tree.path(family.on, family.against)
+    bodies = bodies_of(ChainFrame(path, readings, nominal), seen.shape[1])
+    try:
+        taken = align(bodies.origins.T, seen).rms ** 2 - see_points(bodies, seen.T[None]).rms ** 2
+    except InputError:
+        return True  # points that do not even place the station deny nothing
+    return bool(taken <= (DENIED * DRAWN_MM * 1e-3) ** 2)
 
 
 def _noise(mechanism: Mechanism, used: Sequence[str]) -> dict[str, Any]:
