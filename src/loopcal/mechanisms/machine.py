@@ -103,7 +103,8 @@ class Machine:
         nominal = {p.name: p.nominal for p in self.parameters.values()}
         names = (*self.quantities, *self.pose_constants)
         pair = looked_between(self, on, against)
-        return forward_kinematics(lambda x: self.seen(*pair, x, nominal), q, names)
+        each = self.tree is None
+        return forward_kinematics(lambda x: self.seen(*pair, x, nominal), q, names, each=each)
 
     def forward_kinematics(self, q: Any) -> NDArray[np.float64]:
         """The same as `fk`."""
