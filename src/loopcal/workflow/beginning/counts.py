@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.files.recognition.conditions import Conditions
-from loopcal.files.recognition.fields import names_of
+from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.layouts import Layout
 from loopcal.files.recognition.meanings import Meaning, meanings
 from loopcal.units import from_si
 from loopcal.workflow.beginning.searching import Machine, as_large
 
 Array = NDArray[np.float64]
-COUNTS = 1e4
-"""Joint readings beyond this are in no unit of angle."""
+COUNTS, WHOLE = 1e4, 1e3
+"""Joint readings beyond this are in no unit of angle; whole numbers beyond the other."""
 _SPANS = {"rad": (0.5, 6.0), "m": (0.05, 3.0)}
 """Between these a joint moves in a calibration [rad, m]: where the search begins, not where it has
 to end."""
@@ -69,9 +69,7 @@ class Counted:
 def counted(machine: Machine, layouts: Sequence[Layout]) -> Counted | None:
     """How encoders count, where columns without a unit read so; None where nothing fits."""
     for layout in layouts:
-        columns = layout.joints
-        largest = max(float(np.nanmax(np.abs(f.values), initial=0.0)) for f in columns)
-        if largest <= COUNTS or any(f.unit for f in columns) or machine.frame is not None:
+        if machine.frame is not None or not reads_counts(layout.joints):
             continue
         for seen in layout.seen:
             for meaning in meanings(seen):
@@ -80,6 +78,13 @@ def counted(machine: Machine, layouts: Sequence[Layout]) -> Counted | None:
                     if done is not None:
                         return done
     return None
+
+
+def reads_counts(columns: Sequence[Field]) -> bool:
+    """Whether columns without a unit read beyond all angles, whole numbers sooner."""
+    largest = max(float(np.nanmax(np.abs(f.values), initial=0.0)) for f in columns)
+    whole = all(f.resolution() >= 1.0 for f in columns if f.span)
+    return largest > (WHOLE if whole else COUNTS) and not any(f.unit for f in columns)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from loopcal.files.recognition.layouts import Layout, Seen
 from loopcal.files.recognition.meanings import LENGTHS, Meaning
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.units import from_si, unit
-from loopcal.workflow.beginning.counts import COUNTS
+from loopcal.workflow.beginning.counts import reads_counts
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     NOTHING,
@@ -413,7 +413,7 @@ def _nothing(case: Case) -> Explanation:
     if case.fields.by_order:
         remedy += "; their rows were joined by order: give both files a column of pose ids"
     joints = best.layout.joints
-    if max(float(np.nanmax(np.abs(f.values))) for f in joints) > COUNTS:
+    if reads_counts(joints):
         remedy = f"convert {names_of(joints)} to angles: they read like counts of encoders"
     return Explanation(
         best.share,
