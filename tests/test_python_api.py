@@ -149,7 +149,8 @@ def test_what_is_assembled_here_is_what_a_file_says(name: str, tmp_path: Path) -
 
 def test_loop_values_are_those_of_the_equations() -> None:
     arm = lc.planar_two_link()
-    readings = {"phi2": np.array([0.3, 1.0]), "phi3": np.array([0.2, -0.4]), "xP": 0.1, "yP": 0.2}
+    angles = {"phi2": np.array([0.3, 1.0]), "phi3": np.array([0.2, -0.4])}
+    readings = {**angles, "xP": np.full(2, 0.1), "yP": np.full(2, 0.2)}
     made = arm.loop_values(readings, {"l2": 0.9, "xA": 0.05})
     l3 = arm.parameters["l3"].nominal
     x = 0.05 + 0.9 * np.cos(readings["phi2"]) + l3 * np.cos(readings["phi2"] + readings["phi3"])
