@@ -129,13 +129,18 @@ class Case:
     """A layout on the disk: files, options beside the robot's, and what differs of its readings.
 
     rows: poses that can be used; stated: columns of the instrument for the file by hand, x, y, z in
-    mm where None.
+    mm where None. fresh: columns of fresh poses, and their true points, where the machine is judged
+    by what `predict` makes of them; by_hand: the columns of the joints of both in a plain file;
+    effect: what a project by hand has of the mechanism beside geometry.
     """
 
     files: list[str]
     options: list[str] = field(default_factory=list)
     rows: Any = field(default_factory=lambda: slice(None))
     stated: dict[str, Any] | None = None
+    fresh: tuple[dict[str, Any], Array] | None = None
+    by_hand: tuple[dict[str, Any], dict[str, Any]] | None = None
+    effect: str = ""
 
 
 LAYOUTS: dict[str, tuple[str, Callable[[World, Path], Case]]] = {}
@@ -754,8 +759,17 @@ def _(w: World, p: Path) -> Case:
 @layout("encoder counts")
 def _(w: World, p: Path) -> Case:
     scale = np.array([9556.3, 9556.3, 8212.0, 6112.5, 6112.5, 3720.1]) * 180 / np.pi
-    counts = np.round(w.read * scale + [1200, -40000, 900, 0, 77, 31000])
-    return plain(p, of((f"J{i}" for i in range(1, 7)), counts), xyz("{}", w.points), digits=0)
+    zeros = [1200, -40000, 900, 0, 77, 31000]
+    names = [f"J{i}" for i in range(1, 7)]
+    case = plain(p, of(names, np.round(w.read * scale + zeros)), xyz("{}", w.points))
+    case.fresh = of(names, w.fresh * scale + zeros), w.target(w.fresh)
+    stated = [f"{n} [deg]" for n in names]
+    case.by_hand = of(stated, w.shown(w.read)), of(stated, w.shown(w.fresh))
+    case.effect = (
+        '[[mechanism.effect]]\ntype = "scale"\njoints = ["*"]\n\n[mechanism.parameters]\n'
+        '"*_scale" = { value = 0.0, unit = "1", sd = 0.02 }\n'
+    )
+    return case
 
 
 @layout("a modified table under plain headers", "panda")
@@ -941,10 +955,35 @@ def _(w: World, p: Path) -> Case:
 
 @layout("three linear actuators of a delta")
 def _(w: World, p: Path) -> Case:
-    case = plain(
-        p, of(("h1", "h2", "h3"), w.rng.uniform(100, 300, (POSES, 3))), xyz("{}", w.points)
-    )
+    """Three spheres about the carriages meet in the platform's point, which hangs below them."""
+    rng, azimuth = w.rng, np.radians([210, 330, 90])
+    feet = 0.14 * np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(3)])
+    feet[:, :2] += rng.normal(0, 5e-4, (3, 2))
+    rails = np.column_stack([rng.normal(0, 1e-3, (3, 2)), np.ones(3)])
+    rods = 0.3 + rng.normal(0, 5e-4, 3)
+
+    def platform(h: Array) -> Array:
+        out = []
+        for C in feet + h[:, :, None] * rails / np.linalg.norm(rails, axis=1)[:, None]:
+            normals = 2.0 * (C[1:] - C[0])
+            equal = rods[0] ** 2 - rods[1:] ** 2 + np.square(C[1:]).sum(1) - np.square(C[0]).sum()
+            line, at = np.cross(*normals), np.linalg.lstsq(normals, equal, rcond=None)[0]
+            line *= -np.sign(line[2]) / np.linalg.norm(line)
+            off = at - C[0]
+            along = off @ line
+            out.append(at + line * (np.sqrt(along**2 - off @ off + rods[0] ** 2) - along))
+        return np.array(out)
+
+    h, fresh = rng.uniform(0.3, 0.5, (POSES, 3)), rng.uniform(0.3, 0.5, (FRESH, 3))
+    read = 1e3 * (h + rng.normal(0, 1e-5, h.shape))
+    S = Rotation.random(random_state=7).as_matrix()
+    points = platform(h) @ S.T + [1.2, -0.7, 0.4] + rng.normal(0, TRACKER, (POSES, 3))
+    case = plain(p, of(("h1", "h2", "h3"), read), xyz("{}", points))
     case.options = ["--machine", "linear-delta"]
+    case.stated = xyz("{} [mm]", points)
+    case.fresh = of(("h1", "h2", "h3"), 1e3 * fresh), platform(fresh)
+    stated = [f"h{i} [mm]" for i in (1, 2, 3)]
+    case.by_hand = of(stated, read), of(stated, 1e3 * fresh)
     return case
 
 
@@ -1024,20 +1063,33 @@ def error(w: World, folder: Path) -> float:
     )
 
 
+def predicted_error(folder: Path, columns: dict[str, Any], true: Array) -> float:
+    """Rms true error [m] of what `predict` makes of fresh readings, placed rigidly."""
+    import loopcal as lc
+
+    project = str(folder / "project.toml")
+    options = ["--method", "implicit-loop", "--no-report"]
+    failed, why = begin([project, *options], folder, "calibrate")
+    assert failed in (0, 4), why  # a verdict of "no" is a result too
+    written(folder / "fresh.csv", columns)
+    outputs = lc.load(folder / "project-result").predict(folder / "fresh.csv").outputs
+    return _off(np.stack([*outputs.values()], axis=-1), true)
+
+
 def _off(p: Array, true: Array) -> float:
     a, b = p - p.mean(axis=0), true - true.mean(axis=0)
     turn = Rotation.align_vectors(b, a)[0]
     return float(np.sqrt(np.square(b - turn.apply(a)).sum(axis=1).mean()))
 
 
-def begin(arguments: Sequence[str], folder: Path) -> tuple[int, str]:
-    """`loopcal init` as a user calls it in this folder: exit code and all that it printed."""
+def begin(arguments: Sequence[str], folder: Path, command: str = "init") -> tuple[int, str]:
+    """`loopcal` as a user calls it in this folder: exit code and all that it printed."""
     from loopcal.cli.run import main
 
     out, err = io.StringIO(), io.StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
-            code = main(["init", *arguments])
+            code = main([command, *arguments])
         except SystemExit as stop:
             code = int(stop.code or 0)
     return int(code or 0), out.getvalue() + err.getvalue()
@@ -1076,8 +1128,8 @@ def judged(name: str, seed: int, folder: Path) -> tuple[str, str]:
         if not (folder / "mine" / "project.toml").exists():
             return "refused without help", text
     seen = xyz("{} [mm]", w.points) if case.stated is None else case.stated
-    sane = {**joints(w, "J{} [deg]"), **seen}
-    if any(w.slides):
+    sane = {**(case.by_hand[0] if case.by_hand else joints(w, "J{} [deg]")), **seen}
+    if any(w.slides) and not case.by_hand:
         sane = dict(
             zip(
                 (
@@ -1095,10 +1147,20 @@ def judged(name: str, seed: int, folder: Path) -> tuple[str, str]:
     robot_file = ["--urdf", "../robot.urdf"] if w.modified else ["--dh", "../dh.csv"]
     if w.modified:
         (hand / "data.csv").write_text((hand / "data.csv").read_text().replace("J", "panda_joint"))
+    if "--machine" in case.options:
+        robot_file = case.options
     failed, why = begin(["data.csv", *robot_file, "--out", "."], hand)
     assert not failed, why
-    mine = error(w, folder / "mine")
-    ratio = mine / error(w, hand)
+    if case.effect:
+        project = hand / "project.toml"
+        head = "[mechanism.parameters]\n"
+        project.write_text(project.read_text("utf-8").replace(head, case.effect, 1), "utf-8")
+    if case.fresh and case.by_hand:
+        mine = predicted_error(folder / "mine", *case.fresh)
+        ratio = mine / predicted_error(hand, case.by_hand[1], case.fresh[1])
+    else:
+        mine = error(w, folder / "mine")
+        ratio = mine / error(w, hand)
     words = f"true error {1e3 * mine:.3f} mm, {ratio:.2f} of that by hand"
     if ratio <= RIGHT:
         return f"right{by_next}", f"{words}\n{text}"

@@ -5,6 +5,7 @@
     ```toml file=arm.toml     is written to that file (any language, also python)
     ```console                `$ loopcal ...` runs; the lines below it are its stdout, `...` matches
                               anything, and no line at all leaves the output unchecked
+    ```console data           as above, where the measured data are at hand
     ```console exit=3         as above, where the last command must end with that exit code; the
                               lines below are what it prints on stdout and stderr
 
@@ -90,8 +91,9 @@ def commands(block: Block) -> Iterator[Command]:
         yield Command(line, typed, printed.rstrip())
 
 
-def run_file(source: Path, folder: Path) -> None:
-    """Run the blocks of `source` in `folder`, which must be the current one."""
+def run_file(source: Path, folder: Path, *, measured: bool = False) -> None:
+    """Run the blocks of `source` in `folder`, which must be the current one; measured: whether the
+    measured data are at hand."""
     namespace: dict[str, Any] = {"__name__": "__main__"}
     for block in blocks(source):
         if "file" in block.options:
@@ -100,7 +102,7 @@ def run_file(source: Path, folder: Path) -> None:
             target.write_text(block.text, "utf-8")
         elif block.language == "python":
             run_python(block, namespace)
-        elif block.language == "console":
+        elif block.language == "console" and ("data" not in block.options or measured):
             run_console(block, folder)
 
 

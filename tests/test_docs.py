@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import sys
@@ -10,10 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from analyses.layouts import World, described, ids, joints, written, xyz
 from tests import documentation
-from tests.documentation import WrongDocumentation, run_file
+from tests.documentation import WrongDocumentation, blocks, run_file
 
 ROOT = Path(__file__).resolve().parents[1]
+README = ROOT / "README.md"
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 LINK = re.compile(r"\]\((?!https?:|mailto:|#)([^)#\s]+)[^)]*\)")
 
@@ -39,10 +42,43 @@ def page_name(page: Path) -> str:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
-def test_the_code_runs_and_prints_what_is_shown(page: Path, clone: Path) -> None:
+def test_the_code_runs_and_prints_what_is_shown(
+    page: Path, clone: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if page.name == "from-ros.md":
         pytest.importorskip("rosbags", reason="rosbags is not installed (loopcal[bags])")
-    run_file(page, clone)
+    if page == README:
+        files_of_a_reader(clone)
+    data = Path(os.environ.get("LOOPCAL_DATA") or ROOT.parent / "shared" / "data")
+    monkeypatch.setenv("LOOPCAL_DATA", str(data))
+    run_file(page, clone, measured=data.is_dir())
+
+
+def files_of_a_reader(folder: Path) -> None:
+    """What README takes for granted: joints.csv and tracker.csv of a robot, and its URDF."""
+    world = World("six", 1)
+    described(world, folder)
+    written(folder / "joints.csv", {"pose": ids(world), **joints(world)})
+    written(folder / "tracker.csv", {"pose": ids(world), **xyz("{}", world.points)})
+
+
+ELSEWHERE = {
+    "loopcal study examples/seed/study.toml --out seed-study": "studies/test_seed.py",
+    "python examples/seed/table_12.py": "test_examples.py",
+    "loopcal app cell": "app/test_path.py",
+    "loopcal calibrate project.toml --method implicit-loop --folds 10": "app/test_path.py",
+}
+"""Commands of README and tutorials that do not run in their page, and the test that runs them."""
+
+
+def test_every_command_of_readme_and_tutorials_runs() -> None:
+    pages = [README, *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
+    texts = [
+        b.text for page in pages for b in blocks(page) if b.language not in ("console", "python")
+    ]
+    lines = {line for text in texts for line in text.splitlines() if line}
+    assert {line for line in lines if not line.startswith("pip install ")} == set(ELSEWHERE)
+    assert [name for name in ELSEWHERE.values() if not (ROOT / "tests" / name).exists()] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)

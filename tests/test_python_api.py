@@ -15,6 +15,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
+from tests.refusals import refused
 
 
 def two_link(x, p):
@@ -144,3 +145,17 @@ def test_what_is_assembled_here_is_what_a_file_says(name: str, tmp_path: Path) -
     assert again.parameters == mechanism.parameters
     assert (again.quantities, again.outputs) == (mechanism.quantities, mechanism.outputs)
     assert (again.implied, again.home) == (mechanism.implied, mechanism.home)
+
+
+def test_loop_values_are_those_of_the_equations() -> None:
+    arm = lc.planar_two_link()
+    angles = {"phi2": np.array([0.3, 1.0]), "phi3": np.array([0.2, -0.4])}
+    readings = {**angles, "xP": np.full(2, 0.1), "yP": np.full(2, 0.2)}
+    made = arm.loop_values(readings, {"l2": 0.9, "xA": 0.05})
+    l3 = arm.parameters["l3"].nominal
+    x = 0.05 + 0.9 * np.cos(readings["phi2"]) + l3 * np.cos(readings["phi2"] + readings["phi3"])
+    assert made["xP"] == pytest.approx(x - 0.1)
+    with refused("unknown-name", "l9"):
+        arm.loop_values(readings, {"l9": 1.0})
+    with refused("unknown-name", "phi3"):
+        arm.loop_values({k: v for k, v in readings.items() if k != "phi3"})

@@ -102,6 +102,9 @@ CALLS: dict[str, Call] = {
     "result.forward_kinematics(q)": lambda m: m.saved.forward_kinematics(m.deg[:2]).shape[0] == 2,
     "result.to_urdf(path)": lambda m: "<robot" in m.result.to_urdf(m.folder / "o.urdf").read_text(),
     "result.export('urdf')": lambda m: m.saved.export("urdf").files,
+    "result.predict(df).to_dataframe()": lambda m: (
+        len(m.result.predict(m.df).to_dataframe()) == 100
+    ),
     "result.correct(df)": lambda m: "joint" in str(m.result.correct(m.df.iloc[:2])),
     "result.to_dataframe()": lambda m: "sd" in m.result.to_dataframe().columns,
     "result.params.to_dataframe()": lambda m: len(m.result.params.to_dataframe()) > 6,
@@ -122,6 +125,13 @@ MISSES: dict[str, tuple[Call, type[Exception], str]] = {
     "result.predicts": (lambda m: m.result.predicts, AttributeError, "did you mean 'predict'?"),
     "lc.calibrat": (lambda m: lc.calibrat, AttributeError, "did you mean 'calibrate'?"),
     "lc.read_csv": (lambda m: lc.read_csv, AttributeError, "lc.read_dataset"),
+    "lc.demo": (lambda m: lc.demo, AttributeError, "loopcal demo"),
+    "lc.hand_eye": (lambda m: lc.hand_eye, AttributeError, "images"),
+    "lc.from_urdf": (lambda m: lc.from_urdf, AttributeError, "lc.load_urdf"),
+    "result.verify": (lambda m: m.result.verify, AttributeError, "lc.verify(result, readings)"),
+    "result.dh": (lambda m: m.saved.dh, AttributeError, "result.export('dh')"),
+    "robot.dof": (lambda m: m.robot.dof, AttributeError, "len(robot.quantities)"),
+    "robot.ik": (lambda m: m.robot.ik, AttributeError, "lc.correct"),
     "lc.calibrate(df)": (lambda m: lc.calibrate(m.df), lc.InputError, "urdf='robot.urdf'"),
     "lc.calibrate()": (lambda m: lc.calibrate(), lc.InputError, "lc.calibrate(readings, urdf="),
     "lc.calibrate(csv)": (lambda m: lc.calibrate(m.csv), lc.InputError, "urdf='robot.urdf'"),

@@ -219,12 +219,24 @@ _HOME = {
 _NAMESPACES = ("effects", "instruments", "machines")
 _INSTEAD = {
     "Robot": "lc.load_urdf, or lc.assemble",
+    **dict.fromkeys(
+        ("hand_eye", "handeye", "calibrate_camera", "calibrate_hand_eye"),
+        "lc.calibrate(folder of images, urdf='robot.urdf')",
+    ),
+    **dict.fromkeys(
+        ("load_dh", "read_dh", "from_dh"), "lc.calibrate(readings, dh='dh.csv'), or lc.serial_arm"
+    ),
+    "demo": "the command loopcal demo",
     "fit": "lc.calibrate",
+    "from_urdf": "lc.load_urdf",
     "monte_carlo": "lc.simulate and lc.calibrate in a loop, or the command loopcal study",
     "study": "the command loopcal study FILE",
     "load_csv": "lc.read_dataset, or lc.init for columns of any layout",
+    "noise": "lc.repeated_readings, or lc.Noise to state sds",
+    "read": "lc.load, or lc.read_dataset for readings",
     "read_csv": "lc.read_dataset, or lc.init for columns of any layout",
     "read_urdf": "lc.load_urdf",
+    "version": "lc.__version__",
 }
 _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}
 

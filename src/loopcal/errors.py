@@ -135,9 +135,10 @@ class LoopcalError(Exception):
     def next_command(self, words: Sequence[str]) -> None:
         """Fill in what to type next, where the error shows it; words: of the command that failed.
 
-        `init` alone is typed again once the remedy is done, because files are mended for it.
+        `init` alone is typed again once the remedy is done, because files are mended for it; not
+        where its project is there and the result is not trusted.
         """
-        if self.command:
+        if self.command or self.exit_code == NoTrustworthyResult.exit_code:
             return
         argument, *others = self.meant or ("",)
         mended = [m for w in words for m in (others if w == argument else [w])]

@@ -368,7 +368,11 @@ def init(
     ] = None,
     machine: Annotated[
         str | None,
-        option("TYPE", "Take a type with nominal values (motoman-ma1400)."),
+        option(
+            "TYPE",
+            "Take a type with nominal values (motoman-ma1400, linear-delta), or the machine of a "
+            "mechanism file.",
+        ),
     ] = None,
     base: Annotated[
         str | None,

@@ -40,6 +40,8 @@ COMMON = 5.0
 """How many times as large as what remains the errors are that placement and mounting take up."""
 # Chosen, not derived: caps of an alternation that starts in closed form, for their time.
 _ROUNDS, _STEPS = 4, 12
+_LITTLE, _SLOW = 0.3, 0.98
+"""A fit that leaves more than this share of the spread ends where a step gains less than 2 %."""
 _WEAK = 1e-6
 """A direction of the placement that the poses determine so much less than others stays as it is."""
 
@@ -134,7 +136,7 @@ def _points(
     common: float = 0.0,
 ) -> tuple[Array, Array]:
     """Targets (K, 3) and distances (N,) after fitting placement and targets by some poses."""
-    K = len(measured)
+    K, before, little = len(measured), np.inf, _LITTLE * _spread(measured[0])
     for _ in range(_STEPS):
         seen = np.array([bodies.at(u) for u in targets])
         motion = align(seen[:, good].reshape(-1, 3).T, measured[:, good].reshape(-1, 3).T)
@@ -142,6 +144,10 @@ def _points(
         placed = seen @ S.T + t
         left = (measured - placed)[:, good]
         n = left.shape[1]
+        rms = float(np.sqrt(np.square(left).sum() / (K * n)))
+        if little < rms and _SLOW * before < rms:
+            break  # of points that are not of this body nothing is left to be gained
+        before = rms
         J = np.zeros((K, n, 3, 6 + 3 * K))
         # A small turn w moves v by w x v = -[v] w.
         J[..., :3] = -_cross(placed[:, good] - t)
@@ -161,8 +167,9 @@ def _points(
 
 def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUNDS) -> Mounted:
     """A frame on the body, seen as positions (N, 3) [m] and rotations M (N, 3, 3)."""
-    spread = _spread(measured)
+    spread = max(_spread(measured), 1e-12)
     good = np.isfinite(measured).all(axis=1) & np.isfinite(turns).all(axis=(1, 2)) & bodies.complete
+    _better(np.where(good, 0.0, np.nan))
     near = np.zeros(3)
     for _ in range(rounds):
         S, X = _hand_eye(bodies.rotations[good], turns[good])
@@ -266,7 +273,7 @@ def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
 
 
 def _better(away: Array) -> NDArray[np.bool_]:
-    """The poses that decide; nine tenths of those that were read."""
+    """The poses that decide; nine tenths of those that were read. Raises InputError for few."""
     distances = away[np.isfinite(away)]
     if distances.size < 5:
         raise InputError(

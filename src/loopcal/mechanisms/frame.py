@@ -125,12 +125,19 @@ def joint_rows(q: Any, names: Sequence[str]) -> NDArray[np.float64]:
 
 
 def forward_kinematics(
-    frame: Callable[[Values], Frame], q: Any, names: Sequence[str]
+    frame: Callable[[Values], Frame], q: Any, names: Sequence[str], *, each: bool = False
 ) -> NDArray[np.float64]:
-    """(4, 4) or (N, 4, 4) T_base_body at readings as `joint_rows` takes them."""
+    """(4, 4) or (N, 4, 4) T_base_body at readings as `joint_rows` takes them.
+
+    each: whether the frame takes one pose at a time.
+    """
     rows = joint_rows(q, names)
     every = np.atleast_2d(rows)
-    T = matrices(frame(dict(zip(names, every.T, strict=True))), len(every))
+    if each:
+        poses = (dict(zip(names, row, strict=True)) for row in every)
+        T = np.concatenate([matrices(frame(x), 1) for x in poses])
+    else:
+        T = matrices(frame(dict(zip(names, every.T, strict=True))), len(every))
     return T[0] if rows.ndim == 1 else T
 
 

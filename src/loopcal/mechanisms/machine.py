@@ -49,6 +49,19 @@ ENDS = ("", "_b")
 """What names the quantities of both poses of a row; `Quantity.first` says which belong together."""
 
 
+_INSTEAD = {
+    **dict.fromkeys(("joints", "joint_names", "names"), "robot.quantities"),
+    **dict.fromkeys(("dof", "n_joints"), "len(robot.quantities)"),
+    **dict.fromkeys(
+        ("ik", "inverse_kinematics", "jacobian"),
+        "lc.correct(result, targets), which solves for joints, or another library on the URDF of "
+        "result.to_urdf('robot.urdf')",
+    ),
+    **dict.fromkeys(("forward", "tool_pose", "fkine"), "robot.fk(q)"),
+}
+"""What people type instead of a name, and the call that does it."""
+
+
 @dataclass(frozen=True)
 class Machine:
     """What moves, without any instrument.
@@ -103,11 +116,20 @@ class Machine:
         nominal = {p.name: p.nominal for p in self.parameters.values()}
         names = (*self.quantities, *self.pose_constants)
         pair = looked_between(self, on, against)
-        return forward_kinematics(lambda x: self.seen(*pair, x, nominal), q, names)
+        each = self.tree is None
+        return forward_kinematics(lambda x: self.seen(*pair, x, nominal), q, names, each=each)
 
     def forward_kinematics(self, q: Any) -> NDArray[np.float64]:
         """The same as `fk`."""
         return self.fk(q)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            words = f"a Machine has no attribute {name!r}"
+            if name in _INSTEAD:
+                words += f": use {_INSTEAD[name]}"
+            raise AttributeError(words, name=name, obj=self)
 
     def __repr__(self) -> str:
         return f"<Machine {self.name!r}: {len(self.quantities)} quantities>"

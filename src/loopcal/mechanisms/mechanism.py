@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, unknown_name
+from loopcal.expressions.domain import Stage
+from loopcal.expressions.engine import engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import Inputs, trace
 from loopcal.lazy import cached_property
@@ -341,6 +343,30 @@ class Mechanism:
     def remedies(self) -> dict[str, str]:
         """What to do where a loop cannot be evaluated, by its name."""
         return {loop: f.remedy for f in self.families if f.remedy for loop in f.loops}
+
+    def loop_values(
+        self, readings: Any, values: Mapping[str, float] | None = None
+    ) -> dict[str, NDArray[np.float64]]:
+        """Loop -> f(x, p) (N,) [SI]: of a point the computed minus the measured coordinates.
+
+        readings: a Dataset, or quantities and known constants by name, (N,) each [SI]; values: of
+        parameters by name [SI], by default all nominal. For estimators of your own. Raises
+        InputError for a parameter or a reading that is not there.
+        """
+        read = getattr(readings, "readings", readings)
+        stated = values or {}
+        for name in stated:
+            self.parameters[name]
+        p = np.array([stated.get(q.name, q.nominal) for q in self.parameters])
+        names = (*self.tape.quantities, *self.tape.pose_constants)
+        rows = [read[n] if n in read else self.implied.get(n) for n in names]
+        if missing := [n for n, row in zip(names, rows, strict=True) if row is None]:
+            raise unknown_name(f"the reading {missing[0]!r} is absent", missing[0], list(read))
+        every = np.array(np.broadcast_arrays(*map(np.asarray, rows)), dtype=float)
+        x, constants = np.split(every, [len(self.tape.quantities)])
+        engine = engine_for(self.tape, (), max(x.shape[1], 1))
+        f = engine.evaluate(p, x, constants, Stage.VALUES).f
+        return dict(zip(self.tape.loops, np.array(f), strict=True))
 
     def fk(self, q: Any) -> NDArray[np.float64]:
         """T_base_body (4, 4) [m] of the nominal arm at joints (n,), or (N, 4, 4) of (N, n).

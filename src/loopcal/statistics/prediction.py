@@ -127,6 +127,16 @@ class Prediction:
         table["extrapolated"] = tuple("yes" if e else "no" for e in self.extrapolated)
         return table
 
+    def to_dataframe(self) -> Any:
+        """`columns()` as a pandas DataFrame where pandas is installed, else one of polars."""
+        try:
+            import pandas
+        except ImportError:
+            import polars
+
+            return polars.DataFrame(self.columns())
+        return pandas.DataFrame(self.columns())
+
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
         outputs, sds = list(self.outputs.items()), self.sd

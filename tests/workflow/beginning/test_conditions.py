@@ -60,6 +60,7 @@ def test_lengths_expand_with_a_temperature(
     project = lc.read_project(tmp_path / "p/project.toml")
     assert project.mechanism.pose_constants == {"temperature": "K"}
     assert project.mechanism.effects == {"thermal": ("thermal_expansion",)}
+    assert "temperature [degC]" in str(made)
     read = lc.load_dataset(project).dataset["temperature"]
     assert read == pytest.approx(WARM + 273.15)
 

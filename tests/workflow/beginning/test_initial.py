@@ -545,8 +545,9 @@ def test_what_does_not_fit_is_explained(tmp_path: Path, arm: Any) -> None:
     still = points * (1.0, 1.0, 0.0) + (0.0, 0.0, 0.5)
     with refused("implausible-readings", "z reads the same value in every row"):
         lc.init({**own, **of(still, "xyz")}, dh=path)
+    counts = np.round(np.random.default_rng(1).permuted(joints, axis=0) * 2**20 / 2 / np.pi)
     with refused("implausible-readings", "counts of encoders"):
-        lc.init({**of(np.round(joints * 2**20 / 2 / np.pi), NAMES), **of(points, "xyz")}, dh=path)
+        lc.init({**of(counts, NAMES), **of(points, "xyz")}, dh=path)
     still = 1e-5 * np.random.default_rng(1).standard_normal((20, 9))
     columns = np.hstack([joints[:1], points[:1]]) + still
     with refused("too-few-poses", "one pose", "loopcal noise"):

@@ -9,9 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from loopcal.cli.run import main
 from loopcal.estimation.mounted import bodies_of
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.planar import motoman_ma1400
+from tests.refusals import refused
 
 NOISE = 5e-5
 REFLECTORS = np.array([[0.02, -0.07, -0.35], [-0.1, 0.06, -0.3]])
@@ -87,3 +89,34 @@ def test_one_point_is_that_of_the_type(tmp_path: Path, flange: dict[str, np.ndar
     lc.init(columns, machine="motoman-ma1400", out=tmp_path / "o")
     assert "x6B" in (tmp_path / "o" / "project.toml").read_text("utf-8")
     assert left(tmp_path / "o") < 2.0 * NOISE
+
+
+@pytest.mark.parametrize(
+    ("kind", "columns"),
+    [
+        ("linear-delta", ("h1", "h2", "h3")),
+        ("rotary-delta", ("q1", "q2", "q3")),
+        ("stewart-gough", tuple(f"L{i}" for i in range(1, 7))),
+    ],
+)
+def test_a_parallel_machine(tmp_path: Path, kind: str, columns: tuple[str, ...]) -> None:
+    assert main(["new", str(tmp_path / "new"), "--mechanism", kind]) == 0
+    poses = tmp_path / "poses.csv"
+    assert main(["simulate", str(tmp_path / "new/project.toml"), "--out", str(poses)]) == 0
+    head, *rows = poses.read_text().splitlines()
+    names = head.split(",")
+    renamed = ["pose", *columns, *names[1 + len(columns) :]]
+    poses.write_text("\n".join([",".join(renamed), *rows]) + "\n")
+    for machine in (kind, str(tmp_path / "new/mechanism.toml")):
+        made = lc.init(poses, machine=machine, out=tmp_path / "out")
+        read = [n for n in made.dataset.readings if not n.startswith("platform")]
+        assert read[: len(columns)] == list(made.mechanism.tape.quantities[: len(columns)])
+        assert left(tmp_path / "out") < 2e-4
+        for name in ("project.toml", "readings.csv"):
+            (tmp_path / "out" / name).unlink(missing_ok=True)
+    assert "tool_x" not in made.text or kind == "stewart-gough"
+
+
+def test_a_parallel_machine_in_a_plane_has_the_command_that_begins_it() -> None:
+    with refused("unsupported", "moves in a plane", "loopcal new"):
+        lc.init({"a": np.arange(9.0)}, machine="five-bar")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Annotated
 
 import typer
@@ -9,6 +10,7 @@ import typer
 from loopcal.cli.application import FunctionOption, app, argument, flag, option
 from loopcal.cli.output import log
 from loopcal.cli.registry import with_loops
+from loopcal.errors import InputError
 
 
 @app.command(name="app")
@@ -32,6 +34,14 @@ def serve_app(
 
     Tutorial with pictures: docs/tutorials/in-the-browser.md.
     """
+    if find_spec("nicegui") is None:
+        error = InputError(
+            "NiceGUI is not installed, which shows the app",
+            code="missing-dependency",
+            remedy="install the app with loopcal, then run the command again",
+        )
+        error.command = "pip install 'loopcal[app]'"
+        raise error
     from loopcal.companions.app.server import serve
 
     serve(

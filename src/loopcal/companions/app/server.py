@@ -34,17 +34,10 @@ def serve(
 
     command: `loopcal.cli.run.main`; with_loops: the commands that take loops in Python; port: by
     default the first free one from 8765 on; show: whether a browser is opened; tell: called with
-    the address. Raises InputError where NiceGUI is absent, the folder is none, or the port is
-    taken.
+    the address. Raises InputError where the folder is none, or the port is taken.
     """
-    try:
-        from nicegui import app, ui
-    except ModuleNotFoundError:
-        raise InputError(
-            "NiceGUI is not installed, which shows the app",
-            code="missing-dependency",
-            remedy="pip install loopcal[app]",
-        ) from None
+    from nicegui import app, ui
+
     from loopcal.companions.app.frame import SCRIPTS, build
     from loopcal.companions.app.pages import BY_KEY
     from loopcal.companions.app.project_folder import FolderLock, existing_folder

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, listed
 from loopcal.files.project.data_table import DataColumn, DataTable, data_files, named_columns
 from loopcal.files.project.noise_table import noises
 from loopcal.files.tables.columns import Column
@@ -59,6 +59,15 @@ def read_new_readings(
         # readings without the constant that dates the last change are of the machine as it is now
         and not (quantity in mechanism.latest and _absent(column.column, labels))
     }
+    gone = [c.column for c in columns.values() if _absent(c.column, labels)]
+    if gone and len(spec.parts) > 1:
+        first = listed([Path(part.file).name for part in spec.parts])
+        raise InputError(
+            f"there is no column {gone[0]!r}",
+            code="missing-column",
+            place=str(paths[0]),
+            remedy=f"name all files of the day: the calibration was of {first}",
+        )
     pose_column = spec.pose if spec.pose in labels or isinstance(spec.pose, int) else None
     dataset = read_dataset(source, columns, pose=pose_column, **spec.keywords)
     for quantity in [q for q, column in columns.items() if column.unit is None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from math import degrees, pi, radians
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,8 @@ class Robot:
     of them, empty where the columns name them; remarks: what was chosen, and why; point: the
     parameters of the one point that its type measures by itself; apart: the same machine for other
     instruments, where it has such a point; lengths: nominal values [m] beside the table; otherwise:
-    the machine of the same file in the other convention, where the file states none."""
+    the machine of the same file in the other convention, where the file states none; unread: what
+    no sensor of a parallel machine reads."""
 
     table: Mapping[str, Any]
     joints: int
@@ -46,6 +48,7 @@ class Robot:
     apart: Robot | None = None
     lengths: Mapping[str, float] = field(default_factory=dict)
     otherwise: Robot | None = None
+    unread: tuple[str, ...] = ()
 
 
 def urdf_robot(
@@ -253,17 +256,21 @@ def _si(motion: str, value: float) -> float:
     return 1e-3 * value if motion[0] == "t" else radians(value)
 
 
-def typed_robot(kind: str) -> Robot:
-    """A machine whose type has nominal values of its own.
+def typed_robot(named: str) -> Robot:
+    """A machine of a type with nominal values of its own, or of a mechanism file.
 
-    Raises InputError for a type that has none, or is no chain of joints.
+    Raises InputError for a type that has none, or moves in a plane, and for a file of other files.
     """
     from loopcal.files.machines.mechanism_file import mechanism_from_data
     from loopcal.files.machines.registry import machine_type
 
+    table = _table_of(named) if named.endswith(".toml") else {"type": named}
+    kind = table.get("type", "")
     try:
-        mechanism = mechanism_from_data({"type": kind}, "--machine")
+        mechanism = mechanism_from_data(table, "--machine")
     except InputError as error:
+        if table != {"type": named}:
+            raise
         raise InputError(
             f"a machine of the type {kind!r} needs nominal values ({error.message})",
             code="missing-key",
@@ -271,21 +278,55 @@ def typed_robot(kind: str) -> Robot:
             remedy=f"name --urdf or --dh, or begin with loopcal new NAME --mechanism {kind}",
         ) from None
     if not mechanism.chain:
+        return _closed(table, mechanism)
+    driven = tuple(mechanism.joints)
+    row = machine_type(kind)
+    if row.joints is None or table != {"type": kind}:
+        return Robot(table, len(driven), driven)
+    point = tool_names(row.joints())
+    apart = _apart(mechanism, row.listed(), point)
+    return Robot(table, len(driven), driven, point=point, apart=apart)
+
+
+def _table_of(path: str) -> dict[str, Any]:
+    """A mechanism file without its instruments and what it says of them."""
+    from loopcal.files.machines.mechanism_file import mechanism_from_data
+    from loopcal.files.toml.reader import read_toml
+
+    aside = ("schema", "instrument", "base", "point")
+    table = {k: v for k, v in read_toml(path).items() if k not in aside}
+    if "file" in table or table.get("type") == "function":
+        raise InputError(
+            "this file rests on another file",
+            code="unsupported",
+            place=path,
+            remedy="name the robot's URDF with --urdf, or write [data] and [noise] yourself: "
+            "loopcal new NAME shows how",
+        )
+    stated = table.pop("parameters", {})
+    names = mechanism_from_data(table, path).parameters.names
+    kept = {k: v for k, v in stated.items() if any(fnmatchcase(n, k) for n in names)}
+    return {**table, "parameters": kept} if kept else table
+
+
+def _closed(table: Mapping[str, Any], mechanism: Mechanism) -> Robot:
+    """A parallel machine, of whose quantities the first are driven, as many as it has freedoms.
+
+    Raises InputError for one that moves in a plane.
+    """
+    kind, names = table["type"], mechanism.tape.quantities
+    if "platform_z" not in names:
         no_chain = InputError(
-            f"a machine of the type {kind!r} is no chain of joints",
+            f"a machine of the type {kind!r} moves in a plane",
             code="unsupported",
             place="--machine",
             remedy=f"begin with loopcal new NAME --mechanism {kind}, and name your columns in it",
         )
         no_chain.command = f"loopcal new my-{kind} --mechanism {kind}"
         raise no_chain
-    driven = tuple(mechanism.joints)
-    row = machine_type(kind)
-    if row.joints is None:
-        return Robot({"type": kind}, len(driven), driven)
-    point = tool_names(row.joints())
-    apart = _apart(mechanism, row.listed(), point)
-    return Robot({"type": kind}, len(driven), driven, point=point, apart=apart)
+    driven = names[: len(names) - len(mechanism.tape.loops)]
+    unread = names[len(driven) :]
+    return Robot(table, len(driven), driven, unread=unread)
 
 
 def _apart(

@@ -176,11 +176,13 @@ _ROBOTS = (".urdf", ".xacro")
 def refuse_other_kind(path: str | Path) -> None:
     """Raise InputError for what by its name is readings, a robot, a result or a folder."""
     path, name, project = Path(path), quote(str(path)), Path(path) / "project.toml"
-    ending = path.suffix.lower()
+    ending, command = path.suffix.lower(), ""
     result = path if path.is_dir() else path.parent
     if ending in _TABLES:
         words = "this is a table of readings"
         remedy = f"make a project of it: loopcal init {name} --urdf ROBOT.urdf, or --dh TABLE.csv"
+        beside = [quote(str(urdf)) for urdf in path.parent.glob("*.urdf")]
+        command = f"loopcal init {name} --urdf {beside[0]}" if len(beside) == 1 else ""
     elif ending in _ROBOTS:
         words = "this is the description of a robot"
         remedy = f"make a project of it and of your readings: loopcal init READINGS --urdf {name}"
@@ -196,4 +198,5 @@ def refuse_other_kind(path: str | Path) -> None:
     error = InputError(
         f"{words}, not a project file", code="wrong-file-type", place=str(path), remedy=remedy
     )
+    error.command = command
     raise error.meaning(str(path), str(project)) if project.is_file() else error

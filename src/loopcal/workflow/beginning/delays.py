@@ -6,9 +6,10 @@ delay moves the point by w = dp/dtau; with the readings m(t) and by least square
 
     tau = sum_k w_k^T (m - p)_k / sum_k w_k^T w_k.
 
-The machine's own error bends between two stands, alike for all readings of a move and unlike for
-those of another. Hence the sd is that of the moves about each other (a sandwich by cluster, Liang
-and Zeger 1986), with K / (K - 1) for K moves.
+In a long recording two clocks drift apart: tau = tau_0 + r (t - t_0), t_0 its middle, and both are
+estimated. The machine's own error bends between two stands, alike for all readings of a move and
+unlike for those of another. Hence the sds are those of the moves about each other (a sandwich by
+cluster, Liang and Zeger 1986), with K / (K - q) for K moves and q numbers.
 """
 
 from __future__ import annotations
@@ -41,23 +42,38 @@ _STEP = 1e-3
 _ROUNDS = 6
 _MOVES = 4
 """Fewer moves say little of how they scatter."""
+_LONG = 600.0
+"""[s] from which the clocks of a recording may drift apart: 10 ppm are then 6 ms."""
 
 
 @dataclass(frozen=True)
 class Delay:
-    """Of an instrument behind the joints [s], with its sd, by so many moves."""
+    """Of an instrument behind the joints [s], with its sd, by so many moves.
+
+    drift: by how much its clock is slower [s/s], with its sd; None of a short recording, else the
+    delay is that of the middle.
+    """
 
     topic: str
     value: float
     sd: float
     moves: int
+    drift: float | None = None
+    drift_sd: float = 0.0
 
     def __str__(self) -> str:
         value, sd = (significant(1e3 * number, digits) for number, digits in self._shown)
         return (
             f"{self.topic}: its delay behind the joints is {value} ms (sd {sd} ms), from "
             f"{self.moves} moves. The readings are taken where it stands, allowing for this delay."
-        )
+        ) + self._drifting
+
+    @property
+    def _drifting(self) -> str:
+        if self.drift is None:
+            return ""
+        value, sd = significant(1e6 * self.drift, 3), significant(1e6 * self.drift_sd, 2)
+        return f" It changes by {value} ppm of the time (sd {sd} ppm): the clocks drift apart."
 
     @property
     def _shown(self) -> tuple[tuple[float, int], tuple[float, int]]:
@@ -120,7 +136,6 @@ def _delay(
     missed = meaning.position - (at_rest @ motion.rotation.T + motion.shift)
     q_rest = np.column_stack([q(middle) for q in joints.values()])
     late = recording.late[topic]
-    tau, W, g = late, np.zeros(0), np.zeros(0)
     read: NDArray[np.bool_] = np.asarray(np.isfinite(m).all(axis=1))
     moves = list(_moves(recording, t - late, read, missed))
     if len(moves) < _MOVES:
@@ -128,8 +143,14 @@ def _delay(
     rows = np.concatenate([rows for _, rows in moves])
     ends = np.cumsum([len(rows) for _, rows in moves])[:-1]
     k = np.concatenate([np.full(len(rows), k) for k, rows in moves])
+    basis = np.ones((len(rows), 1))
+    if t[-1] - t[0] > _LONG:
+        basis = np.column_stack([basis, t[rows] - 0.5 * (t[0] + t[-1])])
+    count, size = len(moves), basis.shape[1]
+    tau, step = np.array([late, 0.0])[:size], np.zeros(size)
+    A, g = np.zeros((size, size)), np.zeros((count, size))
     for _ in range(_ROUNDS):
-        now = t[rows] - tau
+        now = t[rows] - basis @ tau
         p = body(now) @ motion.rotation.T + motion.shift
         w = (body(now - _STEP) - body(now + _STEP)) @ motion.rotation.T / (2.0 * _STEP)
         q = np.column_stack([one(now) for one in joints.values()])
@@ -137,18 +158,21 @@ def _delay(
         share = np.clip(np.sum((q - q_rest[k]) * way, axis=1) / np.sum(way**2, axis=1), 0.0, 1.0)
         along = missed[k] + share[:, None] * (missed[k + 1] - missed[k])
         left = m[rows] - p - along
-        W = np.array([part.sum() for part in np.split(np.sum(w * w, axis=1), ends)])
-        g = np.array([part.sum() for part in np.split(np.sum(w * left, axis=1), ends)])
-        if not W.sum() > 0.0:
+        A = (basis * np.sum(w * w, axis=1)[:, None]).T @ basis
+        each = basis * np.sum(w * left, axis=1)[:, None]
+        if np.linalg.matrix_rank(A, hermitian=True) != size:
             return None
-        step = g.sum() / W.sum()
-        tau += step
-        if abs(step) < 1e-9:
+        step = np.linalg.solve(A, each.sum(axis=0))
+        tau = tau + step
+        # Of each move at the end.
+        each = each - basis * (np.sum(w * w, axis=1) * (basis @ step))[:, None]
+        g = np.array([part.sum(axis=0) for part in np.split(each, ends)])
+        if np.abs(step).max() < 1e-9:
             break
-    g = g - W * step  # of each move at the end
-    count = len(W)
-    sd = float(np.sqrt(np.sum(g**2) * count / (count - 1)) / W.sum())
-    return Delay(topic, float(tau), sd, count)
+    inverse = np.linalg.inv(A)
+    sds = np.sqrt(np.diag(inverse @ (g.T @ g) @ inverse) * count / (count - size))
+    drift = () if size == 1 else (float(tau[1]), float(sds[1]))
+    return Delay(topic, float(tau[0]), float(sds[0]), count, *drift)
 
 
 def _moves(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -14,7 +13,6 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.findings import RegionRange
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.fit import Fit
@@ -23,6 +21,7 @@ from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.atomic import write_files
 from loopcal.files.cameras.folder import are_images, files_of, tables_of
 from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.files.machines.registry import machine_type
 from loopcal.files.outputs import refuse_foreign, relative
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import Conditions, apart
@@ -47,16 +46,16 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.masses import in_space
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.outputs import measured_points, output_groups
+from loopcal.mechanisms.outputs import measured_points
 from loopcal.presentation.shown import columns as in_columns
-from loopcal.presentation.shown import in_unit, significant, unit_shown, with_unit
-from loopcal.small_samples import LearntCovariance
+from loopcal.presentation.shown import significant, unit_shown, with_unit
 from loopcal.statistics.case import Case
-from loopcal.statistics.check import FEW, ORDERED, Check, check
-from loopcal.statistics.region import ranges_of, sds_in
+from loopcal.statistics.check import ORDERED, check
 from loopcal.statistics.wrong_corners import wrong_corners
+from loopcal.units import from_si
 from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
+from loopcal.workflow.beginning.counts import counted
 from loopcal.workflow.beginning.delays import Delay, delays
 from loopcal.workflow.beginning.from_images import CORNERS, WRONG, from_images
 from loopcal.workflow.beginning.from_tree import dh_table, from_tree, urdf_table
@@ -70,13 +69,9 @@ from loopcal.workflow.beginning.searching import (
 from loopcal.workflow.beginning.stating import First, Statement, stated
 from loopcal.workflow.beginning.understanding import USUAL as NEAR_ENOUGH
 from loopcal.workflow.beginning.understanding import Ask, understood
+from loopcal.workflow.beginning.weakest import weakest
 
 Array = NDArray[np.float64]
-DRAWN = {"length": 1e-3, "angle": 1e-3}
-"""How far lengths [m] and angles [rad] of machines usually are from their drawing: the medians of
-`structured`."""
-_MUCH = 0.5
-"""A joint that moves over less of its working range is named."""
 # The nominal machine is good to millimetres (docs/decisions/0056).
 USUAL = 20e-3
 """A nominal machine is nearer to its readings than this [m]."""
@@ -193,10 +188,12 @@ class InitialProject:
     def _rows(self) -> list[list[str]]:
         units = {**self.mechanism.quantities, **self.mechanism.pose_constants}
         names = list(self.dataset.readings)
-        head = ["pose", *(f"{n} [{unit_shown(units[n])}]" if units[n] != "1" else n for n in names)]
+        # Temperatures of readings are values, not differences.
+        shown = {n: "degC" if units[n] == "K" else unit_shown(units[n]) for n in names}
+        head = ["pose", *(f"{n} [{u}]" if u != "1" else n for n, u in shown.items())]
         rows = [head]
         for i in range(min(_ROWS, len(self.dataset))):
-            values = [in_unit(float(self.dataset[n][i]), units[n]) for n in names]
+            values = [float(from_si(self.dataset[n][i], u)) for n, u in shown.items()]
             rows.append([self.dataset.poses[i], *(_shown(v) for v in values)])
         return rows
 
@@ -273,6 +270,10 @@ def initial_project(
         other = _readable(made.otherwise, fields, columns, folder)
         if CLEARLY * other.share < one.share:
             one = other.better_than(one)
+    if not one.share <= PLAUSIBLE and (encoders := counted(one.machine, one.layouts)):
+        columns = joint_columns(fields.fields, encoders.columns)
+        one = _readable(one.robot, fields, columns, folder)
+        one = replace(one, conditions=encoders.stated(one.conditions, one.machine))
     made, machine, fields, conditions = one.robot, one.machine, one.fields, one.conditions
     way = understood(machine, one.layouts, fields, ask, one.ways)
     statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
@@ -285,7 +286,7 @@ def initial_project(
     if way.share > PLAUSIBLE:
         _refuse_faults(project.mechanism, dataset)
     poses = check(project.mechanism, dataset, noise=project.noise.noise())
-    if weak := _weakest(poses, dataset):
+    if weak := weakest(poses, dataset):
         statement = statement.remarked("mechanism", weak)
     odd = (*odd, *(one.words for one in poses.findings if one.code == ORDERED))
     tables = {READINGS: _table(dataset, statement)} if statement.converted else {}
@@ -420,7 +421,10 @@ def _robot(robot: RobotFile, fields: Fields, folder: Path, signs: Sequence[int])
 
 def _machine(robot: Robot, fields: Fields, folder: Path) -> Machine:
     mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
-    return Machine(mechanism, tuple(mechanism.joints))
+    if not robot.unread:
+        return Machine(mechanism, tuple(mechanism.joints))
+    frame = machine_type(robot.table["type"]).make().frame
+    return Machine(mechanism, robot.names, frame)
 
 
 def _joined(sources: Sequence[Source], robot: RobotFile, folder: Path) -> Fields:
@@ -535,44 +539,6 @@ def _far_off(fits: Mapping[str, Mounted]) -> tuple[str, ...]:
         for name, fit in fits.items()
         if fit.rms > USUAL
     )
-
-
-def _weakest(made: Check, dataset: Dataset) -> str:
-    """Where these poses leave the machine worse known than its drawing, and what to measure; empty
-    where they do not.
-
-    Compared is what parameters cause in the end point over the working region. Single parameters
-    may be open and change no reading, such as a turn of the last joint and of the target on it.
-    """
-    predictor, machine = made.predictor, made.mechanism
-    if predictor is None:
-        return ""
-    # Other dimensions have no usual error: taken as exact, they favour the drawing.
-    sds = [DRAWN.get(machine.parameters[name].dimension, 0.0) for name in predictor.names]
-    drawing = replace(predictor, covariance=LearntCovariance.certain(np.diag(np.square(sds))))
-    ranges = ranges_of(machine, {name: dataset[name] for name in machine.joints}, {})
-    constants = {name: float(np.median(dataset[name])) for name in machine.tape.pose_constants}
-    made_sds, drawn_sds = (sds_in(one, ranges, constants) for one in (predictor, drawing))
-    both = zip(output_groups(machine), made_sds, drawn_sds, strict=True)
-    worse = [(group, sd, drawn) for group, sd, drawn in both if sd > drawn]
-    if not worse:
-        return ""
-    group, sd, drawn = max(worse, key=lambda one: one[1] / one[2])
-    size = with_unit(sd, group.unit, 2) if sd < 1.0 else "more than 1 m"
-    still = [r for r in ranges if np.ptp(dataset[r.quantity]) < _MUCH * (r.high - r.low)]
-    turned = ", ".join(_span(r, machine.quantities[r.quantity]) for r in still or ranges)
-    needed = math.ceil(FEW * len(predictor.names) / max(len(group.outputs), 1))
-    return (
-        "These poses determine the machine worse than its drawing does. Over the working range "
-        f"they predict the end point with an sd of {size}; the drawing predicts it with "
-        f"{with_unit(drawn, group.unit, 2)}. Measure at least {needed} poses that move these "
-        f"joints over their range: {turned}."
-    )
-
-
-def _span(one: RegionRange, kind: str) -> str:
-    low, high = (f"{in_unit(value, kind):.0f}" for value in (one.low, one.high))
-    return f"{one.quantity} {low} to {high} {unit_shown(kind)}"
 
 
 def _refuse_faults(mechanism: Mechanism, dataset: Dataset) -> None:

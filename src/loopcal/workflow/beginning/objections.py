@@ -21,6 +21,7 @@ from loopcal.files.recognition.layouts import Layout, Seen
 from loopcal.files.recognition.meanings import LENGTHS, Meaning
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.units import from_si, unit
+from loopcal.workflow.beginning.counts import reads_counts
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     NOTHING,
@@ -38,8 +39,6 @@ SURE = 0.01
 """An explanation that leaves less needs no rivals."""
 ONE_POSE = 5e-3
 """A body that moves less than this [m] stands in one pose."""
-COUNTS = 1e4
-"""Joint readings beyond this are in no unit of angle."""
 _LIKELIEST = 4
 """Ways to read the columns that are tried with joints counted in another way."""
 _MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -414,7 +413,7 @@ def _nothing(case: Case) -> Explanation:
     if case.fields.by_order:
         remedy += "; their rows were joined by order: give both files a column of pose ids"
     joints = best.layout.joints
-    if max(float(np.nanmax(np.abs(f.values))) for f in joints) > COUNTS:
+    if reads_counts(joints):
         remedy = f"convert {names_of(joints)} to angles: they read like counts of encoders"
     return Explanation(
         best.share,

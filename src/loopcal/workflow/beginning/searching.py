@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.mounted import Bodies, bodies_of
+from loopcal.estimation.mounted import KEPT, Bodies, bodies_of
 from loopcal.files.recognition.fields import names_of
 from loopcal.files.recognition.layouts import Layout
 from loopcal.files.recognition.meanings import Meaning, joint_units, meanings
-from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.frame import ChainFrame, Frame, Values, forward_kinematics
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.simulation.closing import close_loops, reachable
 from loopcal.units import to_si
 
 Array = NDArray[np.float64]
@@ -87,10 +88,14 @@ class Counting:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """The nominal machine as far as its joints move it: a mechanism with a chain."""
+    """The nominal machine as far as its joints move it.
+
+    frame: (x, p) -> T_base_body of a parallel machine; None for a mechanism with a chain.
+    """
 
     mechanism: Mechanism
     joints: tuple[str, ...]
+    frame: Callable[[Values, Values], Frame] | None = None
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -101,7 +106,31 @@ class Machine:
         """Where its body stands in every pose."""
         nominal = {p.name: p.nominal for p in self.mechanism.parameters}
         count = len(next(iter(joints.values())))
-        return bodies_of(ChainFrame(self.mechanism.chain, joints, nominal), count)
+        frame = self.frame
+        if frame is None:
+            return bodies_of(ChainFrame(self.mechanism.chain, joints, nominal), count)
+        names = self.mechanism.tape.quantities
+        home = self.mechanism.home
+        x = np.array([joints.get(q, np.full(count, home.get(q, 0.0))) for q in names])
+        closed = self._closed(x, np.array(list(nominal.values())))
+        T = forward_kinematics(lambda x: frame(x, nominal), closed.T, names, each=True)
+        return Bodies(T[:, :3, :3], T[:, :3, 3])
+
+    def _closed(self, x: Array, parameters: Array) -> Array:
+        """All quantities (k, N) where the loops close from here, NaN elsewhere; in another unit a
+        few poses close by chance, and none counts."""
+        names = self.mechanism.tape.quantities
+        poses = tuple(map(str, range(x.shape[1])))
+        unread = [q for q in names if q not in self.joints]
+        none = np.zeros((0, len(poses)))
+        at = reachable(self.mechanism, parameters, x, none, unread)
+        closed = np.full(x.shape, np.nan)
+        if at.sum() >= KEPT * np.isfinite(x).all(axis=0).sum():
+            some = tuple(np.array(poses)[at])
+            closed[:, at] = close_loops(
+                self.mechanism, parameters, x[:, at], none[:, at], unread, some
+            )
+        return closed
 
 
 def every_way(
@@ -162,7 +191,7 @@ def as_large(meaning: Meaning, bodies: Bodies) -> bool:
     if meaning.position.ndim != 2:
         return True
     read, moved = (
-        float(np.ptp(np.nanquantile(p, _MIDDLE, axis=0), axis=0).max())
+        float(np.ptp(np.quantile(p[np.isfinite(p).all(axis=1)], _MIDDLE, axis=0), axis=0).max())
         for p in (meaning.position, bodies.origins)
     )
     return moved < _AS_LARGE * read and read < _AS_LARGE * moved

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -103,7 +104,12 @@ def stated(
     noise: dict[str, Any] = {}
     guesses: list[str] = []
     _joint_noise(readings, noise, guesses)
+    if robot.unread:
+        noise[",".join(robot.unread)] = {"sd": math.inf}
+        guesses.append(f"{', '.join(robot.unread)}: no sensor reads them.")
     several = len(understood.seen) > 1
+    # A platform that never turns shows no place on it.
+    still = bool(robot.unread) and not np.nanmax(np.ptp(understood.bodies.rotations, axis=0))
     places = _places(understood)
     stands: list[str] = []
     for number, (meaning, place) in enumerate(zip(understood.seen, places, strict=True), 1):
@@ -111,7 +117,8 @@ def stated(
         instrument = _Instrument(meaning, end, place.target, place.station)
         looking.append(instrument.entry())
         fits[instrument.name] = meaning.fit or place.mounted
-        parameters |= instrument.parameters(place.mounted, place.at)
+        if not still:
+            parameters |= instrument.parameters(place.mounted, place.at)
         columns = instrument.readings()
         seen.append((meaning, tuple(columns)))
         label = f" ({meaning.seen.station})" if meaning.seen.station else ""
@@ -148,7 +155,9 @@ def stated(
         source = {"source": source_entry(first.fields, columns, seen, first.sheet)}
     remarks = {
         "mechanism": robot.remarks,
-        "mechanism.parameters": (
+        "mechanism.parameters": ()
+        if still
+        else (
             f"{', '.join(parameters)}: a guess, found by placing the nominal machine on the "
             f"readings; what is mounted is known to {with_unit(NEAR, 'm')} only (sd). Where a "
             f"drawing states it, write its values, with sd = {1e3 * MOUNTED['m']:g}.",
@@ -165,7 +174,7 @@ def stated(
     tables = {
         "schema": SCHEMA,
         "title": title,
-        "mechanism": {**table, "parameters": parameters},
+        "mechanism": {**table, "parameters": {**table.get("parameters", {}), **parameters}},
         "data": {**data[0], **({"join": data[1:]} if data[1:] else {}), **source},
         "noise": noise,
     }
