@@ -12,7 +12,6 @@ run away to make up for a wrong machine, and the comparison would flatter the dr
 from __future__ import annotations
 
 import math
-
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 

@@ -178,7 +178,8 @@ def _describe(
             if away > _SAME * size:
                 remarks.append(
                     f"{stated[name]} and {path.name} state the board {name!r} differently: points "
-                    f"by {with_unit(away, 'm')}. {stated[name]} is used. Remove the one that is wrong."
+                    f"by {with_unit(away, 'm')}. {stated[name]} is used. Remove the one "
+                    "that is wrong."
                 )
 
 
