@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from loopcal.companions.planning.information import end_point_rows, end_point_unit
 from loopcal.estimation.cameras.at_board import pixel_sizes
 from loopcal.estimation.noise.linear_model import fit, linear_model
 from loopcal.estimation.problem import patterns
@@ -168,3 +169,12 @@ def test_a_region_counts_where_the_camera_sees_the_whole_board() -> None:
     predicted = np.array([[200.0, 470.0, 200.0, 200.0], [300.0, 300.0, -500.0, 300.0]] * 2)
     predicted[2, 3] = 1e12  # a corner beside the camera
     assert _in_view(seen, names, group, predicted).tolist() == [True, False, False, False]
+
+
+def test_a_camera_that_moves_puts_the_board_as_far_away() -> None:
+    problem, zero = problem_of(None, 1e-3, missing=False)
+    rows = end_point_rows(problem, problem.start, problem.readings + zero, problem.pose_constants)
+    assert end_point_unit(problem.mechanism) == "m"
+    for axis in "xyz":
+        moved = rows[:, :, problem.names.index(f"eye_{axis}")]
+        assert np.linalg.norm(moved, axis=1) == pytest.approx(np.ones(8), abs=1e-9)

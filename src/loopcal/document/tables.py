@@ -178,7 +178,8 @@ def culprit_words(culprits: Sequence[Candidate], unit: str) -> str:
     before = stated.out_of_sample
     if not better or before is None:
         names = " and ".join(one.name for one in judged) or "nothing"
-        return f"Freed alone, {names} predict images not used no better than as stated."
+        verb = "predicts" if len(judged) == 1 else "predict"
+        return f"Freed alone, {names} {verb} images not used no better than as stated."
     best = min(better, key=lambda one: one.difference or 0.0)
     assert best.out_of_sample is not None
     words = (

@@ -11,6 +11,7 @@ run away to make up for a wrong machine, and the comparison would flatter the dr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -219,13 +220,24 @@ def nominal_case(case: Case, moved: Collection[str] = ()) -> Case:
     return Case(mechanism, replace(case.data, sds={}), noise, fit)
 
 
+def unstated_lenses(mechanism: Mechanism) -> set[str]:
+    """Parameters of lenses whose focal length is free without any prior: where the search begins
+    comes from the same images, so that it is no statement to compare with."""
+    parameters = mechanism.parameters
+    lens = parameters.of_role("lens")
+    free = [n for n in lens if n.endswith("_f") and math.isinf(parameters[n].prior_sd)]
+    return {n for n in lens for f in free if n.startswith(f.removesuffix("f"))}
+
+
 def nominal_machine(mechanism: Mechanism, moved: Collection[str] = ()) -> Mechanism:
-    """The mechanism with all fixed but placements and mountings; these get default priors.
+    """The mechanism with all fixed but placements, mountings and lenses that nobody states;
+    placements and mountings get default priors.
 
     moved: parameters of what slipped during the run, which is no fault of the drawing's.
     """
     placed = {*mechanism.parameters.of_role("placement", "mounting"), *moved}
     placed |= {*mechanism.effects.get(RUN_DRIFT, ())}  # no fault of the drawing's
+    placed |= unstated_lenses(mechanism)
     fixed = [p.name for p in mechanism.parameters if p.name not in placed]
     made = mounted(mechanism)
     return made.with_parameters(made.parameters.with_fixed(fixed))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.problem.problem import Problem
+from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.mechanisms.outputs import points
 from loopcal.statistics.causes import Suspect
 from loopcal.statistics.outlier_search import Search
@@ -38,6 +39,10 @@ def find_suspects(
     """
     explained: dict[int, dict[int, tuple[float, float]]] = {int(i): {} for i in where}
     possible = np.isfinite(tests.w) & search.readings[:, None]
+    # Corners are tested one by one against the others of their images (`wrong_corners`).
+    names = search.problem.mechanism.tape.quantities
+    pixels = {q for f in search.problem.mechanism.families if f.form == PIXELS for q in f.readings}
+    possible[[name in pixels for name in names]] = False
     # The circle costs 24 starts for each angle, so it is left to poses that nothing near explains.
     for anywhere in (False, True):
         left = [i for i, singles in explained.items() if not singles]

@@ -116,7 +116,7 @@ _CERTAIN = 2.0
 _RELATIVE = 0.41
 """sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
 _DRAWN = "the nominal machine"
-_BEYOND = ("scales-unlike", "scale-off-the-drawing")
+_BEYOND = ("scales-unlike", "scale-off-the-drawing", "overfitted")
 """Facts that leave a fit usable with care, but move predictions by more than half their sd."""
 
 

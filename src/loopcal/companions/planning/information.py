@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.cameras.at_board import sight_of
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.problem.starting import start_corrections
@@ -21,8 +22,8 @@ from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Accumulator, spectrum
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.outputs import POLAR, Seen, cartesian_slopes, seen_outputs
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
+from loopcal.mechanisms.outputs import POLAR, Seen, cartesian_slopes, distance_unit, seen_outputs
 
 Array = NDArray[np.float64]
 # Small beside any information that counts, large beside rounding of sums: inverses exist.
@@ -104,7 +105,8 @@ def rows_of(problem: Problem, parameters: Array, corrections: Array) -> Array:
 def end_point_rows(problem: Problem, parameters: Array, x: Array, pose_constants: Array) -> Array:
     """How the end point moves with the parameters at closed poses x (k, T): (T, o, n) [SI].
 
-    Lengths where any instrument sees a point, its range and angles as coordinates; else angles.
+    Lengths where any instrument sees a point, its range and angles as coordinates; else angles. Of
+    images it is where they put the board.
     """
     mechanism = problem.mechanism
     names = mechanism.tape.quantities
@@ -118,7 +120,10 @@ def end_point_rows(problem: Problem, parameters: Array, x: Array, pose_constants
     for one in _seen(mechanism):
         outputs = [q for q in (one.position or one.turns) if q in mechanism.outputs]
         part = S[:, [mechanism.outputs.index(q) for q in outputs]]
-        if one.form in POLAR:
+        if _by_image(mechanism, one):
+            sight = sight_of(mechanism, one.instrument, parameters, x, pose_constants)
+            part = sight.slopes[:, :, : S.shape[1]] @ np.nan_to_num(S)
+        elif one.form in POLAR:
             at = x[[mechanism.tape.quantities.index(q) for q in outputs]]
             part = cartesian_slopes(at) @ part
         parts.append(part)
@@ -126,6 +131,16 @@ def end_point_rows(problem: Problem, parameters: Array, x: Array, pose_constants
     rows = np.concatenate(parts, axis=1) / np.sqrt(len(parts))
     finite: Array = rows[np.isfinite(rows).all(axis=(1, 2))]
     return finite
+
+
+def end_point_unit(mechanism: Mechanism) -> str:
+    """SI unit of the rows of `end_point_rows`."""
+    by_image = any(_by_image(mechanism, one) for one in _seen(mechanism))
+    return "m" if by_image else distance_unit(mechanism)
+
+
+def _by_image(mechanism: Mechanism, one: Seen) -> bool:
+    return one.form == PIXELS and mechanism.body is not None
 
 
 def white_error(problem: Problem) -> float:

@@ -42,6 +42,7 @@ from loopcal.companions.planning.information import (
     Information,
     closed_corrections,
     end_point_rows,
+    end_point_unit,
     information,
     placed_anew,
     rows_of,
@@ -77,7 +78,6 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.measurements.plan_settings import PlanSettings
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.outputs import distance_unit
 from loopcal.mechanisms.structure.smooth import vectors_for
 from loopcal.mechanisms.structure.structured import EFFECT, structured
 from loopcal.simulation.simulate import within_reach
@@ -359,7 +359,7 @@ def _planned(
         way,
         way / before if before else 1.0,
         len(made.draws),
-        distance_unit(mechanism),
+        end_point_unit(mechanism),
         units,
         _remarks(curve[-1].parameters, units),
         rigid,

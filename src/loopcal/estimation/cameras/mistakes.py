@@ -49,6 +49,8 @@ NEAR_UNIT = 1.4
 """A ratio of lengths that near a unit's: a guessed focal length may be wrong by a third."""
 LARGEST_BOARD = 5.0
 """Half a diagonal [m] above which a board was not stated in metres."""
+SMALLEST_BOARD = 1e-3
+"""Half a diagonal [m] below which a board was not stated in mm: no camera shows its corners."""
 FARTHEST_HAND = 20.0
 """Spread of positions [m] above which a hand was not stated in metres."""
 
@@ -70,6 +72,8 @@ def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]
     """
     reading, facts = _better(reading, list(_planar_suspicions(reading)), plane_misfit)
     if reading.T_base_flange is None:
+        reading, more = _believable(reading)
+        facts += more
         sizes = [misfit(reading)]
     else:
         reading, more, sizes = _mounted(reading, held)
@@ -248,7 +252,8 @@ def _mount(reading: Reading, misfits: list[float]) -> Fact:
     doubt = (
         f"If the {other} is on the flange, the poses are inverted (base in the flange)."
         if clear
-        else f"The {other} on the flange fits as well: state which one it is."
+        else f"The {other} on the flange fits as well. Take images in which the hand is turned by "
+        "30 deg about two axes: they decide it."
     )
     values: dict[str, float | str] = {"held": "board" if reading.held else "camera"}
     if misfits:
@@ -300,17 +305,34 @@ def _in_unit(reading: Reading, factor: float, unit: str) -> tuple[Reading, list[
             applied=True,
         )
         return replace(reading, T_base_flange=T), [fact]
-    boards = tuple(
-        Board(
-            b.name, {k: (x * factor, y * factor, z * factor) for k, (x, y, z) in b.points.items()}
-        )
-        for b in corners.boards
-    )
     way = f"are in metres, and were converted from {unit}" if large else f"are in {unit}"
     fact = Fact(
         "unit-of-board", f"The points of the board {way}. State their unit.", values, applied=True
     )
-    return replace(reading, corners=replace(corners, boards=boards)), [fact]
+    return _resized_boards(reading, factor), [fact]
+
+
+def _believable(reading: Reading) -> tuple[Reading, list[Fact]]:
+    """Boards of a size that boards have; without a robot nothing else says how large they are."""
+    size = max(float(np.linalg.norm(board.half)) for board in reading.corners.boards)
+    if SMALLEST_BOARD < size < LARGEST_BOARD:
+        return reading, []
+    factor = 1e-3 if size > SMALLEST_BOARD else 1e3
+    way = "in mm" if factor < 1.0 else "in metres, not in mm"
+    sentence = f"A board would be {2.0 * size:.3g} m large: its points are taken {way}. "
+    values: dict[str, float | str] = {"factor": factor}
+    fact = Fact("unit-of-board", f"{sentence}State their unit.", values, applied=True)
+    return _resized_boards(reading, factor), [fact]
+
+
+def _resized_boards(reading: Reading, factor: float) -> Reading:
+    boards = tuple(
+        replace(
+            b, points={k: (x * factor, y * factor, z * factor) for k, (x, y, z) in b.points.items()}
+        )
+        for b in reading.corners.boards
+    )
+    return replace(reading, corners=replace(reading.corners, boards=boards))
 
 
 def _unmirrored(reading: Reading, facts: list[Fact]) -> tuple[Reading, list[Fact]]:

@@ -23,6 +23,7 @@ from loopcal.estimation.cameras.motions import motion_facts
 from loopcal.estimation.cameras.placing import Reading, placed, usable_part, view_poses
 from loopcal.estimation.cameras.scale import scale_facts
 from loopcal.estimation.cameras.scene import REDESCENDING, Adjusted, adjusted
+from loopcal.estimation.cameras.turning import most_alike
 from loopcal.estimation.cameras.twists import inverse
 from loopcal.mechanisms.cameras.lens import Intrinsics
 
@@ -155,6 +156,17 @@ def start(
     facts += motion_facts(reading, result.scene, stated=reading.stated)
     facts += scale_facts(reading, result, FREE)
     return _start_of(reading, result, facts)
+
+
+def way_of_turning(
+    ways: Mapping[str, Array],
+    corners: Corners,
+    intrinsics: Mapping[str, Intrinsics],
+    image_sizes: Mapping[str, tuple[int, int]],
+) -> str:
+    """Which of several poses of the flange (n, 4, 4) by name turn as the board does."""
+    lenses = _lens_choices(corners, intrinsics, image_sizes, "brown5")[0]
+    return most_alike(ways, Reading(corners, None, lenses))[0]
 
 
 def with_stated_lenses(begun: CameraStart) -> CameraStart:

@@ -47,6 +47,8 @@ class Weighting(Enum):
 Array = NDArray[np.float64]
 BLOCK = 4096
 """Poses per block: large enough that NumPy's overhead vanishes, small enough for the cache."""
+VALUES = 4_000_000
+"""Derivatives of a block at most, 32 MB: poses with many loops, as images are, come in fewer."""
 
 
 @dataclass(frozen=True)
@@ -141,16 +143,22 @@ class Problem:
 
     @property
     def block(self) -> int:
-        """Poses in a block: at most BLOCK, and so many that all blocks are about as long."""
-        return self._block(BLOCK)
+        """Poses in a block: at most `most`, and so many that all blocks are about as long."""
+        return self._block(self.most)
+
+    @property
+    def most(self) -> int:
+        """Poses in a block at most."""
+        tape = self.mechanism.tape
+        return max(1, min(BLOCK, VALUES // max(len(tape.loops) * len(tape.quantities), 1)))
 
     def _block(self, most: int) -> int:
         poses = len(self.poses)
         return math.ceil(poses / math.ceil(poses / most))
 
-    def blocks(self, most: int = BLOCK) -> Iterator[tuple[Pattern, Poses]]:
+    def blocks(self, most: int | None = None) -> Iterator[tuple[Pattern, Poses]]:
         """The poses in blocks, each with its pattern; a pose without any loop is in none."""
-        size = self._block(most)
+        size = self._block(self.most if most is None else most)
         for pattern in self.patterns:
             if isinstance(pattern.poses, slice):
                 for begin in range(0, len(self.poses), size):

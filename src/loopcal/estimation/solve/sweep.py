@@ -279,12 +279,13 @@ class Sweeper:
         return replace(closed, contraction=1.0)
 
     def blocks(
-        self, parameters: Array, corrections: Array | None = None, most: int = BLOCK
+        self, parameters: Array, corrections: Array | None = None, most: int | None = None
     ) -> Iterator[tuple[Pattern, Block]]:
         """All poses in blocks at parameters (n_all,) and corrections (k, N), none if not given; a
         pose without any loop is in none."""
         if corrections is None:
             corrections = np.broadcast_to(0.0, self.problem.readings.shape)
+        most = self.problem.most if most is None else most
         whole = self._alike and self.problem.count <= most
         if whole and self._only is not None:  # cut once for all sweeps
             yield (

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+
+import numpy as np
 
 from loopcal.errors import InputError, listed
 from loopcal.files.cameras.boards import read_boards
@@ -16,13 +19,18 @@ from loopcal.files.cameras.corners import is_corners, read_corners
 from loopcal.files.cameras.images import ENDINGS, detect
 from loopcal.files.cameras.intrinsics import read_intrinsics
 from loopcal.files.cameras.places import read_places, read_samples
+from loopcal.files.recognition.headers import words
 from loopcal.files.tables.readers import read_table
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
+from loopcal.presentation.shown import with_unit
 
 _RESULT = "result.json"
 """Beside it stands what a calibration wrote."""
 _TABLES = (".csv", ".tsv", ".txt")
+_IMAGES = frozenset(words("corners", "image"))
+_SAME = 1e-3
+"""Two descriptions of a board agree within this share of its size: printed sizes are rounded."""
 _WORDS = re.compile(r"[^a-z]+")
 
 
@@ -76,11 +84,13 @@ def _kind(path: Path) -> str:
     if ending not in _TABLES or not path.is_file():
         return ""
     names = _header(path)
-    words = [set(_WORDS.split(name.lower())) for name in names]
+    parts = [set(_WORDS.split(name.lower())) for name in names]
     stems = {
         "".join(w for w in _WORDS.split(name.lower()) if w not in ("m", "mm")) for name in names
     }
-    pixels = any("px" in w for w in words) or all(any(a in w for w in words) for a in "uv")
+    pixels = any("px" in w for w in parts) or all(any(a in w for w in parts) for a in "uv")
+    # x and y may be any point: beside the names of images and of points they are pixels.
+    pixels = pixels or ("z" not in stems and not stems.isdisjoint(_IMAGES))
     if pixels and is_corners(names):
         return "corners"
     if {"x", "y", "point"} <= stems or {"x", "y", "id"} <= stems:
@@ -107,12 +117,19 @@ def read_files(entries: Sequence[Any], usual: Mapping[str, Board] = MappingProxy
     poses: list[Path] = []
     tables: list[CornerTable] = []
     remarks: list[str] = []
-    for path, kind in kinds.items():
+    stated: dict[str, str] = {}
+    # A list of points says more than counts and sizes: of two descriptions it comes first.
+    for path, kind in sorted(kinds.items(), key=lambda one: one[1] == "document"):
         if kind == "board":
-            boards |= read_boards(path)
+            _describe(path, read_boards(path), boards, stated, remarks)
         elif kind == "corners":
             tables.append(read_corners(path))
-        elif kind == "poses" or (kind == "document" and _document(path, boards, lenses, tables)):
+        elif kind == "document":
+            described: dict[str, Board] = {}
+            if _document(path, described, lenses, tables):
+                poses.append(path)
+            _describe(path, described, boards, stated, remarks)
+        elif kind == "poses":
             poses.append(path)
     images = [path for path, kind in kinds.items() if kind == "image"]
     boards = boards or dict(usual)
@@ -135,6 +152,35 @@ def read_files(entries: Sequence[Any], usual: Mapping[str, Board] = MappingProxy
             remedy="name one of them, with a column of the camera",
         )
     return Files(tables[0], boards, lenses, tuple(poses), tuple(remarks))
+
+
+def _describe(
+    path: Path,
+    described: Mapping[str, Board],
+    boards: dict[str, Board],
+    stated: dict[str, str],
+    remarks: list[str],
+) -> None:
+    """Take boards of a file that no file before has; stated: the file of each."""
+    for name, board in described.items():
+        if name not in boards:
+            boards[name], stated[name] = board, path.name
+        elif {*board.points} != {*boards[name].points}:
+            remarks.append(
+                f"{stated[name]} and {path.name} name other points of the board {name!r}: "
+                f"{len(boards[name].points)} and {len(board.points)} of them. {stated[name]} is "
+                "used. Remove the one that is wrong."
+            )
+        else:
+            boards[name] = replace(boards[name], pattern=boards[name].pattern or board.pattern)
+            away = max(math.dist(board.points[p], at) for p, at in boards[name].points.items())
+            size = float(np.ptp(boards[name].xyz, axis=0).max())
+            if away > _SAME * size:
+                remarks.append(
+                    f"{stated[name]} and {path.name} state the board {name!r} differently: points "
+                    f"by {with_unit(away, 'm')}. {stated[name]} is used. Remove the one "
+                    "that is wrong."
+                )
 
 
 def _document(

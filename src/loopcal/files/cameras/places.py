@@ -5,13 +5,14 @@ easy_handeye samples      samples: robot and tracking, each translation and rota
 easy_handeye result       parameters, and transformation or transform
 industrial_calibration    x, y, z, qx, qy, qz, qw; several in a list, in a mapping, or in files
                           that `data` lists beside their images
-a table of poses          pose, x, y, z and a quaternion, units in the header, [m] without
+a table of poses          pose, x, y, z and a quaternion, a matrix or turns, units in the header,
+                          [m] without
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from loopcal.errors import InputError
 from loopcal.files.cameras.corners import split_name
 from loopcal.files.cameras.document import Part, is_transform, read_document, transform
 from loopcal.files.recognition.layouts import instruments
-from loopcal.files.recognition.meanings import rotations
+from loopcal.files.recognition.meanings import meanings
 from loopcal.files.recognition.sources import sources_of
 from loopcal.units import unit
 
@@ -32,11 +33,15 @@ _LISTED = 10_000
 
 @dataclass(frozen=True, eq=False)
 class PlaceTable:
-    """Places by image or pose: names, and T (N, 4, 4) [m] of each as the file states it."""
+    """Places by image or pose: names, and T (N, 4, 4) [m] of each as the file states it.
+
+    ways: T by what its turns may mean, in words, where the file leaves that open; T is the first.
+    """
 
     name: tuple[str, ...]
     T: Array
     file: str = ""
+    ways: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +118,13 @@ def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[
 def _of_table(path: Path) -> PlaceTable:
     source = sources_of(path, 0)[0]
     seen = next((s for s in instruments(source.fields) if s.kind == "pose"), None)
-    if seen is None or seen.form == "turns":
+    if seen is None:
         raise InputError(
-            "no pose with a quaternion or a matrix is recognised among the columns",
+            "no pose is recognised among the columns",
             code="missing-column",
             place=path.name,
-            remedy="name them x_m, y_m, z_m, qx, qy, qz, qw",
+            remedy="name them x_m, y_m, z_m, qx, qy, qz, qw, or x_mm, y_mm, z_mm, rx_deg, ry_deg, "
+            "rz_deg",
         )
     by_stem = {f.stem: i for i, f in enumerate(seen.turned)}
     order = tuple(range(len(seen.turned)))
@@ -126,9 +132,15 @@ def _of_table(path: Path) -> PlaceTable:
         # The letters at the end of the names say which is which; without them w comes first.
         letters = {stem[-1]: i for stem, i in by_stem.items() if stem}
         order = tuple(letters[c] for c in "wxyz") if set("wxyz") <= set(letters) else order
-    T = np.tile(np.eye(4), (len(source), 1, 1))
-    T[:, :3, :3] = rotations(seen, "rad", seen.form, order)
-    T[:, :3, 3] = np.array([unit(f.unit or "m").factor * f.values for f in seen.position]).T
+    ways: dict[str, Array] = {}
+    for one in meanings(seen):
+        if one.inverted or one.turns is None or (seen.form != "turns" and one.order != order):
+            continue
+        T = np.tile(np.eye(4), (len(source), 1, 1))
+        T[:, :3, :3] = one.turns
+        T[:, :3, 3] = np.array([unit(f.unit or "m").factor * f.values for f in seen.position]).T
+        ways.setdefault(one.words[-1], T)
+    T = next(iter(ways.values()))
     names = source.ids or tuple(map(str, range(1, len(source) + 1)))
     wrong = np.flatnonzero(~np.isfinite(T).all(axis=(1, 2)))
     if wrong.size:
@@ -138,7 +150,7 @@ def _of_table(path: Path) -> PlaceTable:
             place=path.name,
             remedy="state all its numbers, or remove its row",
         )
-    return PlaceTable(names, T, path.name)
+    return PlaceTable(names, T, path.name, ways if seen.form == "turns" else {})
 
 
 def read_samples(path: str | Path) -> Samples:

@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
-from loopcal.estimation.cameras.start import CameraStart, start, with_stated_lenses
+from loopcal.estimation.cameras.start import (
+    CameraStart,
+    start,
+    way_of_turning,
+    with_stated_lenses,
+)
 from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.folder import Files, read_files
 from loopcal.files.cameras.places import read_places
@@ -32,6 +37,7 @@ from loopcal.mechanisms.instruments.camera import PIXEL
 from loopcal.mechanisms.placement import yaw_pitch_roll
 from loopcal.units import from_si
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn, joint_noise
+from loopcal.workflow.beginning.matching import matched
 
 Array = NDArray[np.float64]
 CORNERS, WRONG = "corners.csv", "wrong-corners.csv"
@@ -93,7 +99,8 @@ class FromImages:
 @dataclass(frozen=True, eq=False)
 class Hand:
     """The body that moves: its columns of readings by quantity [SI], and T_base_flange (N, 4, 4)
-    by pose; table: of the mechanism without instruments; noise: of its readings."""
+    by pose; ways: these by what their turns may mean, in words; table: of the mechanism without
+    instruments; noise: of its readings."""
 
     poses: tuple[str, ...]
     table: Mapping[str, Any]
@@ -102,6 +109,13 @@ class Hand:
     noise: Mapping[str, Any]
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    ways: Mapping[str, Array] = field(default_factory=dict)
+
+    def turned(self, way: str) -> Hand:
+        """With its turns understood in this way."""
+        T = self.ways[way]
+        remarks = (*self.remarks, f"turns of the flange: {way}")
+        return replace(self, T_base_flange=T, readings=_flange(T), remarks=remarks)
 
 
 def from_images(
@@ -141,11 +155,18 @@ def understood(
 ) -> tuple[_Project, tuple[str, ...]]:
     """A project of the files, and what was changed of the stated lenses; held: the board is on the
     flange, None where the images are to show it."""
-    table = files.corners
-    boards = [named(files.boards, name) for name in table.boards]
+    boards = [named(files.boards, name) for name in files.corners.boards]
+    table, renamed = matched(files.corners, boards, hand.poses)
     corners = _corners(table, boards, hand.poses)
-    lenses, turned = _upright(_by_camera(files.lenses, table.cameras), table)
-    begun = start(corners, hand.T_base_flange, lenses, dict(table.sizes), held)
+    stated, sizes = _by_camera(files.lenses, table.cameras), dict(table.sizes)
+    lenses, turned = _upright(stated, table)
+    if hand.ways:
+        hand = hand.turned(way_of_turning(hand.ways, corners, lenses, sizes))
+    begun = start(corners, hand.T_base_flange, lenses, sizes, held)
+    if turned and any(fact.code == "u-reversed" for fact in begun.facts):
+        # An image on its side that is a mirror besides is one whose u and v are exchanged.
+        lenses, turned = stated, ()
+        begun = start(corners, hand.T_base_flange, lenses, sizes, held)
     if set(lenses) >= set(table.cameras):
         # What was stated is nominal: what the images add to it is for the calibration to say.
         begun = with_stated_lenses(begun)
@@ -153,7 +174,7 @@ def understood(
         hand = _unread(begun, hand)
     elif begun.T_base_flange is not None and "x" in hand.readings:
         hand = replace(hand, readings=_flange(begun.T_base_flange))
-    return _Project(begun, hand, table, lenses), turned
+    return _Project(begun, hand, table, lenses), (*renamed, *turned)
 
 
 def named(boards: Mapping[str, Board], name: str) -> Board:
@@ -256,7 +277,13 @@ def hand_of(files: Files, describe: Describe | None, joints: str | None, folder:
         }
         words = f"{path.name} states the pose of the flange"
         return Hand(
-            samples.name, {"type": "free-body"}, _flange(samples.T), samples.T, noise, (words,)
+            samples.name,
+            {"type": "free-body"},
+            _flange(samples.T),
+            samples.T,
+            noise,
+            (words,),
+            ways=samples.ways,
         )
     remarks: tuple[str, ...] = ()
     if files.poses:

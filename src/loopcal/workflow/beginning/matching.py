@@ -1,0 +1,57 @@
+"""Names of images and points in a table of corners, matched to those of poses and boards."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+from loopcal.files.cameras.corner_table import CornerTable
+from loopcal.mechanisms.cameras.board import Board
+
+
+def matched(
+    table: CornerTable, boards: Sequence[Board], poses: Sequence[str]
+) -> tuple[CornerTable, tuple[str, ...]]:
+    """The corners under the names of poses and points, and what was changed, in words.
+
+    boards: in the order of `table.boards`. Names stay where nothing or not everything matches.
+    """
+    remarks = []
+    if poses and {*poses}.isdisjoint(table.image) and (by := _by_number(table.images, poses)):
+        first = next(iter(by.items()))
+        remarks.append(
+            f"images belong to the poses of the same number: {first[0]!r} to {first[1]!r}"
+        )
+        table = replace(table, image=tuple(by.get(name, name) for name in table.image))
+    points = list(table.point)
+    for name, board in zip(table.boards, boards, strict=True):
+        mine = [i for i, of in enumerate(table.board) if of == name]
+        step = _step({points[i] for i in mine}, board.points)
+        if step:
+            begins = "1, those of the board at 0" if step > 0 else "0, those of the board at 1"
+            remarks.append(f"numbers of corners of {name!r} begin at {begins}: matched so")
+        for i in mine if step else ():
+            points[i] = str(int(points[i]) - step)
+    return replace(table, point=tuple(points)), tuple(remarks)
+
+
+def _by_number(images: Sequence[str], poses: Sequence[str]) -> Mapping[str, str]:
+    """Image -> pose with the same last number; empty where numbers are missing or repeated."""
+    by = [{_last_number(name): name for name in names} for names in (images, poses)]
+    if any(None in one for one in by) or [len(one) for one in by] != [len(images), len(poses)]:
+        return {}
+    return {by[0][n]: by[1][n] for n in by[0] if n in by[1]}
+
+
+def _last_number(name: str) -> int | None:
+    digits = re.findall(r"\d+", name.rpartition("/")[2])
+    return int(digits[-1]) if digits else None
+
+
+def _step(used: Collection[str], points: Collection[str]) -> int:
+    """By how much the numbers of corners exceed those of the points; 0 where names match."""
+    if {*used} <= {*points} or not all(name.isdecimal() for name in (*used, *points)):
+        return 0
+    fitting = (step for step in (1, -1) if {str(int(n) - step) for n in used} <= {*points})
+    return next(fitting, 0)

@@ -1,0 +1,145 @@
+"""Folders of a camera as users write them: read as they are meant, and what was changed is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import loopcal as lc
+from loopcal.estimation.cameras.corners import Corners
+from loopcal.estimation.cameras.mistakes import corrected
+from loopcal.estimation.cameras.placing import Reading
+from loopcal.estimation.cameras.start import way_of_turning
+from loopcal.files.cameras.boards import read_boards
+from loopcal.files.cameras.corner_table import CornerTable
+from loopcal.files.cameras.corners import read_corners
+from loopcal.files.cameras.places import read_places
+from loopcal.mechanisms.cameras.board import Board
+from loopcal.statistics.case import nominal_machine
+from loopcal.workflow.beginning.matching import matched
+from tests.mechanisms.test_camera import LENS, POINTS, hands, pixels
+from tests.workflow.beginning.test_from_images import written
+
+
+def rewritten(path: Path, change: Callable[[list[str]], list[str]], header: str = "") -> None:
+    """The rows of a table changed, cell by cell, and its header where one is given."""
+    head, *rows = path.read_text(encoding="utf-8").splitlines()
+    changed = [",".join(change(row.split(","))) for row in rows]
+    path.write_text("\n".join([header or head, *changed]) + "\n", encoding="utf-8")
+
+
+def turned(sequence: str) -> Callable[[list[str]], list[str]]:
+    def change(row: list[str]) -> list[str]:
+        w, x, y, z = map(float, row[4:])
+        turn = Rotation.from_quat([x, y, z, w])
+        angles = turn.as_rotvec() if not sequence else turn.as_euler(sequence, degrees=True)
+        return [*row[:4], *(f"{a:.9f}" for a in angles)]
+
+    return change
+
+
+def named(folder: Path) -> None:
+    rewritten(folder / "corners.csv", lambda row: [f"img_{int(row[0]):03}.png", *row[1:]])
+
+
+def x_and_y(folder: Path) -> None:
+    rewritten(folder / "corners.csv", lambda row: [row[0], *row[3:]], "image,id,x,y")
+
+
+def kuka(folder: Path) -> None:
+    rewritten(folder / "robot.csv", turned("ZYX"), "pose,X,Y,Z,A,B,C")
+
+
+def fanuc(folder: Path) -> None:
+    head = "image,x_mm,y_mm,z_mm,w_deg,p_deg,r_deg"
+    rewritten(folder / "robot.csv", turned("xyz"), head)
+
+
+def vectors(folder: Path) -> None:
+    rewritten(folder / "robot.csv", turned(""), "pose,x_mm,y_mm,z_mm,rx,ry,rz")
+
+
+def described_otherwise(folder: Path) -> None:
+    (folder / "board.yaml").write_text(
+        "type: checkerboard\ncolumns: 4\nrows: 3\nsquare: 0.05\n", encoding="utf-8"
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (kuka, "A, B, C in deg"),
+        (fanuc, "W, P, R, Rz Ry Rx"),
+        (vectors, "rx, ry, rz in rad, a rotation vector"),
+    ],
+)
+def test_turns_are_read_as_the_board_turns(
+    tmp_path: Path, change: Callable[[Path], None], words: str
+) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    change(tmp_path)
+    table = read_places(tmp_path / "robot.csv")
+    corners = of_table(read_corners(tmp_path / "corners.csv"), read_boards(tmp_path / "points.csv"))
+    way = way_of_turning(table.ways, corners, {"1": LENS}, {})
+    assert words in way
+    assert table.ways[way][:, :3, :3] == pytest.approx(T[:, :3, :3], abs=1e-6)
+
+
+def of_table(table: CornerTable, boards: Mapping[str, Board]) -> Corners:
+    """Its corners, of one camera and one board, images by their numbers."""
+    (board,) = boards.values()
+    points = list(board.points)
+    zero = np.zeros(len(table), dtype=int)
+    index = [np.array(list(map(int, table.image))), zero, zero]
+    index.append(np.array([points.index(p) for p in table.point]))
+    uv = np.stack([table.u, table.v], axis=1)
+    return Corners.of(index, uv, ("1",), (board,), tuple(map(str, range(12))))
+
+
+def test_other_names_start_at_the_same_place(tmp_path: Path) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    for change in (x_and_y, named, fanuc, described_otherwise):
+        change(tmp_path)
+    project = lc.init(tmp_path)
+    for words in ("same number", "W, P, R", "points.csv and board.yaml"):
+        assert words in str(project)
+    assert project.mechanism.parameters["camera_1_f"].nominal == pytest.approx(LENS.fx, rel=0.01)
+    assert len(project.dataset) == 12
+
+
+def test_numbers_may_begin_at_one() -> None:
+    board = Board("board", {str(i): (0.1 * i, 0.0, 0.0) for i in range(3)})
+    uv = np.zeros(3)
+    table = CornerTable(("im_07",) * 3, ("1",) * 3, ("board",) * 3, ("1", "2", "3"), uv, uv)
+    after, remarks = matched(table, [board], ["7", "8"])
+    assert (after.image, after.point) == (("7",) * 3, ("0", "1", "2"))
+    assert len(remarks) == 2
+    assert matched(after, [board], ["7", "8"])[1] == ()
+
+
+def test_a_board_of_hundreds_of_metres_is_taken_in_mm() -> None:
+    T = hands(6, 5)
+    board = Board("board", {k: (1e3 * x, 1e3 * y, z) for k, (x, y, z) in POINTS.items()})
+    image, point = np.repeat(np.arange(6), 12), np.tile(np.arange(12), 6)
+    uv = pixels(T, on="base").transpose(2, 0, 1).reshape(-1, 2)
+    zero = np.zeros(72, dtype=int)
+    names = tuple(map(str, range(6)))
+    corners = Corners.of([image, zero, zero, point], uv, ("1",), (board,), names)
+    reading, facts = corrected(Reading(corners, None, (LENS,)), None)
+    assert [fact.code for fact in facts] == ["unit-of-board"]
+    assert reading.corners.boards[0].xyz.max() == pytest.approx(0.12)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_lens_that_nobody_states_is_no_drawing(stated: bool) -> None:
+    eye = lc.instruments.camera("eye", points=POINTS)
+    mechanism = lc.assemble(lc.machines.free_body(), [eye])
+    if stated:
+        mechanism = mechanism.with_parameters(mechanism.parameters.with_prior({"eye_f": 10.0}))
+    assert ("eye_f" in nominal_machine(mechanism).parameters.free) == (not stated)
