@@ -30,6 +30,8 @@ class State:
     """The last run of each command."""
     outdated: frozenset[str] = frozenset()
     """Commands whose last run read other files than there are now."""
+    measured: bool = True
+    """Whether the project states readings."""
     unread: str = ""
     """Why the readings cannot be read."""
     waiting: tuple[str, ...] = ()
@@ -85,6 +87,8 @@ def data(state: State) -> tuple[str, str]:
     light, said = made("readings")(state)
     if light != "good":
         return light, said
+    if not state.measured:
+        return "none", "no readings yet"
     if state.unread:
         return "bad", state.unread
     if state.waiting:
