@@ -97,6 +97,7 @@ def test_from_two_files_to_a_urdf_by_keyboard(browser: Any, cell: tuple[Served, 
     keys.sees("30 of 60 poses selected")
     keys.press("Reflector moved here")
     keys.sees_stale()
+    keys.step("Fit")
     keys.choose("Method", "implicit-loop")
     keys.run("Calibrate")
     keys.step("Deploy")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from loopcal.companions.app.capsules import THICK, capsules, vertices
-from loopcal.companions.app.pictures import Errors
+from loopcal.companions.app.pictures import Errors, machine_figure
+from loopcal.files.machines.registry import machine_type
 from loopcal.report.source import read_source
 from tests.command_line import run_here as run
 from tests.reference import dh_arm
@@ -78,3 +80,17 @@ def test_the_machine_in_space_stands_in_the_first_selected_pose(tmp_path: Path) 
         np.testing.assert_array_equal(np.array([update[k][0] for k in "xyz"]), body)
         figures.append(figure["layout"]["scene"])
     assert figures[0] == figures[1]
+
+
+def test_joints_on_the_spot_share_a_label_and_no_joint_lacks_one() -> None:
+    arm = machine_type("motoman-ma1400").make()
+    drawn = machine_figure(arm, dict.fromkeys(arm.joints, 0.0))
+    assert drawn is not None
+    points = drawn["data"][0]
+    labels = [
+        (text, at) for text, *at in zip(*(points[k] for k in ("text", "x", "y", "z")), strict=False)
+    ]
+    shown = [label for label in labels if label[0]]
+    assert ", ".join(text for text, _ in shown) == ", ".join([*arm.joints, "end point"])
+    apart = [np.linalg.norm(np.subtract(a, b)) for (_, a), (_, b) in pairwise(shown)]
+    assert min(apart) > 0.1  # [m]: an arm of 2 m in a figure of 420 pixels

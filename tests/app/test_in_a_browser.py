@@ -14,7 +14,7 @@ from tests.app.conftest import SCRIPT
 from tests.app.contrast import violations, weak_texts
 from tests.app.pointing import Hand, new_page
 from tests.app.serving import Served
-from tests.browser import PATIENCE, Seen, expect
+from tests.browser import PATIENCE, Seen, expect, until
 from tests.files.hostile.generated import workbook_bomb
 
 STEPS = ("Robot", "Data", "Plan", "Check", "Fit", "Diagnose", "Validate", "Deploy", "History")
@@ -77,6 +77,16 @@ def test_every_step_opens_in_its_window_with_names_as_text_and_contrast(
 
 
 SCROLLED = "() => Math.abs(scrollY - 150) < 2"
+
+
+def test_a_figure_that_left_the_page_draws_no_more(served: Served, browser: Any) -> None:
+    page = opened(browser, served).page
+    Hand(page).step("Diagnose")
+    page.locator(".js-plotly-plot").first.wait_for()
+    page.evaluate("window.figure = document.querySelector('.js-plotly-plot')")
+    Hand(page).step("Deploy")
+    until(page, lambda: page.evaluate("window.figure.data === undefined"))
+    page.close()
 
 
 def assert_addresses_are_kept(page: Any, address: str) -> None:

@@ -355,9 +355,13 @@ def demo(
 @app.command()
 def init(
     files: Annotated[
-        list[str],
-        argument("FILE...", "Readings, joined by pose ids or else by row order."),
-    ],
+        list[str] | None,
+        argument(
+            "FILE...",
+            "Readings, joined by pose ids or else by row order [default: none yet; the project "
+            "serves `loopcal plan`].",
+        ),
+    ] = None,
     urdf: Annotated[str | None, option("FILE", "Take the robot from this URDF.")] = None,
     dh: Annotated[
         str | None,
@@ -419,7 +423,7 @@ def init(
     from loopcal.workflow.beginning.initial import RobotFile, initial_project
 
     robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out, tuple(observe or ()))
-    done = initial_project(files, robot, out=out, sheet=sheet, ask=ask_on_terminal())
+    done = initial_project(files or (), robot, out=out, sheet=sheet, ask=ask_on_terminal())
     print_out(str(done))
     if run:
         try:

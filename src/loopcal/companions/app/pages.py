@@ -70,25 +70,25 @@ PAGES = (
     Page(
         "Diagnose",
         "Find what does not fit. Drag over points to select poses; all figures follow.",
-        steps.of_result(steps.diagnose),
+        steps.diagnose,
         diagnose.show,
     ),
     Page(
         "Validate",
         "See how good the calibration is where nothing was measured.",
-        steps.of_result(steps.validate),
+        steps.validate,
         validate.show,
     ),
     Page(
         "Deploy",
         "Take the result to the robot: files for its controller, and corrected programs.",
-        steps.of_result(steps.deploy),
+        steps.deploy,
         deploy.show,
     ),
     Page(
         "History",
         "See what was done here, undo it, and follow the machine over the years.",
-        steps.of_result(steps.ran("history", "the machine over time")),
+        steps.ran("history", "the machine over time"),
         history.show,
     ),
 )
@@ -107,4 +107,6 @@ class Step:
 
 def stand(state: State) -> list[Step]:
     """All steps in their order."""
-    return [Step(page.key, page.label, *page.light(state)) for page in PAGES]
+    return [
+        Step(page.key, page.label, *steps.never_better(page.light(state), state)) for page in PAGES
+    ]

@@ -41,6 +41,8 @@ BEHIND = 0.6
 """Opacity of the machine there: points behind it show."""
 ROOM = 0.15
 """Share of the width of a figure that the name of a change needs."""
+NEAR = 0.08
+"""Share of the length of a skeleton within which joints share one label, as high as its text is."""
 SIZE = "distance"
 """The error of a pose as one number: the length of its differences."""
 GRID = "rgba(128,128,128,0.3)"
@@ -82,7 +84,7 @@ def machine_figure(
             points.T,
             line={"color": REST, "width": 6},
             marker={"size": 8 if flat else 4, "color": REST},
-            text=names(skeleton_labels(mechanism)),
+            text=names(_joined(skeleton_labels(mechanism), points)),
             textposition="top center",
             hoverinfo="text",
         )
@@ -104,6 +106,18 @@ def machine_figure(
         "layout": look(420, showlegend=False, uirevision="machine", **more),
         "config": _SPATIAL,
     }
+
+
+def _joined(labels: Sequence[str], points: Array) -> list[str]:
+    """The labels, those of neighbours on the spot in one, as of a wrist: none covers another."""
+    near = NEAR * float(np.nansum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    joined, first = [*labels], 0
+    for i in range(1, len(joined)):
+        if joined[i] and joined[first] and np.linalg.norm(points[i] - points[first]) < near:
+            joined[first], joined[i] = f"{joined[first]}, {joined[i]}", ""
+        else:
+            first = i
+    return joined
 
 
 def _room(points: Array) -> dict[str, Any]:

@@ -24,11 +24,12 @@ from loopcal.workflow.projects import Refit, run_refit
 @dataclass(frozen=True)
 class Asked:
     """What is fitted: the text of a project, from where the result of this time ended [ns];
-    method: instead of the project's."""
+    method: instead of the project's; readings: another value whenever their files have changed."""
 
     text: str
     result: int | None
     method: str | None = None
+    readings: object = None
 
 
 @dataclass(frozen=True, eq=False)

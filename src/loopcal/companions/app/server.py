@@ -17,6 +17,11 @@ from loopcal.companions.app.worker import Command
 from loopcal.errors import InputError
 
 PORT = 8765
+PATIENCE = 150.0
+"""Seconds of which a browser may spend 40 % drawing before its connection counts as lost: a
+figure in space without a graphics processor took 6 s beside one busy process."""
+LEFT = 30.0
+"""Seconds that a page is kept whose browser has gone."""
 
 
 def serve(
@@ -66,7 +71,11 @@ def serve(
     app.config.quasar_config["loadingBar"]["skipHijack"] = True
     for address in ("/", *(f"/{key}" for key in BY_KEY)):
         page = ui.page(
-            address, title=f"loopcal: {path.name}", language="en-US", response_timeout=60.0
+            address,
+            title=f"loopcal: {path.name}",
+            language="en-US",
+            response_timeout=60.0,
+            reconnect_timeout=LEFT,
         )
         page(partial(build, session))
     app.on_shutdown(session.worker.cancel)
@@ -76,7 +85,7 @@ def serve(
         dark=None,
         show=show and f"/{asked.lstrip('/')}",
         reload=False,
-        reconnect_timeout=30.0,
+        reconnect_timeout=PATIENCE,
         show_welcome_message=False,
     )
     lock.release()

@@ -172,15 +172,17 @@ class Session:
     def _asked_last(self) -> bool:
         """Whether the project as it stands was fitted last, by whatever method."""
         asked = self.refits.asked
-        now = self.folder.text(), self._result_at()
-        return asked is not None and (asked.text, asked.result) == now
+        return asked is not None and asked == self._asked(asked.method)
+
+    def _asked(self, method: str | None) -> Asked:
+        return Asked(self.folder.text() or "", self._result_at(), method, self._readings_at())
 
     def _refit(self, method: str | None) -> None:
-        source, text = self.source(), self.folder.text()
-        if source is None or text is None or source.document.accuracy is None:
+        source = self.source()
+        if source is None or self.folder.text() is None or source.document.accuracy is None:
             return
         ending = Ending.of(source.document, source.table.poses)
-        self.refits.begin(Asked(text, self._result_at(), method), self.folder.project, ending)
+        self.refits.begin(self._asked(method), self.folder.project, ending)
 
     def refit(self) -> Refit | None:
         """The fit of the project as it stands, from where the last result ended.
@@ -303,6 +305,7 @@ class Session:
             deployed=self.deployed(),
             runs=runs,
             outdated=frozenset(c for c, e in runs.items() if self._outdated(c, e)),
+            measured=project is None or project.data is not None,
             unread=self.unread() if project is not None else "",
             waiting=self.waiting(),
             warned=tuple(map(str, loaded.warnings)) if loaded is not None else (),

@@ -30,6 +30,8 @@ class State:
     """The last run of each command."""
     outdated: frozenset[str] = frozenset()
     """Commands whose last run read other files than there are now."""
+    measured: bool = True
+    """Whether the project states readings."""
     unread: str = ""
     """Why the readings cannot be read."""
     waiting: tuple[str, ...] = ()
@@ -42,16 +44,14 @@ Light = Callable[[State], tuple[str, str]]
 """The light of a step, of `LIGHTS`, and why."""
 
 
-def of_result(light_of: Light) -> Light:
-    """A step that shows a result is never better than its verdict, or than its project is new."""
+def never_better(stands: tuple[str, str], state: State) -> tuple[str, str]:
+    """How a step stands that has begun: never better than the verdict on the result, and never
+    good where the project has changed since."""
+    return stands if stands[0] == "none" else max(stands, fit(state), key=_gravity)
 
-    def lit(state: State) -> tuple[str, str]:
-        light, said = light_of(state)
-        if light == "none":
-            return light, said
-        return max((light, said), fit(state), key=lambda one: LIGHTS.index(one[0]))
 
-    return lit
+def _gravity(stands: tuple[str, str]) -> int:
+    return LIGHTS.index(stands[0])
 
 
 def made(what: str) -> Light:
@@ -87,6 +87,8 @@ def data(state: State) -> tuple[str, str]:
     light, said = made("readings")(state)
     if light != "good":
         return light, said
+    if not state.measured:
+        return "none", "no readings yet"
     if state.unread:
         return "bad", state.unread
     if state.waiting:

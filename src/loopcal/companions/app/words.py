@@ -82,7 +82,18 @@ TOO_LARGE = "The file is larger than an upload may be."
 ROBOT_FIRST = "Describe the robot first, in the step Robot."
 STATE_IT = "Links and sheet, where several fit"
 NO_READINGS = "There is no file of readings in the folder yet."
-ROBOT_DONE = "The robot is described by {name}. Go on with the step Data."
+ROBOT_DONE = (
+    "The robot is described by {name}. Go on with the step Data, or with Plan before you measure."
+)
+PLAN_FIRST = "Nothing is measured yet. Begin a project of the robot alone, to choose poses for it."
+PLAN_FROM = "Plan for {name}"
+MEASURED = "{count} of {all} planned poses are measured"
+NEXT_POSE = "Next, pose {pose}: {at}"
+STOP = "Stop here: all poses of the plan are measured. Calibrate in the step Fit."
+MORE_POSES = (
+    "All poses of the plan are measured, but they promise less than the tolerance asks. "
+    "Choose more poses beside them."
+)
 CHANGE_ROBOT = (
     "To describe the robot anew, remove the project: files stay, and History can undo it."
 )

@@ -58,6 +58,8 @@ def urdf_robot(
 
     Raises InputError listing the chains where base and tip are not stated and several fit.
     """
+    if tip is None and not fields:
+        tip = robot_link(path)  # no column says which joints are read
     if base is not None and tip is not None:
         from loopcal.files.machines.urdf import read_urdf
 

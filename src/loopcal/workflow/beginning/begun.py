@@ -1,13 +1,17 @@
-"""A project as `init` understood it, ready to be written."""
+"""A project as `init` understood it, ready to be written; also one before anything is measured."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.files.recognition.robots import Robot
+from loopcal.files.toml.reader import SCHEMA
 from loopcal.files.toml.writer import document
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
@@ -18,6 +22,9 @@ PROJECT, READINGS = "project.toml", "readings.csv"
 JOINTS = {"rad": (50e-6, "urad"), "m": (10e-6, "um")}
 """By unit of joints, a guess of their sd [SI] and the unit in which it is written: an encoder of 17
 bits (2 pi / 2^17 = 48 urad), a linear scale."""
+BEFORE = {"x": 50.0, "y": 0.0, "z": 100.0}
+"""Where a target is taken to sit on the tool [mm] before it is measured: on the axis of the last
+joint its turns could not be seen."""
 HEAD = "Written by loopcal init. Paths are relative to this file; change whatever is wrong."
 
 
@@ -35,7 +42,35 @@ class Begun:
     @property
     def text(self) -> str:
         """Of the project file."""
-        return document(self.tables, (HEAD,), {"data": self.remarks})
+        return document(
+            self.tables, (HEAD,), {"data" if "data" in self.tables else "mechanism": self.remarks}
+        )
+
+
+def before_readings(robot: Robot, folder: Path) -> Begun:
+    """A project without readings, to plan from: a point on the tool, seen by a laser tracker."""
+    robot = robot.apart or robot
+    looking = {"type": "point", "name": "point", "target": "tool", "station": "base"}
+    table = {**robot.table, "instrument": [{**looking, "readings": [*"xyz"]}]}
+    mechanism = mechanism_from_data(dict(table), str(folder / PROJECT))
+    lengths = {n: {"value": 1e3 * v, "unit": "mm"} for n, v in robot.lengths.items()}
+    tool = {f"tool_{k}": {"value": v, "unit": "mm", "sd": 200.0} for k, v in BEFORE.items()}
+    joints = {q: mechanism.quantities[q] for q in mechanism.joints}
+    tables = {
+        "schema": SCHEMA,
+        "title": Path(str(table.get("file", table["type"]))).stem,
+        "mechanism": {**table, "parameters": {**lengths, **tool}},
+        "noise": {**joint_noise(joints), "x,y,z": {"sd": 15.0, "unit": "um", "estimate": "group"}},
+    }
+    remarks = (
+        *robot.remarks,
+        "target on the tool, sds of the joints and of a laser tracker (x, y, z): guesses; write "
+        "what you will measure with",
+    )
+    words = f"{len(joints)} joints, no readings yet: choose the poses to measure"
+    # A dataset has a pose: that of all joints at zero.
+    zero = Dataset.from_arrays({q: np.zeros(1) for q in joints}, units=joints, poses=("zero",))
+    return Begun(tables, {}, remarks, zero, words)
 
 
 def drawn(mechanism: Mechanism, length: float, twist: float, zero: float) -> dict[str, Any]:

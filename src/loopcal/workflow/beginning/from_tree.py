@@ -352,7 +352,7 @@ def _sitting(
         if one.table["type"] == "contact":
             bodies[one.table.get("centre", f"{one.name}_2")] = family.against
             target = target or f"{one.name}_1"
-        if target and _drawn_there(mechanism, family, readings):
+        if target and _as_drawn(mechanism, family, readings):
             bodies[target] = family.on
     entries: dict[str, Any] = {}
     words = []
@@ -370,7 +370,7 @@ def _sitting(
     return entries, tuple(words)
 
 
-def _drawn_there(mechanism: Mechanism, family: Family, readings: Mapping[str, Array]) -> bool:
+def _as_drawn(mechanism: Mechanism, family: Family, readings: Mapping[str, Array]) -> bool:
     """Whether measured points do not deny that the target is at the origin of its body."""
     if family.form != "point" or len(family.readings) != 3:
         return True

@@ -54,7 +54,7 @@ from loopcal.statistics.check import ORDERED, check
 from loopcal.statistics.wrong_corners import wrong_corners
 from loopcal.units import from_si
 from loopcal.workflow.beginning.aligning import aligned
-from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun
+from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, before_readings
 from loopcal.workflow.beginning.counts import counted
 from loopcal.workflow.beginning.delays import Delay, delays
 from loopcal.workflow.beginning.from_images import CORNERS, WRONG, from_images
@@ -145,7 +145,7 @@ class InitialProject:
     def command(self) -> str:
         """What to type next."""
         project = self.written[0].as_posix() if self.written else PROJECT
-        return f"loopcal calibrate {quote(project)}"
+        return f"loopcal {'calibrate' if self.inputs.get('data') else 'plan'} {quote(project)}"
 
     def __str__(self) -> str:
         parts = [self.words, ""] if self.words else self._first_rows()
@@ -222,9 +222,10 @@ def init(
     or by row order. One of urdf, dh (a table a, d, alpha, theta) and machine (a type with nominal
     values) describes the robot; base, tip: links of the URDF, by default the only ones that fit.
     Units, orders and directions that no header states are those with which the placed nominal
-    machine fits clearly best. out: the folder to write into, by default none; sheet: of a workbook,
-    or the variable of a MATLAB file, by default the one with by far the most numbers. joints: the
-    columns of the joints in the machine's order, as "J1,-J2,J3+J2,J4*0.001" where they count
+    machine fits clearly best. Without readings it is a project to plan from. out: the folder to
+    write into, by default none; sheet: of a workbook, or the variable of a MATLAB file, by default
+    the one with by far the most numbers. joints: the columns of the joints in the machine's order,
+    as "J1,-J2,J3+J2,J4*0.001" where they count
     otherwise; leave_out: columns that take no part, as "*_soll,v*".
 
     Raises InputError where something remains open, with what is possible, and where files are in
@@ -243,9 +244,12 @@ def initial_project(
     ask: Ask | None = None,
 ) -> InitialProject:
     """`init`, where a user can be asked what remains open."""
-    if not readings:
-        raise UsageError("no readings are named", remedy="name one or several files of readings")
     folder = Path() if out is None else Path(out)
+    if not readings:
+        if out is not None:
+            refuse_foreign(folder / PROJECT)
+        begun = before_readings(_described(robot, folder, ()), folder)
+        return _kept(begun, folder, write=out is not None)
     if robot.observe:
         if out is not None:
             refuse_foreign(*(folder / name for name in (PROJECT, READINGS)))

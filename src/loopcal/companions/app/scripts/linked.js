@@ -194,3 +194,12 @@ const linked = {
 };
 
 addEventListener("pointerdown", (event) => (linked.shift = event.shiftKey), true);
+
+/* A figure that left the page would draw on, in space with every frame of the screen. */
+new MutationObserver((changes) => {
+  const gone = changes.flatMap((change) => [...change.removedNodes]).filter((node) => node.querySelectorAll);
+  const figures = gone.flatMap((node) => [node, ...node.querySelectorAll(".js-plotly-plot")]);
+  for (const figure of figures)
+    if (figure.classList.contains("js-plotly-plot") && !figure.isConnected)
+      linked.plotly((Plotly) => Plotly.purge(figure));
+}).observe(document, { childList: true, subtree: true });

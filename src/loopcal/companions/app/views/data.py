@@ -39,6 +39,9 @@ def show(view: View) -> None:
         else:
             _recognise(view)
         return
+    if project.data is None:
+        _recognise(view)
+        return
     _waiting(view, project)
     unread = view.session.unread()
     if unread:
@@ -95,11 +98,14 @@ def _recognise(view: View) -> None:
         for option, label in options:
             text(view, f"read.{option}", label)
 
+    # One to plan from: a copy of it is kept.
+    replaced = [] if view.session.project() is None else ["--force"]
+
     def line() -> list[str]:
         names = [name for name in files if view.kept[f"read.{name}"]]
         stated = [(option, str(view.kept[f"read.{option}"] or "").strip()) for option, _ in options]
         more = [part for option, said in stated if said for part in (f"--{option}", said)]
-        return ["init", *names, f"--{kind}", str(value), *more, "--out", "."]
+        return ["init", *names, f"--{kind}", str(value), *more, "--out", ".", *replaced]
 
     offer(view, words.RECOGNISE, line, what=words.RECOGNISE_READINGS)
 

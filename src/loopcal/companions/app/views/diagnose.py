@@ -10,10 +10,11 @@ from nicegui import ui
 from loopcal.companions.app import words
 from loopcal.companions.app.beside import left_out, without_changes
 from loopcal.companions.app.cards import begins
+from loopcal.companions.app.controls import offer
 from loopcal.companions.app.pictures import Errors, Framed
-from loopcal.companions.app.view import Part, View, heading, stale
+from loopcal.companions.app.view import Part, View, stale
 from loopcal.companions.app.views.findings import offer_findings
-from loopcal.companions.app.views.fit import offer_fit
+from loopcal.companions.app.views.fit import fit_line
 from loopcal.companions.app.views.linked import OVER_POSES, Linked, offer_selection
 
 IN_SPACE = "error in space"
@@ -148,8 +149,13 @@ def _again(linked: Linked) -> None:
     """Undo, and fit again."""
     view, session = linked.view, linked.view.session
     view.part(lambda: len(session.folder.log().entries), partial(_undo, view))
-    heading(words.FIT_AGAIN)
-    offer_fit(view)
+    view.part(lambda: session.stale, partial(_fit_again, view))
+
+
+def _fit_again(view: View) -> None:
+    """Offered where the result is not of the project as it stands."""
+    if view.session.stale:
+        offer(view, words.FIT_AGAIN, lambda: fit_line(view), what=words.CALIBRATE)
 
 
 def _undo(view: View) -> None:

@@ -30,7 +30,7 @@ def show(view: View) -> None:
     if view.session.project() is None:
         ui.label(view.session.objection() or words.NO_PROJECT).classes("printed")
         return
-    offer_fit(view)
+    _offer_fit(view)
     _tolerance(view)
     source = view.session.source()
     if source is None:
@@ -62,21 +62,22 @@ def _provisional(refit: Refit | None, document: ResultDocument) -> None:
         heading(words.LAST_RESULT)
 
 
-def offer_fit(view: View, label: str = words.CALIBRATE) -> None:
-    """The button that calibrates, with method and validation; one choice for all steps."""
+def _offer_fit(view: View) -> None:
+    """The button that calibrates, with method and validation."""
     with ui.row().classes("items-end"):
         named = {name: _labelled(name) for name in METHODS}
         choice(view, "fit.method", words.METHOD, {"": words.AS_STATED, **named})
         choice(view, "fit.folds", words.VALIDATE_ON, words.FOLDS)
+    offer(view, words.CALIBRATE, lambda: fit_line(view))
 
-    def line() -> Sequence[str]:
-        asked = ["calibrate", view.project_name()]
-        for name, option in (("fit.method", "--method"), ("fit.folds", "--folds")):
-            if view.kept[name]:
-                asked += [option, str(view.kept[name])]
-        return asked
 
-    offer(view, label, line, what=words.CALIBRATE)
+def fit_line(view: View) -> Sequence[str]:
+    """The calibration by the method and validation that the step Fit says."""
+    asked = ["calibrate", view.project_name()]
+    for name, option in (("fit.method", "--method"), ("fit.folds", "--folds")):
+        if view.kept.get(name):
+            asked += [option, str(view.kept[name])]
+    return asked
 
 
 def _tolerance(view: View) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from loopcal.companions.app import words
@@ -30,15 +31,19 @@ from loopcal.files.project.project_file import Project
 from loopcal.files.tables.registry import BY_ENDING
 from loopcal.mechanisms.limits import Limit, joint_limits
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
+from loopcal.units import to_si
 
 OLD, ENDS = "", tuple(BY_ENDING)
+APPROACHED = 0.02
+"""A planned pose is measured where each joint was read so near [rad or m]: controllers stop nearer,
+and poses of a plan lie farther apart."""
 
 
 def show(view: View) -> None:
     """The step."""
     project = view.session.project()
     if project is None:
-        ui.label(view.session.objection() or words.NO_PROJECT).classes("printed")
+        _begin(view)
         return
     tables = {name: name for name in view.files(ENDS)}
     measured = {OLD: "none"}
@@ -67,6 +72,18 @@ def show(view: View) -> None:
 
     offer(view, words.CHOOSE_POSES, line)
     _planned(view, project)
+
+
+def _begin(view: View) -> None:
+    """Before anything is measured: a project of the robot alone."""
+    kind, value = view.session.robot()
+    objection = view.session.objection()
+    if objection is not None or not (kind and value):
+        ui.label(objection or words.NO_PROJECT).classes("printed")
+        return
+    ui.label(words.PLAN_FIRST)
+    line = ("init", f"--{kind}", str(value), "--out", ".")
+    offer(view, words.PLAN_FROM.format(name=value), lambda: line)
 
 
 def _ranges(view: View, project: Project) -> None:
@@ -134,6 +151,7 @@ def _planned(view: View, project: Project) -> None:
         for name in folder.inside_of(folder.plan.name):
             if name.endswith(tuple(WRITTEN)):
                 download(f"{folder.plan.name}/{name}", words.DOWNLOAD.format(name=name))
+    _measured(view, project, document)
     _drawn(view, project, [pose["readings"] for pose in poses])
     units = {**project.mechanism.quantities, **project.mechanism.pose_constants}
     names = [name for name in poses[0]["readings"] if name in units] if poses else []
@@ -144,6 +162,34 @@ def _planned(view: View, project: Project) -> None:
         for i, pose in enumerate(poses, 1)
     ]
     table(head, rows)
+
+
+def _measured(view: View, project: Project, document: Mapping[str, Any]) -> None:
+    """While the file of readings grows: which planned pose is next, or whether they do."""
+    data, poses = view.session.every_pose(), document["poses"]
+    joints = joints_of(project.mechanism)
+    if data is None or not poses or not {*joints} <= {*data.readings} & {*poses[0]["readings"]}:
+        return
+    read = np.column_stack([data[q] for q in joints])
+    asked = np.array([[pose["readings"][q] for q in joints] for pose in poses])
+    done = np.zeros(len(asked), dtype=bool)
+    for i, at in enumerate(asked):  # a pose that is repeated needs as many readings
+        near = np.flatnonzero(np.abs(read - at).max(axis=1) < APPROACHED)
+        done[i] = len(near) > 0
+        read = np.delete(read, near[:1], axis=0)
+    heading(words.MEASURED.format(count=int(done.sum()), all=len(poses)))
+    if done.all():
+        demand = (project.inputs.get("verdict") or {}).get("tolerance")
+        most = to_si(demand["value"], demand["unit"]) if isinstance(demand, dict) else np.inf
+        sd = document["expected"][-1]["end_point"] if document["expected"] else None
+        ui.label(words.STOP if sd is None or sd <= most else words.MORE_POSES)
+        return
+    pose = poses[int(np.argmin(done))]
+    units = project.mechanism.quantities
+    joint_words = ", ".join(
+        f"{q} {in_unit(pose['readings'][q], units[q]):z.2f} {unit_shown(units[q])}" for q in joints
+    )
+    ui.label(words.NEXT_POSE.format(pose=pose["pose"], at=joint_words)).classes("text-subtitle1")
 
 
 def _drawn(view: View, project: Project, poses: Sequence[dict[str, float]]) -> None:
