@@ -48,11 +48,12 @@ class Begin:
 
     @classmethod
     def of(cls, whole: FitResult, mechanism: Mechanism) -> Begin:
-        """Of the parameters that this mechanism has."""
+        """Of the parameters that this mechanism has; what it alone holds begins as stated."""
         names = mechanism.parameters.names
         parameters = whole.mechanism.parameters
+        held = {p.name for p in mechanism.parameters if p.fixed} & {*parameters.free}
         return cls(
-            {name: value for name, value in whole.value.items() if name in names},
+            {n: value for n, value in whole.value.items() if n in names and n not in held},
             {p.name: p.nominal for p in parameters if p.name in names},
         )
 
@@ -208,6 +209,14 @@ def without_terms(case: Case, one: Entrant, terms: Collection[str]) -> Entrant |
     if len(fewer.terms) == len(made.terms):
         return None
     return replace(one, case=replace(one.case, mechanism=fewer))
+
+
+def holding(one: Entrant, names: Collection[str]) -> Entrant:
+    """A candidate that holds these parameters as stated."""
+    case = one.case
+    mechanism = case.fit.with_prior(case.mechanism)
+    mechanism = mechanism.with_parameters(mechanism.parameters.with_fixed(names))
+    return replace(one, case=replace(case, mechanism=mechanism, fit=case.fit.changed(prior=None)))
 
 
 def nominal_case(case: Case, moved: Collection[str] = ()) -> Case:

@@ -7,7 +7,8 @@ parts: poses at random, and regions of the joint space. The risk of a candidate 
 squared distance there, averaged over both ways to leave the pose out; without outputs it is minus
 twice the log density of its loops.
 
-Of structured candidates those terms leave whose gain is not positive. The one of least risk is
+Of structured candidates those terms leave whose gain is not positive; of calibrations by images
+those further terms of lens and print without which images are predicted as well. The one of least risk is
 taken, but one that takes no sensor as exact where that is within one paired standard error of it,
 and with only its certain terms where these are. It is taken, or without one the first method,
 unless another is
@@ -38,8 +39,9 @@ from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import helping, process_cores
+from loopcal.mechanisms.instruments.camera import further_terms
 from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
-from loopcal.statistics.case import Case, Entrant, entrants
+from loopcal.statistics.case import Case, Entrant, entrants, holding
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.culprits import culprits
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
@@ -50,6 +52,7 @@ from loopcal.statistics.judged import Judged, begun, fitted, lean
 from loopcal.statistics.noise_floor import excess, noise_floor
 from loopcal.statistics.risks import (
     beats,
+    explains_as_well,
     mean_risk,
     predicts_as_well,
     risk_of,
@@ -145,6 +148,7 @@ def choose(
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
         judged = _with_fewer(case, judged, plan, executor, progress)
+        judged = _without_further(judged, plan, len(case.data), executor)
         judged = _refitted(judged, plan, len(case.data), executor)
     taken, chosen, validation = _choice(judged, plan, len(case.data))
     about_images: dict[str, Any] = {}
@@ -291,6 +295,29 @@ def _with_fewer(
     if fewer.failed or not predicts_as_well(risk, risks[taken.name], plan):
         return [*judged]
     return [fewer if one is taken else one for one in judged]
+
+
+def _without_further(
+    judged: Sequence[Judged], plan: Plan, poses: int, executor: Executor | None
+) -> list[Judged]:
+    """The calibration of images that would be taken, where each group of terms of lens and print
+    is held as stated without which it predicts as well: within one paired standard error."""
+    able = [one for one in judged if one.made and not one.entrant.drawn]
+    if not able:
+        return [*judged]
+    taken = first = _taken(able, {one.name: risk_of(one, plan, poses) for one in able}, plan)
+    for names in further_terms(taken.entrant.case.mechanism.parameters):
+        fewer = fitted(begun(holding(taken.entrant, names), taken.whole))
+        if fewer.failed:
+            continue
+        (fewer,) = _validated([fewer], plan, executor, None)
+        if (
+            fewer.made
+            and predicts_as_well(*(risk_of(j, plan, poses) for j in (fewer, taken)), plan)
+            and explains_as_well(fewer, taken, plan, poses)
+        ):
+            taken = fewer
+    return [taken if one is first else one for one in judged]
 
 
 def _refitted(
