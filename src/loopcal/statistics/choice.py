@@ -8,9 +8,9 @@ squared distance there, averaged over both ways to leave the pose out; without o
 twice the log density of its loops.
 
 Of structured candidates those terms leave whose gain is not positive; of calibrations by images
-those further terms of lens and print without which images are predicted as well. The one of least risk is
-taken, but one that takes no sensor as exact where that is within one paired standard error of it,
-and with only its certain terms where these are. It is taken, or without one the first method,
+those further terms of lens and print without which images are predicted as well, and as likely. The
+one of least risk is taken, but one that takes no sensor as exact where that is within one paired
+standard error of it, and with only its certain terms where these are. It is taken, or without one the first method,
 unless another is
 significantly better: lower in both, by more than the 97.5 % point of Student's t times the standard
 error of the mean difference. Errors in one region are not independent, so regions are the units of
@@ -301,7 +301,8 @@ def _without_further(
     judged: Sequence[Judged], plan: Plan, poses: int, executor: Executor | None
 ) -> list[Judged]:
     """The calibration of images that would be taken, where each group of terms of lens and print
-    is held as stated without which it predicts as well: within one paired standard error."""
+    is held as stated without which it predicts as well and loops are as likely: each within one
+    paired standard error."""
     able = [one for one in judged if one.made and not one.entrant.drawn]
     if not able:
         return [*judged]
@@ -311,11 +312,11 @@ def _without_further(
         if fewer.failed:
             continue
         (fewer,) = _validated([fewer], plan, executor, None)
-        if (
-            fewer.made
-            and predicts_as_well(*(risk_of(j, plan, poses) for j in (fewer, taken)), plan)
-            and explains_as_well(fewer, taken, plan, poses)
-        ):
+        if not fewer.made:
+            continue
+        risk, base = (risk_of(one, plan, poses) for one in (fewer, taken))
+        alike = predicts_as_well(risk, base, plan)
+        if alike and explains_as_well(fewer, taken, plan, poses):
             taken = fewer
     return [taken if one is first else one for one in judged]
 

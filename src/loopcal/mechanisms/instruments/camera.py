@@ -277,7 +277,8 @@ def further_terms(parameters: Parameters) -> tuple[tuple[str, ...], ...]:
     keys = {
         p.name: p.name.removeprefix(f"{p.owner}_")
         for p in parameters
-        if not p.fixed and (p.role == "print" or p.role == "lens" and not p.name.endswith("_aspect"))
+        if not p.fixed
+        and (p.role == "print" or (p.role == "lens" and not p.name.endswith("_aspect")))
     }
     groups = (tuple(name for name, key in keys.items() if key in group) for group in FURTHER)
     return tuple(group for group in groups if group)
