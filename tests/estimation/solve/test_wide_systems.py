@@ -42,7 +42,7 @@ def by_singular_values(
 def test_a_damped_step_is_that_of_singular_values(damping: float) -> None:
     system = spectrum(gathered(equations(), 50), np.zeros(N), np.full(N, np.inf))
     after = np.random.default_rng(1).normal(size=N)
-    step, fall = by_singular_values(system, damping, after)
+    step, _ = by_singular_values(system, damping, after)
     scaled = (system.step(damping, after=after) - step) / system.scale
     assert np.linalg.norm(scaled) < 1e-6 * np.linalg.norm(step / system.scale)
     assert system.predicted(damping) == pytest.approx(
