@@ -12,11 +12,11 @@ those further terms of lens and print without which images are predicted as well
 one of least risk is taken, but one that takes no sensor as exact where that is within one paired
 standard error of it, and with only its certain terms where these are. It is taken, or without one
 the first method, unless another is significantly better: lower in both, by more than the 97.5 %
-point of Student's t times the standard error of the mean difference. Errors in one region are not independent, so regions are the units of
-the second; the units of the first are poses. Against a structured candidate both must be
-significant, because poses of a narrow set cannot show what its prior is good for elsewhere; between
-plain methods one is enough. What another candidate beats by the rule of the verdict
-(`loopcal.document.choice.beats`) is never taken.
+point of Student's t times the standard error of the mean difference. Errors in one region are not
+independent, so regions are the units of the second; the units of the first are poses. Against a
+structured candidate both must be significant, because poses of a narrow set cannot show what its
+prior is good for elsewhere; between plain methods one is enough. What another candidate beats by
+the rule of the verdict (`loopcal.document.choice.beats`) is never taken.
 """
 
 from __future__ import annotations
