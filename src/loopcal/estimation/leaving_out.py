@@ -186,7 +186,7 @@ class LeavingOut:
             if self.sensors is None:
                 ratios = ratios * terms.at.factor
                 # The sums are whitened at the fit's sds; larger noise weighs them less.
-                rest.total /= terms.at.factor
+                rest.divide(terms.at.factor)
         system = spectrum(rest, offset, begun_with(problem, scales).unknowns.prior_sd)
         if self.sensors is not None:
             sensors = self.sensors.less(_SensorSums.of(whole, index))

@@ -51,17 +51,17 @@ class Course:
     def accepted(self, system: Spectrum, move: Array, gain: float) -> Course:
         """After a move that changed the merit by a share of what was predicted."""
         if gain < _POOR:
-            damping = max(2.0 * self.damping, 0.1 * _weakest(system))
+            damping = max(2.0 * self.damping, 0.1 * system.weakest)
         else:
             damping = self.damping / (10.0 if gain > _GOOD else 3.0)
             # It then shortens no step by more than a thousandth, and without it a step costs less.
-            damping = damping if damping and damping > 1e-3 * _weakest(system) else 0.0
+            damping = damping if damping and damping > 1e-3 * system.weakest else 0.0
         return Course(damping, recent=remembered(self.recent, system.step(), move))
 
     def rejected(self, system: Spectrum) -> Course:
         """After a step that was not taken."""
         # A tenth of the weakest s^2 is the least that counts: s^2 / (s^2 + damping) = 0.91 there.
-        damping = max(self.raised * self.damping, 0.1 * _weakest(system))
+        damping = max(self.raised * self.damping, 0.1 * system.weakest)
         raised = min(self.raised * _RAISED, _RAISED_MOST)
         return replace(self, damping=damping, raised=raised)
 
@@ -72,10 +72,6 @@ class Course:
     def returned(self) -> Course:
         """Back at the lowest point."""
         return Course(self.damping if self.damping < MOST_DAMPING else 0.0)
-
-
-def _weakest(system: Spectrum) -> float:
-    return float(np.square(system.singular_values[system.kept].min(initial=1.0)))
 
 
 # docs/decisions/0002.

@@ -230,7 +230,7 @@ def iterate_undamped(
         iteration += 1
         offset = problem.nominal - parameters[problem.free]
         data, steps, proposals = _linearised(sweeper, parameters, corrections)
-        if not np.all(np.isfinite(data.total)):
+        if not data.finite:
             if iteration == 1:
                 raise outside_domain(problem, parameters)
             reason, (parameters, corrections) = "diverged", before

@@ -8,7 +8,6 @@ does not look into: the corrections of poses in memory, or nothing at all for a 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -80,8 +79,7 @@ class Evaluation(Generic[State]):
     @property
     def finite(self) -> bool:
         """Whether every loop could be evaluated."""
-        total = self.data.total
-        return math.isfinite(total.sum()) or bool(np.isfinite(total).all())
+        return self.data.finite
 
 
 def without_state(evaluation: Evaluation[Any]) -> Evaluation[None]:

@@ -7,6 +7,7 @@ scaled condition number is large. Both end as the same spectrum.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -35,6 +36,11 @@ WEAK = 1e-6
 _VANISHED, _LOOSE = 1e-4, 1e-2
 """A parameter whose effect on the loops shrinks to this share of what it was has run away, unless
 data and prior still determine it."""
+WAITING = 4
+"""Rows wait until they are so many times the parameters: a decomposition costs by what it is
+stacked on, too, and of many small ones most would be that."""
+DAMPED, _ROUNDS = 1e-9, 8
+"""Squares of singular values of unit columns are right to some n eps: far below this."""
 LARGE = 100
 """From so many parameters on SciPy's linear algebra makes up for loading it."""
 # Normal equations square it: 1e8 leaves about eight of the sixteen digits of a double
@@ -56,26 +62,51 @@ class Accumulator:
     def __init__(self, parameters: int, triangular: bool, units: Sequence[str] = ()) -> None:
         self.triangular, self.units = triangular, tuple(units)
         size = parameters + 1
-        self.total = np.zeros((size, size))
+        self._total = np.zeros((size, size))
+        self._rows: list[Array] = []
+        self._reduced = False
 
     def add(self, rows: Array) -> None:
         """Add a block's equations, (n + 1, r, b): the columns of D, last E."""
         rows = rows.reshape(len(rows), -1)
-        if self.triangular:
-            self.total = _triangle(self.total, rows.T)
-        else:
-            self.total += rows @ rows.T
+        if not self.triangular:
+            self._total += rows @ rows.T
+            return
+        self._rows.append(rows.T.copy())
+        if sum(len(block) for block in self._rows) >= WAITING * len(self._total):
+            self._reduce()
 
     def add_total(self, total: Array) -> None:
         """Add a block's equations, their products already summed over loops and poses."""
-        self.total += total
+        self._total += total
 
     def add_other(self, other: Accumulator) -> None:
         """Add what another accumulator of the same kind has gathered."""
         if self.triangular:
-            self.total = _triangle(self.total, other.total)
+            self._rows.append(other.total)
+            self._reduce()
         else:
-            self.total += other.total
+            self._total += other.total
+
+    def divide(self, factor: float) -> None:
+        """Divide the variances of all equations by a factor, if these are summed."""
+        assert not self.triangular
+        self._total /= factor
+
+    def _reduce(self) -> None:
+        self._total, self._rows, self._reduced = _triangle(*self.blocks), [], True
+
+    @property
+    def total(self) -> Array:
+        """Of all equations the normal ones, or the triangle of D with E, (n + 1, n + 1)."""
+        if self._rows:
+            self._reduce()
+        return self._total
+
+    @property
+    def blocks(self) -> list[Array]:
+        """Rows of n + 1 columns whose products add up to those of all equations."""
+        return [self._total, *self._rows] if self._reduced or not self._rows else self._rows
 
     @property
     def products(self) -> Array:
@@ -83,16 +114,32 @@ class Accumulator:
         return self.total.T @ self.total if self.triangular else self.total
 
     @property
+    def squares(self) -> Array:
+        """Squares of the columns of D and of E, summed over all equations, (n + 1,)."""
+        if not self.triangular:
+            return np.diag(self._total)
+        return np.asarray(sum(np.square(block).sum(axis=0) for block in self.blocks))
+
+    @property
     def lengths(self) -> Array:
         """Lengths of the columns of D, (n,): the effect of each parameter in sds per unit [SI]."""
-        squares = np.square(self.total).sum(axis=0) if self.triangular else np.diag(self.total)
-        return np.asarray(np.sqrt(squares[:-1]))
+        return np.asarray(np.sqrt(self.squares[:-1]))
 
     @property
     def chi_squared(self) -> float:
         """|E|^2 over all poses."""
-        last = self.total[:, -1]
-        return float(last @ last) if self.triangular else float(last[-1])
+        return (
+            float(sum(block[:, -1] @ block[:, -1] for block in self.blocks))
+            if self.triangular
+            else float(self._total[-1, -1])
+        )
+
+    @property
+    def finite(self) -> bool:
+        """Whether no equation has a number missing."""
+        sums = self.squares if self.triangular else self._total
+        # what is too large for its square is a number all the same
+        return math.isfinite(sums.sum()) or all(np.isfinite(b).all() for b in self.blocks)
 
 
 @dataclass(frozen=True)
@@ -111,6 +158,11 @@ class Summed:
 
     matrix: Array
     gradient: Array
+
+    @property
+    def normal(self) -> Array:
+        """The matrix of the normal equations, (n, n)."""
+        return self.matrix
 
     def times(self, z: Array) -> Array:
         """The matrix of the normal equations times scaled steps, (n,) or (n, h)."""
@@ -181,6 +233,16 @@ class Stacked:
 
     matrix: Array
     right: Array
+
+    @property
+    def gradient(self) -> Array:
+        """The right-hand side of the normal equations, (n,)."""
+        return np.asarray(self.matrix.T @ self.right)
+
+    @cached_property
+    def normal(self) -> Array:
+        """The matrix of the normal equations, (n, n)."""
+        return np.asarray(self.matrix.T @ self.matrix)
 
     def times(self, z: Array) -> Array:
         """The matrix of the normal equations times scaled steps, (n,) or (n, h)."""
@@ -286,6 +348,11 @@ class Spectrum:
         if not damping and self._solution is not None:
             full: Array = self.scale * self._solution
             return full
+        if self._summed_up(damping):
+            led = np.zeros(len(self.scale)) if after is None else after / self.scale
+            return np.asarray(
+                self.scale * self._damped(damping, self.equations.gradient - damping * led)
+            )
         s = self.singular_values
         right = s * self.components
         if after is not None:
@@ -300,10 +367,54 @@ class Spectrum:
         """How much of chi-squared that step is predicted to remove."""
         if not damping:
             return self.decrement
+        if self._summed_up(damping):
+            # |E - D dp|^2 falls by z . g + damping |z|^2, because (N + damping) z = g.
+            z = self._damped(damping, self.equations.gradient)
+            return float(z @ self.equations.gradient + damping * (z @ z))
         s2 = np.square(self.singular_values)
         # c^2 - (c - s z)^2 with z = s c / (s^2 + damping), along each direction.
         share = 1.0 - np.square(damping / np.maximum(s2 + damping, 1e-300))
         return float(share @ np.square(self.components))
+
+    @cached_property
+    def weakest(self) -> float:
+        """The square of the least singular value of a determined direction, 1 at most."""
+        if not self._summed_up(np.inf):
+            return float(np.square(self.singular_values[self.kept].min(initial=1.0)))
+        # By inverse iteration; what damping asks of it is its size.
+        z, length = np.ones(len(self.scale)), 1.0
+        for _ in range(_ROUNDS):
+            z = self._damped(0.0, z / np.linalg.norm(z))
+            length = float(np.linalg.norm(z))
+        return min(1.0 / length, 1.0)
+
+    def _summed_up(self, damping: float) -> bool:
+        """Whether normal equations serve for a damped step: in a tenth of the time that singular
+        values take, where the damping is above what rounding leaves of their squares."""
+        wide = len(self.scale) >= LARGE and damping >= DAMPED
+        return wide and self._solution is not None and self._factor(0.0) is not None
+
+    def _damped(self, damping: float, right: Array) -> Array:
+        """(N + damping)^-1 right, N the matrix of the normal equations."""
+        from scipy.linalg.lapack import dpotrs
+
+        factor = self._factor(damping)
+        assert factor is not None
+        return np.asarray(dpotrs(factor, right, lower=1)[0], dtype=np.float64)
+
+    def _factor(self, damping: float) -> Array | None:
+        """The Cholesky factor of N + damping; None where rounding leaves none."""
+        if damping not in self._factors:
+            from scipy.linalg.lapack import dpotrf
+
+            shifted = self.equations.normal + damping * np.eye(len(self.scale))
+            factor, failed = dpotrf(shifted, lower=1, overwrite_a=1)
+            self._factors[damping] = None if failed else factor
+        return self._factors[damping]
+
+    @cached_property
+    def _factors(self) -> dict[float, Array | None]:
+        return {}
 
     @cached_property
     def root(self) -> Array:
@@ -325,7 +436,7 @@ def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
     stated = bool(precision.any())
     prior_misfit = np.where(precision, offset, 0.0) * precision if stated else precision
     if data.triangular:
-        R = _triangle(data.total, np.column_stack([np.diag(precision), prior_misfit]))
+        R = _triangle(*data.blocks, np.column_stack([np.diag(precision), prior_misfit]))
         scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)), data.units)
         return Spectrum(scale, Stacked(R[:n, :n] * scale, R[:n, n]))
     H, g = data.total[:n, :n], data.total[:n, n]
@@ -341,9 +452,11 @@ def _kept(s: Array, tolerance: float) -> NDArray[np.bool_]:
     return kept
 
 
-def _triangle(above: Array, below: Array) -> Array:
-    """R of the QR decomposition of two stacked blocks of rows."""
-    return np.asarray(np.linalg.qr(np.vstack([above, below]), mode="r"), dtype=np.float64)
+def _triangle(*blocks: Array) -> Array:
+    """R of the QR decomposition of stacked blocks of rows, square."""
+    R = np.asarray(np.linalg.qr(np.vstack(blocks), mode="r"), dtype=np.float64)
+    missing = R.shape[1] - len(R)
+    return np.vstack([R, np.zeros((missing, R.shape[1]))]) if missing else R
 
 
 def _scale(lengths: Array, units: tuple[str, ...]) -> Array:
