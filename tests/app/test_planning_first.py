@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from loopcal.companions.app import words
 from tests.app.pointing import Hand, new_page
 from tests.app.serving import Served
 from tests.command_line import run_here
@@ -41,17 +42,18 @@ def test_from_a_urdf_alone_to_a_plan_that_follows_a_growing_file(
     hand.step("Plan")
     hand.run("Plan for arm.urdf")
     hand.sees("Poses to measure")
+    with (folder / "project.toml").open("a", encoding="utf-8") as file:
+        file.write("[plan]\ncandidates = 100\nrepeats = false\n")
     page.get_by_label("Poses to measure").fill(str(POSES))
     hand.run("Choose poses")
     hand.sees("Download plan.csv")
     measured(folder, 9)
-    hand.step("Data")
-    hand.run("Recognise")
-    hand.sees("9 poses")
-    hand.step("Plan")
-    hand.sees(f"9 of {POSES + 2} planned poses are measured")
-    measured(folder, POSES + 2)
+    line = ("init", "live.csv", "--urdf", "arm.urdf", "--out", ".", "--force")
+    assert run_here(*line, cwd=folder).returncode == 0
+    hand.sees(f"9 of {POSES} planned poses are measured")
+    measured(folder, POSES)
     hand.sees("Stop here")
+    assert not page.get_by_text(words.OUTDATED).count()
     page.close()
     assert "[data]" in (folder / "project.toml").read_text("utf-8")
     assert "[data]" not in (folder / "project.toml.bak").read_text("utf-8")

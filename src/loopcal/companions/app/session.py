@@ -31,6 +31,7 @@ from loopcal.files.project.stream import load_sample
 from loopcal.files.recognition.dh_table import read_dh
 from loopcal.files.tables.registry import BY_ENDING as READERS
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.report.source import Source, read_source
 from loopcal.statistics.changes import COLUMN, ids_are_numbers
 from loopcal.statistics.continued import Ending
@@ -312,14 +313,17 @@ class Session:
         )
 
     def read_by(self, command: str) -> str:
-        """A digest of what a command reads: the project with its readings, or the result."""
+        """A digest of what a command reads: the project, with its readings unless they are only
+        planned, or the result."""
+        project, times = self.project(), self._times()
         if command not in ("check", "plan", "calibrate"):
             return str(self._result_at())
-        project, times = self.project(), self._times()
-        inputs = {} if project is None else project.inputs
-        counted = {**_that_count(inputs), "plan": inputs.get("plan") if command == "plan" else None}
-        files = () if project is None or project.data is None else _files(project.data)
-        at = [counted, [times.get(file) for file in files]]
+        at: Any = None
+        if project is not None and command == "plan":
+            at = _planned_for(project)
+        elif project is not None:
+            files = () if project.data is None else _files(project.data)
+            at = [_that_count(project.inputs), [times.get(file) for file in files]]
         return sha256(json.dumps(at, sort_keys=True, default=str).encode()).hexdigest()
 
     def _outdated(self, command: str, entry: Entry) -> bool:
@@ -518,6 +522,15 @@ def _files(data: DataTable) -> tuple[str, ...]:
 def _that_count(inputs: Mapping[str, Any]) -> dict[str, Any]:
     """What a calibration follows from."""
     return {key: value for key, value in inputs.items() if key not in ("record", "title", "plan")}
+
+
+def _planned_for(project: Project) -> list[Any]:
+    """What a plan follows from: the machine, what sees it, and where. Readings of the plan itself
+    change neither; they may change guesses of how the target sits and how uncertain it is read."""
+    machine = project.mechanism
+    drawn = {p.name: p.nominal for p in machine.parameters if p.role in GEOMETRY}
+    verdict = project.inputs.get("verdict") or {}
+    return [machine.quantities, drawn, project.inputs.get("plan"), verdict.get("region")]
 
 
 def _absolute(function: str) -> str:

@@ -311,6 +311,18 @@ def _table_of(path: str) -> dict[str, Any]:
     return {**table, "parameters": kept} if kept else table
 
 
+def by_hand(kind: str, why: str, then: str) -> InputError:
+    """The refusal of a machine whose project a template begins."""
+    refusal = InputError(
+        f"a machine of the type {kind!r} {why}",
+        code="unsupported",
+        place="--machine",
+        remedy=f"begin with loopcal new NAME --mechanism {kind}, {then}",
+    )
+    refusal.command = f"loopcal new my-{kind} --mechanism {kind}"
+    return refusal
+
+
 def _closed(table: Mapping[str, Any], mechanism: Mechanism) -> Robot:
     """A parallel machine, of whose quantities the first are driven, as many as it has freedoms.
 
@@ -318,14 +330,7 @@ def _closed(table: Mapping[str, Any], mechanism: Mechanism) -> Robot:
     """
     kind, names = table["type"], mechanism.tape.quantities
     if "platform_z" not in names:
-        no_chain = InputError(
-            f"a machine of the type {kind!r} moves in a plane",
-            code="unsupported",
-            place="--machine",
-            remedy=f"begin with loopcal new NAME --mechanism {kind}, and name your columns in it",
-        )
-        no_chain.command = f"loopcal new my-{kind} --mechanism {kind}"
-        raise no_chain
+        raise by_hand(kind, "moves in a plane", "and name your columns in it")
     driven = names[: len(names) - len(mechanism.tape.loops)]
     unread = names[len(driven) :]
     return Robot(table, len(driven), driven, unread=unread)

@@ -10,7 +10,10 @@ WIDTH = 98
 """Characters of a line of comments."""
 _OF_A_MECHANISM = ("joint", "instrument", "effect", "structure", "parameters")
 SECTIONS = frozenset(
-    ("mechanism", *_OF_A_MECHANISM, "prior", "data", "join", "source", "columns", "noise")
+    (
+        *("mechanism", *_OF_A_MECHANISM, "prior", "data", "join", "source", "columns", "noise"),
+        *("plan", "ranges"),
+    )
 )
 """Tables, and lists of tables, with lines of their own; others stand within a line."""
 NO_REMARKS: Mapping[str, Sequence[str]] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import partial
@@ -281,6 +282,8 @@ def initial_project(
     made, machine, fields, conditions = one.robot, one.machine, one.fields, one.conditions
     way = understood(machine, one.layouts, fields, ask, one.ways)
     statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
+    if out is not None:
+        statement = _planned(statement, folder)
     project = _read(statement, folder)
     dataset = dataset_of(fields.poses, statement.readings)
     late = delays(project.mechanism, dataset, way, by_time)
@@ -514,6 +517,18 @@ def _table(dataset: Dataset, statement: Statement) -> bytes:
 def _read(statement: Statement, folder: Path) -> Project:
     """The project as `calibrate` will read it."""
     return read_project(folder / PROJECT, text=statement.text)
+
+
+def _planned(statement: Statement, folder: Path) -> Statement:
+    """With what the project that was planned from states of limits and demands, if it fits."""
+    with suppress(InputError):
+        before = read_project(folder / PROJECT)
+        if before.data is None:
+            also = {k: v for k, v in before.inputs.items() if k in ("plan", "verdict")}
+            kept = replace(statement, tables={**statement.tables, **also})
+            _read(kept, folder)  # joints may have other names
+            return kept
+    return statement
 
 
 def _refuse_zeros(some: Sequence[Layout], fields: Fields) -> None:

@@ -91,8 +91,7 @@ def _ranges(view: View, project: Project) -> None:
     joints = [q for q in joints_of(project.mechanism) if q in project.mechanism.quantities]
     stated: Mapping[str, Any] = project.inputs.get("plan", {}).get("ranges", {})
     limits = joint_limits(project.mechanism)
-    limited = all(q in limits or q in stated for q in joints)
-    with folded(view, "plan.ranges", words.PLAN_RANGES, opened=not limited):
+    with folded(view, "plan.ranges", words.PLAN_RANGES, opened=not limits.keys() >= {*joints}):
         ui.label(words.RANGES_HOW).classes("text-body2")
         with ui.grid(columns="auto 1fr 1fr auto").classes("items-center w-full max-w-xl"):
             for q in joints:
