@@ -64,7 +64,7 @@ INSTEAD: Mapping[str, str] = {
         ("base", "tool", "joint_offsets", "offsets", "dh", "urdf", "model"),
         "result.params; result.export('dh'), or 'urdf'; or result.mechanism",
     ),
-    **dict.fromkeys(("uncertainty", "std", "errors"), "result.sd, or lc.intervals(result)"),
+    **dict.fromkeys(("uncertainty", "std"), "result.sd, or lc.intervals(result)"),
     "accuracy": "result.document.accuracy, or result.rms",
     "compare": "lc.compare(result, other)",
     "parameters": "result.params",

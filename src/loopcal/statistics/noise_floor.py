@@ -97,8 +97,9 @@ def _squares(
         both = _turned(x[rows]) @ both
     squares = np.square(both).sum(axis=2)
     if seen.points > 1:  # of the points that were seen
-        squares = np.where(np.isfinite(squares), squares, np.nan)
-        return np.asarray(2.0 * np.nanmean(squares, axis=1), dtype=np.float64)
+        there = np.isfinite(squares)
+        total, count = np.where(there, squares, 0.0).sum(axis=1), there.sum(axis=1)
+        return np.where(count > 0, 2.0 * total / np.maximum(count, 1), np.inf)
     return np.asarray(squares.sum(axis=1), dtype=np.float64)
 
 
