@@ -11,6 +11,7 @@ import loopcal as lc
 from loopcal.errors import Code
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
+from loopcal.workflow.beginning import from_tree
 from tests.refusals import refused
 
 BODIES = """body,parent,joint,a [mm],d [mm],alpha [deg],theta [deg]
@@ -118,6 +119,16 @@ def test_balls_are_centred_where_the_drawing_has_bodies_for_them(
     parameters = begun(folder, ("both.csv",), observe).mechanism.parameters
     assert parameters["touch_1_x"].prior_sd == sd
     assert parameters["touch_2_x"].prior_sd == sd
+
+
+def test_a_large_robot_begins_with_one_method(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "method" not in begun(folder, ("both.csv",), TOUCH).inputs.get("fit", {})
+    monkeypatch.setattr(from_tree, "LARGE", 100)
+    made = lc.init(folder / "both.csv", dh=folder / "bodies.csv", observe=[TOUCH])
+    assert made.inputs["fit"]["method"] == "implicit-loop"
+    assert any("delete the line" in words for words in made.remarks)
 
 
 def test_a_urdf_needs_no_list_of_its_links(folder: Path) -> None:

@@ -35,6 +35,9 @@ GUESSED = {"m": (0.1, "mm"), "rad": (0.5, "mrad"), "px": (0.3, "px")}
 DRAWN_MM, DRAWN_MRAD = 2.0, 5.0
 """How far a robot is from its drawing, as sds: what stands between two hands tells some directions
 apart by nothing else. Chosen: twice and more what arms of many makers are off by."""
+LARGE = 30_000
+"""Parameters times poses from which one method is begun with. Chosen: at 45,000 the comparison of
+all took more than ten minutes on two cores, and one method one."""
 DENIED = 3.0
 """A target that takes up this many sds of the drawing, beside an unplaced one, sits elsewhere."""
 NOWHERE = 1e-9
@@ -103,12 +106,22 @@ def from_tree(
         },
         "noise": _noise(mechanism, used),
     }
+    fit: dict[str, Any] = {}
+    open_ones = sum(not p.fixed for p in mechanism.parameters)
+    if open_ones * rows.count > LARGE:
+        fit["method"] = "implicit-loop"
+        words += (
+            f"{open_ones} parameters and {rows.count} poses: the method is implicit-loop, which "
+            "takes minutes; delete the line to compare all methods and model errors, in many more",
+        )
     repeated = len(places) - len(set(places))
     if repeated:
-        tables["fit"] = {"validation": {"folds": 10, "group": PLACE}}
+        fit["validation"] = {"folds": 10, "group": PLACE}
         words += (
             f"{len(set(places))} places, some approached again: validation leaves out whole places",
         )
+    if fit:
+        tables["fit"] = fit
     columns: dict[str, Any] = {"pose": rows.poses, **readings, PLACE: places}
     beside = {READINGS: table_bytes(columns, ".csv")}
     dataset = Dataset.from_arrays(readings, units={q: units[q] for q in used}, poses=rows.poses)
