@@ -239,8 +239,9 @@ def unstated_lenses(mechanism: Mechanism) -> set[str]:
 
 
 def nominal_machine(mechanism: Mechanism, moved: Collection[str] = ()) -> Mechanism:
-    """The mechanism with all fixed but placements, mountings and lenses that nobody states;
-    placements and mountings get default priors.
+    """Fix all parameters but those of placements, mountings and unstated lenses.
+
+    Placements and mountings get default priors.
 
     moved: parameters of what slipped during the run, which is no fault of the drawing's.
     """

@@ -128,11 +128,9 @@ class Accumulator:
     @property
     def chi_squared(self) -> float:
         """|E|^2 over all poses."""
-        return (
-            float(sum(block[:, -1] @ block[:, -1] for block in self.blocks))
-            if self.triangular
-            else float(self._total[-1, -1])
-        )
+        if not self.triangular:
+            return float(self._total[-1, -1])
+        return float(sum(block[:, -1] @ block[:, -1] for block in self.blocks))
 
     @property
     def finite(self) -> bool:

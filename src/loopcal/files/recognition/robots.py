@@ -259,9 +259,10 @@ def _si(motion: str, value: float) -> float:
 
 
 def typed_robot(named: str) -> Robot:
-    """A machine of a type with nominal values of its own, or of a mechanism file.
+    """Build the machine of a type that has nominal values, or of a mechanism file.
 
-    Raises InputError for a type that has none, or moves in a plane, and for a file of other files.
+    Raises InputError for a type without nominal values, for one that moves in a plane, and for a
+    file that names other files.
     """
     from loopcal.files.machines.mechanism_file import mechanism_from_data
     from loopcal.files.machines.registry import machine_type

@@ -1,4 +1,4 @@
-"""Joints that read counts of encoders, of which nobody states zeros and counts per turn.
+"""Find the zero and the counts per turn of joints whose encoders read counts.
 
 A joint stands at q = s c + z where its encoder counts c. The nominal machine and the points m that
 an instrument has read of it determine s and z of every joint, the target u, and where the

@@ -36,12 +36,12 @@ DRAWN_MM, DRAWN_MRAD = 2.0, 5.0
 """How far a robot is from its drawing, as sds: what stands between two hands tells some directions
 apart by nothing else. Chosen: twice and more what arms of many makers are off by."""
 LARGE = 30_000
-"""Parameters times poses from which one method is begun with. Chosen: at 45,000 the comparison of
-all took more than ten minutes on two cores, and one method one."""
+"""Parameters times poses from which one method is begun with. Chosen by one robot of two
+arms: at 31,500 comparing all took more than 9.5 minutes on two cores, one method one minute."""
 DENIED = 3.0
 """A target that takes up this many sds of the drawing, beside an unplaced one, sits elsewhere."""
 NOWHERE = 1e-9
-"""A body no farther [m] from its parent's origin is only turned: nobody drew a point there."""
+"""A body this near its parent's origin [m] is only turned. It says nothing of a target."""
 SAME_PLACE = {"rad": 5e-3, "m": 5e-3}
 """Poses that are no farther apart in any joint are one place that was approached again."""
 PLACE = "place"
@@ -351,10 +351,11 @@ def _places(mechanism: Mechanism, readings: Mapping[str, Array]) -> Array:
 def _sitting(
     mechanism: Mechanism, looking: Sequence[Observation], readings: Mapping[str, Array]
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """[parameters] of what sits where the drawing has a body of its own for it, and in words.
+    """State targets and centres of balls for which the drawing has a body.
 
-    Such a body has no joint but a place on its parent: the drawing states the point, as far as a
-    drawing does. Poses that hardly turn a hand could not tell its target from the station.
+    Such a body has no joint and a stated place on its parent. Poses that hardly turn a hand cannot
+    separate its target from the station, so the drawing decides. Returns the entries of
+    [parameters], and what they mean in words.
     """
     assert mechanism.tree is not None
     nominal = {p.name: p.nominal for p in mechanism.parameters}
