@@ -107,9 +107,10 @@ def _without_each(
     tried = try_rows(problem, fit, rows, readings, without)
     p = tried.tests.p_pose
     for column, (i, j) in enumerate(pairs):
-        if p[column] >= UNREMARKABLE:
-            corrected = readings[j, column] + tried.corrections[j, column]
-            yield i, j, float(problem.readings[j, i] - corrected), float(tried.tests.t[column])
+        corrected = readings[j, column] + tried.corrections[j, column]
+        size = float(problem.readings[j, i] - corrected)
+        if p[column] >= UNREMARKABLE and size:  # one that stays as it is explains nothing
+            yield i, j, size, float(tried.tests.t[column])
 
 
 def _together(

@@ -59,9 +59,9 @@ def patterns_of(
     unmeasured = np.isinf(uncertainty.sd)
     predicted = _predicted_readings(mechanism, uncertainty)
     if predicted:
+        blind = _unseen(mechanism, unmeasured)
         unmeasured = unmeasured.copy()
         unmeasured[list(predicted)] = False
-        blind = unmeasured
     codes = np.concatenate([unmeasured, unmeasured if blind is None else blind])
     if (codes == codes[:, :1]).all():
         common = _pattern(mechanism, codes[:, 0], predicted)
@@ -76,6 +76,20 @@ def patterns_of(
         for same in alike.values()
         if patterns[same[0]].loops
     )
+
+
+def _unseen(mechanism: Mechanism, unmeasured: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(k, N) the readings of families none of whose readings are there in a pose.
+
+    Of a family that sees something none counts: images miss other corners each, and would all
+    differ.
+    """
+    rows = {name: i for i, name in enumerate(mechanism.tape.quantities)}
+    unseen = np.zeros_like(unmeasured)
+    for family in mechanism.families:
+        read = [rows[name] for name in family.readings if name in rows]
+        unseen[read] = unmeasured[read].all(axis=0)
+    return unseen
 
 
 def _predicted_readings(mechanism: Mechanism, uncertainty: ReadingUncertainty) -> tuple[int, ...]:

@@ -73,6 +73,15 @@ def are_images(entries: Sequence[Any]) -> bool:
     return any(_kind(path) in ("corners", "image") for path in files_of(entries))
 
 
+def of_images(entries: Sequence[Any]) -> list[Any]:
+    """The files among the entries that hold corners, boards or lenses, or are images; none where
+    none of them holds corners or is an image."""
+    kinds = {e: _kind(Path(e)) for e in entries if files_of([e]) == [Path(e)]}
+    if {"corners", "image"}.isdisjoint(kinds.values()):
+        return []
+    return [e for e, kind in kinds.items() if kind in ("corners", "image", "board", "document")]
+
+
 def _kind(path: Path) -> str:
     ending = path.suffix.lower()
     if ending in ENDINGS:

@@ -4,7 +4,8 @@ The first word is the type of an instrument; each other one is a key of its tabl
 of several values divided by commas. Four keys say where the readings stand: `columns`, the columns
 in the order of the instrument's readings; `joints`, JOINT:COLUMN where a file names joints
 otherwise; `file`, part of the name of the one file that holds it; and `where`, COLUMN:VALUE of the
-rows in which it was observed.
+rows in which it was observed. What a camera saw stands in a table of corners: `camera` and `board`
+say which of them, all by default.
 """
 
 from __future__ import annotations
@@ -20,19 +21,23 @@ from loopcal.errors import UsageError
 
 _AMOUNT = re.compile(r"(?P<number>[-+]?\d+\.?\d*(?:e[-+]?\d+)?)(?P<unit>[a-zµ°%]+)?", re.I)
 _APART = ("columns", "joints", "file", "where")
+_CORNERS = ("camera", "board")
 _LISTS = ("between", "radius", "readings", "normal", "gravity", "gaps", "columns")
 
 
 @dataclass(frozen=True)
 class Observation:
     """table: of [[mechanism.instrument]]; columns: of its readings, empty where their names say;
-    joints: joint -> its column in this file; file, where: in which rows it was observed."""
+    joints: joint -> its column in this file; file, where: in which rows it was observed; camera,
+    board: of the corners, empty for all."""
 
     table: Mapping[str, Any]
     columns: tuple[str, ...] = ()
     joints: Mapping[str, str] | None = None
     file: str = ""
     where: tuple[str, str] | None = None
+    camera: str = ""
+    board: str = ""
 
     @property
     def name(self) -> str:
@@ -59,8 +64,9 @@ def observation(text: str) -> Observation:
                 remedy="write a type and keys, as 'point on=hand station=tracker columns=x,y,z'",
             )
         keys[key] = value
+    apart = _APART + (_CORNERS if kind == "camera" else ())
     table: dict[str, Any] = {"type": kind, "name": keys.pop("name", kind.replace("-", "_"))}
-    table |= {k: _value(k, v) for k, v in keys.items() if k not in _APART}
+    table |= {k: _value(k, v) for k, v in keys.items() if k not in apart}
     joints = dict(_pair(text, part) for part in keys.get("joints", "").split(",") if part)
     return Observation(
         table,
@@ -68,6 +74,7 @@ def observation(text: str) -> Observation:
         joints or None,
         keys.get("file", ""),
         _pair(text, keys["where"]) if "where" in keys else None,
+        *(keys.get(key, "") if kind == "camera" else "" for key in _CORNERS),
     )
 
 

@@ -89,9 +89,9 @@ class FromImages:
         begun = project.begun
         corners = begun.corners
         kept = replace(begun, corners=corners.where(~wrong), residuals=begun.residuals[~wrong])
-        left = _Project(kept, project.hand, project.table, project.stated)
+        left = project.begun_at(kept)
         out = replace(begun, corners=corners.where(wrong), residuals=begun.residuals[wrong])
-        aside = _Project(out, project.hand, project.table, project.stated)
+        aside = project.begun_at(out)
         made = _made(left, (*self.begun.remarks, words))
         return replace(made, beside={**made.beside, WRONG: aside.corners()})
 
@@ -158,7 +158,7 @@ def understood(
     boards = [named(files.boards, name) for name in files.corners.boards]
     table, renamed = matched(files.corners, boards, hand.poses)
     corners = _corners(table, boards, hand.poses)
-    stated, sizes = _by_camera(files.lenses, table.cameras), dict(table.sizes)
+    stated, sizes = by_camera(files.lenses, table.cameras), dict(table.sizes)
     lenses, turned = _upright(stated, table)
     if hand.ways:
         hand = hand.turned(way_of_turning(hand.ways, corners, lenses, sizes))
@@ -189,7 +189,7 @@ def named(boards: Mapping[str, Board], name: str) -> Board:
     )
 
 
-def _by_camera(lenses: Mapping[str, Intrinsics], cameras: Sequence[str]) -> dict[str, Intrinsics]:
+def by_camera(lenses: Mapping[str, Intrinsics], cameras: Sequence[str]) -> dict[str, Intrinsics]:
     """The stated lenses under the names of the corners' cameras; a pinhole may be bent."""
     lenses = {
         name: replace(lens, lens=USUAL_LENS, distortion=()) if lens.lens == "pinhole" else lens
@@ -372,18 +372,32 @@ def word(name: str, kind: str) -> str:
 
 
 class _Project:
-    """The tables of the project, and the files beside it."""
+    """The tables of the project, and the files beside it.
+
+    on_body: the camera's body carries it, so that its place and that of the board are the inverse
+    ones; by default as `begun` has it.
+    """
 
     def __init__(
-        self, begun: CameraStart, hand: Hand, table: CornerTable, stated: Collection[str]
+        self,
+        begun: CameraStart,
+        hand: Hand,
+        table: CornerTable,
+        stated: Collection[str],
+        on_body: bool | None = None,
     ) -> None:
         self.begun, self.hand, self.table, self.stated = begun, hand, table, stated
+        self.on_body = begun.held is False if on_body is None else on_body
         corners = begun.corners
         seen = np.unique(corners.image, return_counts=True)
         enough = seen[1] >= (_FEWEST if hand.table.get("read") is False else 1)
         self.kept = [int(i) for i in seen[0][enough]]
         self.eyes = {c: word(c, "camera") for c in corners.cameras}
         self.boards = {b.name: word(b.name, "board") for b in corners.boards}
+
+    def begun_at(self, begun: CameraStart, on_body: bool | None = None) -> _Project:
+        """The same from another start."""
+        return _Project(begun, self.hand, self.table, self.stated, on_body)
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -446,7 +460,7 @@ class _Project:
                 "name": name,
                 "eye": self.eyes[camera],
                 "board": self.boards[board.name],
-                "on": "body" if self.begun.held is False else "base",
+                "on": "body" if self.on_body else "base",
                 "lens": self.begun.intrinsics[camera].lens,
                 "offsets": not board.planar,
                 "points": points,
@@ -460,7 +474,7 @@ class _Project:
         blind = any(fact.code in ("no-rotation", "parallel-axes") for fact in begun.facts)
         for c, (camera, eye) in enumerate(self.eyes.items()):
             X = begun.X[c] @ np.linalg.inv(begun.X[0]) if free else begun.X[c]
-            place = X if held else np.linalg.inv(X)
+            place = np.linalg.inv(X) if self.on_body else X
             stated |= _six(eye, place, fixed=free and c == 0, mounted=blind and not held)
             lens = begun.intrinsics[camera]
             for key, value in lens.values.items():
@@ -478,7 +492,7 @@ class _Project:
             Y = begun.Y[b]
             if free:
                 Y = np.linalg.inv(begun.Y[0]) @ Y
-            place = Y if held else np.linalg.inv(Y)
+            place = np.linalg.inv(Y) if self.on_body else Y
             stated |= _six(
                 self.boards[board.name], place, fixed=free and b == 0, mounted=blind and held
             )

@@ -20,14 +20,14 @@ from loopcal.files.recognition.fields import Field, Source, in_si, taken_in
 from loopcal.files.recognition.joint_sets import named_joints
 from loopcal.files.recognition.observations import Observation
 from loopcal.files.recognition.robots import joint_table
-from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.measurements.dataset import Dataset
-from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.frame import ChainFrame, matrices
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn, joint_noise
+from loopcal.workflow.beginning.tree_images import Eyes, Pictures, see, sources_and_pictures
 
 Array = NDArray[np.float64]
 GUESSED = {"m": (0.1, "mm"), "rad": (0.5, "mrad"), "px": (0.3, "px")}
@@ -83,17 +83,23 @@ def from_tree(
     looking = [replace(one, table=_with_readings(one)) for one in looking]
     table = {**robot, "instrument": [dict(one.table) for one in looking]}
     mechanism = mechanism_from_data(dict(table), str(folder / PROJECT))
-    sources: list[Source] = []
-    for entry in entries:
-        sources += sources_of(entry, len(sources))
-    rows, words = _rows(sources, mechanism, looking)
+    sources, pictures = sources_and_pictures(entries)
+    eyes, pixels = _seen_by_cameras(looking, pictures, mechanism, robot.get("units", {}))
+    if eyes.instruments:
+        looking = [one for one in looking if one.table["type"] != "camera"]
+        looking += [Observation(instrument) for instrument in eyes.instruments]
+        table["instrument"] = [dict(one.table) for one in looking]
+        mechanism = mechanism_from_data(dict(table), str(folder / PROJECT))
+    rows, words = _rows(sources, mechanism, looking, pixels)
+    words += eyes.words
     used = [q for q in (*mechanism.quantities, *mechanism.pose_constants) if q in rows.columns]
     _refuse_unobserved(mechanism, rows, looking)
     units = {**mechanism.quantities, **mechanism.pose_constants}
     readings = {q: rows.values(q) for q in used}
     places = _places(mechanism, readings)
     sitting, said = _sitting(mechanism, looking, readings)
-    table["parameters"] = drawn(mechanism, DRAWN_MM, DRAWN_MRAD, DRAWN_MRAD) | sitting
+    stated = drawn(mechanism, DRAWN_MM, DRAWN_MRAD, DRAWN_MRAD)
+    table["parameters"] = stated | eyes.parameters | sitting
     words += said
     tables: dict[str, Any] = {
         "schema": SCHEMA,
@@ -104,7 +110,7 @@ def from_tree(
             "pose": "pose",
             "columns": {q: {"column": q, "unit": units[q]} for q in used if units[q] != "1"},
         },
-        "noise": _noise(mechanism, used),
+        "noise": _noise(mechanism, used, eyes.noise),
     }
     fit: dict[str, Any] = {}
     open_ones = sum(not p.fixed for p in mechanism.parameters)
@@ -169,6 +175,8 @@ def _body(row: Row, *, last: bool) -> dict[str, Any]:
 def _with_readings(one: Observation) -> dict[str, Any]:
     """The table of an instrument whose readings are named after it: several may be of one kind."""
     table = dict(one.table)
+    if table["type"] == "camera":
+        table["points"] = {"0": [0.0, 0.0, 0.0]}  # until the files say which there are
     if table["type"] not in ("camera", "contact", "held-part", "inclinometer"):
         table.setdefault("target", f"{one.name}_target")
     if table["type"] in ("point", "pose") and "readings" not in table:
@@ -178,10 +186,58 @@ def _with_readings(one: Observation) -> dict[str, Any]:
     return table
 
 
+def _seen_by_cameras(
+    looking: Sequence[Observation],
+    pictures: Sequence[Pictures],
+    mechanism: Mechanism,
+    units: Mapping[str, str],
+) -> tuple[Eyes, dict[int, dict[str, Array]]]:
+    """What cameras saw, and its pixels by the number of the table of poses."""
+    eyes, pixels = Eyes(taken=tuple(one.name for one in looking)), dict[int, dict[str, Array]]()
+    families = {family.name: family for family in mechanism.families}
+    nominal = {p.name: p.nominal for p in mechanism.parameters}
+    assert mechanism.tree is not None
+    for one in looking:
+        family = families[one.name]
+        mine = [p for p in pictures if one.table["type"] == "camera" and p.is_of(one)]
+        for picture in mine:
+            source = picture.source
+            joints = _joints(source, mechanism, looking)
+            if missing := sorted(_reach(mechanism, family) - joints.keys()):
+                raise InputError(
+                    f"no column holds the joint {missing[0]!r} between "
+                    f"{family.on!r} and {family.against!r}",
+                    code="missing-column",
+                    place=source.name,
+                    remedy="name the columns of joints that have other names in the file: "
+                    f"joints={','.join(f'{joint}:COLUMN' for joint in missing)}; "
+                    f"its columns are {listed([f.label for f in source.fields], 30)}",
+                )
+            seen = (family.on, family.against)
+            path = mechanism.tree.path(*(seen[::-1] if "on" in one.table else seen))
+            readings = in_si(joints, mechanism.joints)
+            T = matrices(ChainFrame(path, readings, nominal), len(source))
+            pixels.setdefault(id(source), {}).update(see(eyes, one, picture, T, units))
+        if one.table["type"] == "camera" and not mine:
+            raise InputError(
+                f"no file holds corners of boards that {one.name!r} sees",
+                code="no-data",
+                place="--observe",
+                remedy="name a folder with corners, boards and a table of poses, or these files",
+            )
+    return eyes, pixels
+
+
 def _rows(
-    sources: Sequence[Source], mechanism: Mechanism, looking: Sequence[Observation]
+    sources: Sequence[Source],
+    mechanism: Mechanism,
+    looking: Sequence[Observation],
+    pixels: Mapping[int, Mapping[str, Array]],
 ) -> tuple[_Rows, tuple[str, ...]]:
-    """The poses of all files, and what was read in which, in words."""
+    """The poses of all files, and what was read in which, in words.
+
+    pixels: by the identity of a source, those of its rows.
+    """
     rows, words = _Rows(), list[str]()
     families = {family.name: family for family in mechanism.families}
     units = {**mechanism.quantities, **mechanism.pose_constants}
@@ -192,7 +248,10 @@ def _rows(
         seen: dict[str, Array] = {}
         for one in looking:
             family = families[one.name]
-            if one.of_file(source.path) and _reach(mechanism, family) <= joints.keys():
+            if one.table["type"] == "camera":
+                mine = pixels.get(id(source), {})
+                seen |= {q: mine[q] for q in family.readings if q in mine}
+            elif one.of_file(source.path) and _reach(mechanism, family) <= joints.keys():
                 columns = _columns(source, one, family, mechanism)
                 if columns is not None:
                     read |= columns
@@ -237,15 +296,25 @@ def _reach(mechanism: Mechanism, family: Family) -> set[str]:
 def _joints(
     source: Source, mechanism: Mechanism, looking: Sequence[Observation]
 ) -> dict[str, Field]:
-    """The joints that a file has columns for."""
-    named = named_joints(source.fields, mechanism.joints)
+    """The joints that a file has columns for: those stated, and others by their names.
+
+    Beside stated ones a name counts as it is written: r2 is not the joint R2.
+    """
+    stated: dict[str, Field] = {}
     for one in looking:
-        stated = (one.joints or {}) if one.of_file(source.path) else {}
-        columns = named_joints(source.fields, stated.values())
-        named |= {
-            j: columns[c] for j, c in stated.items() if c in columns and j in mechanism.joints
+        columns = (one.joints or {}) if one.of_file(source.path) else {}
+        by_column = named_joints(source.fields, columns.values())
+        stated |= {
+            joint: by_column[column]
+            for joint, column in columns.items()
+            if column in by_column and joint in mechanism.joints
         }
-    return named
+    named = named_joints(source.fields, mechanism.joints)
+    if stated:
+        named = {
+            j: f for j, f in named.items() if f.label.startswith(j) and f not in stated.values()
+        }
+    return named | stated
 
 
 def _columns(
@@ -400,10 +469,13 @@ def _as_drawn(mechanism: Mechanism, family: Family, readings: Mapping[str, Array
     return bool(taken <= (DENIED * DRAWN_MM * 1e-3) ** 2)
 
 
-def _noise(mechanism: Mechanism, used: Sequence[str]) -> dict[str, Any]:
-    """Sds where learning begins: of joints of a kind, and of each observation."""
+def _noise(mechanism: Mechanism, used: Sequence[str], stated: Mapping[str, Any]) -> dict[str, Any]:
+    """Sds where learning begins: of joints of a kind, and of each observation but those stated."""
     noise = joint_noise({joint: si for joint, si in mechanism.joints.items() if joint in used})
+    noise |= stated
     for family in mechanism.families:
+        if family.name in stated:
+            continue
         for si in dict.fromkeys(mechanism.quantities[q] for q in family.readings):
             sd, of = GUESSED[si]
             names = [q for q in family.readings if mechanism.quantities[q] == si]

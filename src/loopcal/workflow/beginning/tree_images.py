@@ -1,0 +1,209 @@
+"""Corners of boards among what was observed of a tree of bodies.
+
+To `understood` the body with the camera is the base of a robot, and the one with the board its
+flange; for a board on the ground it is the other way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, listed
+from loopcal.estimation.cameras.start import CameraStart
+from loopcal.estimation.cameras.twists import inverse
+from loopcal.files.cameras.folder import Files, are_images, of_images, read_files
+from loopcal.files.recognition.fields import Source
+from loopcal.files.recognition.observations import Observation
+from loopcal.files.recognition.sources import sources_of
+from loopcal.workflow.beginning.from_images import Hand, by_camera, named, understood, word
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """Files with corners, and the table whose rows are the poses of their images."""
+
+    files: Files
+    source: Source
+
+    def is_of(self, one: Observation) -> bool:
+        """Whether an observation may be among them: by their files, or by their folder."""
+        path = self.source.path
+        places = (path, path and path.parent, Path(self.files.corners.file))
+        return any(one.of_file(place) for place in places)
+
+
+@dataclass(eq=False)
+class Eyes:
+    """What cameras saw: instruments, entries of [parameters] and [noise], in words what was
+    understood; taken: names of observations; starts: by name of the camera, where it stands at the
+    start; carriers: by name of a camera or board, the body that carries it."""
+
+    instruments: list[dict[str, Any]] = field(default_factory=list)
+    parameters: dict[str, Any] = field(default_factory=dict)
+    noise: dict[str, Any] = field(default_factory=dict)
+    words: tuple[str, ...] = ()
+    taken: tuple[str, ...] = ()
+    starts: dict[str, Array] = field(default_factory=dict)
+    carriers: dict[str, str] = field(default_factory=dict)
+
+
+def sources_and_pictures(entries: Sequence[Any]) -> tuple[list[Source], list[Pictures]]:
+    """The tables of rows, and the files with corners: those of a folder belong together, as do
+    those named one by one.
+
+    Raises InputError for corners beside which no table has the poses of their images.
+    """
+    sources: list[Source] = []
+    pictures: list[Pictures] = []
+
+    def read(some: Iterable[Any]) -> list[Source]:
+        added = [source for entry in some for source in sources_of(entry, len(sources))]
+        sources.extend(added)
+        return added
+
+    folders = [e for e in entries if isinstance(e, str | Path) and Path(e).is_dir()]
+    pictured = [folder for folder in folders if are_images([folder])]
+    single = [entry for entry in entries if entry not in pictured]
+    described = of_images(single)
+    read(entry for entry in single if entry not in described)
+    if described:
+        files = read_files(described)
+        pictures.append(Pictures(files, _with_poses(files, sources)))
+    for folder in pictured:
+        files = read_files([folder])
+        pictures.append(Pictures(files, _with_poses(files, read(files.poses))))
+    return sources, pictures
+
+
+def _with_poses(files: Files, sources: Sequence[Source]) -> Source:
+    """The table that names most images of the corners, or the only one."""
+    images = {*files.corners.images}
+    counts = [len(images.intersection(source.ids or ())) for source in sources]
+    best = [source for source, count in zip(sources, counts, strict=True) if count == max(counts)]
+    if len(best) == 1:
+        return best[0]
+    raise InputError(
+        "several tables may hold the joints of the images"
+        if best
+        else "no table holds the joints of the images",
+        code="mismatched-poses",
+        place=files.corners.file,
+        remedy="put the corners, the board and the table of their poses in a folder, and name it"
+        + (f"; tables are {listed([s.name for s in best], 5)}" if best else ""),
+    )
+
+
+def see(
+    eyes: Eyes, one: Observation, pictures: Pictures, T: Array, units: Mapping[str, str]
+) -> dict[str, Array]:
+    """Add what the cameras of an observation saw, and return its pixels by reading and row.
+
+    T: (N, 4, 4) by row of the table of poses, of the body with the board in that of the camera.
+    """
+    # A board on the ground is looked at by a camera in hand. Any other is in hand itself: where the
+    # hand is never turned, the board is taken to sit near the origin of its body.
+    held = "sees" in one.table or "on" not in one.table
+    files = _chosen(one, pictures.files, eyes)
+    ids = pictures.source.ids or tuple(str(i) for i in range(1, len(pictures.source) + 1))
+    T = T if held else inverse(T)
+    hand = Hand(ids, {"units": {"length": units.get("length", "m")}}, {}, T, {})
+    project, turned = understood(files, hand, held)
+    begun = _beside(project.begun, eyes.starts)
+    project = project.begun_at(begun, "on" in one.table)
+    eyes.starts |= dict(zip(begun.corners.cameras, begun.X, strict=True))
+    bodies = {key: one.table[key] for key in ("on", "sees") if key in one.table}
+    tables = project.tables
+    made = tables["mechanism"]["instrument"]
+    noise = iter(tables["noise"].values())
+    for table in made:
+        name = f"{one.name}_{table['name']}" if len(made) > 1 else one.name
+        eyes.instruments.append({**table, **bodies, "name": name})
+        eyes.noise[name] = next(noise)
+    eyes.parameters = tables["mechanism"]["parameters"] | eyes.parameters
+    facts = tuple(f.sentence for f in begun.facts if f.code != "board-pitch")
+    eyes.words += tuple(
+        f"{one.name}: {remark}" for remark in (*files.remarks, *project.left_out, *turned, *facts)
+    )
+    rows = {pose: i for i, pose in enumerate(ids)}
+    at = [rows[pose] for pose in project.dataset.poses]
+    pixels = {}
+    for reading, values in project.dataset.readings.items():
+        pixels[reading] = np.full(len(ids), np.nan)
+        pixels[reading][at] = values
+    return pixels
+
+
+def _chosen(one: Observation, files: Files, eyes: Eyes) -> Files:
+    """The corners of the cameras and boards that are named, under names of their own."""
+    table = files.corners
+    for what, name, names in (
+        ("camera", one.camera, table.cameras),
+        ("board", one.board, table.boards),
+    ):
+        if name and name not in names:
+            raise InputError(
+                f"no corner is of the {what} {name!r}",
+                code="unknown-name",
+                place="--observe",
+                remedy=f"name one of {listed(list(names), 10)}",
+            )
+    lenses = by_camera(files.lenses, table.cameras)
+    some = table.at(
+        [
+            i
+            for i, (camera, board) in enumerate(zip(table.camera, table.board, strict=True))
+            if one.camera in ("", camera) and one.board in ("", board)
+        ]
+    )
+    carrier = {"camera": one.table.get("on", ""), "board": one.table.get("sees", "")}
+
+    def named_on(name: str, kind: str) -> str:
+        # What another body carries under this name is another thing.
+        name = word(name, kind)
+        name = f"{name}_{kind}" if name in eyes.taken else name
+        if eyes.carriers.setdefault(name, carrier[kind]) == carrier[kind]:
+            return name
+        name = f"{one.name}_{name}"
+        eyes.carriers[name] = carrier[kind]
+        return name
+
+    cameras = {name: named_on(name, "camera") for name in some.cameras}
+    boards = {name: named_on(name, "board") for name in some.boards}
+    described = {new: replace(named(files.boards, old), name=new) for old, new in boards.items()}
+    return replace(
+        files,
+        corners=replace(
+            some,
+            camera=tuple(cameras[name] for name in some.camera),
+            board=tuple(boards[name] for name in some.board),
+            sizes=tuple((cameras[c], size) for c, size in some.sizes if c in cameras),
+        ),
+        boards=described,
+        lenses={cameras[name]: lens for name, lens in lenses.items() if name in cameras},
+    )
+
+
+def _beside(begun: CameraStart, starts: Mapping[str, Array]) -> CameraStart:
+    """The start with cameras where they already stand, and boards moved to be seen as before.
+
+    With T = X A Y of a board in the camera, Y' = Y T^-1 X X'^-1 T keeps an image for another X'.
+    """
+    cameras = begun.corners.cameras
+    if not set(cameras) <= starts.keys():
+        return begun
+    X = np.array([starts[camera] for camera in cameras])
+    views, Y = begun.corners.views, begun.Y.copy()
+    for b in range(len(Y)):
+        of_board = np.flatnonzero(views.board == b)
+        v = of_board[len(of_board) // 2]
+        c, T = views.camera[v], begun.T_camera_board[v]
+        Y[b] = Y[b] @ inverse(T) @ begun.X[c] @ inverse(X[c]) @ T
+    return replace(begun, X=X, Y=Y)
