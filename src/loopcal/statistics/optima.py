@@ -68,11 +68,20 @@ def other_optima(result: FitResult) -> tuple[OtherOptimum, ...]:
 
 
 def _vague(result: FitResult) -> bool:
-    quantities = result.mechanism.quantities
+    """Whether an angle in some loop that holds is read so, or not at all."""
+    problem, quantities = result.problem, result.mechanism.quantities
     home = {**result.mechanism.implied, **result.mechanism.home}
-    angles = [name for name in quantities if quantities[name] == "rad" and name not in home]
-    sds = (result.reading_sds[name] for name in angles)
-    return any(bool((sd >= VAGUE).any()) for sd in sds)
+    angles = {
+        i
+        for i, name in enumerate(result.mechanism.tape.quantities)
+        if quantities[name] == "rad" and name not in home
+    }
+    sds = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
+    return any(
+        bool((sds[i, pattern.poses] >= VAGUE).any())
+        for pattern in problem.patterns
+        for i in angles.difference(pattern.absent)
+    )
 
 
 def _exchanged(result: FitResult) -> Iterator[Array]:

@@ -28,7 +28,7 @@ from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.products import rows_times, rows_times_upper
 from loopcal.estimation.solve.block import Block
 from loopcal.estimation.solve.kernel import eliminate, loadings, shared_loads
-from loopcal.estimation.solve.reduction import WELL_CONDITIONED, inverse_of_upper
+from loopcal.estimation.solve.reduction import WELL_CONDITIONED, inverse_of_upper, triangle
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import LoopValues
 from loopcal.lazy import cached_property
@@ -378,7 +378,7 @@ def _solved(model: LinearModel, joined: Joined) -> _Solved:
         solved = _by_triangle(R, scale, WELL_CONDITIONED)
     if solved is None:
         # products would square the condition and leave the criterion some seven digits
-        R = _triangle(prior, joined)
+        R = triangle(prior, *(rows.reshape(-1, rows.shape[2]) for rows in joined.rows))
         solved = _by_triangle(R * scale, scale, 1.0 / KEPT) or _by_directions(R)
     return solved
 
@@ -398,15 +398,6 @@ def _by_triangle(R: Array, scale: Array, most: float) -> _Solved | None:
     # The last pivot of the triangle of [J e] is the length of what J leaves of e.
     residual = float(R[n, n] * size) ** 2
     return _Solved(column_scale[:, None] * inverse, R[:n, n] * size, residual, log_volume, True)
-
-
-def _triangle(prior: Array, joined: Joined) -> Array:
-    """R of the QR decomposition of [J e] with the prior."""
-    R = prior
-    for rows in joined.rows:
-        flat = rows.reshape(-1, R.shape[1])
-        R = np.asarray(np.linalg.qr(np.concatenate([R, flat]), mode="r"))
-    return R
 
 
 def _by_directions(R: Array) -> _Solved:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -47,6 +48,9 @@ LARGE = 100
 # (docs/decisions/0002).
 WELL_CONDITIONED = 1e4
 """Up to this scaled condition number normal equations lose nothing that iterating cannot mend."""
+# Squared 1e-12: far above rounding, 1e-16 times the rows and columns.
+TWICE = 1e6
+"""Up to this condition a triangle from products is right once it is computed twice."""
 overflowing = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 """Of what is evaluated at trial points: where these are far off no number is left, and who
 evaluates sets the pose aside or declines the step."""
@@ -94,7 +98,7 @@ class Accumulator:
         self._total /= factor
 
     def _reduce(self) -> None:
-        self._total, self._rows, self._reduced = _triangle(*self.blocks), [], True
+        self._total, self._rows, self._reduced = triangle(*self.blocks), [], True
 
     @property
     def total(self) -> Array:
@@ -434,7 +438,7 @@ def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
     stated = bool(precision.any())
     prior_misfit = np.where(precision, offset, 0.0) * precision if stated else precision
     if data.triangular:
-        R = _triangle(*data.blocks, np.column_stack([np.diag(precision), prior_misfit]))
+        R = triangle(*data.blocks, np.column_stack([np.diag(precision), prior_misfit]))
         scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)), data.units)
         return Spectrum(scale, Stacked(R[:n, :n] * scale, R[:n, n]))
     H, g = data.total[:n, :n], data.total[:n, n]
@@ -450,9 +454,26 @@ def _kept(s: Array, tolerance: float) -> NDArray[np.bool_]:
     return kept
 
 
-def _triangle(*blocks: Array) -> Array:
-    """R of the QR decomposition of stacked blocks of rows, square."""
-    R = np.asarray(np.linalg.qr(np.vstack(blocks), mode="r"), dtype=np.float64)
+def triangle(*blocks: Array) -> Array:
+    """R of the QR decomposition of stacked blocks of rows, square.
+
+    By Cholesky twice: the rows times the inverse of a first R are orthonormal but for what squaring
+    lost, so that a second R of these mends it, as exactly as reflections and at a third of their
+    cost (CholeskyQR2; Yamamoto et al. 2015). By reflections where the first is not safe.
+    """
+    rows = np.vstack(blocks)
+    if len(rows) >= WAITING * rows.shape[1]:
+        with suppress(np.linalg.LinAlgError):
+            products = rows.T @ rows
+            scale = 1.0 / np.sqrt(np.maximum(np.diag(products), SQUARED))
+            first = np.linalg.cholesky(products * scale * scale[:, None]).T
+            inverse = inverse_of_upper(first)
+            # In Frobenius' norm the product is no less than the condition number.
+            if np.linalg.norm(first) * np.linalg.norm(inverse) <= TWICE:
+                turned = rows @ (scale[:, None] * inverse)
+                second = np.linalg.cholesky(turned.T @ turned).T
+                return np.asarray(second @ (first / scale), dtype=np.float64)
+    R = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
     missing = R.shape[1] - len(R)
     return np.vstack([R, np.zeros((missing, R.shape[1]))]) if missing else R
 
