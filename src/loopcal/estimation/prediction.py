@@ -111,7 +111,7 @@ def output_differences(
     their own loops there, and so are the gaps between bodies of a whole robot.
     """
     mechanism = problem.mechanism
-    quantities, depends = mechanism.tape.quantities, mechanism.tape.depends_on()
+    quantities, depends = mechanism.tape.quantities, mechanism.tape.depends_on("quantity")
     compared = [quantities.index(q) for q in mechanism.compared]
     outputs = compared[: len(mechanism.outputs)]
     differences = np.full((len(compared), len(problem.poses)), np.nan)

@@ -84,20 +84,26 @@ class Tape:
         # The operations are compared but not hashed: thousands of them, seldom alike otherwise.
         return hash((self.quantities, self.parameters, self.loops, self.outputs))
 
-    def depends_on(self) -> tuple[frozenset[str], ...]:
-        """For each loop equation, the names of all inputs it contains."""
-        return self._inputs_of_loops
+    def depends_on(self, kind: str = "") -> tuple[frozenset[str], ...]:
+        """For each loop equation, the names of all inputs it contains.
+
+        kind: "quantity", "known" or "parameter" for these alone; one name may be of two kinds.
+        """
+        return tuple(
+            frozenset(name for of, name in inputs if kind in ("", of))
+            for inputs in self._inputs_of_loops
+        )
 
     @cached_property
-    def _inputs_of_loops(self) -> tuple[frozenset[str], ...]:
-        names: list[frozenset[str]] = []
+    def _inputs_of_loops(self) -> tuple[frozenset[tuple[str, str]], ...]:
+        names: list[frozenset[tuple[str, str]]] = []
         for name, payload in self.operations:
             if name in LEAVES:
-                inputs = () if name == "constant" else (self._input(name, payload),)
+                inputs = () if name == "constant" else ((name, self._input(name, payload)),)
                 names.append(frozenset(inputs))
             else:
                 names.append(frozenset().union(*(names[int(a)] for a in payload)))
-        return tuple(frozenset(names[output]) for output in self.outputs)
+        return tuple(names[output] for output in self.outputs)
 
     def only(self, loops: Sequence[int]) -> Tape:
         """The tape of some of the loop equations, by position, with all inputs in their places."""

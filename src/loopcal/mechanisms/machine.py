@@ -271,13 +271,6 @@ def assemble(
         *(_placed(i, i.parameters) for i in instruments),
     ):
         parameters |= {name: p for name, p in part.items() if name not in parameters}
-    measured = {q: u for i in instruments for q, u in i.readings.items()}
-    if shared := parameters.keys() & {*quantities, *measured}:
-        raise InputError(
-            f"{min(shared)!r} is a reading and a parameter of the mechanism",
-            code="duplicate-name",
-            remedy="name the instrument, its target, board or station differently",
-        )
     without_effect = held(machine.gauge, instruments)
     parameters = fixed(parameters, without_effect)
     parameters |= stated(parameters, nominal or {})
@@ -292,6 +285,7 @@ def assemble(
             values += i.equations(seen[str(i.on), str(i.against)], x, p)
         return values
 
+    measured = {q: u for i in instruments for q, u in i.readings.items()}
     alone = instruments[0] if len(instruments) == 1 else None
     made = Mechanism.from_function(
         loops,

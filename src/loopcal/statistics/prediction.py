@@ -344,11 +344,8 @@ def _unread_joints(mechanism: Mechanism, x: Array) -> NDArray[np.bool_]:
 def _moved_by(mechanism: Mechanism) -> list[list[int]]:
     """By output, the positions of the quantities of its loop."""
     tape = mechanism.tape
-    depends = dict(zip(tape.loops, tape.depends_on(), strict=True))
-    return [
-        [tape.quantities.index(n) for n in depends.get(q, ()) if n in tape.quantities]
-        for q in mechanism.outputs
-    ]
+    depends = dict(zip(tape.loops, tape.depends_on("quantity"), strict=True))
+    return [[tape.quantities.index(n) for n in depends.get(q, ())] for q in mechanism.outputs]
 
 
 def _guessed(calibrated: Predictor, data: Dataset, noise: Noise | None) -> set[str]:

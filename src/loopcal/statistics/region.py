@@ -84,6 +84,7 @@ def region_of(
     region = _parts(calibrated, x, constants, also)
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
     fit = _parts(calibrated, corrected[:, some], now[:, some], also, True)
+    read = np.isfinite(np.broadcast_to(problem.uncertainty.sd, corrected.shape))[:, some]
     worst: dict[str, tuple[float, RegionSd]] = {}
     for group in groups:
         at, over = (trace_sd(parts.covariance, group) for parts in (fit, region))
@@ -97,7 +98,10 @@ def region_of(
             )
             over[out] = np.nan
             sizes["m"] = at, over
+        # Of poses in which an instrument read nothing, no data say how sure it is there.
+        seen = read[[names.index(q) for q in group.outputs]].any(axis=0)
         for unit, (at, over) in sizes.items():
+            at = np.where(seen, at, np.nan)
             ratio, sd = _ratio(unit, at[np.isfinite(at)], over[~np.isnan(over)])
             if sd is not None and ratio >= worst.get(unit, (0.0, None))[0]:
                 worst[unit] = ratio, sd

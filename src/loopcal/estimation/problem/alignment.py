@@ -228,7 +228,7 @@ def open_loops(problem: Problem) -> InputError | None:
     mechanism = problem.mechanism
     seen = {loop for family in mechanism.families for loop in family.loops}
     names, poses, worst = mechanism.tape.loops, 0, (0.0, "", "")
-    inputs = mechanism.tape.depends_on()
+    inputs = mechanism.tape.depends_on("quantity")
     for pattern in problem.patterns:
         loops = tuple(i for i in pattern.loops if names[i] not in seen)
         present = frozenset().union(*(inputs[i] for i in loops))

@@ -159,7 +159,7 @@ def standing_exact(
     alike = standing(mechanism, readings)
     if not alike:
         return uncertainty
-    names, loops = mechanism.tape.quantities, mechanism.tape.depends_on()
+    names, loops = mechanism.tape.quantities, mechanism.tape.depends_on("quantity")
     inside = {i for block in uncertainty.blocks for i in block.indices}
     sd = uncertainty.sd
     uncertain = [bool((row > 0.0).all()) for row in sd]

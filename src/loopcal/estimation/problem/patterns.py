@@ -121,7 +121,7 @@ def _pattern(mechanism: Mechanism, code: NDArray[np.bool_], predicted: tuple[int
     missing = set(compress(tape.quantities, unmeasured))
     unread = set(compress(tape.quantities, blind))
     silent = {loop for f in mechanism.families if unread.issuperset(f.readings) for loop in f.loops}
-    inputs = tape.depends_on()
+    inputs = tape.depends_on("quantity")
     loops = [i for i, loop in enumerate(tape.loops) if loop not in silent]
     present = frozenset().union(*(inputs[i] for i in loops))
     places = enumerate(tape.quantities)
