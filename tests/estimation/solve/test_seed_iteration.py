@@ -127,8 +127,7 @@ def test_from_afar_it_runs_away_and_says_so_where_the_globalised_solver_converge
             assert result.chi_squared is not None
             assert result.status.converged == (result.chi_squared.value < 100)
             ended.append(result.status)
-    # How it ends hangs on the last digit: at its last iteration, or where nothing is left to fit.
-    assert sum(not status.converged for status in undamped) >= 3
+    assert sum(status.reason == "diverged" for status in undamped) >= 3
     assert sum(status.converged for status in globalised) >= 7
     lost = next(status for status in undamped if status.reason == "diverged")
     assert lost.reason == "diverged"

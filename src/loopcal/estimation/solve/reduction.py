@@ -455,27 +455,34 @@ def _kept(s: Array, tolerance: float) -> NDArray[np.bool_]:
 
 
 def triangle(*blocks: Array) -> Array:
-    """R of the QR decomposition of stacked blocks of rows, square.
-
-    By Cholesky twice: the rows times the inverse of a first R are orthonormal but for what squaring
-    lost, so that a second R of these mends it, as exactly as reflections and at a third of their
-    cost (CholeskyQR2; Yamamoto et al. 2015). By reflections where the first is not safe.
-    """
+    """R of the QR decomposition of stacked blocks of rows, square."""
     rows = np.vstack(blocks)
-    if len(rows) >= WAITING * rows.shape[1]:
-        with suppress(np.linalg.LinAlgError):
-            products = rows.T @ rows
-            scale = 1.0 / np.sqrt(np.maximum(np.diag(products), SQUARED))
-            first = np.linalg.cholesky(products * scale * scale[:, None]).T
-            inverse = inverse_of_upper(first)
-            # In Frobenius' norm the product is no less than the condition number.
-            if np.linalg.norm(first) * np.linalg.norm(inverse) <= TWICE:
-                turned = rows @ (scale[:, None] * inverse)
-                second = np.linalg.cholesky(turned.T @ turned).T
-                return np.asarray(second @ (first / scale), dtype=np.float64)
-    R = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+    large = rows.shape[1] >= LARGE and len(rows) >= WAITING * rows.shape[1]
+    R = _by_products(rows) if large else None
+    if R is None:
+        R = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
     missing = R.shape[1] - len(R)
     return np.vstack([R, np.zeros((missing, R.shape[1]))]) if missing else R
+
+
+def _by_products(rows: Array) -> Array | None:
+    """The triangle of rows by Cholesky twice; None where the first one is not safe.
+
+    Rows solved by a first R are orthonormal but for what squaring lost, which the R of these mends:
+    as exact as reflections at two thirds of their cost (CholeskyQR2; Yamamoto et al. 2015).
+    """
+    from scipy.linalg.blas import dtrsm
+
+    scale = np.sqrt(np.square(rows).sum(axis=0))
+    with suppress(np.linalg.LinAlgError):
+        rows = rows / np.maximum(scale, SQUARED)
+        first = np.asarray(np.linalg.cholesky(rows.T @ rows).T, dtype=np.float64)
+        # In Frobenius' norm the product is no less than the condition number.
+        if np.linalg.norm(first) * np.linalg.norm(inverse_of_upper(first)) <= TWICE:
+            turned = dtrsm(1.0, first, rows.T, trans_a=1, overwrite_b=1)
+            second = np.linalg.cholesky(turned @ turned.T).T
+            return np.asarray(second @ (first * scale), dtype=np.float64)
+    return None
 
 
 def _scale(lengths: Array, units: tuple[str, ...]) -> Array:
