@@ -205,7 +205,7 @@ class Fitted:
     @property
     def further(self) -> int:
         """How many columns there are beside those of the system."""
-        return self.more.shape[2]
+        return int(self.more.shape[2])
 
     @cached_property
     def E(self) -> Array:

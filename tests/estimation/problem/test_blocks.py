@@ -19,7 +19,8 @@ SDS = {f"theta_{i}": 2e-5 for i in range(1, 7)} | dict.fromkeys("xyz", 5e-5)
 def structured() -> Problem:
     """An arm with hundreds of columns of a model error, and its readings."""
     arm, noise = ma1400(2).truth, lc.Noise(SDS)
-    joints = np.random.default_rng(1).uniform(*(0.6 * MA1400_RANGES.T), (POSES, 6))
+    low, high = 0.6 * MA1400_RANGES.T
+    joints = np.random.default_rng(1).uniform(low, high, (POSES, 6))
     poses = {f"theta_{i + 1}": joints[:, i] for i in range(6)}
     data = lc.simulate(arm, poses, noise=noise, seed=1).dataset
     return build_problem(lc.structured(arm, discrepancy=True), data, noise)
