@@ -13,7 +13,10 @@ import loopcal as lc
 from analyses.instruments import setup
 from analyses.verify import another_day
 from analyses.what_changed import CHANGES, draw
-from loopcal.statistics.changed import LEVEL
+from loopcal.estimation.problem.problem import build_problem
+from loopcal.statistics.changed import LEVEL, Candidate, Change, WhatChanged
+from loopcal.statistics.innovation import Innovation
+from loopcal.statistics.possible_changes import BETWEEN_DAYS, possible
 from tests.reference.simulated import planar_arm
 from tests.statistics.test_comparison import elsewhere, sds_of
 
@@ -153,3 +156,33 @@ def test_the_document_holds_every_candidate() -> None:
     assert document["found"][0]["alike"] == ["offset_3"]
     assert {c["name"] for c in document["candidates"]} >= {"q1", "q6", "a_2", "tool"}
     assert document["power"] == 0.9
+
+
+@pytest.mark.parametrize(
+    ("alike", "code", "words"),
+    [
+        (Candidate("the load", "load", "rad/m"), "conditions-first", "or else the load changed"),
+        (Candidate("q3", "zero", "rad"), "re-master", "or else the zero of q3 changed"),
+        (Candidate("offset_2", "angle", "rad"), "re-master", "± 0.0012 deg"),
+    ],
+)
+def test_a_change_is_named_with_what_asks_for_another_remedy(
+    alike: Candidate, code: str, words: str
+) -> None:
+    """A joint is not to be mastered again for a load that these poses do not rule out."""
+    change = Change("q2", "zero", "rad", 5e-5, 1e-5, 2.9e-5, 7.1e-5, 1e-3, (alike,))
+    what = WhatChanged("re-master", (change,), (alike,), Innovation(40.0, 20, None, 1e-3), 1.0, 0.5)
+    assert what.code == code
+    assert change.among.startswith("the zero of q2 moved by")
+    assert change.among.endswith(words)
+
+
+def test_the_zero_of_a_slide_has_the_sizes_of_a_length() -> None:
+    """Half a metre, which it had as an angle has half a radian, was named at 47 mm."""
+    given = setup("origins, two prismatic, point")
+    data = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1).dataset
+    causes = possible(build_problem(given.truth, data, given.noise), BETWEEN_DAYS)
+    units = given.truth.quantities
+    most = {one.names[0]: one.most for one in causes if one.kind == "zero"}
+    assert {units[q] for q in most} == {"rad", "m"}
+    assert all((limit < 0.05) == (units[q] == "m") for q, limit in most.items())

@@ -70,6 +70,34 @@ def doubled(readings: dict[str, np.ndarray], rng: Rng) -> dict[str, np.ndarray]:
     return {q: np.concatenate([v, v[:10]]) for q, v in readings.items()}
 
 
+def sorted_by_a_joint(by: float) -> Callable[..., dict[str, np.ndarray]]:
+    """The rows in the order of the first joint, the tracker drifting by so much meanwhile [m]."""
+
+    def tampered(readings: dict[str, np.ndarray], rng: Rng) -> dict[str, np.ndarray]:
+        order = np.argsort(readings["q1"])
+        run = {q: values[order] for q, values in readings.items()}
+        share = np.linspace(-0.5, 0.5, len(order))
+        ways = {"x": 0.8, "y": -0.4, "z": 0.6}
+        return run | {q: run[q] + by * way * share for q, way in ways.items()}
+
+    return tampered
+
+
+def test_a_drift_in_an_order_that_the_joints_tell_is_not_called_a_change() -> None:
+    """Without the drift's own say, alpha_3 and a_1 had changed."""
+    for seed, by in ((5, 1e-4), (7, 2e-4)):
+        answer = later(WORLD, seed, sorted_by_a_joint(by)).verdict["consistent"]
+        assert (answer.passed, answer.code) == (None, "drift-or-model")
+        assert "The instrument drifted, or the machine changed" in answer.words
+
+
+def test_a_change_that_is_no_drift_is_named_in_any_order() -> None:
+    found = later(WORLD, 5, sorted_by_a_joint(0.0), event=exchanged)
+    assert found.verdict["consistent"].passed is False
+    assert found.changes is not None
+    assert [change.name for change in found.changes.found] == ["tool"]
+
+
 @pytest.mark.parametrize("world", [WORLD, SAGGING], ids=["rigid", "sagging"])
 class TestEach:
     def test_a_clean_day_is_as_calibrated(self, world: World) -> None:

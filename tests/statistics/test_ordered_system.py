@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from loopcal.statistics import ordered_system as ordered
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.ordered_system import Fitted, ordered_system
 from tests.statistics.test_change_points import fitted, joints, read
@@ -56,3 +57,14 @@ def test_a_scatter_with_the_step_is_turned_into_that_without() -> None:
     with_step = gain / (left / rows)
     step = Estimated(np.sqrt([with_step, 0.0, 0.0]), np.eye(3))
     assert step.before(rows) == pytest.approx(gain / ((left + gain) / rows))
+
+
+def test_the_poses_may_be_taken_in_parts(fit: Fitted, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ordered, "_PART", 7)
+    parts = fit.system.fitted()
+    np.testing.assert_allclose(parts.left, fit.left, rtol=0.0, atol=1e-7)
+    for columns in (fit.system.columns(TARGET), fit.system.columns(["theta_3"])):
+        gains, ranks = fit.gains(columns)
+        by_part, ranks_by_part = parts.gains(columns)
+        assert (ranks == ranks_by_part).all()
+        np.testing.assert_allclose(by_part, gains, rtol=1e-5, atol=1e-6)

@@ -37,6 +37,15 @@ ANOTHER_DAY = (
         _PLAN,
     ),
     _consistent("unchanged", "The machine is as calibrated: {statistic}."),
+    _consistent_open(
+        "drift-or-change",
+        "The instrument drifted, or the machine changed: {changes}.",
+        "Measure the poses in random order: a drift is then no change of the machine.",
+        _PLAN,
+        detail="The joints follow the order of these poses, so a drift of the instrument along the "
+        "run looks the same.",
+        shared="drift-or-model",
+    ),
     _not_consistent(
         "re-master",
         _NOT_AS_CALIBRATED,
@@ -50,6 +59,14 @@ ANOTHER_DAY = (
         "If the machine is still not as calibrated, calibrate anew.",
         _VERIFY,
         shared="re-master",
+    ),
+    _not_consistent(
+        "conditions-first",
+        _NOT_AS_CALIBRATED,
+        "Verify with the load and at the temperature of the calibration first: they explain these "
+        "poses about as well. If the machine is still not as calibrated, calibrate anew.",
+        _VERIFY,
+        shared="changed",
     ),
     _not_consistent(
         "mounting-changed",

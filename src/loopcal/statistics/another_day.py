@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.change_points import ChangePoint
-from loopcal.estimation.dependence.dependence import pose_order
+from loopcal.estimation.dependence.dependence import joint_rows, pose_order
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.problem import Problem, build_problem, taken
@@ -18,7 +18,10 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Linearised, components_of
+from loopcal.statistics.possible_changes import unit_of
 from loopcal.statistics.replacing import Replaced, freed, replaced
+from loopcal.statistics.run_drift import SDS, drifting
+from loopcal.statistics.run_order import told_by_joints
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +29,15 @@ class Day:
     """The poses of another day, at a machine that is held but for what may stand elsewhere.
 
     problem: at the calibrated parameters, all of which count as estimated; freed: names of what
-    is found anew; moved: what changed along the run, by any size.
+    is found anew; moved: what changed along the run, by any size; drift: what may have drifted
+    along it, by name, with its sd [SI].
     """
 
     calibrated: Calibrated
     problem: Problem
     freed: tuple[str, ...]
     moved: tuple[ChangePoint, ...] = ()
+    drift: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -49,6 +54,19 @@ class Day:
         """
         names = freed(calibrated.mechanism, remounted)
         return cls(calibrated, day_problem(calibrated, data, noise), names)
+
+    @property
+    def drifting(self) -> Day | None:
+        """The day with a drift of its instruments, as `run_drift` has it, where the joints tell
+        the order of the poses; None elsewhere."""
+        problem, mechanism = self.problem, self.problem.mechanism
+        joints = problem.readings[joint_rows(problem)][:, pose_order(problem)].T
+        if told_by_joints(joints) is None:
+            return None
+        # zeros of readings first, as the columns stand
+        names = sorted(drifting(mechanism), key=lambda n: n not in mechanism.quantities)
+        units = {n: unit_of(problem, n) for n in names}
+        return replace(self, drift={n: SDS[unit] for n, unit in units.items() if unit in SDS})
 
     @property
     def variance(self) -> float | None:
@@ -73,7 +91,16 @@ class Day:
     def linearised(self, changes: Mapping[str, float] = {}) -> Linearised:
         """The equations of the held machine where it is placed anew after these changes."""
         placement = self.placed(changes)
-        return Linearised.of(placement, self.calibrated, self._columns(placement))
+        drift = self._drift(placement) if self.drift else None
+        return Linearised.of(placement, self.calibrated, self._columns(placement), drift)
+
+    def _drift(self, placement: Replaced) -> NDArray[np.float64]:
+        """(R, q) of what may have drifted, by one sd over the run."""
+        number = np.empty(len(self.problem.poses))
+        number[pose_order(self.problem)] = np.linspace(-0.5, 0.5, len(number))
+        sds = np.array([*self.drift.values()])
+        share = number[placement.row_poses][:, None]
+        return np.asarray(share * placement.columns([*self.drift]) * sds)
 
     def _columns(self, placement: Replaced) -> NDArray[np.float64] | None:
         """(R, q) of what changed along the run; None without any."""

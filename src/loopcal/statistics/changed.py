@@ -35,6 +35,8 @@ _WORDS = {
     "print": "prints",
     "expansion": "scales",
 }
+DRIFT_OR_CHANGE = "drift-or-change"
+"""The verdict where a drift of the instrument along the run explains the changes."""
 _CONDITIONS = ("load", "expansion")
 """Kinds of changes of what a machine is used under, not of itself."""
 _VERBS = {"zero": "moved", "mounting": "moved"}
@@ -109,6 +111,12 @@ class Change:
         return "mounting" in (self.kind, *(other.kind for other in self.alike))
 
     @property
+    def conditional(self) -> bool:
+        """Whether what the machine is used under explains the change."""
+        kinds = {self.kind, *(other.kind for other in self.alike)}
+        return not kinds.isdisjoint(_CONDITIONS)
+
+    @property
     def where(self) -> str:
         """What changed, in words."""
         return f"the zero of {self.name}" if self.kind == "zero" else self.name
@@ -128,15 +136,25 @@ class Change:
         parts = [f"{n} {with_unit(v, self.unit)}" for n, v in self.parts.items()]
         return f"{words} ({', '.join(parts)})" if parts else words
 
+    @property
+    def among(self) -> str:
+        """The change in words, with the others that explain it and ask for another remedy."""
+        names = [one.words for one in self.alike if one.kind in (*_VERBS, *_CONDITIONS)]
+        more = len(names) - _MOST_NAMED
+        names = names[:_MOST_NAMED] + ([f"one of {more} more"] if more > 0 else [])
+        *others, last = names or [""]
+        either = f"{', '.join(others)} or {last}" if others else last
+        return f"{self.words}, or else {either} changed" if names else self.words
+
 
 @dataclass(frozen=True)
 class WhatChanged:
     """The changes of a machine since its calibration, and what would not have been seen.
 
-    verdict: unchanged, re-master or calibrate-anew; found: the changes, in the order of the search;
-    candidates: all that was tested; test: of the whole; spread: by how much these poses vary more
-    than stated, where that is not taken as a change; left: p-value of the whole after these
-    changes, None without redundancy.
+    verdict: unchanged, re-master, calibrate-anew or drift-or-change; found: the changes, in the
+    order of the search; candidates: all that was tested; test: of the whole; spread: by how much
+    these poses vary more than stated, where that is not taken as a change; left: p-value of the
+    whole after these changes, None without redundancy.
     """
 
     verdict: str
@@ -172,16 +190,21 @@ class WhatChanged:
     @property
     def code(self) -> str:
         """Of the fact that these changes are."""
-        if self.verdict == "unchanged":
-            return "unchanged"
+        if self.verdict in ("unchanged", DRIFT_OR_CHANGE):
+            return self.verdict
+        mounted = all(change.mounted for change in self.found)
         if self.verdict == "re-master":
+            if not mounted and any(change.conditional for change in self.found):
+                return "conditions-first"
             alone = all(change.kind == "zero" for change in self.found)
             return "re-master" if alone else "re-master-first"
         kinds = {change.kind for change in self.found}
         if len(kinds) == 1 and not kinds.isdisjoint(_CONDITIONS):
             return f"{kinds.pop()}-changed"
-        if self.found and all(change.mounted for change in self.found):
+        if self.found and mounted:
             return "mounting-changed"
+        if any(change.conditional for change in self.found):
+            return "conditions-first"
         stated = not any(one.kind == "mounting" for one in self.candidates)
         return "machine-changed" if stated else "changed"
 

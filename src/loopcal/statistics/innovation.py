@@ -102,10 +102,15 @@ class Linearised:
 
     @classmethod
     def of(
-        cls, placement: Replaced, calibrated: Calibrated, moved: Array | None = None
+        cls,
+        placement: Replaced,
+        calibrated: Calibrated,
+        moved: Array | None = None,
+        drift: Array | None = None,
     ) -> Linearised:
         """Undetermined steps of the calibration are as free as the placement; moved: (R, q) the
-        columns of further changes that are."""
+        columns of further changes that are; drift: (R, p) those of changes by one sd, which are
+        held as the machine is."""
         J, f = placement.J / np.sqrt(calibrated.factor), calibrated.factor
         held = ~placement.anew[:, None]
         root = root_of(f * calibrated.covariance.matrix) * held
@@ -125,6 +130,10 @@ class Linearised:
         A, rank, noise = J @ root, int(kept.sum()), _noise_freedom(calibrated, placement)
         slopes = _slopes(calibrated, root_of(f * calibrated.covariance.matrix), ~placement.anew)
         e = placement.e / np.sqrt(f)
+        if drift is not None:
+            p = drift.shape[1]
+            A, root = np.hstack([A, drift / np.sqrt(f)]), np.pad(root, ((0, 0), (0, p)))
+            slopes = np.pad(slopes, ((0, 0), (0, p), (0, p)))
         return cls(placement, e, F, A, root, solve, rank, f, slopes, noise)
 
     @cached_property

@@ -10,7 +10,7 @@ that neither an error of the model nor one outlier passes for a step.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from loopcal.estimation.dependence.dependence import joint_rows, pose_order
 from loopcal.estimation.dependence.seen import Errors, instruments
 from loopcal.estimation.problem.pose_equations import rounding_left
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.products import rows_times
 from loopcal.estimation.result import FitResult
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.structure.smooth import DISCREPANCY, Smooth
@@ -38,6 +39,10 @@ _ENOUGH = 10
 _ABSORBED = 1e-4
 """A step that the fit takes up but for this share cannot be told from it: columns stand at the
 corrected readings, which follow the errors, and what is left of them may be these alone."""
+
+# Chosen, not derived: large enough for the products to be fast.
+_PART = 256
+"""Poses whose columns are made at a time, for an array of all is large."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,19 +70,23 @@ class OrderedSystem:
 
     def in_order(self) -> OrderedSystem:
         """With smooth columns, and the poses as they were measured."""
-        B, order = _smooth_columns(self.problem, self.X), pose_order(self.problem)
+        order = pose_order(self.problem)
+        D, X = self.D[order], self.X[order]
+        smooth = _smooth_columns(self.problem, X, order)
+        more = sum(B.shape[2] for B in smooth)
+        Z = D if self.Z is self.D else self.Z[order]
         return replace(
             self,
             order=order,
             E=self.E[order],
-            Z=np.concatenate([self.Z, B], axis=2)[order],
-            D=self.D[order],
-            X=self.X[order],
-            precision=np.pad(self.precision, (0, B.shape[2])),
-            pull=np.pad(self.pull, (0, B.shape[2])),
+            Z=np.concatenate([Z, *smooth], axis=2) if smooth else Z,
+            D=D,
+            X=X,
+            precision=np.pad(self.precision, (0, more)),
+            pull=np.pad(self.pull, (0, more)),
             patterns=self.patterns[order],
             rows=self.rows[order],
-            smooth=B.shape[2],
+            smooth=more,
         )
 
     def columns(self, names: Sequence[str]) -> Array:
@@ -128,7 +137,7 @@ class OrderedSystem:
         """The system scaled by what its fit leaves."""
         alike = np.ones(len(self.E))
         T = self.whitening(self.E, alike, float(self.rows.sum()))
-        fit = _scaled(self, self.Z, T, alike, _RATIOS)
+        fit = _scaled(self, self.Z[:, :, :0], T, alike, _RATIOS)
         for _ in range(_ROUNDS - 1):
             fit = fit.again()
         return fit
@@ -167,17 +176,17 @@ class OrderedSystem:
 class Fitted:
     """A fit of an ordered system with further columns, its rows scaled.
 
-    Z: (N, R, m) the columns, those of the system last; T: (N, R, R) what scales the rows; weights:
-    (N,) the poses' part in it; ratio: the variance of smooth columns over that of a row; scaled: T
-    Z; precision, pull: (m,) of z; products: (m, m) of the scaled columns.
+    more: (N, R, d) the further columns, which stand before those of the system in Z (N, R, m); T:
+    (N, R, R) what scales the rows; weights: (N,) the poses' part in it; ratio: the variance of
+    smooth columns over that of a row; precision, pull: (m,) of z; products: (m, m) of T Z. Neither
+    Z nor T Z is kept, each of which is as large as all else.
     """
 
     system: OrderedSystem
-    Z: Array
+    more: Array
     T: Array
     weights: Array
     ratio: float
-    scaled: Array
     precision: Array
     pull: Array
     products: Array
@@ -190,12 +199,13 @@ class Fitted:
     @cached_property
     def _drawn(self) -> Array:
         """(m,) H z."""
-        return np.asarray(np.tensordot(self.scaled, self.E, axes=((0, 1), (0, 1))) + self.pull)
+        back = np.einsum("nsr,ns->nr", self.T, self.E)
+        return np.asarray(self._onto(back[:, :, None])[:, 0] + self.pull)
 
     @property
     def further(self) -> int:
-        """Columns beside those of the system."""
-        return len(self.pull) - len(self.system.pull)
+        """How many columns there are beside those of the system."""
+        return int(self.more.shape[2])
 
     @cached_property
     def E(self) -> Array:
@@ -205,7 +215,18 @@ class Fitted:
     @cached_property
     def left(self) -> Array:
         """(N, R) what the fit leaves, scaled."""
-        return np.asarray(self.E - self.scaled @ self.z)
+        return np.asarray(np.einsum("nrs,ns->nr", self.T, self._unscaled))
+
+    @cached_property
+    def _unscaled(self) -> Array:
+        """(N, R) what the fit leaves of E."""
+        d = self.further
+        return np.asarray(self.system.E - self.more @ self.z[:d] - self.system.Z @ self.z[d:])
+
+    def _onto(self, rows: Array) -> Array:
+        """(m, k) Z^T rows over all poses, rows (N, R, k)."""
+        both = ((0, 1), (0, 1))
+        return np.concatenate([np.tensordot(Z, rows, both) for Z in (self.more, self.system.Z)])
 
     @property
     def criterion(self) -> float:
@@ -234,33 +255,30 @@ class Fitted:
         """The same columns, the rows scaled by what this fit leaves."""
         # Huber's weight is one of squares: its root weighs the rows.
         weights = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(self._away, 1e-300)))
-        left = self.system.E - self.Z @ self.z
-        T = self.system.whitening(left, weights, self.spare)
-        return _scaled(self.system, self.Z, T, weights, self.ratio * _BESIDE)
+        T = self.system.whitening(self._unscaled, weights, self.spare)
+        return _scaled(self.system, self.more, T, weights, self.ratio * _BESIDE)
 
     def beside(self, columns: Array) -> Fitted:
         """The fit with further columns (N, R, d) before the others, rows scaled as they are."""
         # Only the border of the products is summed over the poses (record 0061).
         d = columns.shape[2]
         C = self.T @ columns
-        U = np.tensordot(C, self.scaled, axes=((0, 1), (0, 1)))
+        U = self._onto(self.T.transpose(0, 2, 1) @ C).T
         Q = np.tensordot(C, C, axes=((0, 1), (0, 1)))
         return replace(
             self,
-            Z=np.concatenate([columns, self.Z], axis=2),
-            scaled=np.concatenate([C, self.scaled], axis=2),
+            more=np.concatenate([columns, self.more], axis=2),
             precision=np.pad(self.precision, (d, 0)),
             pull=np.pad(self.pull, (d, 0)),
             products=np.block([[Q, U], [U.T, self.products]]),
         )
 
     def without(self, first: int, count: int) -> Fitted:
-        """The fit without some of its columns, rows scaled as they are."""
+        """The fit without some of its further columns, rows scaled as they are."""
         gone = np.s_[first : first + count]
         return replace(
             self,
-            Z=np.delete(self.Z, gone, axis=2),
-            scaled=np.delete(self.scaled, gone, axis=2),
+            more=np.delete(self.more, gone, axis=2),
             precision=np.delete(self.precision, gone),
             pull=np.delete(self.pull, gone),
             products=np.delete(np.delete(self.products, gone, axis=0), gone, axis=1),
@@ -272,10 +290,14 @@ class Fitted:
         turned = C.transpose(0, 2, 1)
         u = np.cumsum(np.einsum("ndr,nr->nd", turned, self.left)[::-1], axis=0)[::-1]
         Q = np.cumsum((turned @ C)[::-1], axis=0)[::-1]
-        W = turned @ self._absorbing
-        for after, row in zip(W[:0:-1], W[-2::-1], strict=True):  # sooner than np.cumsum
-            row += after
-        values, vectors = np.linalg.eigh(Q - W @ W.transpose(0, 2, 1))
+        taken, carried = np.empty(Q.shape), np.zeros(())
+        for part in reversed(_parts(len(C))):
+            W = turned[part] @ self._absorbing[part]
+            W[-1] += carried
+            for after, row in zip(W[:0:-1], W[-2::-1], strict=True):  # sooner than np.cumsum
+                row += after
+            taken[part], carried = W @ W.transpose(0, 2, 1), W[0]
+        values, vectors = np.linalg.eigh(Q - taken)
         kept = values > _ABSORBED * np.maximum(np.einsum("ndd->n", Q), 1e-300)[:, None]
         along = np.einsum("nij,ni->nj", vectors, u)
         gains = np.where(kept, np.square(along) / np.where(kept, values, 1.0), 0.0).sum(axis=1)
@@ -285,7 +307,7 @@ class Fitted:
         """What these columns (N, R, d) explain; absorbed: share that all else must leave."""
         C, scale = self._alike(columns)
         flat = C.reshape(-1, C.shape[2])
-        Q, W = flat.T @ flat, (flat.T @ self.scaled.reshape(len(flat), -1)) @ self._factor.root
+        Q, W = flat.T @ flat, self._onto(self.T.transpose(0, 2, 1) @ C).T @ self._factor.root
         least = absorbed * max(float(np.trace(Q)), 1e-300)
         return Estimated.of(flat.T @ self.left.ravel(), Q - W @ W.T, scale, least)
 
@@ -296,9 +318,12 @@ class Fitted:
 
     @cached_property
     def _absorbing(self) -> Array:
-        """(N, R, k) V with Z H^-1 Z^T = V V^T."""
-        flat = self.scaled.reshape(-1, len(self.pull))  # one product, not one for each pose
-        return (flat @ self._factor.root).reshape(*self.E.shape, -1)
+        """(N, R, k) V with T Z H^-1 Z^T T^T = V V^T."""
+        root = self._factor.root
+        V = np.empty((*self.E.shape, root.shape[1]))
+        for part, scaled in _in_parts(self.system, self.more, self.T):
+            V[part] = rows_times(scaled, root)
+        return V
 
     @cached_property
     def _away(self) -> Array:
@@ -315,22 +340,33 @@ class Fitted:
         return C * scale, scale
 
 
-def _scaled(system: OrderedSystem, Z: Array, T: Array, weights: Array, ratios: Array) -> Fitted:
+def _scaled(system: OrderedSystem, more: Array, T: Array, weights: Array, ratios: Array) -> Fitted:
     """The fit of unit variance; the smooth columns' variance by restricted likelihood."""
-    m, smooth = Z.shape[2], system.smooth
-    more = m - len(system.pull)
-    stated, pull = np.pad(system.precision, (more, 0)), np.pad(system.pull, (more, 0))
-    T = weights[:, None, None] * T
-    scaled = T @ Z
-    flat = scaled.reshape(-1, m)
-    fit = Fitted(system, Z, T, weights, 1.0, scaled, stated, pull, flat.T @ flat)
-    size = np.trace(fit.products[m - smooth :, m - smooth :]) / max(len(flat) * smooth, 1)
+    d, smooth = more.shape[2], system.smooth
+    stated, pull = np.pad(system.precision, (d, 0)), np.pad(system.pull, (d, 0))
+    m, T = len(pull), weights[:, None, None] * T
+    products = np.zeros((m, m))
+    for _, scaled in _in_parts(system, more, T):
+        flat = scaled.reshape(-1, m)
+        products += flat.T @ flat
+    fit = Fitted(system, more, T, weights, 1.0, stated, pull, products)
+    size = np.trace(products[m - smooth :, m - smooth :]) / max(system.E.size * smooth, 1)
     tried = []
     for ratio in ratios.tolist() if smooth else ():
         precision = stated.copy()
         precision[m - smooth :] += max(size, 1e-300) / ratio
         tried.append(replace(fit, ratio=ratio, precision=precision))
     return min(tried, key=lambda one: one.criterion) if tried else fit
+
+
+def _in_parts(system: OrderedSystem, more: Array, T: Array) -> Iterator[tuple[slice, Array]]:
+    """Some poses after others, with their T Z."""
+    for part in _parts(len(T)):
+        yield part, T[part] @ np.concatenate([more[part], system.Z[part]], axis=2)
+
+
+def _parts(poses: int) -> list[slice]:
+    return [slice(begin, begin + _PART) for begin in range(0, poses, _PART)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -417,18 +453,20 @@ def ordered_system(result: FitResult) -> OrderedSystem:
     return made.in_order()
 
 
-def _smooth_columns(problem: Problem, X: Array) -> Array:
-    """(N, R, m) smooth functions of the joints along the readings of each instrument."""
+def _smooth_columns(problem: Problem, X: Array, order: NDArray[np.intp]) -> list[Array]:
+    """(N, R, m) each: smooth functions of the joints along the readings of an instrument; X: of
+    the poses in this order."""
     mechanism, names = problem.mechanism, problem.mechanism.tape.quantities
     joints = joint_rows(problem)
     # The discrepancy of a structured fit is among the parameters already (record 0046).
     if not joints or DISCREPANCY in {term.name for term in mechanism.learnt_terms}:
-        return np.zeros((*X.shape[:2], 0))
+        return []
     smooth = Smooth.of([(names[i], mechanism.quantities[names[i]]) for i in joints], {})
-    features = np.array(smooth.features({names[i]: problem.readings[i] for i in joints}))
+    features = np.array(smooth.features({names[i]: problem.readings[i, order] for i in joints}))
     columns = []
     for family in instruments(problem):
         errors = Errors.of(problem, family.readings)
         along = X[:, :, errors.rows] @ errors.modes
-        columns.append(along[:, :, :, None] * features.T[:, None, None, :])
-    return np.concatenate([c.reshape(*X.shape[:2], -1) for c in columns], axis=2)
+        each = along[:, :, :, None] * features.T[:, None, None, :]
+        columns.append(each.reshape(*X.shape[:2], -1))
+    return columns

@@ -35,9 +35,12 @@ _MOST = {
 
 @dataclass(frozen=True)
 class Possible:
-    """A change of parameters, or of zeros of readings, by name; steps, ramps: whether it may happen
-    at once, and all along a run; parts: its independent parts, by name [SI], where they are not the
-    names one by one; label: what it is called where that is not its only name."""
+    """A change of parameters, or of zeros of readings, by name.
+
+    steps, ramps: whether it may happen at once, and all along a run; parts: its independent parts,
+    by name [SI], where they are not the names one by one; label: what it is called where that is
+    not its only name; sized: the kind whose sizes it has, where not its own.
+    """
 
     kind: str
     names: tuple[str, ...]
@@ -45,6 +48,7 @@ class Possible:
     ramps: bool = True
     parts: tuple[tuple[tuple[str, float], ...], ...] = ()
     label: str = ""
+    sized: str = ""
 
     @property
     def name(self) -> str:
@@ -61,7 +65,7 @@ class Possible:
     @property
     def most(self) -> float:
         """The largest that a machine can have [SI]."""
-        return _MOST.get(self.kind, math.inf)
+        return _MOST.get(self.sized or self.kind, math.inf)
 
 
 Cause = Callable[[Problem], Iterable[Possible]]
@@ -158,7 +162,8 @@ def _readings(problem: Problem) -> Iterator[Possible]:
 
 def _zeros(problem: Problem) -> Iterator[Possible]:
     for q in driven_joints(problem.mechanism):
-        yield Possible("zero", (q,))
+        slides = problem.mechanism.quantities[q] == "m"
+        yield Possible("zero", (q,), sized="length" if slides else "")
 
 
 def _mountings(problem: Problem) -> Iterator[Possible]:

@@ -29,7 +29,7 @@ from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.change_tests import what_changed
-from loopcal.statistics.changed import WhatChanged
+from loopcal.statistics.changed import DRIFT_OR_CHANGE, WhatChanged
 from loopcal.statistics.day_run import Run, faults, searched
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
@@ -153,7 +153,8 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     """What changed since the calibration, and during the run.
 
     What happens during a run looks like changes before it, and these like a step at its begin: the
-    run is searched beside the changes, and then the changes beside what it shows.
+    run is searched beside the changes, and then the changes beside what it shows. Where the joints
+    tell the order of the poses, a drift of the instrument may explain the changes.
     """
     explained = what_changed(day, linear)
     if explained is None:
@@ -163,6 +164,10 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
         moved = replace(day, moved=run.shifts.found)
         calm = moved.without(np.array(run.outliers, dtype=np.intp))
         explained = what_changed(calm, calm.linearised()) or explained
+    elif explained.what.found and (drifting := day.drifting):
+        beside = what_changed(drifting, drifting.linearised())
+        if beside is not None and beside.what.verdict == "unchanged":
+            return replace(explained.what, verdict=DRIFT_OR_CHANGE), run
     return explained.what, run
 
 

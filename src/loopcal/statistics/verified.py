@@ -134,7 +134,7 @@ class Verification:
 
     def _changed(self, changes: WhatChanged) -> Fact:
         place = Where(parameters=tuple(change.name for change in changes.found))
-        words = "; ".join(change.words for change in changes.found) or self._statistic()
+        words = "; ".join(change.among for change in changes.found) or self._statistic()
         whole = 0.0 if self.innovation.p_value is None else self.innovation.p_value
         p_value = min(whole, *(change.p_value for change in changes.found), 1.0)
         return fact(

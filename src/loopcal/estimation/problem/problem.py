@@ -47,8 +47,9 @@ class Weighting(Enum):
 Array = NDArray[np.float64]
 BLOCK = 4096
 """Poses per block: large enough that NumPy's overhead vanishes, small enough for the cache."""
-VALUES = 4_000_000
-"""Derivatives of a block at most, 32 MB: poses with many loops, as images are, come in fewer."""
+VALUES = 1_000_000
+"""Derivatives of a block at most, 8 MB: poses with many loops or parameters come in fewer. What is
+made of a block is several times as large, and a fit with a model error has hundreds of columns."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,8 @@ class Problem:
     def most(self) -> int:
         """Poses in a block at most."""
         tape = self.mechanism.tape
-        return max(1, min(BLOCK, VALUES // max(len(tape.loops) * len(tape.quantities), 1)))
+        each = len(tape.loops) * (len(tape.quantities) + len(self.free))
+        return max(1, min(BLOCK, VALUES // max(each, 1)))
 
     def _block(self, most: int) -> int:
         poses = len(self.poses)

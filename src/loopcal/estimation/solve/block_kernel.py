@@ -69,7 +69,10 @@ class NumpyKernel:
 
     engine: Engine
     reduce: Reduce
-    block: int = 4096  # enough for NumPy's overhead to vanish, small enough for the cache
+
+    @property
+    def block(self) -> int:
+        return self.engine.size
 
     def corrected(self, block: Block) -> Reduced:
         return self._reduced(block, Stage.BY_QUANTITY)
