@@ -21,6 +21,7 @@ from loopcal.files.cameras.intrinsics import read_intrinsics
 from loopcal.files.cameras.places import read_places, read_samples
 from loopcal.files.recognition.headers import words
 from loopcal.files.tables.readers import read_table
+from loopcal.files.tables.registry import reader_of
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.presentation.shown import with_unit
@@ -59,11 +60,23 @@ def files_of(entries: Sequence[Any]) -> list[Path]:
 
 
 def tables_of(entries: Sequence[Any]) -> list[Any]:
-    """The entries, a folder of text tables as these, one by one."""
+    """The entries, a folder of text tables as these, one by one.
+
+    A text without columns, as a program prints it, is no table.
+    """
     opened: list[Any] = []
     for entry in entries:
         folder = isinstance(entry, str | Path) and Path(entry).is_dir()
-        tables = [p for p in files_of([entry]) if p.suffix.lower() in _TABLES] if folder else []
+        texts = [p for p in files_of([entry]) if p.suffix.lower() in _TABLES] if folder else []
+        tables = [p for p in texts if p.suffix.lower() != ".txt" or len(_header(p)) > 1]
+        reader = reader_of(entry) if folder and not tables else None
+        if reader and not any(Path(entry).glob(reader.in_folder or "*.parquet")):
+            raise InputError(
+                "this folder holds no table of readings",
+                code="no-data",
+                place=str(entry),
+                remedy="name files of readings, or a folder of CSV files, Parquet files or a bag",
+            )
         opened += tables or [entry]
     return opened
 

@@ -257,6 +257,10 @@ def initial_project(
         return _kept(_of_tree(readings, robot, folder), folder, write=out is not None)
     if are_images(readings):
         return _of_images(readings, robot, folder, write=out is not None)
+    if not any((robot.urdf, robot.dh, robot.machine)):
+        urdfs = [path for path in files_of(readings) if path.suffix == ".urdf"]
+        robot = replace(robot, urdf=urdfs[0]) if len(urdfs) == 1 else robot
+        readings = [r for r in readings if len(urdfs) != 1 or str(r) != str(urdfs[0])]
     readings = tables_of(readings)
     if out is not None:
         from_files = all(isinstance(entry, str | Path) for entry in readings)
