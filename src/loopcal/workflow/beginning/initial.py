@@ -9,11 +9,12 @@ from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from shlex import quote
-from typing import Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.aliases import of_project
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.fit import Fit
@@ -147,6 +148,11 @@ class InitialProject:
         """What to type next."""
         project = self.written[0].as_posix() if self.written else PROJECT
         return f"loopcal {'calibrate' if self.inputs.get('data') else 'plan'} {quote(project)}"
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            return of_project(self, name)
 
     def __str__(self) -> str:
         parts = [self.words, ""] if self.words else self._first_rows()
