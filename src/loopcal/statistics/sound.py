@@ -240,7 +240,7 @@ def _board_missed(document: ResultDocument) -> Fact | None:
         if place.position is None or place.noise_across is None or place.noise_along is None:
             continue
         noise, rms = math.hypot(place.noise_across, place.noise_along), place.position.rms
-        least = rms * (1.0 - 2.0 * OF_RMS / math.sqrt(place.position.poses))
+        least = rms * (1.0 - 2.0 * OF_RMS / math.sqrt(place.position.poses or 1))
         sure = math.sqrt(max(least**2 - noise**2, 0.0)) / sd
         if sure > max(ratio, WORSE):
             missed, ratio = math.sqrt(rms**2 - noise**2), sure
