@@ -26,8 +26,8 @@ from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.presentation.shown import with_unit
 
-_RESULT = "result.json"
-"""Beside it stands what a calibration wrote."""
+_MADE = ("result.json", "project.toml")
+"""Beside them stands what loopcal wrote."""
 _TABLES = (".csv", ".tsv", ".txt")
 _IMAGES = frozenset(words("corners", "image"))
 _SAME = 1e-3
@@ -47,15 +47,16 @@ class Files:
 
 
 def files_of(entries: Sequence[Any]) -> list[Path]:
-    """The files that the entries name, those of folders one by one but for results in them."""
+    """The files that the entries name, those of folders one by one but for projects and results in
+    them."""
     paths: list[Path] = []
     for entry in entries:
         if not isinstance(entry, str | Path):
             return []
         path = Path(entry)
         inside = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-        results = {p.parent for p in inside if p.name == _RESULT}
-        paths += [p for p in inside if results.isdisjoint(p.parents)]
+        made = {p.parent for p in inside if p.name in _MADE} - {path}
+        paths += [p for p in inside if made.isdisjoint(p.parents)]
     return paths
 
 
