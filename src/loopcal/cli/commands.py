@@ -427,8 +427,7 @@ def init(
 
     robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out, tuple(observe or ()))
     done = initial_project(files or (), robot, out=out, sheet=sheet, ask=ask_on_terminal())
-    # With --run the next command follows by itself.
-    print_out(str(done).rpartition("\nnext:\n")[0] if run else str(done))
+    print_out(str(done))
     if run:
         try:
             calibrate(str(done.written[0]))
