@@ -59,8 +59,9 @@ from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, before_readings
 from loopcal.workflow.beginning.counts import counted
 from loopcal.workflow.beginning.delays import Delay, delays
-from loopcal.workflow.beginning.from_images import CORNERS, WRONG, from_images
+from loopcal.workflow.beginning.from_images import from_images
 from loopcal.workflow.beginning.from_tree import dh_table, from_tree, urdf_table
+from loopcal.workflow.beginning.images_project import CORNERS, WRONG
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,
