@@ -86,6 +86,20 @@ CALLS: dict[str, Call] = {
     "lc.export(result, 'urdf')": lambda m: lc.export(m.result, "urdf").files,
     "lc.predict(result, df)": lambda m: predicts(m, lc.predict(m.saved, m.df)),
     "lc.verify(result, df)": lambda m: lc.verify(m.result, m.df).poses,
+    "lc.plan(result, 5)": lambda m: lc.plan(m.result, 5, noise={"*": 1e-4}).poses,
+    "lc.verify(result, file, file)": lambda m: (
+        lc.verify(m.result, m.folder / "joints.csv", m.folder / "tracker.csv").worst
+    ),
+    "lc.simulate(result, q)": lambda m: (
+        len(lc.simulate(m.result, dict(zip(JOINTS, m.q.T, strict=True)), noise={"*": 0.0}).dataset)
+        == 100
+    ),
+    "result.predict(array in rad)": lambda m: predicts(
+        m, m.result.predict(m.q, units={"joint_*": "rad"})
+    ),
+    "result.predict(one pose)": lambda m: (
+        len(m.result.predict({f"J{i + 1}": v for i, v in enumerate(m.deg[0])}).outputs["x"]) == 1
+    ),
     "robot.fk(q)": lambda m: m.robot.fk(m.q[0]).shape == (4, 4),
     "robot.fk(list)": lambda m: m.robot.fk([0.0] * 6).shape == (4, 4),
     "robot.fk((N, 6))": lambda m: m.robot.fk(m.q).shape == (100, 4, 4),
@@ -131,6 +145,31 @@ MISSES: dict[str, tuple[Call, type[Exception], str]] = {
     "result.verify": (lambda m: m.result.verify, AttributeError, "lc.verify(result, readings)"),
     "result.dh": (lambda m: m.saved.dh, AttributeError, "result.export('dh')"),
     "robot.dof": (lambda m: m.robot.dof, AttributeError, "len(robot.quantities)"),
+    "result.predict(radians)": (
+        *(lambda m: m.result.predict(m.q), lc.InputError, "units={'joint_*': 'rad'}"),
+    ),
+    "saved.fk(radians)": (lambda m: m.saved.fk(m.q[0]), lc.InputError, "units={'joint_*': 'rad'}"),
+    "lc.plan(robot, 5)": (lambda m: lc.plan(m.robot, 5), lc.InputError, "lc.assemble"),
+    "robot.calibrate(df)": (lambda m: m.robot.calibrate(m.df), AttributeError, "lc.calibrate"),
+    "lc.simulate(project, 5)": (
+        *(lambda m: lc.simulate(m.project, 5), lc.InputError, "lc.random_poses"),
+    ),
+    "project.check()": (lambda m: lc.load(m.project).check(), AttributeError, "lc.check(project)"),
+    "init.calibrate()": (
+        *(
+            lambda m: begun(m).calibrate,
+            AttributeError,
+            "lc.calibrate(p",
+        ),
+    ),
+    "init.predict(df)": (
+        *(
+            lambda m: begun(m).predict,
+            AttributeError,
+            "lc.calibrate(",
+        ),
+    ),
+    "result.plan(5)": (lambda m: m.result.plan(5), AttributeError, "lc.plan(result"),
     "robot.ik": (lambda m: m.robot.ik, AttributeError, "lc.correct"),
     "lc.calibrate(df)": (lambda m: lc.calibrate(m.df), lc.InputError, "urdf='robot.urdf'"),
     "lc.calibrate()": (lambda m: lc.calibrate(), lc.InputError, "lc.calibrate(readings, urdf="),
@@ -158,6 +197,10 @@ def same(m: SimpleNamespace, *readings: Any) -> bool:
 def predicts(m: SimpleNamespace, prediction: lc.Prediction) -> bool:
     """Whether the outputs are what was measured, but for the noise [m]."""
     return bool(np.abs(1e3 * prediction.outputs["x"] - m.xyz[:, 0]).max() < 1.0)
+
+
+def begun(m: SimpleNamespace) -> Any:
+    return lc.init(m.df, urdf=m.urdf)
 
 
 def judged_first(result: lc.Result) -> bool:

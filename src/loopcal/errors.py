@@ -135,17 +135,13 @@ class LoopcalError(Exception):
     def next_command(self, words: Sequence[str]) -> None:
         """Fill in what to type next, where the error shows it; words: of the command that failed.
 
-        `init` alone is typed again once the remedy is done, because files are mended for it; not
-        where its project is there and the result is not trusted.
+        Where nothing differs, the same command follows once the remedy is done.
         """
-        if self.command or self.exit_code == NoTrustworthyResult.exit_code:
-            return
         argument, *others = self.meant or ("",)
         mended = [m for w in words for m in (others if w == argument else [w])]
         mended = _with_options(mended, self.options)
-        self.again = mended == [*words]
-        if not self.again or mended[:1] == ["init"]:
-            self.command = join(["loopcal", *mended])
+        self.again = sorted(mended) == sorted(words)
+        self.command = join(["loopcal", *mended])
 
     def at(self, place: str) -> LoopcalError:
         """The same error with the place filled in, for callers that know the file."""
@@ -179,10 +175,7 @@ def unknown_name(
     words: str, name: str, names: Iterable[str], place: str | None = None
 ) -> InputError:
     """The error for a name that is none of those there are: what to do names the nearest."""
-    choices = list(names)
-    error = InputError(words, code="unknown-name", place=place, remedy=nearest(name, choices))
-    close = closest(name, choices)
-    return error.meaning(name, close) if close else error
+    return InputError(words, code="unknown-name", place=place, remedy=nearest(name, names))
 
 
 @contextmanager
@@ -250,8 +243,17 @@ def closest(name: str, choices: Sequence[str]) -> str | None:
     """The known spelling nearest to `name`; None where none is near."""
     # Bounded in number and length: a damaged file may offer any number of names of any length.
     folded = {choice[:200].casefold(): choice for choice in reversed(choices[:1000])}
-    close = get_close_matches(name[:200].casefold(), folded, n=1, cutoff=0.6)
-    return folded[close[0]] if close else None
+    typed = name[:200].casefold()
+    close = get_close_matches(typed, folded, n=1, cutoff=0.6)
+    if not close and len(typed) > 2:  # an abbreviation, as thr of three
+        close = [one for one in folded if one[:1] == typed[0] and _abbreviates(typed, one)]
+    return folded[close[0]] if len(close) == 1 else None
+
+
+def _abbreviates(short_name: str, name: str) -> bool:
+    """Whether all letters of the short name are in the other one, in their order."""
+    rest = iter(name)
+    return all(letter in rest for letter in short_name)
 
 
 def nearest(name: str, candidates: Iterable[str]) -> str:

@@ -73,3 +73,12 @@ def test_a_question_is_asked_on_a_terminal_until_it_is_answered(
     monkeypatch.setattr(sys, "stdin", _Terminal(""))
     with pytest.raises(InputError):
         ask("Which?", ["deg", "gon"])
+
+
+def test_a_folder_is_read_with_its_robot_but_without_texts_of_programs(folder: Path) -> None:
+    (folder / "dh.csv").unlink()
+    (folder / "err.txt").write_text("loopcal: fitted; judging\n", "utf-8")
+    (folder / "arm.urdf").write_text("<robot/>", "utf-8")
+    done = run_here("init", ".", cwd=folder)
+    assert "arm.urdf" in done.stderr  # no robot yet, but it was taken
+    assert "err.txt" not in done.stderr

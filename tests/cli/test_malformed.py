@@ -373,12 +373,11 @@ def test_bad_input_is_told_and_changes_nothing(name: str, folder: Path, run: Run
     assert done.out == ""
     assert "Traceback" not in done.err
     if code == 3:
-        first, remedy, *further = done.err.strip().splitlines()
+        first, remedy, head, command = done.err.strip().splitlines()
         assert first.startswith("loopcal: ")
         assert remedy.startswith("  What to do: ")
-        if further:  # a command that can be copied
-            head, command = further
-            assert (head, command[:12]) == ("  Next command:", "    loopcal ")
+        assert head in ("  Next command:", "  Then run:")
+        assert command.startswith(("    loopcal ", "    pip install "))
     if before:
         assert contents(folder) == before
     earlier = (folder / "project-result" / "result.json").read_bytes()

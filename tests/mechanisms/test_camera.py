@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import loopcal as lc
 from loopcal.companions.planning.information import end_point_rows, end_point_unit
+from loopcal.estimation import prediction
 from loopcal.estimation.cameras.at_board import pixel_sizes
 from loopcal.estimation.noise.linear_model import fit, linear_model
 from loopcal.estimation.problem import patterns
@@ -191,3 +192,19 @@ def test_further_terms_are_those_of_lens_and_print_that_are_free() -> None:
     ]
     held = made.parameters.with_fixed(["*_k3", "*_warp_*"])
     assert further_terms(held) == groups[2:]
+
+
+def test_pixels_are_predicted_without_closing_loops(monkeypatch: pytest.MonkeyPatch) -> None:
+    T = hands(6, 4)
+    uv = pixels(T, on="base")
+    made = mechanism("base")
+    data = lc.Dataset.from_arrays(readings(T, uv))
+    problem = build_problem(made, data, lc.Noise({"*": 1e-3}))
+    x = problem.readings + 3.0 * np.isin(made.tape.quantities, [*made.outputs]).reshape(
+        -1, 1
+    )  # where the search begins does not matter
+    arguments = (made, problem.start, x, problem.pose_constants)
+    direct = prediction.predict_outputs(*arguments)
+    monkeypatch.setattr(prediction, "_of_pixels", lambda *_: None)
+    np.testing.assert_allclose(direct, prediction.predict_outputs(*arguments), atol=1e-9)
+    np.testing.assert_allclose(direct, uv.reshape(-1, 6), atol=1e-9)

@@ -142,7 +142,10 @@ def calibrate(
     text = f"{typed.title}\n{typed}\n\n{done.result.findings.words()}"
     print_done(done.written.document, as_json, text=text, where=where, full=full)
     if done.objection is not None:
-        raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
+        error = NoTrustworthyResult(f"no trustworthy result: {done.objection}")
+        answers = () if typed.verdict is None else typed.verdict.answers.values()
+        error.command = next((a.command for a in answers if a.passed is False and a.command), "")
+        raise error
 
 
 @app.command()

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 import typer
 
 from loopcal.cli.application import app
+from loopcal.cli.next_command import after_usage, fill_in
 from loopcal.cli.output import log, open_streams, print_error, unprinted
 from loopcal.cli.registry import loaded
 from loopcal.errors import LONGEST_TEXT, InputError, LoopcalError, UsageError, short
@@ -53,12 +54,13 @@ def _run(arguments: Sequence[str] | None) -> int:
         code = application(asked, prog_name="loopcal", standalone_mode=False, obj=main) or 0
         _flush()
     except LoopcalError as error:
-        error.next_command(asked)
+        fill_in(error, asked)
         return _refused(error)
     except TyperException as error:  # arguments that do not parse
         shown = io.StringIO()
         error.show(file=shown)  # type: ignore[attr-defined]
         print_error(short(shown.getvalue().rstrip("\n"), LONGEST_TEXT))
+        print_error(f"  Next command:\n    {after_usage(error, asked)}")
         return error.exit_code
     except (KeyboardInterrupt, Abort):
         code = INTERRUPTED

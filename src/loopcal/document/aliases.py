@@ -60,6 +60,8 @@ INSTEAD: Mapping[str, str] = {
     **dict.fromkeys(("cost", "mse_resid", "ssr"), "result.chi_squared or result.document.accuracy"),
     **dict.fromkeys(("df_resid", "nfree", "dof"), "result.chi_squared.degrees_of_freedom"),
     **{name: f"lc.{name}(result, readings)" for name in ("verify", "update")},
+    "plan": "lc.plan(result, 20)",
+    "simulate": "lc.simulate(result.mechanism, readings, noise=...)",
     **dict.fromkeys(
         ("base", "tool", "joint_offsets", "offsets", "dh", "urdf", "model"),
         "result.params; result.export('dh'), or 'urdf'; or result.mechanism",
@@ -92,6 +94,22 @@ def aliased(result: Any, name: str) -> Any:
     public = [n for n in (*dir(type(result)), *ALIASES) if not n.startswith("_")]
     words = f"a {kind} has no attribute {name!r}: {nearest(name, public)}"
     raise AttributeError(words, name=name, obj=result)
+
+
+_OF_PROJECTS = ("calibrate", "check", "plan", "simulate", "validate", "compare_models")
+_OF_RESULTS = ("predict", "fk", "correct", "export", "report", "plot", "summary")
+
+
+def of_project(project: Any, name: str) -> Any:
+    """Raise the AttributeError of a project, with the call that does what the name says."""
+    words = f"a {type(project).__name__} has no attribute {name!r}"
+    if name in _OF_PROJECTS:
+        words += f": use lc.{name}(project)"
+    elif name in _OF_RESULTS:
+        words += f": use lc.calibrate(project).{name}()"
+    elif name in ("save", "write"):
+        words += ": use lc.init(readings, ..., out='calibration'), which writes project.toml"
+    raise AttributeError(words, name=name, obj=project)
 
 
 def confidence(result: Any, alpha: float = 0.05) -> dict[str, list[float]]:

@@ -14,7 +14,7 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.measurements.noise import ReadingUncertainty
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 
 Array = NDArray[np.float64]
 _SETTLED = 1e-9
@@ -36,10 +36,30 @@ def predict_outputs(
     """
     rows = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
     predicting = mechanism.predicting()
+    if (direct := _of_pixels(predicting, mechanism.outputs)) is not None:
+        # A loop of pixels is computed minus read.
+        values = _loop_values(
+            predicting.tape, parameters, readings, pose_constants, tuple(estimated)
+        )
+        return readings[rows] + values[direct]
     loops = tuple(range(len(predicting.tape.loops)))
     place = {name: i for i, name in enumerate(predicting.parameters.names)}
     free = np.array([place[name] for name in estimated], dtype=np.intp)
     return _closed(predicting, loops, rows, parameters, readings, pose_constants, free)[rows]
+
+
+def _of_pixels(predicting: Mechanism, outputs: Sequence[str]) -> list[int] | None:
+    """For each output the loop whose pixel it is; None where other loops are to be closed."""
+    loop_of = {
+        reading: loop
+        for family in predicting.families
+        if family.form == PIXELS
+        for loop, reading in zip(family.loops, family.readings, strict=True)
+    }
+    loops = predicting.tape.loops
+    if {loop_of.get(output) for output in outputs} != {*loops}:
+        return None
+    return [loops.index(loop_of[output]) for output in outputs]
 
 
 def solving(mechanism: Mechanism, hidden: Collection[str]) -> Mechanism:

@@ -57,6 +57,11 @@ _INSTEAD = {
         "lc.correct(result, targets), which solves for joints, or another library on the URDF of "
         "result.to_urdf('robot.urdf')",
     ),
+    "calibrate": "lc.calibrate(readings, urdf='robot.urdf'), or lc.assemble(robot, instruments)",
+    **{
+        name: f"lc.{name}(lc.assemble(robot, instruments), ...)"
+        for name in ("check", "plan", "simulate")
+    },
     **dict.fromkeys(("forward", "tool_pose", "fkine"), "robot.fk(q)"),
 }
 """What people type instead of a name, and the call that does it."""

@@ -144,10 +144,11 @@ def choose(
     judged = [*judged, *more]
     _refuse(judged)
     judged = gathered(process_cores(), lean, case, judged)
+    about_terms = ""
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
         judged = _with_fewer(case, judged, plan, executor, progress)
-        judged = _without_further(judged, plan, len(case.data), executor)
+        judged, about_terms = _without_further(judged, plan, len(case.data), executor)
         judged = _refitted(judged, plan, len(case.data), executor)
     taken, chosen, validation = _choice(judged, plan, len(case.data))
     about_images: dict[str, Any] = {}
@@ -158,7 +159,7 @@ def choose(
             validation = replace(validation, images=image_validation(taken, plan, executor))
     assert taken.whole is not None
     exact = (one.failed for one in judged if one.error and one.error.code == CONTRADICTED)
-    words = chosen.words + run_changes.words()
+    words = chosen.words + about_terms + run_changes.words()
     chosen = replace(chosen, words=words, contradicted=next(exact, None))
     if other is not None:
         validation = validated(taken.entrant.case, taken.whole, other)
@@ -298,13 +299,14 @@ def _with_fewer(
 
 def _without_further(
     judged: Sequence[Judged], plan: Plan, poses: int, executor: Executor | None
-) -> list[Judged]:
+) -> tuple[list[Judged], str]:
     """The calibration of images that would be taken, where each group of terms of lens and print
     is held as stated without which it predicts as well and loops are as likely: each within one
-    paired standard error."""
+    paired standard error. And which, in words."""
     able = [one for one in judged if one.made and not one.entrant.drawn]
     if not able:
-        return [*judged]
+        return [*judged], ""
+    held, free = list[str](), list[str]()
     taken = first = _taken(able, {one.name: risk_of(one, plan, poses) for one in able}, plan)
     for names in further_terms(taken.entrant.case.mechanism.parameters):
         fewer = fitted(begun(holding(taken.entrant, names), taken.whole))
@@ -315,9 +317,28 @@ def _without_further(
             continue
         risk, base = (risk_of(one, plan, poses) for one in (fewer, taken))
         alike = predicts_as_well(risk, base, plan)
-        if alike and explains_as_well(fewer, taken, plan, poses):
-            taken = fewer
-    return [taken if one is first else one for one in judged]
+        likely = explains_as_well(fewer, taken, plan, poses)
+        words = _about(names, Gain.in_rms(base[0], risk[0], plan.groups), alike, likely)
+        (held if alike and likely else free).append(words)
+        taken = fewer if alike and likely else taken
+    about = (
+        "; terms of lens and print, by rms without them minus with them: " if held or free else ""
+    )
+    about += "; ".join(
+        f"{how} {', '.join(words)}"
+        for how, words in (("held as stated", held), ("free", free))
+        if words
+    )
+    return [taken if one is first else one for one in judged], about
+
+
+def _about(names: Sequence[str], gain: Gain | None, alike: bool, likely: bool) -> str:
+    """Terms that were held on trial, and what images not used say."""
+    words = shortened(" and ".join(names), 60)
+    if gain is not None and math.isfinite(gain.sd):
+        sd = max(gain.sd, 1e-4)
+        words += f" {by_sd(gain.difference, sd, 'px', sign=True)} ± {by_sd(sd, sd, 'px')} px"
+    return words + (", less likely without" if alike and not likely else "")
 
 
 def _refitted(

@@ -10,7 +10,7 @@ from typing import Any
 
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.document.verdict import QUESTIONS
-from loopcal.errors import InputError, NoTrustworthyResult, UsageError, closest, nearest
+from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.estimation.plausible import refuse_other_units
@@ -115,12 +115,11 @@ def run_calibration(
     without work.
     """
     if request.method is not None and request.method not in METHODS:
-        close = closest(request.method, [*METHODS])
         raise UsageError(
             f"there is no method {request.method!r}",
             code="unknown-name",
             remedy=nearest(request.method, METHODS),
-        ).meaning(request.method, close or request.method)
+        )
     for name in request.require:
         if name not in QUESTIONS:
             raise UsageError(

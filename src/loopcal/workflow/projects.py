@@ -10,7 +10,7 @@ from typing import Any
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.result_document import ResultDocument
-from loopcal.errors import InputError, UsageError, closest, nearest
+from loopcal.errors import InputError, UsageError, nearest
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.project_data import load_dataset
@@ -41,13 +41,11 @@ def new_project(name: str, kind: str) -> NewProject:
     Raises UsageError for a type that is none, InputError where files are in the way.
     """
     if kind not in TEMPLATES:
-        error = UsageError(
+        raise UsageError(
             f"there is no mechanism type {kind!r}",
             code="unknown-name",
             remedy=nearest(kind, TEMPLATES),
         )
-        near = closest(kind, TEMPLATES)
-        raise error.meaning(kind, near) if near else error
     from loopcal.files.project.new_project import write_new_project
 
     files = write_new_project(name, kind)

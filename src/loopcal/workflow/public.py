@@ -149,8 +149,11 @@ def on_result(function: Callable[..., Any], needed: str, *, whole: bool) -> Call
     """needed: what the function takes of a result from a folder; whole: read the outputs too."""
 
     @wraps(function)
-    def accepting(calibration: Any, data: Any, *, units: Units = None, **options: Any) -> Any:
+    def accepting(
+        calibration: Any, data: Any, *more: Any, units: Units = None, **options: Any
+    ) -> Any:
         result = result_of(calibration)
+        data = [data, *more] if more else data
         poses = later_readings(result, data, units, whole=whole)
         return _whole(function(_taken(result, needed), poses, **options))
 
@@ -224,10 +227,17 @@ def _taken(result: Any, needed: str) -> Any:
 
 @wraps(simulating.simulate)
 def simulate(
-    mechanism: Any, readings: Any = None, *, seed: int, units: Units = None, **options: Any
+    mechanism: Any, readings: Any = None, *, seed: int = 0, units: Units = None, **options: Any
 ) -> Simulation:
     """`simulate`, of paths too."""
     machine = described(mechanism)
+    if isinstance(readings, int):
+        raise InputError(
+            f"{readings} is no table of readings to simulate at",
+            code="invalid-value",
+            remedy=f"draw the poses: lc.random_poses({{'joint': (-1.0, 1.0)}}, {readings}, seed=0) "
+            "gives readings within a range [SI] for each joint",
+        )
     if readings is None and isinstance(machine, Project):
         return simulated(machine, seed)
     inputs = stated(machine, readings, units)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
@@ -20,10 +21,13 @@ from loopcal.measurements.tables import column_names
 from loopcal.mechanisms.frame import joint_rows
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.parameters import matching
+from loopcal.units import to_si
 
 Units = Mapping[str, str] | None
 Files = str | Path | Sequence[str | Path]
 """A file of readings, or several of one measurement."""
+_NEAR = 0.05
+"""So far [rad] beyond the calibrated poses an array of joints lies among them."""
 POSE = "pose"
 """The column of pose ids of a table or file that no project describes."""
 
@@ -107,6 +111,44 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
     return readings(data, mechanism, units)
 
 
+def _refuse_doubtful(
+    joints: Mapping[str, NDArray[np.float64]], in_source: Mapping[str, str], result: Any
+) -> None:
+    """Raise InputError for angles without a unit that lie among the calibrated poses in the other
+    one: radians beside a file in degrees, or degrees that the poses in radians do not reach.
+
+    Angles [rad] that are small as degrees as well are taken as SI.
+    """
+    poses, quantities = result.poses, result.mechanism.quantities
+    angles = {
+        q: v for q, v in joints.items() if quantities[q] == "rad" and np.nanmax(np.abs(v)) > 0
+    }
+    units = {in_source.get(q, "rad") for q in angles}
+    if poses is None or not angles or len(units) != 1 or not units < {"rad", "deg"}:
+        return
+
+    def among(unit: str) -> bool:
+        return all(
+            np.nanmin(poses[q]) - _NEAR <= to_si(low, unit)
+            and to_si(high, unit) <= np.nanmax(poses[q]) + _NEAR
+            for q, v in angles.items()
+            for low, high in [(float(np.nanmin(v)), float(np.nanmax(v)))]
+        )
+
+    (unit,) = units
+    other = "deg" if unit == "rad" else "rad"
+    if not among(other) or (unit == "rad" and among("rad")):
+        return
+    alike = {q.rstrip("0123456789") for q in angles}
+    glob = f"{alike.pop()}*" if len(alike) == 1 else "*"
+    raise InputError(
+        f"the joints of an array without units are read in {unit}, as those of the first file; in "
+        f"{other} they lie among the calibrated poses" + (" too" if among(unit) else ""),
+        code="implausible-unit",
+        remedy=f"state their unit: units={{{glob!r}: {other!r}}} or units={{{glob!r}: {unit!r}}}",
+    )
+
+
 def _of_table(result: Any, data: Any, units: Units, *, whole: bool) -> Dataset:
     """A table in the columns and units of what the result was calibrated with, where its project
     states them; else named by quantity. An array has the joints, then what was measured."""
@@ -120,7 +162,11 @@ def _of_table(result: Any, data: Any, units: Units, *, whole: bool) -> Dataset:
         stated = source["columns"] if source else {}
         in_source = {q: stated[q]["unit"] for q in names if q in stated}
         table = dict(zip(names, joint_rows(np.atleast_2d(columns), names).T, strict=True))
+        if units is None:
+            _refuse_doubtful({q: table[q] for q in joints}, in_source, result)
         return readings(table, mechanism, units or in_source)
+    if isinstance(data, Mapping):  # one pose may be numbers
+        data = {name: np.atleast_1d(values) for name, values in data.items()}
     if units is None and source is not None and not isinstance(data, Dataset):
         labels = {str(one["column"]) for one in source["columns"].values()}
         if labels <= {*column_names(data)}:

@@ -23,7 +23,7 @@ from loopcal.workflow.beginning.initial import InitialProject
 from loopcal.workflow.calibration import calibrated
 from loopcal.workflow.readings import Units, new_readings, readings
 from loopcal.workflow.result import Result
-from loopcal.workflow.saved_result import read_result
+from loopcal.workflow.saved_result import SavedResult, read_result
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ _CALLS = (
 
 
 def described(value: Any) -> Any:
-    """A mechanism or a project, where a path of one is given."""
+    """A mechanism or a project, where a path of one or a result is given."""
     if isinstance(value, str | Path):
         try:
             content = read_toml(value)
@@ -57,6 +57,8 @@ def described(value: Any) -> Any:
         return read_project(value) if "mechanism" in content else read_mechanism(value)
     if isinstance(value, Mechanism | Project | InitialProject):
         return value
+    if isinstance(value, FitResult | SavedResult):
+        return value.mechanism
     words = (
         "no mechanism is given" if value is None else f"a {type(value).__name__} is no mechanism"
     )

@@ -102,7 +102,13 @@ class Views:
         return str(self)
 
     def predict(self, data: Any, *, units: Units = None, **options: Any) -> Prediction:
-        """`loopcal.predict` of this result: outputs for readings, with their covariance."""
+        """`loopcal.predict` of this result: outputs for readings, with their covariance.
+
+        data: a table or file with the columns and units of the first readings; or an array (N, n)
+        of the joints in the units of these, SI where they state none. units: what to take instead,
+        quantity or glob -> unit. Raises InputError for joints of an array that another unit of
+        angles puts among the calibrated poses.
+        """
         from loopcal.statistics.prediction import predict
         from loopcal.workflow.readings import later_readings
 

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from loopcal.estimation.cameras.corners import Corners
+from loopcal.estimation.cameras.orders import on_other_squares
+from loopcal.estimation.cameras.start import start
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
-from tests.estimation.cameras.truth import COLUMNS, ROWS, SIZE, shots
+from tests.estimation.cameras.truth import COLUMNS, ROWS, SIZE, grid_board, shots
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -152,3 +154,53 @@ def test_half_a_pixel() -> None:
     (fact,) = begun.facts
     assert fact.code == "pixel-centre"
     assert fact.values["u_px"] == pytest.approx(-0.5, abs=0.1)
+
+
+def test_intrinsics_of_two_cameras_exchanged() -> None:
+    true = shots(59)
+    lens = true.intrinsics["cam"]
+    beside = replace(lens, fx=1.04 * lens.fx, fy=1.04 * lens.fy, cx=lens.cx + 40.0)
+    n = len(true.corners)
+    uv = true.corners.uv.copy()
+    second = (uv - (lens.cx, lens.cy)) * 1.04 + (beside.cx, beside.cy)
+    doubled = [np.concatenate([ids, ids]) for ids in (true.corners.image, true.corners.point)]
+    camera = np.repeat([0, 1], n)
+    corners = Corners.of(
+        [doubled[0], camera, np.zeros(2 * n, dtype=int), doubled[1]],
+        np.concatenate([uv, second]),
+        ("left", "right"),
+        true.corners.boards,
+        true.corners.poses,
+    )
+    begun = start(corners, true.T, {"left": beside, "right": lens}, {}, True)
+    assert [fact.code for fact in begun.facts if fact.applied] == ["cameras-exchanged"]
+    assert begun.intrinsics_stated["right"].cx == beside.cx
+
+
+@pytest.mark.parametrize("columns", [5, 6])
+def test_markers_of_a_legacy_pattern(columns: int) -> None:
+    def squares(first: int) -> Board:
+        free = [(r, c) for r in range(4) for c in range(columns) if (r + c) % 2 == first]
+        corners = [(0.006, 0.006), (0.024, 0.006), (0.024, 0.024), (0.006, 0.024)]
+        points = {
+            f"{k}_{j}": (0.03 * c + x, -0.03 * r - y, 0.0)
+            for k, (r, c) in enumerate(free)
+            for j, (x, y) in enumerate(corners)
+        }
+        return Board("board", points)
+
+    legacy = on_other_squares(squares(1))
+    assert legacy is not None
+    np.testing.assert_allclose(legacy.xyz, squares(0).xyz, atol=1e-12)
+    assert on_other_squares(grid_board()) is None
+
+
+def test_a_board_counted_in_a_mirror_is_named() -> None:
+    true = shots(61)
+    points = {k: (-x, y, z) for k, (x, y, z) in true.corners.boards[0].points.items()}
+    mirror = replace(true.corners, boards=(Board("board", points),))
+    codes = [
+        {fact.code for fact in true.start(corners=one).facts} & {"board-from-behind"}
+        for one in (true.corners, mirror)
+    ]
+    assert len(codes[0]) + len(codes[1]) == 1

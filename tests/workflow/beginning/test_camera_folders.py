@@ -143,3 +143,11 @@ def test_a_lens_that_nobody_states_is_no_drawing(stated: bool) -> None:
     if stated:
         mechanism = mechanism.with_parameters(mechanism.parameters.with_prior({"eye_f": 10.0}))
     assert ("eye_f" in nominal_machine(mechanism).parameters.free) == (not stated)
+
+
+def test_a_project_in_the_folder_is_passed_over(tmp_path: Path) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    made = lc.init(tmp_path, out=tmp_path / "calibration")
+    assert made.written
+    assert lc.init(tmp_path).words == made.words

@@ -125,9 +125,11 @@ def plan(
     (10, 2, 2, True)
     """
     settings, sensor_noise = settings or PlanSettings(), Noise.of(noise)
-    if sensor_noise is None:
+    if sensor_noise is None or not sensor_noise.entries:
         raise InputError(
-            "no noise is given", code="missing-sd", remedy="give the sds of the readings"
+            "no noise is given",
+            code="missing-sd",
+            remedy="give the sds of the readings [SI], such as noise={'*': 1e-4}",
         )
     if poses < 1:
         raise InputError(

@@ -224,7 +224,8 @@ def of_calibration(result: Any) -> PlanningBasis:
     data = Dataset(
         kept, calibrated.poses.units, calibrated.poses.poses, {}, calibrated.poses.source
     )
-    return PlanningBasis(mechanism, Noise(entries), data, calibrated=True)
+    noise = Noise(entries if calibrated.noise else {})  # none of a fit with exact joints
+    return PlanningBasis(mechanism, noise, data, calibrated=True)
 
 
 def _calibrated(result: Any) -> Calibrated:

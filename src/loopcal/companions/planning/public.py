@@ -16,11 +16,13 @@ from loopcal.companions.planning.plan_files import (
     settings_of,
 )
 from loopcal.companions.planning.planned import Plan
+from loopcal.estimation.result import FitResult
 from loopcal.files.project.project_file import Project
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.plan_settings import PlanSettings
 from loopcal.workflow.readings import Units, readings
 from loopcal.workflow.resolved import described
+from loopcal.workflow.saved_result import SavedResult
 
 
 @wraps(planning.plan)
@@ -33,7 +35,9 @@ def plan(
     units: Units = None,
     **options: Any,
 ) -> Plan:
-    """`plan`, of paths and projects too."""
+    """`plan`, of paths, projects and results too: a result is planned on from its poses."""
+    if isinstance(mechanism, FitResult | SavedResult):
+        mechanism, existing = mechanism.mechanism, mechanism if existing is None else existing
     description = described(mechanism)
     if isinstance(description, Project):
         basis = basis_of(description, existing)

@@ -86,7 +86,7 @@ def record(
     this XML must validate against, else nothing is written. Raises InputError for what cannot be
     read or written, for readings that changed since, and for keys that the certificate needs.
     """
-    path = Path(result)
+    path = Path(getattr(result, "path", result))
     path = path if path.name == "result.json" else path / "result.json"
     saved = read_result(path)
     document = saved.document

@@ -9,14 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.cameras.board_pose import BoardPoses
+from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
 from loopcal.estimation.cameras.homography import homographies, spread, transfer_errors
-from loopcal.estimation.cameras.orders import consistent_orders, mirrored, renumbered
+from loopcal.estimation.cameras.orders import (
+    consistent_orders,
+    mirrored,
+    on_other_squares,
+    renumbered,
+)
 from loopcal.estimation.cameras.placing import Reading, closed_forms, placed, view_poses
 from loopcal.estimation.cameras.twists import inverse
 from loopcal.mechanisms.cameras.board import Board
@@ -207,7 +214,7 @@ def _suspicions(reading: Reading, held: bool | None) -> Iterator[Suspicion]:
     if reading.T_base_flange is not None:
         yield from _hand_suspicions(held)
     if reading.stated:
-        yield from _lens_suspicions()
+        yield from _lens_suspicions(reading.corners.cameras)
     for b, board in enumerate(reading.corners.boards):
         if not board.planar:
             yield from _numberings(b, board)
@@ -230,6 +237,20 @@ def _numberings(b: int, board: Board) -> Iterator[Suspicion]:
                 one, corners=renumbered(one.corners, {b: order})
             ),
         )
+    if (legacy := on_other_squares(board)) is not None:
+        yield Suspicion(
+            "board-legacy",
+            f"The markers of the board {board.name!r} are on the other squares, as OpenCV before "
+            "4.6 printed them. Correct the points of the board, or state legacy = true.",
+            lambda one, legacy=legacy: replace(  # type: ignore[misc]
+                one, corners=_with_board(one.corners, b, legacy)
+            ),
+        )
+
+
+def _with_board(corners: Corners, b: int, board: Board) -> Corners:
+    boards = [board if i == b else one for i, one in enumerate(corners.boards)]
+    return replace(corners, boards=tuple(boards))
 
 
 def _mounted(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact], list[float]]:
@@ -440,7 +461,14 @@ def _shifted(reading: Reading, shift: int) -> Reading | None:
     return replace(reading, corners=corners, T_base_flange=T[np.clip(row, 0, n - 1)])
 
 
-def _lens_suspicions() -> Iterator[Suspicion]:
+def _lens_suspicions(cameras: tuple[str, ...]) -> Iterator[Suspicion]:
+    for a, b in combinations(range(len(cameras)), 2):
+        yield Suspicion(
+            "cameras-exchanged",
+            f"The stated intrinsics of the cameras {cameras[a]!r} and {cameras[b]!r} are "
+            "exchanged. Exchange them.",
+            lambda one, a=a, b=b: _with_exchanged(one, a, b),  # type: ignore[misc]
+        )
     for turn in ("exchanged", "clockwise", "counterclockwise", "half"):
         angle = "180" if turn == "half" else "90"
         yield Suspicion(
@@ -456,6 +484,16 @@ def _lens_suspicions() -> Iterator[Suspicion]:
             f"f and c by {factor:g}.",
             lambda one, factor=factor: _resized(one, factor),  # type: ignore[misc]
         )
+
+
+def _with_exchanged(reading: Reading, a: int, b: int) -> Reading | None:
+    """The lenses of two cameras exchanged; None where they state images of other sizes."""
+    lenses = list(reading.lenses)
+    sizes = {lens.image for lens in (lenses[a], lenses[b]) if lens.image is not None}
+    if len(sizes) > 1:
+        return None
+    lenses[a], lenses[b] = lenses[b], lenses[a]
+    return replace(reading, lenses=tuple(lenses))
 
 
 def _turned(reading: Reading, turn: str) -> Reading | None:

@@ -63,6 +63,41 @@ def image_orders(board: Board) -> list[Order]:
     return [*orders, *consistent_orders(board)]
 
 
+def on_other_squares(board: Board) -> Board | None:
+    """The board with its markers on the squares that they leave free, in the same order.
+
+    OpenCV before 4.6 printed ChArUco boards with an even number of rows so. None where points are
+    not the corners of markers on every other square.
+    """
+    xyz = board.xyz
+    if not board.planar:
+        return None
+    levels = [np.unique(np.round(xyz[:, i], 9)) for i in (0, 1)]
+    if any(len(one) < 4 or len(one) % 2 for one in levels):
+        return None
+    # Both sides of a marker are two levels; the next square begins with the third.
+    ranks = [np.searchsorted(one, np.round(xyz[:, i], 9)) // 2 for i, one in enumerate(levels)]
+    pitch = [float(one[2] - one[0]) for one in levels]
+    squares = list(dict.fromkeys(zip(ranks[1].tolist(), ranks[0].tolist(), strict=True)))
+    columns, rows = (len(one) // 2 for one in levels)
+    downwards = squares[0][0] > squares[-1][0]
+
+    def order(square: tuple[int, int]) -> tuple[int, int]:
+        return (-square[0] if downwards else square[0], square[1])
+
+    parity = {(row + column) % 2 for row, column in squares}
+    free = [(r, c) for r in range(rows) for c in range(columns) if {(r + c) % 2} != parity]
+    if len(parity) != 1 or len(free) != len(squares) or squares != sorted(squares, key=order):
+        return None
+    other = dict(zip(squares, sorted(free, key=order), strict=True))
+    points = {}
+    for i, (name, (x, y, z)) in enumerate(board.points.items()):
+        row, column = int(ranks[1][i]), int(ranks[0][i])
+        to_row, to_column = other[row, column]
+        points[name] = (x + (to_column - column) * pitch[0], y + (to_row - row) * pitch[1], z)
+    return replace(board, points=points)
+
+
 def renumbered(corners: Corners, orders: dict[int, Order]) -> Corners:
     """Corners in other orders by board; those without a point are left out."""
     point = corners.point.copy()

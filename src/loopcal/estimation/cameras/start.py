@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.cameras.board_pose import BoardPoses
+from loopcal.estimation.cameras.board_pose import BoardPoses, facing
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
 from loopcal.estimation.cameras.focal import guessed
@@ -153,9 +153,26 @@ def start(
         assert again is not None
         result = _adjusted(reading, again)
     facts += after.facts
+    facts += _behind(reading, result)
     facts += motion_facts(reading, result.scene, stated=reading.stated)
     facts += scale_facts(reading, result, FREE)
     return _start_of(reading, result, facts)
+
+
+def _behind(reading: Reading, result: Adjusted) -> list[Fact]:
+    """Flat boards whose z axis points away from the cameras in all images."""
+    views = reading.corners.views
+    away = facing(result.scene.of_views(views)) < 0.0
+    sentence = (
+        "The z axis of the board {!r} points away from the camera, into the print: its points "
+        "count rows downwards, as OpenCV does, or are a mirror image. Only the frame of the board "
+        "depends on it."
+    )
+    return [
+        Fact("board-from-behind", sentence.format(board.name))
+        for b, board in enumerate(reading.corners.boards)
+        if board.planar and (mine := views.board == b).any() and away[mine].all()
+    ]
 
 
 def way_of_turning(

@@ -21,12 +21,13 @@ from loopcal.files.cameras.intrinsics import read_intrinsics
 from loopcal.files.cameras.places import read_places, read_samples
 from loopcal.files.recognition.headers import words
 from loopcal.files.tables.readers import read_table
+from loopcal.files.tables.registry import reader_of
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.presentation.shown import with_unit
 
-_RESULT = "result.json"
-"""Beside it stands what a calibration wrote."""
+_MADE = ("result.json", "project.toml")
+"""Beside them stands what loopcal wrote."""
 _TABLES = (".csv", ".tsv", ".txt")
 _IMAGES = frozenset(words("corners", "image"))
 _SAME = 1e-3
@@ -46,24 +47,37 @@ class Files:
 
 
 def files_of(entries: Sequence[Any]) -> list[Path]:
-    """The files that the entries name, those of folders one by one but for results in them."""
+    """The files that the entries name, those of folders one by one but for projects and results in
+    them."""
     paths: list[Path] = []
     for entry in entries:
         if not isinstance(entry, str | Path):
             return []
         path = Path(entry)
         inside = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-        results = {p.parent for p in inside if p.name == _RESULT}
-        paths += [p for p in inside if results.isdisjoint(p.parents)]
+        made = {p.parent for p in inside if p.name in _MADE} - {path}
+        paths += [p for p in inside if made.isdisjoint(p.parents)]
     return paths
 
 
 def tables_of(entries: Sequence[Any]) -> list[Any]:
-    """The entries, a folder of text tables as these, one by one."""
+    """The entries, a folder of text tables as these, one by one.
+
+    A text without columns, as a program prints it, is no table.
+    """
     opened: list[Any] = []
     for entry in entries:
         folder = isinstance(entry, str | Path) and Path(entry).is_dir()
-        tables = [p for p in files_of([entry]) if p.suffix.lower() in _TABLES] if folder else []
+        texts = [p for p in files_of([entry]) if p.suffix.lower() in _TABLES] if folder else []
+        tables = [p for p in texts if p.suffix.lower() != ".txt" or len(_header(p)) > 1]
+        reader = reader_of(entry) if folder and not tables else None
+        if reader and not any(Path(entry).glob(reader.in_folder or "*.parquet")):
+            raise InputError(
+                "this folder holds no table of readings",
+                code="no-data",
+                place=str(entry),
+                remedy="name files of readings, or a folder of CSV files, Parquet files or a bag",
+            )
         opened += tables or [entry]
     return opened
 

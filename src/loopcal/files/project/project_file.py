@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from loopcal.document.aliases import of_project
 from loopcal.document.plain import finite_only
 from loopcal.errors import InputError
 from loopcal.files.machines.mechanism_file import (
@@ -56,6 +57,11 @@ class Project:
     simulation: SimulationSettings | None
     inputs: Mapping[str, Any]
     compare: Mapping[str, Model]
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            return of_project(self, name)
 
     @property
     def name(self) -> str:

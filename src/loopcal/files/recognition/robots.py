@@ -9,7 +9,7 @@ from math import degrees, pi, radians
 from pathlib import Path
 from typing import Any
 
-from loopcal.errors import InputError, listed
+from loopcal.errors import InputError, listed, unknown_name
 from loopcal.files.machines.urdf import Branch, branches
 from loopcal.files.recognition.dh_table import DhTable, Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
@@ -65,7 +65,11 @@ def urdf_robot(
 
         reads = dict.fromkeys(j.reads[0] for j in read_urdf(path, base, tip) if j.reads)
         return Robot(_urdf_table(relative, base, tip), len(reads), tuple(reads))
-    every = [b for b in branches(path) if (base in (None, b.base)) and (tip in (None, b.tip))]
+    chains = branches(path)
+    for link, ends in ((base, {b.base: 0 for b in chains}), (tip, {b.tip: 0 for b in chains})):
+        if link is not None and ends and link not in ends:
+            raise unknown_name(f"no chain ends at a link {link!r}", link, ends, path.name)
+    every = [b for b in chains if (base in (None, b.base)) and (tip in (None, b.tip))]
     named = {*named_joints(fields, {name for b in every for name in b.joints})}
     if not named:
         affixed = [b.joints for b in every if any(affixed_joints(fields, b.joints))]
@@ -84,8 +88,7 @@ def urdf_robot(
             most = max((len(b.joints) for b in every), default=0)
             fitting = [b for b in every if len(b.joints) == most]
             why = f"it alone has the most moving joints ({most})"
-    chains = {b.joints for b in fitting}
-    if len(chains) != 1:
+    if len({b.joints for b in fitting}) != 1:
         raise _which_chain(path, every, fitting)
     best = _best_tip(fitting)
     remark = f"base {best.base!r} and tip {best.tip!r} of {path.name}: {why}"

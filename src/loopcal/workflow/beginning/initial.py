@@ -9,11 +9,12 @@ from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from shlex import quote
-from typing import Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.aliases import of_project
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.fit import Fit
@@ -58,8 +59,9 @@ from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, before_readings
 from loopcal.workflow.beginning.counts import counted
 from loopcal.workflow.beginning.delays import Delay, delays
-from loopcal.workflow.beginning.from_images import CORNERS, WRONG, from_images
+from loopcal.workflow.beginning.from_images import from_images
 from loopcal.workflow.beginning.from_tree import dh_table, from_tree, urdf_table
+from loopcal.workflow.beginning.images_project import CORNERS, WRONG
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,
@@ -147,6 +149,11 @@ class InitialProject:
         """What to type next."""
         project = self.written[0].as_posix() if self.written else PROJECT
         return f"loopcal {'calibrate' if self.inputs.get('data') else 'plan'} {quote(project)}"
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            return of_project(self, name)
 
     def __str__(self) -> str:
         parts = [self.words, ""] if self.words else self._first_rows()
@@ -257,6 +264,10 @@ def initial_project(
         return _kept(_of_tree(readings, robot, folder), folder, write=out is not None)
     if are_images(readings):
         return _of_images(readings, robot, folder, write=out is not None)
+    if not any((robot.urdf, robot.dh, robot.machine)):
+        urdfs = [path for path in files_of(readings) if path.suffix == ".urdf"]
+        robot = replace(robot, urdf=urdfs[0]) if len(urdfs) == 1 else robot
+        readings = [r for r in readings if len(urdfs) != 1 or str(r) != str(urdfs[0])]
     readings = tables_of(readings)
     if out is not None:
         from_files = all(isinstance(entry, str | Path) for entry in readings)

@@ -17,7 +17,9 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.instruments.camera import cameras_of
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.workflow.beginning.from_images import hand_of, named, understood, word
+from loopcal.workflow.beginning.from_images import named, understood
+from loopcal.workflow.beginning.images_hand import hand_of
+from loopcal.workflow.beginning.images_project import word
 
 UNFIT = ("image-unexplained", "wrong-corners")
 """Codes of facts about images that are not corrected."""

@@ -21,7 +21,9 @@ from loopcal.files.cameras.folder import Files, are_images, of_images, read_file
 from loopcal.files.recognition.fields import Source
 from loopcal.files.recognition.observations import Observation
 from loopcal.files.recognition.sources import sources_of
-from loopcal.workflow.beginning.from_images import Hand, by_camera, named, understood, word
+from loopcal.workflow.beginning.from_images import by_camera, named, understood
+from loopcal.workflow.beginning.images_hand import Hand
+from loopcal.workflow.beginning.images_project import word
 
 Array = NDArray[np.float64]
 

@@ -195,9 +195,11 @@ def _asked(rivals: Sequence[Understood], ask: Ask | None) -> Understood:
     ]
     if ask is not None:
         return rivals[ask("The readings fit in several ways. Which is right?", answers)]
-    raise InputError(
+    columns = [",".join(f.label for f in one.layout.joints) for one in rivals]
+    error = InputError(
         f"the readings fit in {len(rivals)} ways: {' -- or -- '.join(answers[:4])}",
         code="unknown-unit",
         remedy='state units in the headers ("x [mm]", "J1 [deg]"), or name the columns of the '
         "joints with --joints, or columns that take no part with --leave-out",
-    ).offering("--joints", ",".join(f.label for f in rivals[0].layout.joints))
+    )
+    raise error if len({*columns}) == 1 else error.offering("--joints", columns[0])

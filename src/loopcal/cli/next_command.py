@@ -1,0 +1,306 @@
+"""The command that follows an error, filled in with the files of the user.
+
+What an error says decides it: a command in its remedy, the name that was meant, an option that the
+remedy names. Words in capitals (PROJECT, RESULT, FILE) become files below the folder of the
+command. Where nothing else follows, the same command is run again after the remedy, or its help.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from shlex import join, quote, split
+from typing import Any
+
+from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult, closest
+
+_MOST = 2_000
+"""Entries of folders that are looked at: the command may run in a large one."""
+_TABLES = (".csv", ".tsv", ".xlsx", ".parquet")
+_RESULT = "result.json"
+_OF_PROJECTS = ("calibrate", "check", "plan", "simulate")
+_OF_RESULTS = ("predict", "compare", "report", "export", "verify", "update", "correct", "record")
+_TYPED = re.compile(r"(?:loopcal [a-z]+|pip install)(?: [^\s;,()]+)*")
+_MEANT = re.compile(r"did you mean (['\"])(?P<near>.+?)\1\?")
+_QUOTED = re.compile(r"(['\"])(?P<name>.+?)\1")
+_OPTION = re.compile(r"--[a-z][a-z-]+")
+_CAPITALS = re.compile(r"[A-Z]{2,}(?:\.[a-z]+|\.{3})?")
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+
+
+def fill_in(error: LoopcalError, words: Sequence[str]) -> None:
+    """Give the error the command to type next; words: of the command that failed.
+
+    A result that is not trusted keeps the commands of its verdict.
+    """
+    if error.command or isinstance(error, NoTrustworthyResult) or not words:
+        return
+    error.next_command(words)
+    if not error.again:
+        return
+    error.again = False
+    for rule in (_of_remedy, _of_name, _of_option, _of_place, _of_tables):
+        if (command := rule(error, words)) and command != join(["loopcal", *words]):
+            error.command = command
+            return
+    # A file is mended for the same command; other arguments need its help.
+    error.again = isinstance(error, InputError)
+    error.command = join(["loopcal", *(words if error.again else [*words[:1], "--help"])])
+
+
+def after_usage(error: Any, words: Sequence[str]) -> str:
+    """The command after arguments that do not parse; error: as typer raises it."""
+    from loopcal.cli.registry import COMMANDS
+
+    command = words[0] if words and words[0] in COMMANDS else ""
+    kind = type(error).__name__
+    if not command:
+        meant = closest(words[0], [*COMMANDS]) if words and not words[0].startswith("-") else None
+        return join(["loopcal", *([meant, *words[1:]] if meant else ["--help"])])
+    mended: list[str] | None = None
+    if kind == "NoSuchOption":
+        name, names = error.option_name, sorted(getattr(error, "possibilities", None) or ())
+        near = [closest(name, names) or names[0]] if names else []
+        flags = {o for p in error.ctx.command.params for o in p.opts if getattr(p, "is_flag", 0)}
+        after = [*words[words.index(name) + 1 :], "-"][0] if name in words else "-"
+        if near and near[0] in flags and not after.startswith("-"):
+            return _help(command)  # a value follows, and the flag takes none
+        mended = [m for w in words for m in (near if w.partition("=")[0] == name else [w])]
+    elif kind == "MissingParameter":
+        mended = _with_missing(error.param, words)
+    elif kind == "BadParameter" and error.param is not None:
+        mended = _with_number(error.param, words)
+    elif command in _OF_PROJECTS:  # more arguments than a project
+        typed = f"loopcal init {join([w for w in words[1:] if w.endswith(_TABLES)])}"
+        robot = "" if "--urdf" in words else f" {_robot(words)}"
+        return f"{typed}{robot}" if typed[-1] != " " and robot != " " else _help(command)
+    return join(["loopcal", *mended]) if mended and mended != [*words] else _help(command)
+
+
+def _help(command: str) -> str:
+    return join(["loopcal", command, "--help"])
+
+
+def _of_remedy(error: LoopcalError, words: Sequence[str]) -> str:
+    """A command that the remedy states, its words in capitals filled in."""
+    from loopcal.cli.registry import COMMANDS
+
+    for typed in _TYPED.findall(error.remedy or ""):
+        if typed.startswith("pip"):
+            return str(typed)
+        if typed.split()[1] not in COMMANDS or len(typed.split()) < 3:
+            continue
+        parts: list[str] | None = []
+        for part in split(typed):
+            names = _files(part.rstrip("."), words) if _CAPITALS.fullmatch(part) else [part]
+            parts = None if parts is None or not names else [*parts, *names]
+        if parts:
+            return join(parts)
+    return ""
+
+
+def _of_name(error: LoopcalError, words: Sequence[str]) -> str:
+    """The same command with the name that was meant; without an option of which none is near."""
+    near = _MEANT.search(error.remedy or "")
+    for name in (match["name"] for match in _QUOTED.finditer(error.message)):
+        for i, word in enumerate(words[1:], 1):
+            before, _, after = word.rpartition("=")
+            names = (after if word.startswith("--") else word).split(",")
+            if name not in names:
+                continue
+            if near:
+                names[names.index(name)] = near["near"]
+                value = ",".join(names)
+                one = f"{before}={value}" if word.startswith("--") else value
+                return join(["loopcal", *words[:i], one, *words[i + 1 :]])
+            option = word.startswith("--") or words[i - 1].startswith("--")
+            if option and error.code in ("unknown-name", "invalid-value"):
+                first = i if word.startswith("--") else i - 1
+                return join(["loopcal", *words[:first], *words[i + 1 :]])
+    return ""
+
+
+def _of_option(error: LoopcalError, words: Sequence[str]) -> str:
+    """The same command with an option that the remedy names and that a file answers."""
+    if error.code == "unwritable-file":
+        return join(["loopcal", *_without("--out", words)])
+    for name in _OPTION.findall(error.remedy or ""):
+        if name in ("--urdf", "--dh") and not {"--urdf", "--dh", "--machine"} & {*words}:
+            robot = _robot(words)
+            return f"{join(['loopcal', *words])} {robot}" if robot else ""
+        if name == "--project" and name not in words and (files := _files("PROJECT", words)):
+            return join(["loopcal", *words, name, *files])
+    return ""
+
+
+def _of_place(error: LoopcalError, words: Sequence[str]) -> str:
+    """The same command with a file of this folder for one that is absent or of another kind."""
+    if error.code not in ("missing-file", "wrong-file-type", "no-data"):
+        return ""
+    place = (error.place or "").removesuffix(f"/{_RESULT}")
+    at = next((i for i, word in enumerate(words) if word == place), 0)
+    takes = "PROJECT" if words[0] in _OF_PROJECTS else "RESULT" if words[0] in _OF_RESULTS else ""
+    takes = "READINGS" if words[0] == "init" else takes
+    names = _files(takes, [w for i, w in enumerate(words) if i != at or takes == "PROJECT"])
+    if at != 1 or not names:
+        return ""
+    return join(["loopcal", *words[:at], *names, *words[at + 1 :]])
+
+
+def _of_tables(error: LoopcalError, words: Sequence[str]) -> str:
+    """All tables of the first day where only some of them were named."""
+    if error.code != "missing-column" or words[0] not in ("predict", "verify", "update"):
+        return ""
+    tables = _tables(words)
+    named = [i for i, word in enumerate(words) if word.endswith(_TABLES)]
+    if not named or not tables or {words[i] for i in named} >= {*tables}:
+        return ""
+    rest = [word for i, word in enumerate(words) if i not in named[1:]]
+    return join(["loopcal", *rest[: named[0]], *tables, *rest[named[0] + 1 :]])
+
+
+def _with_missing(param: Any, words: Sequence[str]) -> list[str] | None:
+    """The words with an argument or option that is missing; None where nothing answers it."""
+    metavar = str(getattr(param, "metavar", None) or param.name).strip("[]{}")
+    names = _files(metavar.upper(), words)
+    if not names and metavar == "PROJECT":
+        tables, robot = _tables(words), _robot(words)
+        return ["init", *tables, *split(robot)] if tables and robot else ["demo"]
+    option = next((o for o in getattr(param, "opts", ()) if o.startswith("--")), None)
+    if not names:
+        return None
+    return [*words, option, *names] if option else [words[0], *_positional(words, names)]
+
+
+def _positional(words: Sequence[str], names: Sequence[str]) -> list[str]:
+    """The arguments with further ones ahead of the first option."""
+    rest = list(words[1:])
+    first = next((i for i, word in enumerate(rest) if word.startswith("-")), len(rest))
+    return [*rest[:first], *names, *rest[first:]]
+
+
+def _with_number(param: Any, words: Sequence[str]) -> list[str]:
+    """The words with the number that an option's value begins with, else without the option."""
+    option = next((o for o in param.opts if o.startswith("--")), "")
+    typed_value = next(
+        (v for w, v in zip(words, [*words[1:], ""], strict=True) if w == option),
+        next((w.partition("=")[2] for w in words if w.startswith(f"{option}=")), ""),
+    )
+    rest, number = _without(option, words), _NUMBER.match(typed_value)
+    return [*rest, option, number[0]] if number and number[0] != typed_value else rest
+
+
+def _without(option: str, words: Sequence[str]) -> list[str]:
+    kept = [
+        w for i, w in enumerate(words) if option not in (w.partition("=")[0], words[max(i - 1, 0)])
+    ]
+    return [*words[:1], *kept[1:]]
+
+
+def _files(what: str, words: Sequence[str]) -> list[str]:
+    """What stands for a word in capitals, newest first; none where this folder has none."""
+    projects = [w for w in words[1:] if w.endswith(".toml") and Path(w).is_file()]
+    finders: dict[str, Callable[[], list[str]]] = {
+        "PROJECT": lambda: projects or _of_result(words) or _newest(_is_project)[:1],
+        "RESULT": lambda: _newest(_is_result)[:1],
+        "RESULT...": lambda: _newest(_is_result)[:1],
+        "A": lambda: _newest(_is_result)[:2],
+        "B": lambda: [r for r in _newest(_is_result) if r not in words][:1],
+        "READINGS": lambda: _tables(words),
+        "FILE...": lambda: _tables(words) if words[0] == "predict" else [],
+        "ROBOT.urdf": lambda: _newest(lambda p: p.suffix == ".urdf")[:1],
+        "FORMAT": lambda: ["dh"],
+        "NAME": lambda: [w for w in words[1:2] if words[0] == "new" and w[0] != "-"] or ["machine"],
+        "FOLDER": lambda: ["machine.history"],
+        "PROJECT|RESULT": lambda: ["project"],
+        "FILE": lambda: ["simulated.csv"] if words[0] == "simulate" else [],
+    }
+    finder = finders.get(what)
+    return finder() if finder else []
+
+
+def _entries() -> Iterator[Path]:
+    """Files of this folder, and two levels below it, as far as there is room to look."""
+
+    def walk(folder: Path, depth: int) -> Iterator[Path]:
+        with suppress(OSError):
+            entries = sorted(folder.iterdir())
+            yield from (entry for entry in entries if entry.is_file())
+            for entry in entries if depth else ():
+                if entry.is_dir() and not entry.name.startswith("."):
+                    yield from walk(entry, depth - 1)
+
+    yield from islice(walk(Path(), 2), _MOST)
+
+
+def _newest(wanted: Callable[[Path], bool]) -> list[str]:
+    chosen = [path for path in _entries() if wanted(path)]
+    with suppress(OSError):
+        chosen.sort(key=lambda path: -path.stat().st_mtime)
+    return [str(path.parent if path.name == _RESULT else path) for path in chosen]
+
+
+def _is_result(path: Path) -> bool:
+    return path.name == _RESULT
+
+
+def _is_project(path: Path) -> bool:
+    if path.suffix != ".toml" or path.name == "mechanism.toml":
+        return False
+    with suppress(OSError), path.open("rb") as file:
+        text = file.read(100_000)
+        return b"[mechanism" in text and b"[data" in text
+    return False
+
+
+def _result_in(words: Sequence[str]) -> Path | None:
+    results = (Path(w) if w.endswith(_RESULT) else Path(w) / _RESULT for w in words[1:])
+    return next((path for path in results if path.is_file()), None)
+
+
+def _of_result(words: Sequence[str]) -> list[str]:
+    """The project that a named result came from, NAME.toml beside NAME-result."""
+    result = _result_in(words)
+    project = None if result is None else Path(f"{str(result.parent).removesuffix('-result')}.toml")
+    return [str(project)] if project is not None and project.is_file() else []
+
+
+def _tables(words: Sequence[str]) -> list[str]:
+    """The readings of the result that is named, else the tables of this folder."""
+    result = _result_in(words)
+    if result is not None:
+        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+            data = json.loads(result.read_bytes())["inputs"]["data"]
+            names = [data["file"], *(one["file"] for one in data.get("join", ()))]
+            paths = [os.path.relpath(result.parent.parent / name) for name in names]
+            return paths if all(Path(path).is_file() for path in paths) else []
+    tables = [path for path in _entries() if path.suffix in _TABLES and path.parent == Path()]
+    return [str(path) for path in tables if not _is_dh(path)][:4]
+
+
+def _is_dh(path: Path) -> bool:
+    with suppress(OSError), path.open("rb") as file:
+        head = file.readline(2_000).lower()
+        return b"alpha" in head and b"theta" in head
+    return False
+
+
+def _robot(words: Sequence[str]) -> str:
+    """The option that names the robot: a URDF, or a Denavit-Hartenberg table."""
+    folders = [Path(word) for word in words[1:] if Path(word).is_dir()]
+    folders += [Path(word).parent for word in words[1:] if Path(word).is_file()]
+    for folder in [*folders, Path()]:
+        with suppress(OSError):
+            beside = sorted(islice(folder.iterdir(), _MOST))
+            urdfs = [path for path in beside if path.suffix == ".urdf"]
+            if len(urdfs) == 1:
+                return f"--urdf {quote(str(urdfs[0]))}"
+            tables = [path for path in beside if path.suffix in (".csv", ".tsv") and _is_dh(path)]
+            if len(tables) == 1:
+                return f"--dh {quote(str(tables[0]))}"
+    return ""

@@ -1,0 +1,159 @@
+"""The hand of a robot that images were taken with: its poses, read or computed from joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, listed
+from loopcal.estimation.cameras.start import (
+    CameraStart,
+)
+from loopcal.files.cameras.folder import Files
+from loopcal.files.cameras.places import read_places
+from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.files.recognition.expressions import joint_columns
+from loopcal.files.recognition.fields import Field, in_si, taken_in
+from loopcal.files.recognition.joint_sets import joint_sets
+from loopcal.files.recognition.robots import Robot
+from loopcal.files.recognition.sources import sources_of
+from loopcal.workflow.beginning.begun import PROJECT, drawn, joint_noise
+
+Array = NDArray[np.float64]
+PLACE, TURN = 1e-4, 1e-4
+"""Where the learning of sds begins: a stated pose [m], [rad]."""
+_LENGTH, _TWIST, _ZERO = 0.5, 1.0, 5.0
+"""How far a robot is from its drawing, as sds [mm, mrad, mrad]: pixels at a distance tell less than
+a tracker. Chosen: docs/explanation/model-error.md has what arms of many makers are off by."""
+Describe = Callable[[Sequence[Field]], Robot]
+"""The robot by the columns of its joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """The body that moves: its columns of readings by quantity [SI], and T_base_flange (N, 4, 4)
+    by pose; ways: these by what their turns may mean, in words; table: of the mechanism without
+    instruments; noise: of its readings."""
+
+    poses: tuple[str, ...]
+    table: Mapping[str, Any]
+    readings: Mapping[str, Array]
+    T_base_flange: Array | None
+    noise: Mapping[str, Any]
+    remarks: tuple[str, ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    ways: Mapping[str, Array] = field(default_factory=dict)
+
+    def turned(self, way: str) -> Hand:
+        """With its turns understood in this way."""
+        T = self.ways[way]
+        remarks = (*self.remarks, f"turns of the flange: {way}")
+        return replace(self, T_base_flange=T, readings=flange_columns(T), remarks=remarks)
+
+
+def hand_of(files: Files, describe: Describe | None, joints: str | None, folder: Path) -> Hand:
+    """The robot's part of the files."""
+    if describe is not None:
+        return _joints(files, describe, joints, folder)
+    for path in files.poses:
+        try:
+            samples = read_places(path)
+        except InputError:
+            continue
+        noise = {
+            "[xyz]": {"sd": 1e3 * PLACE, "unit": "mm", "estimate": "group"},
+            "w[xyz]": {"sd": 1e3 * TURN, "unit": "mrad", "estimate": "group"},
+        }
+        words = f"{path.name} states the pose of the flange"
+        return Hand(
+            samples.name,
+            {"type": "free-body"},
+            flange_columns(samples.T),
+            samples.T,
+            noise,
+            (words,),
+            ways=samples.ways,
+        )
+    remarks: tuple[str, ...] = ()
+    if files.poses:
+        names = listed([path.name for path in files.poses], 3)
+        remarks = (
+            f"{names} states no pose of a flange, and no robot is described (--urdf or --dh), so "
+            "the cameras alone are calibrated",
+        )
+    return Hand((), {"type": "free-body", "read": False}, {}, None, {}, remarks)
+
+
+def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) -> Hand:
+    """The robot's joints by columns of the table of poses."""
+    if not files.poses:
+        raise InputError(
+            "no file holds the joints of the robot",
+            code="no-data",
+            remedy="add a table with a row for each image: pose and its joints",
+        )
+    source = sources_of(files.poses[0], 0)[0]
+    fields = source.fields
+    columns = joint_columns(fields, joints) if joints else ()
+    robot = describe(columns or fields)
+    every = [(columns, "as stated")] if columns else joint_sets(fields, robot.joints, robot.names)
+    if not every:
+        raise InputError(
+            f"{source.name} has no {robot.joints} columns that may be joints",
+            code="missing-column",
+            remedy="name them: --joints COLUMNS; there are "
+            + listed([f.label for f in fields], 20),
+        )
+    columns, how = every[0]
+    mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
+    stated = dict(zip(mechanism.joints, columns, strict=True))
+    readings = in_si(stated, mechanism.joints)
+    poses = source.ids or tuple(str(i) for i in range(1, len(source) + 1))
+    T = mechanism.fk(np.stack(list(readings.values()), axis=1))
+    noise = joint_noise(mechanism.joints)
+    words = f"joints are {', '.join(f.label for f in columns)} of {source.name}, {how}"
+    remarks = (*robot.remarks, words)
+    if len(every) > 1:
+        remarks += ("other columns may be the joints too: name them with --joints if they are",)
+    if any(f.unit is None for f in columns):
+        taken = " and ".join(taken_in(stated, mechanism.joints).values())
+        remarks += (f"joints without a unit are taken in {taken}",)
+    return Hand(
+        poses, robot.table, readings, T, noise, remarks, drawn(mechanism, _LENGTH, _TWIST, _ZERO)
+    )
+
+
+def flange_columns(T: Array) -> dict[str, Array]:
+    """x, y, z and the quaternion of poses (N, 4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    xyzw = Rotation.from_matrix(T[:, :3, :3]).as_quat().T
+    named = dict(zip(("qx", "qy", "qz", "qw"), xyzw, strict=True))
+    return {**dict(zip("xyz", T[:, :3, 3].T, strict=True)), **named}
+
+
+def unread(begun: CameraStart, hand: Hand) -> Hand:
+    """Boards whose poses are unknown: where the search for each begins, in the first camera."""
+    corners = begun.corners
+    views = corners.views
+    T = np.full((len(corners.poses), 4, 4), np.nan)
+    # Of each image the view that shows most corners says where the first board is.
+    for v in np.argsort(views.sizes, kind="stable"):
+        camera, board = views.camera[v], views.board[v]
+        to_first = np.linalg.inv(begun.X[camera] @ np.linalg.inv(begun.X[0]))
+        T[views.image[v]] = (
+            to_first @ begun.T_camera_board[v] @ np.linalg.inv(begun.Y[board]) @ begun.Y[0]
+        )
+    seen = np.isfinite(T).all(axis=(1, 2))
+    readings = {}
+    for name, some in flange_columns(T[seen]).items():
+        filled = np.full(len(T), np.nan)
+        filled[seen] = some
+        readings[f"{name}0" if name in "xyz" else name] = filled
+    noise = {"[xyz]": {"sd": np.inf}, "w[xyz]": {"sd": np.inf}}
+    return replace(hand, poses=corners.poses, readings=readings, noise=noise)

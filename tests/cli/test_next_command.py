@@ -1,0 +1,80 @@
+"""Every error of the command line ends with a command, filled in with the files of the folder."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from .conftest import Run
+
+P, R = "project.toml", "project-result"
+NEXT = {
+    "a misspelled command": ("calibrat project.toml", "calibrate project.toml"),
+    "a misspelled option": (f"calibrate {P} --methd auto", f"calibrate {P} --method auto"),
+    "a flag like an option with a value": (f"record {R} --format dcc", "record --help"),
+    "an abbreviated method": (
+        f"calibrate {P} --method lsq",
+        f"calibrate {P} --method least-squares",
+    ),
+    "a method that nobody knows": (f"calibrate {P} --method=zz", f"calibrate {P}"),
+    "one name of several": (
+        f"calibrate {P} --require sound,bettr",
+        f"calibrate {P} --require sound,better",
+    ),
+    "a number with a unit": (
+        f"calibrate {P} --tolerance 0.5mm",
+        f"calibrate {P} --tolerance 0.5",
+    ),
+    "no number": (f"calibrate {P} --folds ten", f"calibrate {P}"),
+    "no project": ("check", f"check {P}"),
+    "a project that is absent": ("check nothing-like-it.toml", f"check {P}"),
+    "a result for a project": (f"check {R}", f"check {P}"),
+    "a project for a result": (f"report {P}", f"report {R}"),
+    "no result": ("report", f"report {R}"),
+    "no readings": (f"predict {R}", f"predict {R} readings.csv"),
+    "no format": (f"export {R}", f"export {R} --to dh"),
+    "no output": (f"simulate {P}", f"simulate {P} --out simulated.csv"),
+    "readings for a project": (
+        "calibrate readings.csv other.csv",
+        "init readings.csv other.csv --urdf robot.urdf",
+    ),
+    "no robot": ("init readings.csv --out new", "init readings.csv --out new --urdf robot.urdf"),
+    "a folder without tables": (
+        "init empty --urdf robot.urdf",
+        "init other.csv readings.csv --urdf robot.urdf",
+    ),
+    "no history": ("history", f"history machine.history --add {R}"),
+    "nothing to fill in": (f"verify {R}", "verify --help"),
+    "no name": ("new --mechanism serial", "new machine --mechanism serial"),
+    "a certificate without its laboratory": (
+        f"record {R} --dcc",
+        f"record {R} --dcc --project {P}",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NEXT)
+def test_an_error_ends_with_the_next_command(name: str, folder: Path, run: Run) -> None:
+    typed, command = NEXT[name]
+    (folder / "empty").mkdir()
+    (folder / "robot.urdf").write_text("<robot/>", "utf-8")
+    shutil.copy(folder / "readings.csv", folder / "other.csv")
+    done = run(*typed.split())
+    assert done.code in (2, 3), done.err
+    assert "Traceback" not in done.err
+    assert done.err.endswith(f"Next command:\n    loopcal {command}\n"), done.err
+
+
+def test_a_file_is_mended_for_the_same_command(folder: Path, run: Run) -> None:
+    text = (folder / P).read_text("utf-8")
+    (folder / P).write_text(text.replace('unit = "mm"', 'unit = "mmm"'), "utf-8")
+    assert run("check", P).err.endswith(f"Then run:\n    loopcal check {P}\n")
+
+
+def test_an_empty_folder_begins_with_the_demonstration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("calibrate").err.endswith("Next command:\n    loopcal demo\n")
