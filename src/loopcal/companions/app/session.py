@@ -72,7 +72,7 @@ class Cached(Generic[Value]):
                 except LoopcalError as error:
                     self.objection = error.text
                 self.at = at
-        return self.value
+            return self.value
 
 
 class Session:
