@@ -227,6 +227,7 @@ STATE_SOURCE = "The project reads several files. Name it in [[data.source]], or 
 DROPPED, USE_AGAIN = "handed in", "Use them again"
 OUTDATED = "The inputs have changed since this was computed. Run it again."
 CHECKED_EARLIER = "Checked at {at} UTC. Check again to see the answer."
+CORNERS_SEEN = "corners of {camera}"
 EXCLUDED = "Excluded: pose {poses}"
 UNDO = "Undo: {what}"
 BY_METHOD = "Method: {label}"

@@ -118,8 +118,9 @@ def _over_poses(linked: Linked) -> None:
         view.keep("diagnose.shown", event.value)
         linked.draw()
 
-    shown = ui.toggle(list(linked.errors.shown), value=linked.what, on_change=other)
-    shown.props('no-caps aria-label="error shown"')
+    if len(linked.errors.shown) > 1:
+        shown = ui.toggle(list(linked.errors.shown), value=linked.what, on_change=other)
+        shown.props('no-caps aria-label="error shown"')
 
     def of() -> Framed:
         return linked.errors.numbers, linked.errors.shown[linked.what]
