@@ -11,6 +11,7 @@ import pytest
 
 from loopcal.companions.app.pictures import Errors, joints_of, machine_figure
 from loopcal.companions.app.predicting import Probe
+from loopcal.companions.app.session import Session
 from loopcal.companions.app.sizes import SIZE, errors_by_name
 from loopcal.companions.app.views.data import corners_read
 from loopcal.document.result_document import MechanismEntry
@@ -20,6 +21,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.outputs import cartesian, levers, point_family, seen_outputs
 from loopcal.report.drawn import distances
 from loopcal.report.source import Source, read_source
+from tests.app.plain_command import command
 from tests.command_line import run_here as run
 
 
@@ -81,6 +83,9 @@ def test_corners_of_images_are_no_joints_and_count_as_one_distance(tmp_path: Pat
     project.write_text(CAMERA, "utf-8")
     mechanism = read_project(project).mechanism
     assert joints_of(mechanism) == ["x", "y", "z", "wx", "wy", "wz"]
+    moved = Session(tmp_path, command).moved()
+    assert [*moved] == ["Camera or board on the robot", "Camera or board in the cell"]
+    assert all(name.startswith("board_") for name in next(iter(moved.values())))
     off = np.array([3.0, 4.0, 0.0, 5.0, 0.0, 0.0])[:, None] * [1.0, 2.0]
     off[:, 1][4:] = np.nan  # a corner that was not seen
     differences = dict(zip(mechanism.compared, off, strict=True))
