@@ -4,8 +4,9 @@
 
 FOLDER holds a project with a result; the work is done on a copy. A hand leaves poses out in
 Chromium, one run of them after the other, and at last calibrates by each of some methods. A time
-begins with the click and ends in the frame in which the page says how large the error of the new
-fit is and the figure of errors holds the points of that fit. It needs Chromium, playwright and
+begins with the click. The first one ends in the frame in which the figure of errors holds other
+points, the second one in that in which the page says too how large the error of the new fit is,
+and the figure holds the points of that fit. It needs Chromium, playwright and
 NiceGUI (`make partners`).
 """
 
@@ -29,11 +30,13 @@ WATCH = """
   };
   const before = [told(), points()];
   window.took = null;
+  window.drew = null;
   addEventListener('click', () => {
     const begun = performance.now();
     const look = () => {
       const now = [told(), points()];
-      if (now[0] && now[1] && now[1] !== before[1])
+      if (now[1] && now[1] !== before[1]) window.drew ??= performance.now() - begun;
+      if (window.drew && now[0] && now[0] !== before[0])
         window.took = performance.now() - begun;
       else requestAnimationFrame(look);
     };
@@ -43,9 +46,12 @@ WATCH = """
 """
 
 
-def acts(folder: Path, count: int) -> tuple[list[float], dict[str, tuple[float, float]]]:
-    """Milliseconds after each act, and after each calibration until first and last numbers."""
-    found, calibrated = [], {}
+def acts(
+    folder: Path, count: int
+) -> tuple[list[float], list[float], dict[str, tuple[float, float]]]:
+    """Milliseconds after each act until picture and fit, and after each calibration until first
+    and last numbers."""
+    drawn, found, calibrated = [], [], {}
     with diagnosing(folder) as hand:
         page = hand.page
         for i in range(count):
@@ -54,6 +60,7 @@ def acts(folder: Path, count: int) -> tuple[list[float], dict[str, tuple[float, 
             page.evaluate(WATCH)
             hand.press("Exclude")
             page.wait_for_function("window.took !== null", timeout=15_000)
+            drawn.append(page.evaluate("window.drew"))
             found.append(page.evaluate("window.took"))
         for method in METHODS:
             hand.choose("Method", f"{method}: ")
@@ -63,7 +70,7 @@ def acts(folder: Path, count: int) -> tuple[list[float], dict[str, tuple[float, 
             hand.run("Calibrate", "")
             last = 1e3 * (time.perf_counter() - begun)
             calibrated[method] = (page.evaluate("window.took") or float("nan"), last)
-    return found, calibrated
+    return drawn, found, calibrated
 
 
 def main() -> None:
@@ -75,8 +82,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as copy:
         work = Path(copy) / "work"
         shutil.copytree(asked.folder, work)
-        found, calibrated = acts(work, asked.acts)
-    printed("after an act", found)
+        drawn, found, calibrated = acts(work, asked.acts)
+    printed("picture after an act", drawn)
+    printed("fit after an act", found)
     for method, (first, last) in calibrated.items():
         print(f"{method}: first numbers after {first:.0f} ms, the whole after {last:.0f} ms")
 

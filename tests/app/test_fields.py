@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -166,17 +166,58 @@ def test_what_was_written_is_stated_also_where_the_field_is_gone_by_then(
     expect(page.get_by_label(label, exact=True)).to_have_value(said)
 
 
-def test_a_click_on_what_is_gone_by_then_counts(late: tuple[Hand, Wire]) -> None:
+@pytest.mark.parametrize("label", [words.POSES_TO_MEASURE, words.PULSES])
+def test_what_is_selected_stays_so_and_is_written_over(late: tuple[Hand, Wire], label: str) -> None:
+    hand, wire = late
+    hand.step("Plan")
+    field = hand.page.get_by_label(label, exact=True)
+    field.fill("30")
+    hand.page.keyboard.press("Tab")
+    hand.page.keyboard.press("Shift+Tab")
+    changed_by_another(hand, wire, 0)
+    heard(hand, wire)
+    hand.page.keyboard.type("6")
+    assert hand.page.evaluate(HERE) == [label, "6"]
+    field.fill("")
+
+
+def clicked_late(hand: Hand, wire: Wire) -> None:
+    """Click on a button in place of which another one is drawn already, unknown to the page."""
+    hand.press(words.ADD_THIS_EVENT)
+    heard(hand, wire)
+
+
+def pressed_meanwhile(hand: Hand, wire: Wire) -> None:
+    """Press a mouse button; the page is drawn anew before it is let go."""
+    hand.page.get_by_role("button", name=words.ADD_THIS_EVENT).hover()
+    hand.page.mouse.down()
+    heard(hand, wire)
+    hand.page.mouse.up()
+
+
+def by_key(hand: Hand, wire: Wire) -> None:
+    """Press a key on a button that is drawn anew before, and again before the key is let go."""
+    hand.page.get_by_role("button", name=words.ADD_THIS_EVENT).focus()
+    heard(hand, wire)
+    changed_by_another(hand, wire, 1)
+    hand.page.keyboard.down("Enter")
+    heard(hand, wire)
+    hand.page.keyboard.up("Enter")
+
+
+@pytest.mark.parametrize("press", [clicked_late, pressed_meanwhile, by_key])
+def test_a_press_on_what_is_gone_by_then_counts_once(
+    late: tuple[Hand, Wire], press: Callable[[Hand, Wire], None]
+) -> None:
     hand, wire = late
     page = hand.page
     hand.step("History")
     page.get_by_label(words.EVENT).fill("new belt")
     changed_by_another(hand, wire, 0)
-    before = page.locator(".run").get_attribute("data-finished")
-    hand.press(words.ADD_THIS_EVENT)
-    heard(hand, wire)
-    page.locator(f'.run[data-finished="{int(before) + 1}"]').wait_for(state="attached")
-    assert "new belt" in (hand.folder / LOG).read_text("utf-8")
+    before = int(page.locator(".run").get_attribute("data-finished"))
+    press(hand, wire)
+    page.locator(f'.run[data-finished="{before + 1}"]').wait_for(state="attached")
+    assert (hand.folder / LOG).read_text("utf-8").count('"begun"') == 1
     for path in (hand.folder / "machine.history").iterdir():
         path.unlink()
     (hand.folder / "machine.history").rmdir()

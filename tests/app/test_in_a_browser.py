@@ -97,6 +97,7 @@ def assert_addresses_are_kept(page: Any, address: str) -> None:
 
     assert page.url == f"{address}/history"
     Hand(page).step("Fit")
+    page.wait_for_function("() => addresses.wanted === null")  # it scrolls to the top by itself
     page.evaluate("scrollTo(0, 150)")
     page.wait_for_function("() => addresses.places['/fit'] === 150")
     Hand(page).step("Check")

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from loopcal.companions.app.pictures import Errors, joints_of, machine_figure
 from loopcal.companions.app.predicting import Probe
+from loopcal.companions.app.session import Session
+from loopcal.companions.app.sizes import SIZE, errors_by_name
+from loopcal.companions.app.views.data import corners_read
+from loopcal.document.result_document import MechanismEntry
 from loopcal.files.project.project_file import read_project
-from loopcal.mechanisms.outputs import cartesian, levers, point_family
+from loopcal.files.result.pose_table import PoseTable
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.outputs import cartesian, levers, point_family, seen_outputs
 from loopcal.report.drawn import distances
 from loopcal.report.source import Source, read_source
+from tests.app.plain_command import command
 from tests.command_line import run_here as run
 
 
@@ -40,6 +49,55 @@ def test_the_error_of_a_pose_is_the_rms_over_its_instruments(source: Source) -> 
     each = distances(source, source.table.differences_after).reshape(2, -1) * 1e3
     assert np.allclose(errors.size, np.sqrt(np.square(each).mean(axis=0)))
     assert errors.over_poses()["data"][0]["customdata"] == list(range(60))
+
+
+def test_each_instrument_has_errors_in_its_unit(source: Source) -> None:
+    errors = Errors.of(source)
+    assert errors is not None
+    east, west = distances(source, source.table.differences_after).reshape(2, -1) * 1e3
+    np.testing.assert_allclose(errors.shown["east"], east)
+    np.testing.assert_allclose(errors.shown["west"], west)
+    assert list(errors.units) == list(errors.shown)
+    assert set(errors.units.values()) == {"mm"}
+    assert errors.over_poses("east")["layout"]["yaxis"]["title"]["text"] == "error of east [mm]"
+
+
+CAMERA = """
+schema = 1
+[mechanism]
+type = "free-body"
+[[mechanism.instrument]]
+type = "camera"
+name = "camera"
+eye = "eye"
+board = "board"
+on = "base"
+points = { 0 = [0.0, 0.0, 0.0], 1 = [0.1, 0.0, 0.0], 2 = [0.0, 0.1, 0.0] }
+[mechanism.parameters]
+eye_f = { value = 1000.0, unit = "px" }
+"""
+
+
+def test_corners_of_images_are_no_joints_and_count_as_one_distance(tmp_path: Path) -> None:
+    project = tmp_path / "project.toml"
+    project.write_text(CAMERA, "utf-8")
+    mechanism = read_project(project).mechanism
+    assert joints_of(mechanism) == ["x", "y", "z", "wx", "wy", "wz"]
+    moved = Session(tmp_path, command).moved()
+    assert [*moved] == ["Camera or board on the robot", "Camera or board in the cell"]
+    assert all(name.startswith("board_") for name in next(iter(moved.values())))
+    off = np.array([3.0, 4.0, 0.0, 5.0, 0.0, 0.0])[:, None] * [1.0, 2.0]
+    off[:, 1][4:] = np.nan  # a corner that was not seen
+    differences = dict(zip(mechanism.compared, off, strict=True))
+    table = PoseTable(("1", "2"), readings=differences)
+    document = SimpleNamespace(mechanism=MechanismEntry.of(mechanism), accuracy=None)
+    image = cast("Source", SimpleNamespace(mechanism=mechanism, table=table, document=document))
+    shown, units = errors_by_name(image, differences, "px")
+    assert units == {SIZE: "px"}
+    np.testing.assert_allclose(shown[SIZE], [np.sqrt(50.0 / 3.0), 10.0])
+    (seen,) = seen_outputs(mechanism)
+    data = Dataset(differences, mechanism.quantities, poses=("1", "2"))
+    assert [corners_read(data, i, seen) for i in (0, 1)] == ["3 of 3", "2 of 3"]
 
 
 def test_poses_are_shown_where_the_first_tracker_saw_them(source: Source) -> None:

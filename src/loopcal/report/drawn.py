@@ -149,25 +149,26 @@ def _unit(source: Source, quantity: str) -> str | None:
 
 def distances(source: Source, differences: Mapping[str, Array]) -> Array:
     """Distances of computed from measured outputs, of every instrument and pose."""
-    apart = _apart(source, differences)
+    apart = by_instrument(source, differences)
     lengths = None if apart is None else main_distances(apart)
     return _length(source, differences) if lengths is None else lengths.ravel()
 
 
 def pose_distances(source: Source, differences: Mapping[str, Array]) -> Array:
     """(N,) the same of each pose: root mean square over the instruments that read it."""
-    apart = _apart(source, differences)
+    apart = by_instrument(source, differences)
     lengths = None if apart is None else by_pose(apart)
     return _length(source, differences) if lengths is None else lengths
 
 
 def by_camera(source: Source, differences: Mapping[str, Array]) -> dict[str, Array]:
     """By instrument, (N,) rms distances of an image [px]."""
-    apart = _apart(source, differences) or ()
+    apart = by_instrument(source, differences) or ()
     return {one.seen.instrument: one.position for one in apart if one.position is not None}
 
 
-def _apart(source: Source, differences: Mapping[str, Array]) -> Sequence[Apart] | None:
+def by_instrument(source: Source, differences: Mapping[str, Array]) -> Sequence[Apart] | None:
+    """Distances of each pose by instrument; None where these are no differences of its machine."""
     if source.mechanism is None or tuple(differences) != source.mechanism.compared:
         return None
     rows = np.array([*differences.values()])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import numpy as np
@@ -36,6 +36,21 @@ class LeftOut:
 
 
 @lru_cache(maxsize=4)  # a source compares by identity
+def without_poses(source: Source, poses: tuple[str, ...]) -> Source:
+    """The same result without these poses, which it used."""
+    gone, table = set(poses), source.table
+    kept = [i for i, pose in enumerate(table.poses) if pose not in gone]
+    if len(kept) in (0, len(table.poses)):
+        return source
+    columns = {
+        part: {name: values[kept] for name, values in getattr(table, part).items()}
+        for part in (field.name for field in fields(table))
+        if part != "poses"
+    }
+    return replace(source, table=PoseTable(tuple(table.poses[i] for i in kept), **columns))
+
+
+@lru_cache(maxsize=4)
 def without_changes(source: Source) -> Named | None:
     """Output -> (N,) computed minus measured, the calibrated machine without what it takes up as
     changed along the run; None where it takes up nothing."""

@@ -20,7 +20,7 @@ from loopcal.companions.app.view import Part, Place, View, title
 from loopcal.errors import LoopcalError
 from loopcal.presentation.shown import shortened
 
-SCRIPTS = {f"/{name}": name for name in ("addresses.js", "fields.js", "linked.js")}
+SCRIPTS = {f"/{name}.js": f"{name}.js" for name in ("addresses", "fields", "presses", "linked")}
 """Programs of the page, by their addresses."""
 VERDICT = ("fit", "diagnose", "deploy")
 """Steps that begin with the verdict."""
@@ -105,8 +105,12 @@ async def build(session: Session) -> None:
         reading = asyncio.ensure_future(run.io_bound(session.load))
         if not (await asyncio.wait([reading], timeout=PATIENCE))[0]:
             waiting.set_visibility(True)
-        await reading
-        waiting.set_visibility(False)
+        try:
+            await reading
+        except Exception:  # the steps say why, and hear of what is changed next
+            logging.getLogger(__name__).exception("the folder cannot be read")
+        finally:
+            waiting.set_visibility(False)
 
     async def follow() -> None:
         async with aclosing(session.news.each()) as news:

@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 
 from loopcal.companions.app.beside import LeftOut
 from loopcal.companions.app.capsules import capsules, vertices
+from loopcal.companions.app.sizes import SIZE, errors_by_name
 from loopcal.figures.figure import axis, layout, names, numbers, spots, thinned, upright
+from loopcal.files.result.pose_table import PoseTable
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.outputs import measured_points
+from loopcal.mechanisms.outputs import measured_points, seen_outputs
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.presentation.shown import factor, unit_shown
-from loopcal.report.drawn import pose_distances, seen_points
+from loopcal.report.drawn import seen_points
 from loopcal.report.source import Source
 from loopcal.statistics.changes import ids_are_numbers
 
@@ -43,8 +45,6 @@ ROOM = 0.15
 """Share of the width of a figure that the name of a change needs."""
 NEAR = 0.08
 """Share of the length of a skeleton within which joints share one label, as high as its text is."""
-SIZE = "distance"
-"""The error of a pose as one number: the length of its differences."""
 GRID = "rgba(128,128,128,0.3)"
 _SOLID = "#9aa1aa"
 _BRUSHED = {"dragmode": "select", "selectdirection": "d"}
@@ -67,6 +67,7 @@ def joints_of(mechanism: Mechanism) -> list[str]:
     """The readings that pose a machine: joints of its chain, else what is no measured point."""
     joints = list(mechanism.joints)
     measured = {name for point in measured_points(mechanism) for name in point}
+    measured |= {name for one in seen_outputs(mechanism) for name in one.position}
     return joints or [name for name in mechanism.quantities if name not in measured]
 
 
@@ -153,8 +154,8 @@ def end_points(mechanism: Mechanism, poses: Sequence[Mapping[str, float]]) -> Ar
 class Errors:
     """What the linked figures show: the error of each pose, after the calibration.
 
-    shown: name -> (N,) in `unit`, the size first; numbers: (N,) of the poses, their ids where
-    these rise; drawn: positions of the poses that are drawn; steps: numbers from which on
+    shown: name -> (N,) in the unit of `units`, the size first; numbers: (N,) of the poses, their
+    ids where these rise; drawn: positions of the poses that are drawn; steps: numbers from which on
     something is modelled as moved; selected: positions of the poses that are marked; changed:
     numbers from which on a finding says that something changed, and how it is named; left_out:
     the poses that the fit does not use.
@@ -162,7 +163,7 @@ class Errors:
 
     source: Source
     shown: Mapping[str, Array]
-    unit: str
+    units: Mapping[str, str]
     numbers: Array
     drawn: NDArray[np.int64]
     steps: tuple[float, ...] = ()
@@ -187,23 +188,23 @@ class Errors:
             return None
         if differences is None:
             differences = table.differences_after
-        scale = factor(accuracy.unit)
-        units = {} if source.document.mechanism is None else source.document.mechanism.quantities
-        shown = {SIZE: pose_distances(source, differences) / scale}
-        for name, values in differences.items():
-            if units.get(name) == accuracy.unit:
-                shown[name] = values / scale
+        shown, units = errors_by_name(source, differences, accuracy.unit)
         kept = thinned(np.nan_to_num(shown[SIZE]), MOST).index
         order = np.arange(1.0, len(table.poses) + 1.0)
         if ids_are_numbers(table.poses):
             order = np.array([float(pose) for pose in table.poses])
-        unit, at = unit_shown(accuracy.unit), tuple(steps)
-        return cls(source, shown, unit, order, kept, at, selected, changed, left_out)
+        at = tuple(steps)
+        return cls(source, shown, units, order, kept, at, selected, changed, left_out)
 
     @property
     def size(self) -> Array:
         """(N,) one number for each pose."""
         return self.shown[SIZE]
+
+    @property
+    def unit(self) -> str:
+        """Of the size."""
+        return self.units[SIZE]
 
     @property
     def joints(self) -> list[str]:
@@ -276,9 +277,11 @@ class Errors:
         if aside is None or (joint is not None and joint not in aside.readings):
             return []
         accuracy = self.source.document.accuracy
-        scale = factor("m" if accuracy is None else accuracy.unit)
-        sizes = aside.sizes / scale
-        values = sizes if what == SIZE else aside.differences[what] / scale
+        unit = "m" if accuracy is None else accuracy.unit
+        sizes = aside.sizes / factor(unit)
+        table = PoseTable(aside.poses, readings=aside.readings)
+        of_these, _ = errors_by_name(replace(self.source, table=table), aside.differences, unit)
+        values = sizes if what == SIZE else of_these[what]
         at = aside.numbers if joint is None else aside.readings[joint] / factor(self._unit(joint))
         # One left out at an end of the run lies outside of the numbers of the poses used.
         span = max(high - low, 1.0)
@@ -437,9 +440,9 @@ class Errors:
         head = {
             "xaxis": axis(x, gridcolor=GRID, zeroline=False),
             "yaxis": axis(
-                f"{said} [{self.unit}]",
+                f"{said} [{self.units[what]}]",
                 gridcolor=GRID,
-                rangemode="tozero" if what == SIZE else "normal",
+                rangemode="normal" if what in self.source.table.differences_after else "tozero",
             ),
         }
         drawn = look(height, showlegend=False, **_BRUSHED, **head, **more)

@@ -13,6 +13,7 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any, Generic, TypeVar
 
+from loopcal.companions.app import words
 from loopcal.companions.app.cards import begins
 from loopcal.companions.app.edits import with_changes, with_shift, with_value, without_poses
 from loopcal.companions.app.project_folder import RESULT, Entry, ProjectFolder
@@ -31,6 +32,7 @@ from loopcal.files.project.stream import load_sample
 from loopcal.files.recognition.dh_table import read_dh
 from loopcal.files.tables.registry import BY_ENDING as READERS
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.outputs import seen_outputs
 from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.report.source import Source, read_source
 from loopcal.statistics.changes import COLUMN, ids_are_numbers
@@ -72,7 +74,7 @@ class Cached(Generic[Value]):
                 except LoopcalError as error:
                     self.objection = error.text
                 self.at = at
-        return self.value
+            return self.value
 
 
 class Session:
@@ -421,12 +423,10 @@ class Session:
         project = self.project()
         if project is None:
             return {}
-        parameters = project.mechanism.parameters
-        moving = {
-            "Reflector": parameters.of_role("mounting"),
-            "Instrument": parameters.of_role("placement"),
-        }
-        return {what: names for what, names in moving.items() if names}
+        machine = project.mechanism
+        names = [machine.parameters.of_role("mounting"), machine.parameters.of_role("placement")]
+        images = any(one.points > 1 for one in seen_outputs(machine))
+        return {w: moving for w, moving in zip(words.MOVING[images], names, strict=True) if moving}
 
     def steps(self) -> list[float]:
         """Numbers of the poses from which on the project takes something as moved."""

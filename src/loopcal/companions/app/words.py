@@ -73,6 +73,11 @@ BEFORE_AFTER = {True: "Before", False: "After"}
 BEFORE_AFTER_NAME = "errors before or after the changes are taken up"
 EXCLUDE_NAMED = "Exclude pose {poses}"
 ZOOM_IN, ZOOM_OUT = "Zoom in", "Show all poses"
+MOVING = {
+    False: ("Reflector", "Instrument"),
+    True: ("Camera or board on the robot", "Camera or board in the cell"),
+}
+"""What is mounted on the machine and what stands beside it, without and with images."""
 PARAMETERS_MOVED = "{what} moved here"
 BY_LOOPCAL = "found by loopcal"
 DRAG, DRAG_TURNS, DRAG_SELECTS = "Drag in space", "Drag turns", "Drag selects"
@@ -227,6 +232,7 @@ STATE_SOURCE = "The project reads several files. Name it in [[data.source]], or 
 DROPPED, USE_AGAIN = "handed in", "Use them again"
 OUTDATED = "The inputs have changed since this was computed. Run it again."
 CHECKED_EARLIER = "Checked at {at} UTC. Check again to see the answer."
+CORNERS_SEEN = "corners of {camera}"
 EXCLUDED = "Excluded: pose {poses}"
 UNDO = "Undo: {what}"
 BY_METHOD = "Method: {label}"

@@ -3,9 +3,11 @@
    The field with the focus keeps its text. Where the server sets another one, a field that the user
    has written in states its own again, and one that is untouched shows it as soon as it is left. A
    field that is drawn anew takes over text, caret, focus and open list from the one before it, by
-   its label. What was written is sent by the event "commit": at Enter, and where the field is left. */
+   its label. A field for a number does not say where its caret stands: all of it is selected again
+   until a user writes or puts the caret somewhere. What was written is sent by the event "commit":
+   at Enter, and where the field is left. */
 const fields = {
-  held: null, // { node, label, text, typed, caret, open, later }
+  held: null, // { node, label, text, typed, placed, open, later }
 
   valueProperty: Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value"),
 
@@ -13,7 +15,8 @@ const fields = {
   written: (node) => !node.closest(".q-select"),
 
   hold(node) {
-    fields.held = { node, label: node.getAttribute("aria-label"), typed: false, later: null };
+    const label = node.getAttribute("aria-label");
+    fields.held = { node, label, typed: false, placed: false, later: null };
     fields.note();
     if (!fields.written(node)) return;
     const { get, set } = fields.valueProperty;
@@ -28,12 +31,16 @@ const fields = {
     });
   },
 
-  /* Remember what is written, and where the caret stands. */
+  /* Remember what is written, and whether its list is open. */
   note() {
     const { held } = fields;
     held.text = held.node.value;
-    held.caret = [held.node.selectionStart, held.node.selectionEnd];
     held.open = held.node.getAttribute("aria-expanded") === "true";
+  },
+
+  /* Remember whether a user has put the caret somewhere in the field. */
+  place(node, so) {
+    if (fields.held?.node === node) fields.held.placed = so;
   },
 
   /* Tell page and server what the field says. */
@@ -42,7 +49,7 @@ const fields = {
   commit() {
     const { held } = fields;
     if (!held.typed) return;
-    Object.assign(held, { typed: false, later: null });
+    Object.assign(held, { typed: false, placed: true, later: null });
     held.node.dispatchEvent(new CustomEvent("commit", { detail: held.node.value }));
   },
 
@@ -61,7 +68,8 @@ const fields = {
     const named = `input[aria-label="${CSS.escape(held.label)}"]`;
     const node = document.querySelector(named);
     if (!node) return;
-    const { text, typed, caret, open } = held;
+    const { text, typed, placed, open } = held;
+    const caret = [held.node.selectionStart, held.node.selectionEnd]; // as it is at this moment
     fields.held = null;
     node.focus({ preventScroll: true });
     if (typed) {
@@ -69,6 +77,8 @@ const fields = {
       fields.state(node);
     }
     if (caret[0] !== null) node.setSelectionRange(...caret);
+    else if (!typed && !placed) node.select();
+    if (fields.held) fields.held.placed = placed;
     if (open) node.closest(".q-field__control, .q-field").click();
   },
 };
@@ -87,7 +97,10 @@ addEventListener("input", ({ target }) => {
   fields.held.typed = true;
   fields.note();
 });
+addEventListener("select", ({ target }) => fields.place(target, false));
+addEventListener("click", ({ target, detail }) => fields.place(target, detail < 2));
 addEventListener("keydown", ({ target, key }) => {
+  if (["ArrowLeft", "ArrowRight", "Home", "End"].includes(key)) fields.place(target, true);
   if (key === "Enter" && fields.held?.node === target) fields.commit();
 }, true);
 addEventListener("focusout", ({ target }) => {

@@ -17,6 +17,7 @@ from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.registry import BY_ENDING
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.outputs import Seen, seen_outputs
 from loopcal.presentation.shown import in_unit, unit_shown
 
 ENDS = tuple(BY_ENDING)
@@ -127,6 +128,8 @@ def _bad(view: View, project: Project) -> None:
 def _columns(view: View, project: Project) -> None:
     stated: dict[str, Any] = dict(project.inputs.get("data", {}).get("columns", {}))
     units = {**project.mechanism.quantities, **project.mechanism.pose_constants}
+    if not stated.keys() & units.keys():
+        return  # every reading comes from files joined to the first one
     labels = columns(project)
     heading(words.COLUMNS_HEAD)
     ui.label(words.COLUMNS).classes("text-body2")
@@ -172,7 +175,9 @@ def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
 def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any) -> None:
     data, mechanism = loaded.dataset, project.mechanism
     units = {**mechanism.quantities, **mechanism.pose_constants}
-    names = [name for name in data.readings if name in units]
+    images = [one for one in seen_outputs(mechanism) if one.points > 1]
+    corners = {q for one in images for q in one.position}
+    names = [name for name in data.readings if name in units and name not in corners]
     for warning in loaded.warnings:
         ui.label(str(warning)).classes("care")
     head = [{"name": "pose", "label": "pose", "field": "pose", "align": "left"}]
@@ -180,7 +185,15 @@ def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any) ->
         {"name": n, "label": f"{n} [{unit_shown(units[n])}]", "field": n, "align": "right"}
         for n in names
     ]
-    rows = [_row(data, i, names, units) for i in range(min(len(data), ROWS))]
+    for one in images:
+        counted = words.CORNERS_SEEN.format(camera=one.instrument)
+        head.append(
+            {"name": one.instrument, "label": counted, "field": one.instrument, "align": "right"}
+        )
+    rows = [
+        _row(data, i, names, units) | {one.instrument: corners_read(data, i, one) for one in images}
+        for i in range(min(len(data), ROWS))
+    ]
     more = words.FIRST_ROWS.format(all=len(data), shown=ROWS)
     heading(more if len(data) > ROWS else f"{len(data):,} poses")
 
@@ -214,3 +227,9 @@ def _row(data: Dataset, i: int, names: list[str], units: dict[str, str]) -> dict
     values = {n: float(data[n][i]) for n in names}
     shown = {n: "" if np.isnan(v) else f"{in_unit(v, units[n]):z.3f}" for n, v in values.items()}
     return {"index": i, "pose": data.poses[i], **shown}
+
+
+def corners_read(data: Dataset, i: int, image: Seen) -> str:
+    """How many corners of a pose's image are read, of all."""
+    read = sum(np.isfinite(data[q][i]) for q in image.position if q in data.readings)
+    return f"{read // 2} of {image.points}"

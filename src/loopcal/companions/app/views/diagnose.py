@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import ui
 
 from loopcal.companions.app import words
-from loopcal.companions.app.beside import left_out, without_changes
+from loopcal.companions.app.beside import left_out, without_changes, without_poses
 from loopcal.companions.app.cards import begins
 from loopcal.companions.app.controls import offer
 from loopcal.companions.app.pictures import Errors, Framed
@@ -22,7 +22,7 @@ IN_SPACE = "error in space"
 
 def show(view: View) -> None:
     """The step."""
-    errors = _errors(view)
+    errors = errors_of(view)
     if errors is None:
         none = view.session.unreadable() or words.NO_RESULT
         ui.label(none if view.session.source() is None else words.NO_OUTPUTS)
@@ -31,15 +31,16 @@ def show(view: View) -> None:
     session = view.session
 
     def follow() -> None:
-        now = _errors(view)
+        now = errors_of(view)
         if now is None or not linked.follow(now):
             view.refresh()
 
     def of() -> object:
-        return session.shown(), linked.errors.steps if session.refits.going else _steps(view)
+        steps = linked.errors.steps if session.refits.going else _steps(view)
+        return session.shown(), steps, session.left_out()
 
     def switch() -> None:
-        now = _errors(view)
+        now = errors_of(view)
         if now is not None:
             linked.follow(now)
 
@@ -68,12 +69,14 @@ def show(view: View) -> None:
             _elsewhere(linked)
 
 
-def _errors(view: View) -> Errors | None:
+def errors_of(view: View) -> Errors | None:
     """Those of the result, or of the first fit since the project has changed."""
     session = view.session
     source, judged = session.shown(), session.source()
     if source is None or judged is None:
         return None
+    # Those left out since are grey at once, before a fit without them is done.
+    source = without_poses(source, session.left_out())
     view.select_among(source.table.poses)
     before = without_changes(source) if view.kept.get("diagnose.before") else None
     # A first fit states no changes: those of the judged result stand until it is judged anew.
@@ -115,8 +118,9 @@ def _over_poses(linked: Linked) -> None:
         view.keep("diagnose.shown", event.value)
         linked.draw()
 
-    shown = ui.toggle(list(linked.errors.shown), value=linked.what, on_change=other)
-    shown.props('no-caps aria-label="error shown"')
+    if len(linked.errors.shown) > 1:
+        shown = ui.toggle(list(linked.errors.shown), value=linked.what, on_change=other)
+        shown.props('no-caps aria-label="error shown"')
 
     def of() -> Framed:
         return linked.errors.numbers, linked.errors.shown[linked.what]

@@ -13,7 +13,8 @@ from nicegui import background_tasks, ui
 
 from loopcal.companions.app import words
 from loopcal.companions.app.controls import reason, written
-from loopcal.companions.app.pictures import SIZE, Errors, Framed
+from loopcal.companions.app.pictures import Errors, Framed
+from loopcal.companions.app.sizes import SIZE
 from loopcal.companions.app.view import Part, Place, View, heading, table
 from loopcal.companions.app.view import plot as view_plot
 
@@ -307,4 +308,6 @@ def _listed(linked: Linked) -> None:
         [p, *(f"{values[i]:.3g}" for values in errors.shown.values())]
         for p, i in zip(poses[:LISTED], view.selected, strict=False)
     ]
-    table(["pose", *(f"{name} [{errors.unit}]" for name in errors.shown)], rows, pagination=10)
+    table(
+        ["pose", *(f"{name} [{errors.units[name]}]" for name in errors.shown)], rows, pagination=10
+    )
