@@ -87,6 +87,12 @@ def are_images(entries: Sequence[Any]) -> bool:
     return any(_kind(path) in ("corners", "image") for path in files_of(entries))
 
 
+def folders_of_images(entries: Sequence[Any]) -> list[Any]:
+    """The entries that are folders with corners or images."""
+    folders = [e for e in entries if isinstance(e, str | Path) and Path(e).is_dir()]
+    return [folder for folder in folders if are_images([folder])]
+
+
 def of_images(entries: Sequence[Any]) -> list[Any]:
     """The files among the entries that hold corners, boards or lenses, or are images; none where
     none of them holds corners or is an image."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.start import CameraStart
 from loopcal.estimation.cameras.twists import inverse
-from loopcal.files.cameras.folder import Files, are_images, of_images, read_files
+from loopcal.files.cameras.folder import Files, folders_of_images, of_images, read_files
 from loopcal.files.recognition.fields import Source
 from loopcal.files.recognition.observations import Observation
 from loopcal.files.recognition.sources import sources_of
@@ -71,8 +71,7 @@ def sources_and_pictures(entries: Sequence[Any]) -> tuple[list[Source], list[Pic
         sources.extend(added)
         return added
 
-    folders = [e for e in entries if isinstance(e, str | Path) and Path(e).is_dir()]
-    pictured = [folder for folder in folders if are_images([folder])]
+    pictured = folders_of_images(entries)
     single = [entry for entry in entries if entry not in pictured]
     described = of_images(single)
     read(entry for entry in single if entry not in described)

@@ -1,0 +1,156 @@
+"""`init` of whole robots with cameras: corners in folders and files among other observations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import loopcal as lc
+from loopcal.errors import Code
+from tests.refusals import refused
+
+Array = NDArray[np.float64]
+BODIES = """body,parent,joint,a [mm],d [mm],alpha [deg],theta [deg]
+l1,base,lq1,60,350,90,0
+l2,l1,lq2,420,0,0,0
+lh,l2,,0,100,0,0
+r0,base,,1500,0,0,0
+r1,r0,rq1,60,350,90,190
+r2,r1,rq2,400,0,0,0
+rh,r2,,0,100,0,0
+"""
+CAMERA = "camera name=sight on=lh sees=rh"
+POINT = "point name=tracker on=rh columns=x,y,z file=points"
+F, CENTRE, SD = 1200.0, np.array([640.0, 480.0]), 0.2
+ZERO = 3e-3
+"""How far rq2 is off."""
+
+
+def row(theta: float, a: float, d: float, alpha: float) -> Array:
+    """A row of Denavit and Hartenberg [m, rad]."""
+    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    return np.array(
+        [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+    )
+
+
+def hands(q: Array) -> tuple[Array, Array]:
+    """T_base_lh and T_base_rh of the true robot."""
+    left = row(q[0], 0.06, 0.35, np.pi / 2) @ row(q[1], 0.42, 0.0, 0.0)
+    right = row(0.0, 1.5, 0.0, 0.0) @ row(q[2] + np.radians(190), 0.06, 0.35, np.pi / 2)
+    right = right @ row(q[3] + ZERO, 0.40, 0.0, 0.0)
+    flange = row(0.0, 0.0, 0.1, 0.0)
+    return left @ flange, right @ flange
+
+
+def facing(T: Array, at: Array) -> Array:
+    """T_body_thing of a thing whose z axis points from the body's origin to a place in the base."""
+    z = np.linalg.inv(T)[:3, :3] @ (at - T[:3, 3])
+    z /= np.linalg.norm(z)
+    x = np.cross([0.3, 1.0, 0.2], z)
+    x /= np.linalg.norm(x)
+    made = np.eye(4)
+    made[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    made[:3, 3] = [0.01, -0.02, 0.03]
+    return made
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """images/ with joints, corners and a board; points.csv of poses in which no camera looked."""
+    (tmp_path / "bodies.csv").write_text(BODIES, "utf-8")
+    draw = np.random.default_rng(4)
+    points = {f"{i}": np.array([i % 4 * 0.02, i // 4 * 0.02, 0.0, 1.0]) for i in range(12)}
+    left, right = hands(np.zeros(4))
+    T_lh_camera = facing(left, right[:3, 3] + [0.0, 0.0, 0.0])
+    T_rh_board = facing(right, 2.0 * right[:3, 3] - left[:3, 3])
+    images = tmp_path / "images"
+    images.mkdir()
+    boards = ["board,point,x_m,y_m,z_m"]
+    boards += [f"plate,{n},{x:.3f},{y:.3f},0" for n, (x, y, _, _) in points.items()]
+    joints, corners = ["pose,lq1,lq2,rq1,rq2"], ["pose,camera,board,point,u_px,v_px"]
+    for k in range(30):
+        q = draw.uniform(-0.35, 0.35, 4)
+        joints.append(f"{k}," + ",".join(f"{v:.7f}" for v in q + draw.normal(0.0, 2e-5, 4)))
+        left, right = hands(q)
+        T = np.linalg.inv(left @ T_lh_camera) @ right @ T_rh_board
+        for name, X in points.items():
+            P = T @ X
+            uv = F * P[:2] / P[2] + CENTRE + draw.normal(0.0, SD, 2)
+            corners.append(f"{k},front,plate,{name},{uv[0]:.4f},{uv[1]:.4f}")
+    seen = ["pose,rq1,rq2,x [m],y [m],z [m]"]
+    for k in range(25):
+        q = np.append([0.0, 0.0], draw.uniform(-1.2, 1.2, 2))
+        point = hands(q)[1][:3, 3] + [0.5, -0.2, 0.1] + draw.normal(0.0, 3e-5, 3)
+        values = [*(q[2:] + draw.normal(0.0, 2e-5, 2)), *point]
+        seen.append(f"{k}," + ",".join(f"{v:.7f}" for v in values))
+    (images / "poses.csv").write_text("\n".join(joints) + "\n", "utf-8")
+    (images / "readings.csv").write_text("\n".join(corners) + "\n", "utf-8")
+    (images / "board.csv").write_text("\n".join(boards) + "\n", "utf-8")
+    (tmp_path / "points.csv").write_text("\n".join(seen) + "\n", "utf-8")
+    return tmp_path
+
+
+def begun(folder: Path, *observe: str, one_by_one: bool = False) -> lc.InitialProject:
+    """The project of the folder with these observations."""
+    images = sorted((folder / "images").iterdir()) if one_by_one else [folder / "images"]
+    files = [*images, folder / "points.csv"]
+    return lc.init(*files, dh=folder / "bodies.csv", observe=observe, out=folder / "cell")
+
+
+@pytest.mark.parametrize("one_by_one", [False, True])
+def test_corners_join_the_observations_and_sds_are_learnt_where_no_camera_looked(
+    folder: Path, one_by_one: bool
+) -> None:
+    made = begun(folder, CAMERA, POINT, one_by_one=one_by_one)
+    assert len(made.dataset) == 30 + 25
+    pixels = [q for q in made.mechanism.quantities if q.endswith((":u", ":v"))]
+    assert len(pixels) == 24
+    assert np.isfinite(made.dataset[pixels[0]]).sum() == 30
+    result = lc.calibrate(folder / "cell" / "project.toml", method="implicit-loop")
+    assert result.status.converged
+    sds = result.reading_sds
+    assert np.nanmin(sds[pixels[0]]) == pytest.approx(SD, rel=0.1)
+    assert np.nanmin(sds["tracker_x"]) == pytest.approx(3e-5, rel=0.4)
+    for name, true in (("offset_r2", ZERO), ("front_f", F), ("d_r2", 0.0)):
+        assert abs(result.value[name] - true) < 3.5 * (result.sd[name] or 0.0)
+    assert (result.sd["front_f"] or 0.0) < 0.02 * F
+
+
+def test_one_camera_stands_at_one_place_for_boards_of_two_bodies(folder: Path) -> None:
+    corners = (folder / "images" / "readings.csv").read_text("utf-8").splitlines()
+    # the same plate, turned by nothing, as if the other body of the right arm held it
+    more = [line.replace(",plate,", ",other,") for line in corners[1:]]
+    (folder / "images" / "readings.csv").write_text("\n".join([*corners, *more]) + "\n", "utf-8")
+    board = (folder / "images" / "board.csv").read_text("utf-8").splitlines()
+    others = [line.replace("plate,", "other,") for line in board[1:]]
+    (folder / "images" / "board.csv").write_text("\n".join([*board, *others]) + "\n", "utf-8")
+    made = begun(
+        folder, f"{CAMERA} board=plate", "camera name=second on=lh sees=r2 board=other", POINT
+    )
+    parameters = made.mechanism.parameters
+    assert {"front_x", "plate_x", "other_x"} <= {*parameters.names}
+    # boards are placed for the one place of the camera: both begin within a few pixels
+    off = made.mechanism.loop_values(made.dataset)
+    for board in ("plate", "other"):
+        pixels = np.array([f for loop, f in off.items() if f":{board}:" in loop])
+        assert np.sqrt(np.nanmean(np.square(pixels))) < 10.0
+
+
+@pytest.mark.parametrize(
+    ("observe", "code", "message"),
+    [
+        (f"{CAMERA} camera=left", "unknown-name", "no corner is of the camera 'left'"),
+        (f"{CAMERA} file=elsewhere", "no-data", "no file holds corners"),
+        ("camera name=sight on=lh sees=rh joints=lq1:Q", "missing-column", ""),
+    ],
+)
+def test_what_no_file_has_is_refused(folder: Path, observe: str, code: Code, message: str) -> None:
+    poses = folder / "images" / "poses.csv"
+    if message == "":
+        poses.write_text(poses.read_text("utf-8").replace("lq1", "first"), "utf-8")
+    with refused(code, message or "no column holds the joint 'lq1'"):
+        begun(folder, observe, POINT)
