@@ -135,8 +135,8 @@ def test_one_camera_stands_at_one_place_for_boards_of_two_bodies(folder: Path) -
     assert {"front_x", "plate_x", "other_x"} <= {*parameters.names}
     # boards are placed for the one place of the camera: both begin within a few pixels
     off = made.mechanism.loop_values(made.dataset)
-    for board in ("plate", "other"):
-        pixels = np.array([f for loop, f in off.items() if f":{board}:" in loop])
+    for name in ("plate", "other"):
+        pixels = np.array([f for loop, f in off.items() if f":{name}:" in loop])
         assert np.sqrt(np.nanmean(np.square(pixels))) < 10.0
 
 
@@ -144,7 +144,7 @@ def test_one_camera_stands_at_one_place_for_boards_of_two_bodies(folder: Path) -
     ("observe", "code", "message"),
     [
         (f"{CAMERA} camera=left", "unknown-name", "no corner is of the camera 'left'"),
-        (f"{CAMERA} file=elsewhere", "no-data", "no file holds corners"),
+        (f"{CAMERA} file=elsewhere", "missing-key", "is of these corners"),
         ("camera name=sight on=lh sees=rh joints=lq1:Q", "missing-column", ""),
     ],
 )
@@ -154,3 +154,8 @@ def test_what_no_file_has_is_refused(folder: Path, observe: str, code: Code, mes
         poses.write_text(poses.read_text("utf-8").replace("lq1", "first"), "utf-8")
     with refused(code, message or "no column holds the joint 'lq1'"):
         begun(folder, observe, POINT)
+
+
+def test_a_camera_without_corners_is_refused(folder: Path) -> None:
+    with refused("no-data", "'sight' sees"):
+        lc.init(folder / "points.csv", dh=folder / "bodies.csv", observe=[CAMERA, POINT])

@@ -96,10 +96,12 @@ def folders_of_images(entries: Sequence[Any]) -> list[Any]:
 def of_images(entries: Sequence[Any]) -> list[Any]:
     """The files among the entries that hold corners, boards or lenses, or are images; none where
     none of them holds corners or is an image."""
-    kinds = {e: _kind(Path(e)) for e in entries if files_of([e]) == [Path(e)]}
-    if {"corners", "image"}.isdisjoint(kinds.values()):
+    paths = [e for e in entries if isinstance(e, str | Path) and not Path(e).is_dir()]
+    kinds = [_kind(Path(e)) for e in paths]
+    if {"corners", "image"}.isdisjoint(kinds):
         return []
-    return [e for e, kind in kinds.items() if kind in ("corners", "image", "board", "document")]
+    described = ("corners", "image", "board", "document")
+    return [e for e, kind in zip(paths, kinds, strict=True) if kind in described]
 
 
 def _kind(path: Path) -> str:

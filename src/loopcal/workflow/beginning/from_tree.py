@@ -197,9 +197,19 @@ def _seen_by_cameras(
     families = {family.name: family for family in mechanism.families}
     nominal = {p.name: p.nominal for p in mechanism.parameters}
     assert mechanism.tree is not None
-    for one in looking:
+    cameras = [one for one in looking if one.table["type"] == "camera"]
+    for picture in pictures:
+        if not any(picture.is_of(one) for one in cameras):
+            raise InputError(
+                "no observation is of these corners",
+                code="missing-key",
+                place=picture.files.corners.file,
+                remedy="name the bodies that carry camera and board: "
+                "--observe 'camera on=BODY sees=BODY', or leave the file out",
+            )
+    for one in cameras:
         family = families[one.name]
-        mine = [p for p in pictures if one.table["type"] == "camera" and p.is_of(one)]
+        mine = [p for p in pictures if p.is_of(one)]
         for picture in mine:
             source = picture.source
             joints = _joints(source, mechanism, looking)
@@ -218,7 +228,7 @@ def _seen_by_cameras(
             readings = in_si(joints, mechanism.joints)
             T = matrices(ChainFrame(path, readings, nominal), len(source))
             pixels.setdefault(id(source), {}).update(see(eyes, one, picture, T, units))
-        if one.table["type"] == "camera" and not mine:
+        if not mine:
             raise InputError(
                 f"no file holds corners of boards that {one.name!r} sees",
                 code="no-data",

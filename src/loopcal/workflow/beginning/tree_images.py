@@ -71,10 +71,9 @@ def sources_and_pictures(entries: Sequence[Any]) -> tuple[list[Source], list[Pic
         sources.extend(added)
         return added
 
-    pictured = folders_of_images(entries)
-    single = [entry for entry in entries if entry not in pictured]
-    described = of_images(single)
-    read(entry for entry in single if entry not in described)
+    pictured, described = folders_of_images(entries), of_images(entries)
+    apart = {id(entry) for entry in (*pictured, *described)}  # a table has no equality
+    read(entry for entry in entries if id(entry) not in apart)
     if described:
         files = read_files(described)
         pictures.append(Pictures(files, _with_poses(files, sources)))
