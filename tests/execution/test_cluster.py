@@ -320,7 +320,7 @@ def test_where_no_scheduler_is(study: Path) -> None:
     impatient = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "500ms"}
     done = run("study", study, "--cluster", "127.0.0.1:1", env=impatient)
     assert done.returncode == 3
-    connecting, first, remedy = done.stderr.splitlines()
+    connecting, first, remedy, *_ = done.stderr.splitlines()
     assert connecting == "loopcal: connecting to 127.0.0.1:1"
     assert first.startswith("loopcal: 127.0.0.1:1: no scheduler answers")
     assert remedy.startswith("  What to do: start one")

@@ -40,6 +40,9 @@ def fill_in(error: LoopcalError, words: Sequence[str]) -> None:
     """
     if error.command or isinstance(error, NoTrustworthyResult) or not words:
         return
+    if not _typeable(words):
+        error.again = False
+        return
     error.next_command(words)
     if not error.again:
         return
@@ -58,6 +61,8 @@ def after_usage(error: Any, words: Sequence[str]) -> str:
     from loopcal.cli.registry import COMMANDS
 
     command = words[0] if words and words[0] in COMMANDS else ""
+    if not _typeable(words):
+        return _help(command) if command else "loopcal --help"
     kind = type(error).__name__
     if not command:
         meant = closest(words[0], [*COMMANDS]) if words and not words[0].startswith("-") else None
@@ -80,6 +85,11 @@ def after_usage(error: Any, words: Sequence[str]) -> str:
         robot = "" if "--urdf" in words else f" {_robot(words)}"
         return f"{typed}{robot}" if typed[-1] != " " and robot != " " else _help(command)
     return join(["loopcal", *mended]) if mended and mended != [*words] else _help(command)
+
+
+def _typeable(words: Sequence[str]) -> bool:
+    """Whether a terminal shows the words as they are; a command with others is not repeated."""
+    return all(word.isprintable() for word in words)
 
 
 def _help(command: str) -> str:

@@ -20,7 +20,6 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Linearised, components_of
 from loopcal.statistics.possible_changes import unit_of
 from loopcal.statistics.replacing import Replaced, freed, replaced
-from loopcal.statistics.run_drift import SDS, drifting
 from loopcal.statistics.run_order import told_by_joints
 
 
@@ -59,6 +58,8 @@ class Day:
     def drifting(self) -> Day | None:
         """The day with a drift of its instruments, as `run_drift` has it, where the joints tell
         the order of the poses; None elsewhere."""
+        from loopcal.statistics.run_drift import SDS, drifting  # loaded where it is used
+
         problem, mechanism = self.problem, self.problem.mechanism
         joints = problem.readings[joint_rows(problem)][:, pose_order(problem)].T
         if told_by_joints(joints) is None:

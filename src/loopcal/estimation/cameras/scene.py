@@ -395,7 +395,8 @@ class _Columns:
             group_image = np.zeros(len(free), dtype=np.intp)
             group_image[self.group] = image
             np.subtract.at(N_i, group_image, free)
-        scale = np.sqrt(np.maximum(np.diag(N), 1e-300))
+        lengths = np.diag(N)
+        scale = np.sqrt(np.where(lengths > 1e-150, lengths, 1.0))  # 1 for what no corner shows
         rest = (N - N_i) / np.outer(scale, scale) + 1e-9 * np.eye(self.size)
         d = np.linalg.solve(rest, (g / scale)[:, :, None])[:, :, 0] / scale
         n = max(len(np.unique(image)), 1)

@@ -59,7 +59,7 @@ def patterns_of(
     unmeasured = np.isinf(uncertainty.sd)
     predicted = _predicted_readings(mechanism, uncertainty)
     if predicted:
-        blind = _unseen(mechanism, unmeasured)
+        blind = _unseen(mechanism, unmeasured if blind is None else blind)
         unmeasured = unmeasured.copy()
         unmeasured[list(predicted)] = False
     codes = np.concatenate([unmeasured, unmeasured if blind is None else blind])
