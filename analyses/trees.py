@@ -224,7 +224,8 @@ def holding(random: np.random.Generator) -> World:
     targets = [np.append(random.normal(0.0, 0.03, 3), 1.0) for _ in range(2)]
     both: list[tuple[Array, Array]] = []
     while len(both) < POSES:
-        a = random.uniform(-1.2, 1.2, 6)
+        # A walk: where both robots reach one pose of the part, they reach those near by as well.
+        a = both[-1][0] + random.uniform(-0.6, 0.6, 6) if both else random.uniform(-1.2, 1.2, 6)
         slack = placed(random.normal(0.0, GAP, 3), random.normal(0.0, 1e-4, 3))
         goal: Array = np.asarray(np.linalg.inv(left.hand(a) @ part @ slack), dtype=float)
 
@@ -233,8 +234,9 @@ def holding(random: np.random.Generator) -> World:
             turns = Rotation.from_matrix(E[..., :3, :3].reshape(-1, 3, 3)).as_rotvec()
             return np.concatenate([E[..., :3, 3], turns.reshape(*E.shape[:-2], 3)], axis=-1)
 
-        b = reached(error, random.uniform(-1.8, 1.8, (20, 6)))
-        if b is not None:
+        starts = both[-1][1][None] if both else random.uniform(-1.8, 1.8, (20, 6))
+        b = reached(error, starts)
+        if b is not None and np.abs(a).max() < 1.6:
             both.append((a, b))
     q = [np.array(side) for side in zip(*both, strict=True)]
     free = [random.uniform(-1.4, 1.4, (40 + FRESH, 6)) for _ in range(2)]
@@ -428,7 +430,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--keep", type=Path, default=Path(".cache/trees.jsonl"))
     asked = parser.parse_args()
-    wanted = [(kind, i) for kind in asked.kinds.split(",") for i in range(asked.draws)]
+    wanted = [(kind, i) for i in range(asked.draws) for kind in asked.kinds.split(",")]
     print(shown(complete(asked.keep, wanted, partial(drawn), asked.processes)))
 
 
