@@ -143,8 +143,9 @@ def test_one_camera_stands_at_one_place_for_boards_of_two_bodies(folder: Path) -
 @pytest.mark.parametrize(
     ("observe", "code", "message"),
     [
-        (f"{CAMERA} camera=left", "unknown-name", "no corner is of the camera 'left'"),
-        (f"{CAMERA} file=elsewhere", "missing-key", "is of these corners"),
+        (f"{CAMERA} camera=left", "no-data", "camera='front', board='plate'"),
+        (f"{CAMERA} file=elsewhere", "no-data", "corners of what 'sight' sees"),
+        (POINT, "missing-key", "no observation is of these corners"),
         ("camera name=sight on=lh sees=rh joints=lq1:Q", "missing-column", ""),
     ],
 )
@@ -153,7 +154,23 @@ def test_what_no_file_has_is_refused(folder: Path, observe: str, code: Code, mes
     if message == "":
         poses.write_text(poses.read_text("utf-8").replace("lq1", "first"), "utf-8")
     with refused(code, message or "no column holds the joint 'lq1'"):
-        begun(folder, observe, POINT)
+        begun(folder, *dict.fromkeys((observe, POINT)))
+
+
+def test_images_of_two_folders_are_of_one_camera(folder: Path) -> None:
+    images, more = folder / "images", folder / "more"
+    more.mkdir()
+    for name in ("poses.csv", "readings.csv", "board.csv"):
+        text = (images / name).read_text("utf-8")
+        (more / name).write_text(text, "utf-8")
+    corners = (images / "readings.csv").read_text("utf-8").splitlines()
+    some = [line for line in corners if ",plate,0," not in line]  # a point that one of them lacks
+    (images / "readings.csv").write_text("\n".join(some) + "\n", "utf-8")
+    made = lc.init(
+        images, more, folder / "points.csv", dh=folder / "bodies.csv", observe=[CAMERA, POINT]
+    )
+    seen = made.dataset["front:plate:0:u"], made.dataset["front:plate:5:u"]
+    assert [int(np.isfinite(one).sum()) for one in seen] == [30, 60]
 
 
 def test_a_camera_without_corners_is_refused(folder: Path) -> None:

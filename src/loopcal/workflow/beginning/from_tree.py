@@ -198,15 +198,6 @@ def _seen_by_cameras(
     nominal = {p.name: p.nominal for p in mechanism.parameters}
     assert mechanism.tree is not None
     cameras = [one for one in looking if one.table["type"] == "camera"]
-    for picture in pictures:
-        if not any(picture.is_of(one) for one in cameras):
-            raise InputError(
-                "no observation is of these corners",
-                code="missing-key",
-                place=picture.files.corners.file,
-                remedy="name the bodies that carry camera and board: "
-                "--observe 'camera on=BODY sees=BODY', or leave the file out",
-            )
     for one in cameras:
         family = families[one.name]
         mine = [p for p in pictures if p.is_of(one)]
@@ -230,12 +221,33 @@ def _seen_by_cameras(
             pixels.setdefault(id(source), {}).update(see(eyes, one, picture, T, units))
         if not mine:
             raise InputError(
-                f"no file holds corners of boards that {one.name!r} sees",
+                f"no file holds corners of what {one.name!r} sees",
                 code="no-data",
                 place="--observe",
-                remedy="name a folder with corners, boards and a table of poses, or these files",
+                remedy=_seen_in(pictures),
+            )
+    for picture in pictures:
+        if not any(picture.is_of(one) for one in cameras):
+            raise InputError(
+                "no observation is of these corners",
+                code="missing-key",
+                place=picture.files.corners.file,
+                remedy="name the bodies that carry camera and board: "
+                "--observe 'camera on=BODY sees=BODY', or leave the file out",
             )
     return eyes, pixels
+
+
+def _seen_in(pictures: Sequence[Pictures]) -> str:
+    """What to do where none of these files holds what a camera sees."""
+    if not pictures:
+        return "name a folder with corners, boards and a table of poses, or these files"
+    tables = [picture.files.corners for picture in pictures]
+    cameras = dict.fromkeys(name for table in tables for name in table.cameras)
+    boards = dict.fromkeys(name for table in tables for name in table.boards)
+    return (
+        f"name what is there: camera={listed(list(cameras), 10)}, board={listed(list(boards), 10)}"
+    )
 
 
 def _rows(

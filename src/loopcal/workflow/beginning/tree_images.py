@@ -36,10 +36,12 @@ class Pictures:
     source: Source
 
     def is_of(self, one: Observation) -> bool:
-        """Whether an observation may be among them: by their files, or by their folder."""
-        path = self.source.path
-        places = (path, path and path.parent, Path(self.files.corners.file))
-        return any(one.of_file(place) for place in places)
+        """Whether an observation is among them: by their files, or by their folder, and by the
+        camera and board that it names."""
+        path, corners = self.source.path, self.files.corners
+        places = (path, path and path.parent, Path(corners.file))
+        there = one.camera in ("", *corners.cameras) and one.board in ("", *corners.boards)
+        return there and any(one.of_file(place) for place in places)
 
 
 @dataclass(eq=False)
@@ -123,10 +125,15 @@ def see(
     tables = project.tables
     made = tables["mechanism"]["instrument"]
     noise = iter(tables["noise"].values())
+    begun_before = {(table["eye"], table["board"]): table for table in eyes.instruments}
     for table in made:
         name = f"{one.name}_{table['name']}" if len(made) > 1 else one.name
-        eyes.instruments.append({**table, **bodies, "name": name})
-        eyes.noise[name] = next(noise)
+        sd = next(noise)
+        if (same := begun_before.get((table["eye"], table["board"]))) is not None:
+            same["points"] |= table["points"]  # of further images
+        else:
+            eyes.instruments.append({**table, **bodies, "name": name})
+            eyes.noise[name] = sd
     eyes.parameters = tables["mechanism"]["parameters"] | eyes.parameters
     facts = tuple(f.sentence for f in begun.facts if f.code != "board-pitch")
     eyes.words += tuple(
@@ -144,17 +151,6 @@ def see(
 def _chosen(one: Observation, files: Files, eyes: Eyes) -> Files:
     """The corners of the cameras and boards that are named, under names of their own."""
     table = files.corners
-    for what, name, names in (
-        ("camera", one.camera, table.cameras),
-        ("board", one.board, table.boards),
-    ):
-        if name and name not in names:
-            raise InputError(
-                f"no corner is of the {what} {name!r}",
-                code="unknown-name",
-                place="--observe",
-                remedy=f"name one of {listed(list(names), 10)}",
-            )
     lenses = by_camera(files.lenses, table.cameras)
     some = table.at(
         [
