@@ -95,14 +95,15 @@ def assert_addresses_are_kept(page: Any, address: str) -> None:
     def heading(name: str) -> Any:
         return page.get_by_role("heading", name=name, exact=True, level=1)
 
-    assert page.url == f"{address}/history"
+    page.wait_for_function("(url) => location.href === url", arg=f"{address}/history")
     Hand(page).step("Fit")
     page.wait_for_function("() => addresses.wanted === null")  # it scrolls to the top by itself
     page.evaluate("scrollTo(0, 150)")
     page.wait_for_function("() => addresses.places['/fit'] === 150")
     Hand(page).step("Check")
-    assert page.url == f"{address}/check"
-    assert page.evaluate("scrollY") == 0
+    # the heading may be there ahead of the address and of the place
+    page.wait_for_function("(url) => location.href === url", arg=f"{address}/check")
+    page.wait_for_function("() => scrollY === 0")
     page.go_back()
     heading("Fit").wait_for()
     page.wait_for_function(SCROLLED)
