@@ -40,8 +40,8 @@ class Pictures:
         camera and board that it names."""
         path, corners = self.source.path, self.files.corners
         places = (path, path and path.parent, Path(corners.file))
-        there = one.camera in ("", *corners.cameras) and one.board in ("", *corners.boards)
-        return there and any(one.of_file(place) for place in places)
+        seen = one.camera in ("", *corners.cameras) and one.board in ("", *corners.boards)
+        return seen and any(one.of_file(place) for place in places)
 
 
 @dataclass(eq=False)
