@@ -181,6 +181,28 @@ def named(name: str, values: Array) -> dict[str, Array]:
     return {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
 
 
+def under_tracker(
+    random: np.random.Generator,
+    T: Array,
+    limbs: tuple[Limb, Limb],
+    targets: Sequence[Array],
+    counts: tuple[int, int],
+) -> tuple[dict[str, str], dict[str, Array], dict[str, Array]]:
+    """Files in which a tracker sees each hand in so many poses; joints and truth of fresh ones."""
+    files: dict[str, str] = {}
+    joints: dict[str, Array] = {}
+    truth: dict[str, Array] = {}
+    for one, target, count, name in zip(limbs, targets, counts, "ab", strict=True):
+        q = random.uniform(-1.4, 1.4, (count + FRESH, 6))
+        seen = tracked(T, one, q, target)
+        columns = read(random, (one, q))
+        near = named(name, seen + random.normal(0.0, TRACKER, seen.shape))
+        files[f"seen_{name}.csv"] = table({k: v[:count] for k, v in {**columns, **near}.items()})
+        joints |= {k: v[count:] for k, v in columns.items()}
+        truth |= named(name, seen[count:])
+    return files, joints, truth
+
+
 def touching(random: np.random.Generator) -> World:
     """Two arms whose balls touch, 116 mm apart, and a tracker that sees both hands."""
     left, right, lines = arms(random, 0.5)
@@ -197,17 +219,8 @@ def touching(random: np.random.Generator) -> World:
         if b is not None:
             both.append((a, b))
     q = [np.array(side) for side in zip(*both, strict=True)]
-    free = [random.uniform(-1.4, 1.4, (30 + FRESH, 6)) for _ in range(2)]
-    files = {"touch.csv": table(read(random, (left, q[0]), (right, q[1])))}
-    truth: dict[str, Array] = {}
-    joints: dict[str, Array] = {}
-    for one, target, some, name in zip((left, right), targets, free, "ab", strict=True):
-        seen = tracked(T, one, some, target)
-        columns = read(random, (one, some))
-        near = named(name, seen + random.normal(0.0, TRACKER, seen.shape))
-        files[f"seen_{name}.csv"] = table({k: v[:30] for k, v in {**columns, **near}.items()})
-        joints |= {k: v[30:] for k, v in columns.items()}
-        truth |= named(name, seen[30:])
+    files, joints, truth = under_tracker(random, T, (left, right), targets, (30, 30))
+    files["touch.csv"] = table(read(random, (left, q[0]), (right, q[1])))
     observe = (
         "contact name=touch between=l_6,r_6 radius=58mm,58mm file=touch",
         "point name=a on=l_6 station=tracker columns=a_x,a_y,a_z",
@@ -239,19 +252,8 @@ def holding(random: np.random.Generator) -> World:
         if b is not None and np.abs(a).max() < 1.6:
             both.append((a, b))
     q = [np.array(side) for side in zip(*both, strict=True)]
-    free = [random.uniform(-1.4, 1.4, (40 + FRESH, 6)) for _ in range(2)]
-    files = {"part.csv": table(read(random, (left, q[0]), (right, q[1])))}
-    truth: dict[str, Array] = {}
-    joints: dict[str, Array] = {}
-    for one, target, some, name, n in zip(
-        (left, right), targets, free, "ab", (40, 10), strict=True
-    ):
-        seen = tracked(T, one, some, target)
-        columns = read(random, (one, some))
-        near = named(name, seen + random.normal(0.0, TRACKER, seen.shape))
-        files[f"seen_{name}.csv"] = table({k: v[:n] for k, v in {**columns, **near}.items()})
-        joints |= {k: v[40:] for k, v in columns.items()}
-        truth |= named(name, seen[40:])
+    files, joints, truth = under_tracker(random, T, (left, right), targets, (40, 10))
+    files["part.csv"] = table(read(random, (left, q[0]), (right, q[1])))
     observe = (
         "held-part name=part between=l_6,r_6 file=part",
         "point name=a on=l_6 station=tracker columns=a_x,a_y,a_z",
