@@ -208,7 +208,7 @@ def test_a_drift_of_the_instrument_is_modelled_and_predictions_hold_for_the_end(
     assert result.mechanism.latest == {NUMBER: 60.0}
     answer = lc.verdict(result).answers["sound"]
     assert (answer.passed, answer.code) == (None, "changes-modelled")
-    assert "over the whole run" in answer.words
+    assert "all along poses 1 to 60" in answer.words
     assert "Predictions hold for the end of the run." in answer.words
     where = joints(40, 11)
     found = lc.predict(result, lc.Dataset.from_arrays(where)).outputs

@@ -35,11 +35,12 @@ class ChangePoint:
     """Something changed between two poses that follow each other, and stayed so."""
 
     shape: Literal["step", "ramp"]
-    """Whether it changed at once, or all along the run in proportion to the number of the pose."""
+    """Whether it changed at once, or in proportion to the number of the pose, as long as it was
+    seen."""
     pose: str
-    """The first pose after the change; of a ramp the first of all."""
+    """The first pose after the change; of a ramp the first in which it was seen."""
     after: str
-    """The last pose before it; of a ramp the last of all."""
+    """The last pose before it; of a ramp the last in which it was seen."""
     number: Count
     """Of that first pose in the order of the poses, from 1."""
     moved: Moved
@@ -57,6 +58,8 @@ class ChangePoint:
     """Of moves."""
     modelled: bool = False
     """Whether the result has it as an effect, as the method "auto" gives it where it is certain."""
+    until: Count | None = None
+    """Of a ramp, the number of the last pose in which it was seen; null: a step."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -102,7 +105,8 @@ def when(points: Sequence[ChangePoint]) -> str:
     """When these changes happened."""
     steps = [point.pose for point in points if point.shape == "step"]
     words = [f"from pose{'s' if len(steps) > 1 else ''} {enumerated(steps)} on"] if steps else []
-    return " and ".join(words + ["over the whole run"] * (len(steps) < len(points)))
+    ramps = dict.fromkeys((p.pose, p.after) for p in points if p.shape == "ramp")
+    return " and ".join([*words, *(f"all along poses {a} to {b}" for a, b in ramps)])
 
 
 def hold(points: Sequence[ChangePoint]) -> str:

@@ -107,14 +107,17 @@ class Day:
         """(R, q) of what changed along the run; None without any."""
         if not self.moved:
             return None
-        count = len(self.problem.poses)
-        number = np.empty(count)
-        number[pose_order(self.problem)] = np.arange(1.0, count + 1.0)
+        number = np.empty(len(self.problem.poses))
+        number[pose_order(self.problem)] = np.arange(1.0, len(number) + 1.0)
         row = number[placement.row_poses][:, None]
         columns = []
         for point in self.moved:
             names = sorted(point.names, key=lambda n: n not in self.problem.mechanism.quantities)
-            size = row / count if point.shape == "ramp" else 1.0 * (row >= point.number)
+            size = (
+                1.0 * (row >= point.number)
+                if point.until is None
+                else np.clip((row - point.number) / max(point.until - point.number, 1), 0.0, 1.0)
+            )
             columns.append(size * placement.columns(names))
         return np.hstack(columns)
 
@@ -122,8 +125,16 @@ class Day:
         """The day without the poses at these positions."""
         kept = np.setdiff1d(np.arange(len(self.problem.poses)), poses)
         gone = np.isin(pose_order(self.problem), poses)
+
+        def left(number: int) -> int:
+            return number - int(gone[: number - 1].sum())
+
         moved = tuple(
-            replace(one, number=one.number - int(gone[: one.number - 1].sum()))
+            replace(
+                one,
+                number=left(one.number),
+                until=None if one.until is None else left(one.until),
+            )
             for one in self.moved
         )
         return replace(self, problem=taken(self.problem, kept), moved=moved)

@@ -9,8 +9,8 @@ other values. For each candidate, with columns C_i (r, d) in the whitened equati
 is what chi-squared falls by if the candidate changes at t and all else, Z, is fitted anew (Andrews
 1993): what the parameters can absorb counts for nothing. The most significant one joins Z, all are
 placed anew, and the search goes on while the next is significant after Bonferroni's correction for
-all poses and candidates. A candidate may also change all along the run, in proportion to the number
-of the pose.
+all poses and candidates. A candidate may also change all along the poses in which it was seen, in
+proportion to their number.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.lazy import cached_property
 from loopcal.presentation.shown import wrapped
 from loopcal.statistics.estimated import log_tail
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
@@ -111,21 +112,36 @@ class _Candidate:
     change: Possible
     columns: Array
 
+    @cached_property
+    def seen(self) -> tuple[int, int]:
+        """The first and the last position at which it does anything."""
+        at = np.flatnonzero(self.columns.any(axis=(1, 2)))
+        return (int(at[0]), int(at[-1])) if at.size else (0, 0)
+
 
 @dataclass(frozen=True)
 class _Step:
-    """A candidate that changes at position `at` in order, or all along the run."""
+    """A candidate that changes at position `at` in order, or from there to `until` all along."""
 
     candidate: _Candidate
     at: int
-    ramp: bool = False
+    until: int | None = None
+
+    @property
+    def ramp(self) -> bool:
+        """Whether it changes all along."""
+        return self.until is not None
 
     @property
     def columns(self) -> Array:
         """(N, R, d)"""
-        N = len(self.candidate.columns)
-        # From 0 to 1: the size of a ramp is its change over the whole run.
-        rows = np.arange(N) / (N - 1.0) if self.ramp else 1.0 * (np.arange(N) >= self.at)
+        number = np.arange(len(self.candidate.columns))
+        # From 0 to 1: the size of a ramp is its change over the poses in which it was seen.
+        rows = (
+            1.0 * (number >= self.at)
+            if self.until is None
+            else np.clip((number - self.at) / max(self.until - self.at, 1), 0.0, 1.0)
+        )
         return rows[:, None, None] * self.candidate.columns
 
 
@@ -251,7 +267,7 @@ class Search:
         return ChangePoint(
             "ramp" if step.ramp else "step",
             poses[order[step.at]],
-            poses[order[step.at - 1]],
+            poses[order[step.at - 1 if step.until is None else step.until]],
             step.at + 1,
             cast(Moved, change.kind),
             {name: Change(size, sd, unit_of(self.problem, name)) for name, size, sd in sizes},
@@ -263,6 +279,7 @@ class Search:
                 if rest.step(replace(step, candidate=c).columns).log_p() - estimated.log_p()
                 < _ALIKE
             ),
+            until=None if step.until is None else step.until + 1,
         )
 
     def _best(
@@ -290,7 +307,7 @@ class Search:
                 at = int(np.argmax(np.where(free & (ranks == rank), gains, -1.0)))
                 log_p = log_tail(float(gains[at]), rank) + math.log(self.tests[False])
                 trials.append((log_p + rare, log_p, _Step(candidate, at)))
-            ramp = _Step(candidate, 0, ramp=True)
+            ramp = _Step(candidate, *candidate.seen)
             if ramps and change.ramps and ramp not in steps:
                 log_p = fitted.step(ramp.columns).log_p() + math.log(self.tests[True])
                 trials.append((log_p, log_p, ramp))

@@ -129,7 +129,15 @@ def _certain(point: ChangePoint, points: Sequence[ChangePoint]) -> bool:
 def _modelled(case: Case, way: Fit, run_changes: Changes, new: Sequence[ChangePoint]) -> Changes:
     """The case with further changes and without what then does not fit, and its fit."""
     number = {pose: i + 1 for i, pose in enumerate(case.data.poses)}
-    points = (replace(p, modelled=True, number=number[p.pose]) for p in new)
+    points = (
+        replace(
+            p,
+            modelled=True,
+            number=number[p.pose],
+            until=None if p.until is None else number[p.after],
+        )
+        for p in new
+    )
     modelled_points = tuple(sorted((*run_changes.points, *points), key=lambda point: point.number))
     made = with_shifts(case.mechanism, case.data, modelled_points, column=NUMBER)
     full = replace(case, mechanism=made.mechanism, data=made.data)
@@ -215,11 +223,11 @@ def _effects(data: Dataset, points: Sequence[ChangePoint], column: str) -> list[
     for names in dict.fromkeys(p.names for p in points if p.shape == "step"):
         at = tuple(sorted(first[p.pose] for p in points if p.shape == "step" and p.names == names))
         effects.append(Shift(names, at, column, name=f"shift of {', '.join(names)}"))
-    for names in dict.fromkeys(p.names for p in points if p.shape == "ramp"):
-        since, over = float(numbers.min()), float(np.ptp(numbers))
-        title = f"drift of {', '.join(names)}"
+    for p in {p.names: p for p in points if p.shape == "ramp"}.values():
+        since, until = first[p.pose], first[p.after]
+        title = f"drift of {', '.join(p.names)}"
         # Ending with the run, so that predictions hold for its end (docs/explanation/drift.md).
-        effects.append(Drift(names, column, "1", since, over, title, since + over))
+        effects.append(Drift(p.names, column, "1", since, until - since, title, until))
     return effects
 
 

@@ -30,7 +30,7 @@ Since = Annotated[float, Key("Value of the known constant at which the drift is 
 Over = Annotated[float, Key("Span in which the drift grows to P_drift.", positive=True)]
 Until = Annotated[
     float | None,
-    Key("Where the run ended: readings to predict from that lack the column are taken there."),
+    Key("Where the drift ended: readings beyond it, or without the column, are taken there."),
 ]
 
 
@@ -41,8 +41,9 @@ class Drift:
     changing: parameters by names or globs, such as base_* for the place of an instrument, or
     readings, whose zeros drift: x' = x - x_drift (t - since) / over; column: the known constant t;
     unit: of since, over and until, such as "s", "K" or "1"; since, over: where the drift is zero,
-    and the span in which it grows to P_drift [m or rad]; until: where the run ended. Readings to
-    predict from that lack the column are taken there.
+    and the span in which it grows to P_drift [m or rad]; until: where the drift ended. Readings
+    beyond it are taken there, and those to predict from that lack the column; where it is `since`,
+    only the latter.
 
     Raises InputError for a span that is not a positive number.
     """
@@ -86,7 +87,11 @@ class Drift:
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
         """The parameters as they are at t, and the readings without their drift."""
         since, over = to_si(self.since, self.unit), difference_to_si(self.over, self.unit)
-        share = (x[self.column] - since) * (1.0 / over)
+        t = x[self.column]
+        if self.until is not None and self.until > self.since:
+            until = to_si(self.until, self.unit)
+            t = t - (t - until) * _from(until, t)
+        share = (t - since) * (1.0 / over)
         return {
             name: _moved(name, p[f"{name}_drift"] * share, x, p)
             for name in _units(mechanism, self.changing)
