@@ -101,6 +101,20 @@ def test_blocks_are_regions_that_keep_repeats_together() -> None:
         blocks(ARM.truth, data.take(np.arange(6)), np.arange(6, dtype=np.intp), 7)
 
 
+def test_joints_of_another_arm_are_no_place() -> None:
+    """Where an arm was not read it is as near to all: two clumps of either arm are four blocks."""
+    rng = np.random.default_rng(4)
+    clumps = np.arange(60) // 15
+    q = np.where(clumps % 2, 1.0, -1.0) + 0.1 * rng.normal(size=(2, 60))
+    data = arm_at(ARM.truth, q).read()
+    read = {
+        name: np.where(clumps // 2 == arm, data[name], np.nan)
+        for arm, name in enumerate(("phi2", "phi3"))
+    }
+    found = blocks(ARM.truth, data.with_readings(read), np.arange(60, dtype=np.intp), 4)
+    assert {tuple(set(clumps[part].tolist())) for part in found} == {(i,) for i in range(4)}
+
+
 def test_blocked_validation_predicts_regions_by_fits_of_the_others() -> None:
     groups = repeated(ARM.truth, DATA)
     found = validate(ARM.truth, DATA, noise=NOISE, folds=5, blocks=4, method="implicit-loop")

@@ -30,6 +30,7 @@ from loopcal.document.change_points import (
 from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import (
     ColumnFault,
+    ConflictEntry,
     HalvesEntry,
     OtherOptimum,
     Outlier,
@@ -97,6 +98,7 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     ),
     "scales-unlike": ("scales", (ScaleEntry(("point_2",), 1e-4, 1e-5, 1e-9, 1e-3),), None),
     "scale-off-the-drawing": ("scales", (ScaleEntry((), 1e-4, 1e-5, 1e-9, 1e-3),), None),
+    "observations-conflict": ("conflicts", (ConflictEntry("x", 6e-3, 1e-3, "m", 1e-9),), None),
     "sds-not-converged": ("sds_settled", False, None),
     "mounting-unstated": ("mechanism.unstated", (("x6B", "y6B", "z6B"),), None),
     "model-incomplete": ("dependence", depends(1.0, 1e-9), False),
@@ -550,6 +552,30 @@ def test_a_tool_far_from_its_place_is_named_without_a_prior() -> None:
     unknown = changed(document, "mechanism.unstated", (("tool_x",),))
     own = (*document.parameters, replace(tool, value=0.21))
     assert verdict_of(replace(unknown, parameters=own)).sound.code == "mounting-unstated"
+
+
+def test_a_camera_that_looks_ahead_is_off_by_the_angle_that_it_is_turned() -> None:
+    """Its pitch is 90 degrees, so that yaw and roll turn about one axis and drift together."""
+    document = flat(with_lengths(clean(), 3e-4, -2e-4, 1e-4))
+    drawn = {"x": 0.0, "y": 0.0, "z": 0.0, "rz": 2.4, "ry": 1.571, "rx": 2.4}
+
+    def verdict_at(**off: float) -> lc.Answer:
+        eye = (
+            replace(
+                document.parameters[0],
+                **{"name": f"eye_{k}", "owner": "eye", "role": "mounting", "nominal": v},
+                unit="rad" if k.startswith("r") else "m",
+                value=v + off.get(k, 0.0),
+                sd=1e-3,
+            )
+            for k, v in drawn.items()
+        )
+        return verdict_of(replace(document, parameters=(*document.parameters, *eye))).sound
+
+    assert verdict_at(rz=11.0, rx=11.0).passed
+    turned = verdict_at(rz=11.0, rx=11.6)
+    assert turned.code == "off-the-drawing"
+    assert "34.4 deg" in turned.words
 
 
 def test_scales_are_named_by_their_significance_and_their_size() -> None:

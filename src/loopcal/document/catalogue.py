@@ -258,6 +258,14 @@ _ROWS = (
         detail="That moves the points by {moves:2} (rms).",
     ),
     _sound_open(
+        "observations-conflict",
+        "{instrument} contradicts the other observations by {apart:2} rms: its readings miss by "
+        "{beside:2} beside them, by {alone:2} by themselves (p = {p_value:p}).",
+        "Check what it assumes: stated radii, a flat plane, a place that stays. Then calibrate "
+        "without it, and compare.",
+        _REPORT,
+    ),
+    _sound_open(
         "sds-contradicted",
         "{contradicted}.",
         "Check the units of the stated sds, or leave them out.",

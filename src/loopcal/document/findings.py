@@ -135,6 +135,26 @@ class ScaleEntry:
 
 
 @dataclass(frozen=True)
+class ConflictEntry:
+    """An observation beside all others, and by itself."""
+
+    instrument: str
+    beside: Size
+    """Rms of what its readings leave in the fit of all [unit]."""
+    alone: Size
+    """Rms of what they would leave if nothing else had been observed [unit], without what they then
+    determine by chance."""
+    unit: str
+    p_value: Probability
+    """Of a contradiction at least so large where there is none."""
+
+    @property
+    def apart(self) -> float:
+        """By how much it contradicts the others, rms [unit]."""
+        return float(max(self.beside**2 - self.alone**2, 0.0) ** 0.5)
+
+
+@dataclass(frozen=True)
 class Observability:
     """The observability indices of N poses, without unit; larger is better.
 

@@ -13,6 +13,7 @@ from loopcal.document.change_points import ChangePoints, Dependence, Reliability
 from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import (
     ColumnFault,
+    ConflictEntry,
     HalvesEntry,
     Identifiability,
     Observability,
@@ -257,8 +258,11 @@ class ResultDocument:
     """Columns exchanged, reversed or in another unit, rows displaced, another machine; where there
     are any, single poses are not tested."""
     other_optima: tuple[OtherOptimum, ...] | None = None
-    scales: tuple[ScaleEntry, ...] | None = None
     """Optima that fit about as well; null: not sought."""
+    scales: tuple[ScaleEntry, ...] | None = None
+    """Scales of what was measured; null: none could be compared."""
+    conflicts: tuple[ConflictEntry, ...] | None = None
+    """Each observation beside all others; null: there is but one."""
     data: DataEntry
     warnings: tuple[str, ...]
     """What the summary warns of."""

@@ -70,4 +70,5 @@ def with_findings(document: ResultDocument, findings: Findings) -> ResultDocumen
         column_faults=findings.outliers.columns,
         other_optima=findings.optima,
         scales=findings.shifts.scales or None,
+        conflicts=findings.conflicts or None,
     )

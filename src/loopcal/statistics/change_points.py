@@ -202,6 +202,7 @@ class Search:
                 break
             # `beside` puts columns first; `_without` counts on the same order of steps.
             steps, fit = [best, *steps], fit.beside(best.columns).again()
+        fit, steps = self._without_ramps(fit, steps)
         smooth = self._smooth(fit, steps)
         # Sized beside all others, before any of them leaves the fit.
         unsure = tuple(self._point(fit, steps, step) for step in smooth)
@@ -209,12 +210,7 @@ class Search:
             fit = _without(fit, steps, step)
             steps.remove(step)
         fit = fit.again() if smooth else fit
-        for step in tuple(steps):
-            if not step.ramp:
-                rest = _without(fit, steps, step)
-                steps.remove(step)
-                new = self._best(rest, steps, [step.candidate], ramps=False)[0] or step
-                steps, fit = [new, *steps], rest.beside(new.columns)
+        fit, steps = self._placed(fit, steps)
         points = [self._point(fit, steps, step) for step in steps]
         apart = self._distinct(fit, steps)
         order = self.system.order
@@ -228,6 +224,29 @@ class Search:
             tuple(point for point, step in zip(points, steps, strict=True) if step in apart),
         )
         return shifts, fit
+
+    def _placed(self, fit: Fitted, steps: Sequence[_Step]) -> tuple[Fitted, list[_Step]]:
+        """Each step at its best pose beside the others."""
+        placed = [*steps]
+        for step in steps:
+            if not step.ramp:
+                rest = _without(fit, placed, step)
+                placed.remove(step)
+                new = self._best(rest, placed, [step.candidate], ramps=False)[0] or step
+                placed, fit = [new, *placed], rest.beside(new.columns)
+        return fit, placed
+
+    def _without_ramps(self, fit: Fitted, steps: list[_Step]) -> tuple[Fitted, list[_Step]]:
+        """Without ramps that a step, at its best pose, makes needless: of a few poses a step looks
+        like a ramp at first."""
+        for ramp in [step for step in steps if step.ramp]:
+            rest, others = self._placed(
+                _without(fit, steps, ramp), [step for step in steps if step is not ramp]
+            )
+            log_p = rest.step(ramp.columns).log_p() + math.log(self.tests[True])
+            if others and log_p >= math.log(self.level):
+                fit, steps = rest.again(), others
+        return fit, steps
 
     def _distinct(self, fit: Fitted, steps: Sequence[_Step]) -> list[_Step]:
         """The steps that an error of the machine model along these poses does not look like."""

@@ -105,13 +105,20 @@ def changes(case: Case, way: Fit, whole: FitResult) -> Changes:
     the machine cannot have such effects, or is not fitted better by them, nothing.
     """
     run_changes, way = unchanged(case), way.changed(prior=case.fit.prior)
-    for _ in range(ROUNDS):
+    rounds = ROUNDS
+    while rounds:
+        rounds -= 1
         searched = find_shifts(whole)
         # No effect of the plain machine is a load: it stays a finding, and a column can state it.
         moved = [p for p in searched.told_apart if p.moved != "load"]
         new = [p for p in moved if _certain(p, run_changes.points)]
         if not new:
             break
+        # Before what slipped is modelled, a slip looks like a drift of the same things.
+        slipped = {p.names for p in new if p.until is None}
+        kept = tuple(p for p in run_changes.points if p.until is None or p.names not in slipped)
+        if len(kept) < len(run_changes.points):
+            rounds, run_changes = rounds + 1, replace(run_changes, points=kept)
         try:
             run_changes = _modelled(case, way, replace(run_changes, searched=searched), new)
         except (InputError, NoTrustworthyResult):

@@ -17,7 +17,7 @@ import numpy as np
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.change_points import ChangePoint, ChangePoints
-from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
+from loopcal.document.findings import ConflictEntry, Observability, OtherOptimum, RegionEntry
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import accuracy
 from loopcal.estimation.prediction import output_differences
@@ -30,6 +30,7 @@ from loopcal.presentation.brief import brief
 from loopcal.statistics.case import Case, nominal_case
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
 from loopcal.statistics.changes import shift_lines
+from loopcal.statistics.conflicts import conflicts
 from loopcal.statistics.identifiability import (
     WhatDataSay,
     calibration_index,
@@ -53,7 +54,7 @@ class Findings:
     optima: others that fit about as well; region: where the machine works, and the sd there;
     nominal: accuracy of the nominal machine, placed and mounted; noise_floor: what the noise of the
     readings alone causes; reliability: what single readings can hide; scatter: the
-    covariance that the poses themselves show.
+    covariance that the poses themselves show; conflicts: each observation beside the others.
 
     Poses that fit with the shifts modelled are not outliers.
     """
@@ -72,6 +73,7 @@ class Findings:
     noise_floor: float | None = None
     reliability: ReadingReliability | None = None
     scatter: Scatter | None = None
+    conflicts: tuple[ConflictEntry, ...] = ()
 
     def words(self) -> str:
         """For the summary: one line each."""
@@ -125,6 +127,7 @@ def findings(result: FitResult, region: Mapping[str, Span] | None = None) -> Fin
             None if result.all_poses is not None else noise_floor(result),
             reliability(result),
             scatter(result),
+            conflicts(result),
         )
 
 

@@ -332,8 +332,11 @@ def blocks_of(scheme: Scheme, mechanism: Mechanism, data: Dataset, groups: Index
 
 
 def _features(mechanism: Mechanism, data: Dataset) -> Array:
-    """(f, N): cosine and sine of driven angles, driven lengths over the largest range."""
-    names = [q for q in driven(mechanism, data) if not np.isnan(data.readings[q]).any()]
+    """(f, N): cosine and sine of driven angles, driven lengths over the largest range.
+
+    Joints that were not read in a pose, as those of another arm, are as near to all.
+    """
+    names = [q for q in driven(mechanism, data) if np.isfinite(data.readings[q]).any()]
     units = {**mechanism.quantities, **mechanism.pose_constants}
     rows: list[Array] = []
     for unit in dict.fromkeys(units[q] for q in names):
@@ -343,8 +346,13 @@ def _features(mechanism: Mechanism, data: Dataset) -> Array:
             rows += [*np.cos(columns), *np.sin(columns)]
         else:
             # One range for all: else a drive that hardly moves would count as much as the others.
-            rows += [*(columns / (float(np.ptp(columns, axis=1).max()) or 1.0))]
-    return np.array(rows).reshape(-1, len(data))
+            spread = np.nanmax(columns, axis=1) - np.nanmin(columns, axis=1)
+            rows += [*(columns / (float(spread.max()) or 1.0))]
+    features = np.array(rows).reshape(-1, len(data))
+    unread = np.isnan(features)
+    if unread.any():
+        features = np.where(unread, np.nanmean(features, axis=1, keepdims=True), features)
+    return features
 
 
 def _clustered(points: Array, weights: Index, number: int) -> Index:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from operator import attrgetter
 
 import numpy as np
 
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
+from loopcal.mechanisms.chain import product
+from loopcal.mechanisms.station import Station
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS, MOUNTED
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import f_limit
@@ -153,13 +156,14 @@ def _mounted_off(document: ResultDocument) -> Fact | None:
         and not (p.fixed or p.prior_sd or p.name in unstated)
         and p.unit in MOUNTED
     ]
-    p = max(mountings, key=lambda p: _off(p) / MOUNTED[p.unit], default=None)
-    if p is None or not p.sd or _off(p) < _CLEAR * p.sd:
+    off = {p.name: _turned(p, document) if p.unit == "rad" else _off(p) for p in mountings}
+    p = max(mountings, key=lambda p: off[p.name] / MOUNTED[p.unit], default=None)
+    if p is None or not p.sd or off[p.name] < _CLEAR * p.sd:
         return None
-    z = _off(p) / MOUNTED[p.unit]
+    z = off[p.name] / MOUNTED[p.unit]
     if len(mountings) * math.erfc(z / math.sqrt(2.0)) >= RARE:
         return None
-    numbers = {"difference": Figure(p.value - p.nominal, p.unit)}
+    numbers = {"difference": Figure(math.copysign(off[p.name], p.value - p.nominal), p.unit)}
     return fact("mounting-off", _of(p), numbers, usual=with_unit(MOUNTED[p.unit], p.unit))
 
 
@@ -169,6 +173,24 @@ def _rms(values: Sequence[float]) -> float:
 
 def _off(p: ParameterEntry) -> float:
     return abs(p.value - p.nominal)
+
+
+def _turned(p: ParameterEntry, document: ResultDocument) -> float:
+    """The angle by which a frame is turned from its place in the drawing, or that of p alone.
+
+    With a pitch of 90 degrees, as of a camera that looks ahead, yaw and roll turn about one axis,
+    and only their sum is known.
+    """
+    place = Station(p.owner)
+    of = {one.name: one for one in document.parameters if one.name in place.parameters}
+    if p.name not in of or len(of) < len(place.parameters):
+        return _off(p)
+    start, end = (
+        product(place.steps, {}, {name: value(one) for name, one in of.items()})[:3, :3]
+        for value in (attrgetter("nominal"), attrgetter("value"))
+    )
+    # |R - 1| = sqrt(8) sin(angle / 2): the trace would round small angles away.
+    return 2.0 * math.asin(min(float(np.linalg.norm(end - start)) / math.sqrt(8.0), 1.0))
 
 
 def _of(*parameters: ParameterEntry) -> Where:

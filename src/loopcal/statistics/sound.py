@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from loopcal.document.accuracy import Coverage
 from loopcal.document.change_points import ChangePoint, hold, when
 from loopcal.document.choice import DECISIVE, TermEntry
-from loopcal.document.findings import HalvesEntry
+from loopcal.document.findings import ConflictEntry, HalvesEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
@@ -289,6 +289,26 @@ def _scales(document: ResultDocument) -> Fact | None:
     )
 
 
+def _conflict(document: ResultDocument) -> Fact | None:
+    """The observation that contradicts the others most, where that is beyond the predicted sd."""
+    entries, region = document.conflicts or (), document.region
+
+    def beyond(one: ConflictEntry) -> float:
+        stated = None if region is None else region.of(one.unit)
+        sd = None if stated is None else stated.sd_at_poses
+        return one.apart / (sd or one.alone or math.inf)
+
+    # They share the level (Bonferroni).
+    sure = [one for one in entries if one.p_value * len(entries) < RARE and beyond(one) > 1.0]
+    if not sure:
+        return None
+    worst = max(sure, key=beyond)
+    sizes = {"apart": worst.apart, "beside": worst.beside, "alone": worst.alone}
+    numbers: dict[str, Figure | float] = {n: Figure(v, worst.unit) for n, v in sizes.items()}
+    numbers["p_value"] = worst.p_value
+    return fact("observations-conflict", numbers=numbers, instrument=repr(worst.instrument))
+
+
 def _optima(document: ResultDocument) -> Fact | None:
     others = document.other_optima or ()
     if not others:
@@ -353,6 +373,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _model_error,
     off_the_drawing,
     _scales,
+    _conflict,
     sds_overruled,
     size_unsure,
     _unsettled,

@@ -114,7 +114,13 @@ near these poses only: that of the alarm of single predictions."""
 # Paired standard errors that "better" needs (docs/explanation/verdict.md).
 _CERTAIN = 2.0
 _DRAWN = "the nominal machine"
-_BEYOND = ("scales-unlike", "scale-off-the-drawing", "overfitted", "board-missed")
+_BEYOND = (
+    "scales-unlike",
+    "scale-off-the-drawing",
+    "overfitted",
+    "board-missed",
+    "observations-conflict",
+)
 """Facts that leave a fit usable with care, but move predictions by more than half their sd."""
 
 

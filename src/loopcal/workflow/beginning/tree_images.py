@@ -21,6 +21,7 @@ from loopcal.files.cameras.folder import Files, folders_of_images, of_images, re
 from loopcal.files.recognition.fields import Source
 from loopcal.files.recognition.observations import Observation
 from loopcal.files.recognition.sources import sources_of
+from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.workflow.beginning.from_images import by_camera, named, understood
 from loopcal.workflow.beginning.images_hand import Hand
 from loopcal.workflow.beginning.images_project import word
@@ -48,7 +49,8 @@ class Pictures:
 class Eyes:
     """What cameras saw: instruments, entries of [parameters] and [noise], in words what was
     understood; taken: names of observations; starts: by name of the camera, where it stands at the
-    start; carriers: by name of a camera or board, the body that carries it."""
+    start; carriers: by name of a camera or board, the body that carries it; lenses: as they begin.
+    """
 
     instruments: list[dict[str, Any]] = field(default_factory=list)
     parameters: dict[str, Any] = field(default_factory=dict)
@@ -57,6 +59,11 @@ class Eyes:
     taken: tuple[str, ...] = ()
     starts: dict[str, Array] = field(default_factory=dict)
     carriers: dict[str, str] = field(default_factory=dict)
+    lenses: dict[str, Intrinsics] = field(default_factory=dict)
+
+    def lenses_of(self, cameras: Sequence[str]) -> dict[str, Intrinsics]:
+        """Of those cameras that have begun with other boards."""
+        return {camera: self.lenses[camera] for camera in cameras if camera in self.lenses}
 
 
 def sources_and_pictures(entries: Sequence[Any]) -> tuple[list[Source], list[Pictures]]:
@@ -114,6 +121,8 @@ def see(
     # hand is never turned, the board is taken to sit near the origin of its body.
     held = "sees" in one.table or "on" not in one.table
     files = _chosen(one, pictures.files, eyes)
+    # One lens of all its boards: a longer one would put a board farther away.
+    files = replace(files, lenses={**files.lenses, **eyes.lenses_of(files.corners.cameras)})
     ids = pictures.source.ids or tuple(str(i) for i in range(1, len(pictures.source) + 1))
     T = T if held else inverse(T)
     hand = Hand(ids, {"units": {"length": units.get("length", "m")}}, {}, T, {})
@@ -121,6 +130,7 @@ def see(
     begun = _beside(project.begun, eyes.starts)
     project = project.begun_at(begun, "on" in one.table)
     eyes.starts |= dict(zip(begun.corners.cameras, begun.X, strict=True))
+    eyes.lenses = {**begun.intrinsics, **eyes.lenses}
     bodies = {key: one.table[key] for key in ("on", "sees") if key in one.table}
     tables = project.tables
     made = tables["mechanism"]["instrument"]

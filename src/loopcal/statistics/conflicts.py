@@ -1,0 +1,124 @@
+"""Whether one observation contradicts the others, and by how much.
+
+In directions z of the parameters with information 1 from all equations and priors together, those
+of one observation hold F (k, k), with the gradient g; the others and the priors hold 1 - F, with
+-g. Along an eigenvector of F with the value f each side has an estimate of its own,
+
+    z_one = g / f,   z_others = -g / (1 - f),   z_one - z_others ~ N(0, s^2 / f + 1 / (1 - f)),
+
+s^2 the variance that the one leaves by itself. An observation that shares a pose with others is
+taken as what it adds to them. What contradicts the rest, as a plane that is not flat does, bends
+the machine towards itself, and its learnt sd hides it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.findings import ConflictEntry
+from loopcal.estimation.dependence.seen import instruments, units_of
+from loopcal.estimation.problem.pose_equations import PoseEquations
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.products import rows_times
+from loopcal.estimation.result import FitResult
+from loopcal.mechanisms.mechanism import Family
+from loopcal.small_samples import f_tail
+
+Array = NDArray[np.float64]
+# A ball a millimetre too large lets its learnt sd grow to a millimetre, beside which a tracker's
+# equations weigh 1e5 times as much: chosen beyond that, and above rounding.
+_LEAST = 1e-7
+"""A direction of which either side knows a smaller share of all compares nothing."""
+# Chosen, not derived: as many as show the scatter of what is left to a quarter.
+_SPARE = 10
+"""Equations that an observation must have beyond what it determines by itself."""
+# Chosen, not derived: eigenvectors of so many readings of each pose take milliseconds.
+_MOST = 40
+"""Readings of an observation from which it is not told apart from others in the same pose."""
+
+
+def conflicts(result: FitResult) -> tuple[ConflictEntry, ...]:
+    """Each observation beside the others; none where there is but one."""
+    families = instruments(result.problem)
+    if len(families) < 2 or result.all_poses is not None:
+        return ()
+    equations, root = result.pose_equations(), result.solution.spectrum.root
+    entries = [_entry(result.problem, one, families, equations, root) for one in families]
+    return tuple(one for one in entries if one is not None)
+
+
+def _entry(
+    problem: Problem,
+    family: Family,
+    families: Sequence[Family],
+    equations: Sequence[PoseEquations],
+    root: Array,
+) -> ConflictEntry | None:
+    parts = list(_added(problem, family, families, equations, root))
+    if not parts:
+        return None
+    E = np.concatenate([part[0] for part in parts])
+    A = np.concatenate([part[1] for part in parts])
+    shown = np.concatenate([part[2] for part in parts])
+    shares, vectors = np.linalg.eigh(A.T @ A)
+    g = vectors.T @ (A.T @ E)
+    seen = shares > _LEAST
+    count, spare = len(E), len(E) - int(seen.sum())
+    compared = seen & (shares < 1.0 - _LEAST)
+    if spare < _SPARE or not compared.any():
+        return None
+    square = float(E @ E)
+    by_itself = max(square - float((np.square(g[seen]) / shares[seen]).sum()), 0.0) / spare
+    f, g = shares[compared], g[compared]
+    scale = np.maximum(f * (1.0 - f) * (by_itself * (1.0 - f) + f), 1e-300)
+    p_value = f_tail(float((np.square(g) / scale).sum()), len(f), spare)
+    # An error of one sd moves its equation by `shown`, less than 1 where joints err too.
+    (sd,) = units_of(problem, [problem.mechanism.tape.quantities.index(family.readings[0])])
+    unit = float(sd) / max(math.sqrt(float(np.square(shown).mean())), 1e-300)
+    return ConflictEntry(
+        family.name,
+        unit * math.sqrt(square / count),
+        unit * math.sqrt(by_itself),
+        problem.mechanism.quantities[family.readings[0]],
+        p_value,
+    )
+
+
+def _added(
+    problem: Problem,
+    family: Family,
+    families: Sequence[Family],
+    equations: Sequence[PoseEquations],
+    root: Array,
+) -> Iterator[tuple[Array, Array, Array]]:
+    """The equations that an observation adds to the others, by parts: E (m,), A (m, k), and by how
+    much its own errors of one sd move them (m,)."""
+    names = problem.mechanism.tape.quantities
+    own_rows = [names.index(q) for q in family.readings]
+    sds = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
+    aside = [names.index(q) for one in families if one is not family for q in one.readings]
+    units = units_of(problem, own_rows)
+    for block in equations:
+        read = np.isfinite(sds[own_rows][:, block.poses])
+        if not read.any():
+            continue
+        alone = not np.isfinite(sds[aside][:, block.poses]).any()
+        X = block.X[:, :, own_rows] * read.T[:, None, :] * units
+        if alone and len(own_rows) >= block.E.shape[1]:
+            shown = np.sqrt(np.square(X).sum(axis=2))
+            yield (
+                block.E.ravel(),
+                rows_times(block.D, root).reshape(-1, root.shape[1]),
+                shown.ravel(),
+            )
+        elif len(own_rows) <= _MOST:
+            values, vectors = np.linalg.eigh(X.transpose(0, 2, 1) @ X)
+            kept = values > 1e-9 * values.max(axis=1, keepdims=True)
+            Q = X @ (vectors / np.sqrt(np.where(kept, values, 1.0))[:, None, :])
+            turned = Q.transpose(0, 2, 1)
+            E = np.einsum("bqr,br->bq", turned, block.E)[kept]
+            yield E, (turned @ rows_times(block.D, root))[kept], np.sqrt(values[kept])
