@@ -261,7 +261,7 @@ _ROWS = (
         "observations-conflict",
         "{instrument} contradicts the other observations by {apart:2} rms: its readings miss by "
         "{beside:2} beside them, by {alone:2} by themselves (p = {p_value:p}).",
-        "Check what it assumes: stated radii, a flat plane, a place that stays. Then calibrate "
+        "Check what it assumes: which body it is of, a radius, a flat plane. Then calibrate "
         "without it, and compare.",
         _REPORT,
     ),

@@ -8,10 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import loopcal as lc
 from analyses.file_faults import FAULTS, GOOD, ROUGH, draw
 from analyses.instruments import setup
+from analyses.trees import ARM as LIMB
+from analyses.trees import HEADER, limb, named, off, placed, read, table, tracked
 from loopcal.estimation.faults.misfit import _Linear, _scales, beside, misfit, missed
 from loopcal.estimation.faults.search import NEAR, column_faults, suspicious
 from loopcal.estimation.steps import started
@@ -213,3 +216,26 @@ def test_a_loop_without_a_derivative_has_no_part_in_the_step() -> None:
     assert not np.isfinite(steps.columns[2]).all()
     assert steps.step(steps.loops, np.arange(5)) == pytest.approx([0.3], rel=0.5)
     assert isinstance(missed(problem, NEAR, noisy=True), bool)
+
+
+def test_hands_that_are_exchanged_are_named(tmp_path: Path) -> None:
+    """Two arms, a tracker that sees both: no column is at fault alone."""
+    random = np.random.default_rng(3)
+    hand = (0.02, 0.12, 0)
+    left, lines = limb("l", (90.0, 0.3, 0.4), (*LIMB, hand))
+    right, more = limb("r", (0.0, 0.4, 0.5), (*LIMB, hand))
+    (tmp_path / "bodies.csv").write_text("\n".join([HEADER, *lines, *more]) + "\n", "utf-8")
+    columns: dict[str, NDArray[np.float64]] = {}
+    T, target = placed([1.5, -2.0, 0.3], [0.1, 0.2, 0.3]), np.array([0.0, 0.0, 0.05, 1.0])
+    for one, name in ((off(left, random), "r"), (off(right, random), "l")):  # exchanged
+        q = random.uniform(-1.4, 1.4, (40, 6))
+        columns |= read(random, (one, q))
+        seen = tracked(T, one, q, target)
+        columns |= named(name, seen + random.normal(0.0, 2e-5, seen.shape))
+    (tmp_path / "seen.csv").write_text(table(columns), "utf-8")
+    observe = [f"point name={n} on={n}_6 station=at columns={n}_x,{n}_y,{n}_z" for n in "lr"]
+    lc.init(tmp_path / "seen.csv", dh=tmp_path / "bodies.csv", observe=observe, out=tmp_path / "p")
+    result = lc.calibrate(tmp_path / "p" / "project.toml", method="implicit-loop")
+    (fault,) = result.document.column_faults or ()
+    assert (fault.code, len(fault.quantities)) == ("exchanged", 6)
+    assert fault.words == "the readings of 'l' and 'r' are exchanged"

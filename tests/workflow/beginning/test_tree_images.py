@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import loopcal as lc
+from analyses.trees import watching
 from loopcal.errors import Code
 from tests.refusals import refused
 
@@ -176,3 +177,15 @@ def test_images_of_two_folders_are_of_one_camera(folder: Path) -> None:
 def test_a_camera_without_corners_is_refused(folder: Path) -> None:
     with refused("no-data", "'sight' sees"):
         lc.init(folder / "points.csv", dh=folder / "bodies.csv", observe=[CAMERA, POINT])
+
+
+def test_boards_that_are_exchanged_are_named(tmp_path: Path) -> None:
+    """What one hand carries moves as that hand does, wherever boards and camera sit."""
+    world = watching(np.random.default_rng([4, 3]))
+    (tmp_path / "images").mkdir()
+    for name, text in {"bodies.csv": world.bodies + "\n", **world.files}.items():
+        (tmp_path / name).write_text(text, "utf-8")
+    other = {"board=l": "board=r", "board=r": "board=l"}
+    observe = [" ".join(other.get(word, word) for word in one.split()) for one in world.observe]
+    with refused("mismatched-poses", "what 'left' saw moves as 'r_6' does, not as 'l_6'"):
+        lc.init(tmp_path / "images", dh=tmp_path / "bodies.csv", observe=observe)

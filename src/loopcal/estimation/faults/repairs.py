@@ -73,6 +73,7 @@ def repairs(problem: Problem) -> Iterator[Repair]:
     yield from made.signs()
     yield from made.units()
     yield from made.mixed_units()
+    yield from made.instruments()
     yield from made.exchanged()
     yield from made.orientations()
     yield from made.rows()
@@ -170,6 +171,19 @@ class _Maker:
                 which = f"{len(some)} poses ({first}{', ...' if len(some) > _NAMED else ''})"
                 sentence = f"{self._listed(rows)} are {words} in {which}"
                 yield self._changed("unit", sentence, rows, values)
+
+    def instruments(self) -> Iterator[Repair]:
+        """What two instruments of a kind read in each other's place, as of two hands."""
+        sd = np.broadcast_to(self.problem.uncertainty.sd, self.problem.readings.shape)
+        for one, other in combinations(zip(self.families, self.seen, strict=False), 2):
+            (first, rows), (second, others) = one, other
+            if [self.unit[j] for j in rows] != [self.unit[j] for j in others]:
+                continue
+            if len(rows) < 2 or not (np.isinf(sd[rows]) == np.isinf(sd[others])).all():
+                continue  # of one reading each they are columns; unread poses would change
+            words = f"the readings of {first.name!r} and {second.name!r} are exchanged"
+            values = self.problem.readings[[*others, *rows]]
+            yield self._changed("exchanged", words, [*rows, *others], values)
 
     def exchanged(self) -> Iterator[Repair]:
         """Columns of one unit in each other's place."""

@@ -215,10 +215,19 @@ def _seen_by_cameras(
                     f"its columns are {listed([f.label for f in source.fields], 30)}",
                 )
             seen = (family.on, family.against)
-            path = mechanism.tree.path(*(seen[::-1] if "on" in one.table else seen))
+            board, eye = seen[::-1] if "on" in one.table else seen
+            # What might carry the board instead, or the camera where the board is on the ground.
+            key = "sees" if "sees" in one.table else "on"
+            others = dict.fromkeys(other.table.get(key, eye) for other in cameras)
+            pairs = {body: (body, eye) if key == "sees" else (board, body) for body in others}
+            paths = {b: mechanism.tree.path(*pair) for b, pair in pairs.items() if len({*pair}) > 1}
             readings = in_si(joints, mechanism.joints)
-            T = matrices(ChainFrame(path, readings, nominal), len(source))
-            pixels.setdefault(id(source), {}).update(see(eyes, one, picture, T, units))
+            moving = {
+                body: matrices(ChainFrame(path, readings, nominal), len(source))
+                for body, path in paths.items()
+                if {step.joint for step in path if step.joint} <= readings.keys()
+            }
+            pixels.setdefault(id(source), {}).update(see(eyes, one, picture, moving, units))
         if not mine:
             raise InputError(
                 f"no file holds corners of what {one.name!r} sees",

@@ -24,9 +24,14 @@ from loopcal.files.recognition.sources import sources_of
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.workflow.beginning.from_images import by_camera, named, understood
 from loopcal.workflow.beginning.images_hand import Hand
-from loopcal.workflow.beginning.images_project import word
+from loopcal.workflow.beginning.images_project import ImagesProject, word
 
 Array = NDArray[np.float64]
+# Chosen, not derived, as of the faults of a whole file: drawings miss by a hundredth, images of
+# another body by a third and more.
+ASTRAY, CLEARLY = 0.1, 1 / 3
+"""Shares: of the spread of the corners that a start may miss, and of that miss that another body
+must leave."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +116,17 @@ def _with_poses(files: Files, sources: Sequence[Source]) -> Source:
 
 
 def see(
-    eyes: Eyes, one: Observation, pictures: Pictures, T: Array, units: Mapping[str, str]
+    eyes: Eyes,
+    one: Observation,
+    pictures: Pictures,
+    moving: Mapping[str, Array],
+    units: Mapping[str, str],
 ) -> dict[str, Array]:
     """Add what the cameras of an observation saw, and return its pixels by reading and row.
 
-    T: (N, 4, 4) by row of the table of poses, of the body with the board in that of the camera.
+    moving: by the body that the observation names, and by others that could be meant, (N, 4, 4) by
+    row of the table of poses, of the body with the board in that of the camera. Raises InputError
+    where another body moves as the images do.
     """
     # A board on the ground is looked at by a camera in hand. Any other is in hand itself: where the
     # hand is never turned, the board is taken to sit near the origin of its body.
@@ -124,9 +135,25 @@ def see(
     # One lens of all its boards: a longer one would put a board farther away.
     files = replace(files, lenses={**files.lenses, **eyes.lenses_of(files.corners.cameras)})
     ids = pictures.source.ids or tuple(str(i) for i in range(1, len(pictures.source) + 1))
-    T = T if held else inverse(T)
-    hand = Hand(ids, {"units": {"length": units.get("length", "m")}}, {}, T, {})
-    project, turned = understood(files, hand, held)
+
+    def understood_on(body: str) -> tuple[ImagesProject, tuple[str, ...]]:
+        T = moving[body] if held else inverse(moving[body])
+        hand = Hand(ids, {"units": {"length": units.get("length", "m")}}, {}, T, {})
+        return understood(files, hand, held)
+
+    key = "sees" if "sees" in one.table else "on"
+    stated = one.table.get(key, next(iter(moving)))
+    project, turned = understood_on(stated)
+    missed = _missed(project)
+    for body in moving if missed > ASTRAY else ():
+        if body != stated and _missed(understood_on(body)[0]) < CLEARLY * missed:
+            raise InputError(
+                f"what {one.name!r} saw moves as {body!r} does, not as {stated!r}: it misses the "
+                f"corners by {missed:.0%} of their spread",
+                code="mismatched-poses",
+                place=files.corners.file,
+                remedy=f"exchange the boards, or the bodies: {key}={body}",
+            )
     begun = _beside(project.begun, eyes.starts)
     project = project.begun_at(begun, "on" in one.table)
     eyes.starts |= dict(zip(begun.corners.cameras, begun.X, strict=True))
@@ -156,6 +183,13 @@ def see(
         pixels[reading] = np.full(len(ids), np.nan)
         pixels[reading][at] = values
     return pixels
+
+
+def _missed(project: ImagesProject) -> float:
+    """How far a start misses the corners, as a share of their spread."""
+    begun = project.begun
+    spread = float(np.linalg.norm(np.std(begun.corners.uv, axis=0)))
+    return float(np.median(np.linalg.norm(begun.residuals, axis=1))) / spread
 
 
 def _chosen(one: Observation, files: Files, eyes: Eyes) -> Files:
