@@ -161,3 +161,19 @@ def test_a_fit_without_progress_ends_long_before_its_iterations_run_out(
     assert ended.status.reason == "stalled"
     assert ended.status.iterations <= 4
     assert ended.chi_squared <= began.chi_squared
+
+
+def test_a_fit_that_gains_nothing_beside_its_sds_ends_and_can_be_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = curved(bend=30.0)
+    end = solve(problem)
+    monkeypatch.setattr(solver, "_PATIENCE", 1)
+    monkeypatch.setattr(solver, "_CREEPING", 1e9)  # whatever it gains is little
+    monkeypatch.setattr(solver, "_LEFT", 10.0)
+    ended = solve(problem)
+    assert (ended.status.reason, ended.status.converged) == ("crept", True)
+    assert ended.status.iterations < end.status.iterations
+    # what the next step would gain bounds how far the end is from the optimum
+    variance = end.chi_squared / (8 - 2)
+    assert 0.0 <= ended.chi_squared - end.chi_squared <= 10.0 * variance

@@ -76,6 +76,11 @@ MOST_ITERATIONS = 1000
 """Iterations that a fit may take, unless the user says otherwise."""
 REASONS = {
     "converged": "The gradient of the Lagrangian is zero to rounding and every loop closes.",
+    "crept": (
+        "Every loop closes, and what further steps would gain is small beside the sds: they follow "
+        "a curved valley of chi-squared too slowly. For more digits give weakly determined "
+        "parameters a prior sd."
+    ),
     "max_iterations": (
         "The iterations allowed ran out before the gradient was small. Allow more "
         "(fit.max_iterations), or start nearer: check nominal values, units and joint signs."
@@ -103,6 +108,10 @@ REASONS = {
 }
 
 
+CONVERGED = ("converged", "crept")
+"""The reasons of a fit that can be used."""
+
+
 @dataclass(frozen=True)
 class Status:
     """How a fit ended.
@@ -123,7 +132,7 @@ class Status:
     def of(cls, reason: str, iterations: int, evaluations: float, detail: str = "") -> Status:
         """The status for a reason, with its cause and remedy."""
         message = f"{REASONS[reason]} {detail}".strip()
-        return cls(reason == "converged", reason, message, iterations, evaluations)
+        return cls(reason in CONVERGED, reason, message, iterations, evaluations)
 
     def ended_early(self) -> Status:
         """The same where more iterations would be of no use, for the file is at fault."""

@@ -76,6 +76,10 @@ than the linearised loops are known to hold, by more."""
 # docs/decisions/0002: limits are by progress, MOST_ITERATIONS is only the cap.
 _PATIENCE, _PROGRESS = 100, 1e-9
 """The search ends where so many iterations lower the merit by no more than this share of it."""
+# docs/decisions/0140: a third of an sd, along a valley in which 1,000 steps would not gain it.
+_CREEPING, _LEFT = 1e-3, 0.1
+"""It ends as well where they lower it by no more than this share of the variance of a residual, and
+the next step would gain no more than that share of it."""
 # Chosen, not derived: residuals of 10 sds, of which the next step takes two thirds.
 _FAR, _EXPLAINED = 100.0, 0.9
 """Where whitened residuals are this large (mean square) and parameters explain this share of
@@ -191,6 +195,10 @@ class _Solver(Generic[State]):
             if iterations % _PATIENCE == 0:
                 noted, merit = self.search.noted, self.search.lowest.merit
                 self.search.noted = merit
+                variance = self._limit(current, 1.0) / len(self.unknowns.free)
+                left = current.spectrum.decrement if current.spectrum is not None else np.inf
+                if noted - merit <= _CREEPING * variance and left <= _LEFT * variance:
+                    return self._give_up(current, "crept")
                 if not merit < (1 - _PROGRESS) * noted:
                     return self._give_up(current, "stalled")
 
@@ -458,7 +466,7 @@ class _Solver(Generic[State]):
         if reason == "runaway":
             gone = np.flatnonzero(self._vanished(end))
             detail = f"Parameters: {', '.join(self.unknowns.names[i] for i in gone)}."
-        if reason in ("max_iterations", "stalled"):
+        if reason in ("max_iterations", "stalled", "crept"):
             detail = weakness(hardly_determined(end.spectrum, self.unknowns.names))
         evaluations = self.evaluations / end.evaluation.poses
         if closed is None:
