@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from loopcal.document.findings import Outlier
+    from loopcal.document.fit import ParameterEntry
     from loopcal.document.parameter_table import ParameterTable
     from loopcal.figures.figure import Figure
     from loopcal.report.source import Source
@@ -69,6 +70,10 @@ class Views:
         from loopcal.document.parameter_table import ParameterTable
 
         return ParameterTable(self.unjudged.parameters)
+
+    def __getitem__(self, name: str) -> ParameterEntry:
+        """The parameter of this name, as `params` has it."""
+        return self.params[name]
 
     @property
     def rms(self) -> float | None:

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
@@ -24,7 +25,7 @@ from loopcal.files.atomic import write_files
 from loopcal.files.cameras.folder import are_images, files_of, tables_of
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.registry import machine_type
-from loopcal.files.outputs import refuse_foreign, relative
+from loopcal.files.outputs import carried_over, refuse_foreign, relative, sealed
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import Conditions, apart
 from loopcal.files.recognition.converting import dataset_of
@@ -240,7 +241,13 @@ def init(
     the way.
     """
     robot = RobotFile(urdf, dh, machine, **options)
-    return initial_project(readings, robot, out=out, sheet=sheet)
+    # A list of paths is these files.
+    listed = [list(one) if _are_paths(one) else [one] for one in readings]
+    return initial_project([*chain.from_iterable(listed)], robot, out=out, sheet=sheet)
+
+
+def _are_paths(entry: Any) -> bool:
+    return isinstance(entry, list | tuple) and all(isinstance(one, str | Path) for one in entry)
 
 
 def initial_project(
@@ -324,7 +331,7 @@ def initial_project(
     )
     if out is None:
         return done
-    files = {PROJECT: text.encode("utf-8"), **tables}
+    files = sealed({PROJECT: text.encode("utf-8"), **tables})
     write_files(folder, files)
     return replace(done, written=tuple(folder / name for name in files))
 
@@ -387,7 +394,7 @@ def _kept(made: Begun, folder: Path, *, write: bool) -> InitialProject:
     )
     if not write:
         return done
-    files = {PROJECT: made.text.encode("utf-8"), **made.beside}
+    files = sealed({PROJECT: made.text.encode("utf-8"), **made.beside})
     write_files(folder, files)
     return replace(done, written=tuple(folder / name for name in files))
 
@@ -532,7 +539,7 @@ def _read(statement: Statement, folder: Path) -> Project:
 
 def _planned(statement: Statement, folder: Path) -> Statement:
     """With what the project that was planned from states of limits and demands, if it fits."""
-    with suppress(InputError):
+    with suppress(InputError), carried_over():
         before = read_project(folder / PROJECT)
         if before.data is None:
             also = {k: v for k, v in before.inputs.items() if k in ("plan", "verdict")}
