@@ -18,7 +18,8 @@ from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition import meanings
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.robots import dh_robot
-from loopcal.workflow.beginning.initial import RobotFile, initial_project
+from loopcal.workflow.beginning.initial import initial_project
+from loopcal.workflow.beginning.robot_file import RobotFile
 from tests.reference import dh_arm
 from tests.refusals import refused
 
