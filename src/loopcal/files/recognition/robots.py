@@ -154,12 +154,15 @@ def _which_chain(path: Path, every: Sequence[Branch], fitting: Sequence[Branch])
         f"--base {b.base!r} --tip {b.tip!r} ({len(b.joints)} joints)" for b in longest
     )
     what = "several chains fit" if fitting else "no chain fits"
+    likely = longest[:1]
+    if len(longest) > 1 and longest[0].joints[:-1] == longest[1].joints[:-1]:  # two fingers
+        likely = [b for b in longest if b.joints == longest[0].joints[:-1]] or likely
     return InputError(
         f"{what} the joint columns of the readings",
         code="unknown-name",
         place=path.name,
         remedy=f"state one of: {shown}" if shown else "name a URDF with moving joints",
-    )
+    ).offering(*(word for b in likely for word in ("--base", b.base, "--tip", b.tip)))
 
 
 def dh_robot(path: Path, fields: Sequence[Field], signs: Sequence[int] = ()) -> Robot:

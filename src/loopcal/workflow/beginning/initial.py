@@ -254,6 +254,10 @@ def initial_project(
     if not any((robot.urdf, robot.dh, robot.machine)):
         robot, readings = among(readings, robot)
     readings = [entry for entry in tables_of(readings) if str(entry) != str(robot.dh)]
+    if out is not None:
+        from_files = all(isinstance(entry, str | Path) for entry in readings)
+        names = (PROJECT,) if from_files else (PROJECT, READINGS)
+        refuse_foreign(*(folder / name for name in names))
     if not readings:
         raise InputError(
             "this describes the robot, and no readings are named",
@@ -261,10 +265,6 @@ def initial_project(
             place=str(robot.dh or robot.urdf),
             remedy="name files of readings before it",
         )
-    if out is not None:
-        from_files = all(isinstance(entry, str | Path) for entry in readings)
-        names = (PROJECT,) if from_files else (PROJECT, READINGS)
-        refuse_foreign(*(folder / name for name in names))
     sources: list[Source] = []
     for entry in readings:
         sources += sources_of(entry, len(sources), sheet)
@@ -276,7 +276,7 @@ def initial_project(
     one = _readable(made, fields, columns, folder)
     if made.otherwise is not None and not one.share <= NEAR_ENOUGH:
         other = _readable(made.otherwise, fields, columns, folder)
-        if CLEARLY * other.share < one.share:
+        if CLEARLY * other.share < one.share and other.share < 1.0:  # else both explain nothing
             one = other.better_than(one)
     if not one.share <= PLAUSIBLE and (encoders := counted(one.machine, one.layouts)):
         columns = joint_columns(fields.fields, encoders.columns)
