@@ -26,6 +26,7 @@ from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.recognition.expressions import joint_columns
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.headers import heading
+from loopcal.files.recognition.lists import listed_columns
 from tests.bags import motion
 from tests.refusals import refused
 
@@ -59,6 +60,8 @@ def joint_readings(made: lc.InitialProject) -> np.ndarray:
         "E1 moves a rail",
         "fingers of a gripper beside the joints of a URDF",
         "a modified table under plain headers",
+        "a list of joints in one column",
+        "KRL: {A1 12.3, A2 ...} in one column",
         "Japanese, Shift-JIS",
     ],
 )
@@ -175,6 +178,17 @@ def test_a_mistake_in_the_headers_is_read_by_the_next_command(
     # A file of another day has the same mistake.
     later = read_new_readings(("data.csv",), project.inputs, project.mechanism)
     assert np.allclose([later[q] for q in joints], world.read.T, atol=1e-6)
+
+
+def test_lists_in_cells_become_columns() -> None:
+    made = listed_columns(heading("pose [mm]"), ["{'x': 1, 'y': -2e1}", "{'x': 3.5, 'y': .4}"])
+    assert [(h.stem, h.unit, v.tolist()) for h, v in made] == [
+        ("pose_x", "mm", [1.0, 3.5]),
+        ("pose_y", "mm", [-20.0, 0.4]),
+    ]
+    assert [h.stem for h, _ in listed_columns(heading("q"), ["[1, 2]", "(3 4)"])] == ["q_1", "q_2"]
+    for cells in (["[1, 2]", "[3]"], ["[1]", "[2]"], ["1, 2", "3, 4"], ["{A 1, A 2}"] * 2, []):
+        assert listed_columns(heading("q"), cells) == []
 
 
 def test_the_table_of_the_robot_may_stand_among_the_readings(tmp_path: Path) -> None:
