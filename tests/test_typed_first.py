@@ -154,6 +154,8 @@ MISSES: dict[str, tuple[Call, type[Exception], str]] = {
     "lc.hand_eye": (lambda m: lc.hand_eye, AttributeError, "images"),
     "lc.from_urdf": (lambda m: lc.from_urdf, AttributeError, "lc.load_urdf"),
     "result.verify": (lambda m: m.result.verify, AttributeError, "lc.verify(result, readings)"),
+    "result.plot.errors": (lambda m: m.result.plot.errors, AttributeError, "'residuals'"),
+    "lc.save": (lambda m: lc.save, AttributeError, "result.save(folder)"),
     "result.chi2": (lambda m: m.result.chi2, AttributeError, "result.chi_squared"),
     "result.to_csv": (lambda m: m.result.to_csv, AttributeError, "result.to_pandas()"),
     "result.corr": (lambda m: m.result.corr, AttributeError, "result.plot.correlations()"),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Verdict
-from loopcal.errors import InputError
+from loopcal.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -213,6 +213,10 @@ class Plots:
 
     def __repr__(self) -> str:
         return "<Plots: residuals(), space(), parameters(), correlations()>"
+
+    def __getattr__(self, name: str) -> Any:
+        figures = [n for n in dir(type(self)) if not n.startswith("_") and n != "drawn"]
+        raise AttributeError(f"no figure is called {name!r}: {nearest(name, figures)}")
 
     def residuals(self) -> Any:
         """Computed minus measured outputs pose by pose, before and after."""
