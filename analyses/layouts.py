@@ -1,4 +1,4 @@
-"""Seventy layouts of real files through `loopcal init`: right, refused, or silently wrong.
+"""Seventy-eight layouts of real files through `loopcal init`: right, refused, or silently wrong.
 
 Robots and readings are simulated here in plain NumPy. A layout is right if the machine that its
 project calibrates predicts fresh poses within 1.1 of that calibrated from a plain file of the same
@@ -985,6 +985,76 @@ def _(w: World, p: Path) -> Case:
     stated = [f"h{i} [mm]" for i in (1, 2, 3)]
     case.by_hand = of(stated, read), of(stated, 1e3 * fresh)
     return case
+
+
+# Mistakes, and what other programs write
+
+
+@layout("two joints under each other's headers")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w, values=w.read[:, [0, 2, 1, 3, 4, 5]]), xyz("{}", w.points))
+
+
+@layout("degrees under headers of radians", "ur")
+def _(w: World, p: Path) -> Case:
+    return plain(p, joints(w, "J{} [rad]"), xyz("{} [mm]", w.points))
+
+
+@layout("millimetres under headers of metres, two files", "scara")
+def _(w: World, p: Path) -> Case:
+    axes = {"id": ids(w), **joints(w, "A{}")}
+    return Case(
+        [
+            written(p / "axes.csv", axes),
+            written(p / "points.csv", {"id": ids(w), **xyz("{} [m]", w.points)}),
+        ]
+    )
+
+
+@layout("fingers of a gripper beside the joints of a URDF", "iiwa")
+def _(w: World, p: Path) -> Case:
+    text = (p / "robot.urdf").read_text()
+    for side in ("left", "right"):
+        text = text.replace(
+            "</robot>",
+            f'<link name="{side}"/><joint name="finger_{side}" type="prismatic">'
+            f'<parent link="tool0"/><child link="{side}"/><axis xyz="0 1 0"/>'
+            '<limit lower="0" upper="0.04" effort="1" velocity="1"/></joint></robot>',
+        )
+    (p / "robot.urdf").write_text(text)
+    fingers = {f"finger_{side}": np.full(POSES, 0.02) for side in ("left", "right")}
+    case = plain(p, of((f"joint_a{i}" for i in range(1, 8)), w.read), fingers, xyz("{}", w.points))
+    case.options = ["--urdf", "robot.urdf"]
+    return case
+
+
+@layout("two files without ids, a row lost in every part")
+def _(w: World, p: Path) -> Case:
+    rows = np.delete(np.arange(POSES), [4, 19, 31])
+    points = {k: v[rows] for k, v in xyz("{}", w.points).items()}
+    files = [written(p / "joints.csv", joints(w)), written(p / "points.csv", points)]
+    return Case(files, rows=rows)
+
+
+@layout("a list of joints in one column")
+def _(w: World, p: Path) -> Case:
+    lists = [f'"[{", ".join(f"{v:.8f}" for v in row)}]"' for row in w.read]
+    places = [f'"[{", ".join(f"{1e3 * v:.5f}" for v in row)}]"' for row in w.points]
+    return plain(p, {"id": ids(w), "q": lists, "position": places})
+
+
+@layout("KRL: {A1 12.3, A2 ...} in one column")
+def _(w: World, p: Path) -> Case:
+    axes = np.degrees(w.read)
+    cells = ["{" + ",".join(f"A{i + 1} {v:.6f}" for i, v in enumerate(row)) + "}" for row in axes]
+    return plain(p, {"$AXIS_ACT": cells}, xyz("{}", w.points, "XYZ"), sep=";")
+
+
+@layout("a row per channel: pose, channel, value")
+def _(w: World, p: Path) -> Case:
+    columns = {**joints(w, "J{} [deg]"), **xyz("{} [mm]", w.points)}
+    rows = [(i, name, column[k]) for k, i in enumerate(ids(w)) for name, column in columns.items()]
+    return plain(p, dict(zip(("pose", "channel", "value"), zip(*rows, strict=True), strict=True)))
 
 
 # The robot's description

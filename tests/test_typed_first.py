@@ -52,6 +52,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
         xyz=p,
         result=result,
         saved=lc.load(folder / "result"),
+        # Its mechanism has quantities that stand for the error of the model, which no user reads.
+        learnt=lc.calibrate(df, urdf=urdf, method="implicit-loop", model_error="structured"),
         robot=lc.load_urdf(urdf),
         rms=lc.init(df, urdf=urdf).rms,
     )
@@ -72,6 +74,15 @@ CALLS: dict[str, Call] = {
     "lc.init(dict of two arrays)": lambda m: same(m, {"q": m.deg, "p": m.xyz}),
     "lc.init(q, xyz)": lambda m: same(m, m.deg, m.xyz),
     "lc.init(joints df, points df)": lambda m: same(m, m.df[[f"J{i}" for i in range(1, 7)]], m.xyz),
+    "lc.init([file, file])": lambda m: (
+        len(lc.init([m.folder / "joints.csv", m.folder / "tracker.csv"], urdf=m.urdf).dataset)
+        == 100
+    ),
+    "result[name]": lambda m: m.result["tool_x"] == m.result.params["tool_x"],
+    "learnt.fk(q)": lambda m: (
+        m.learnt.mechanism.disturbances and m.learnt.fk(m.deg).shape == (100, 4, 4)
+    ),
+    "learnt.predict((N, 6))": lambda m: predicts(m, m.learnt.predict(m.deg)),
     "lc.init(file)": lambda m: lc.init(m.csv, urdf=m.urdf).rms < 0.02,
     "lc.check(df, urdf=)": lambda m: lc.check(m.df, urdf=m.urdf).verdict,
     "lc.calibrate(project)": lambda m: lc.calibrate(lc.load(m.project), **FAST).converged,
@@ -143,6 +154,11 @@ MISSES: dict[str, tuple[Call, type[Exception], str]] = {
     "lc.hand_eye": (lambda m: lc.hand_eye, AttributeError, "images"),
     "lc.from_urdf": (lambda m: lc.from_urdf, AttributeError, "lc.load_urdf"),
     "result.verify": (lambda m: m.result.verify, AttributeError, "lc.verify(result, readings)"),
+    "result.plot.errors": (lambda m: m.result.plot.errors, AttributeError, "'residuals'"),
+    "lc.save": (lambda m: lc.save, AttributeError, "result.save(folder)"),
+    "result.chi2": (lambda m: m.result.chi2, AttributeError, "result.chi_squared"),
+    "result.to_csv": (lambda m: m.result.to_csv, AttributeError, "result.to_pandas()"),
+    "result.corr": (lambda m: m.result.corr, AttributeError, "result.plot.correlations()"),
     "result.dh": (lambda m: m.saved.dh, AttributeError, "result.export('dh')"),
     "robot.dof": (lambda m: m.robot.dof, AttributeError, "len(robot.quantities)"),
     "result.predict(radians)": (

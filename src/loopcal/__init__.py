@@ -233,6 +233,8 @@ _INSTEAD = {
     "study": "the command loopcal study FILE",
     "load_csv": "lc.read_dataset, or lc.init for columns of any layout",
     "noise": "lc.repeated_readings, or lc.Noise to state sds",
+    "help": "help(loopcal)",
+    "save": "result.save(folder)",
     "read": "lc.load, or lc.read_dataset for readings",
     "read_csv": "lc.read_dataset, or lc.init for columns of any layout",
     "read_urdf": "lc.load_urdf",

@@ -81,17 +81,24 @@ Code = Literal[
 """The kinds of errors; `docs/reference/messages.md` describes each."""
 
 
+class Remedy(str):
+    """What to do, with the word that was meant: `meant` is a name and what should stand there."""
+
+    meant: tuple[str, ...] = ()
+
+
 class LoopcalError(Exception):
     """Root of all errors raised on purpose; by itself it means a fault of ours (exit code 1).
 
     code: its kind, where it is not the usual one of its class; place: file, row and key; remedy:
     what to do; options: those with which the same command goes on; meant: an argument of it, and
-    the words that should stand there; command: what to type next; again: whether that is the same
-    command, once the remedy is done.
+    the words that should stand there; follows: another command, files of the user in capitals;
+    command: what to type next; again: whether that is the same command, once the remedy is done.
     """
 
     options: tuple[str, ...] = ()
     meant: tuple[str, ...] = ()
+    follows = ""
     command = ""
     again = False
     exit_code = 1
@@ -109,6 +116,8 @@ class LoopcalError(Exception):
         self.message = _bounded(message)
         self.place = place and _bounded(place).replace("\n", "\\n")
         self.remedy = remedy and _bounded(remedy)
+        if isinstance(remedy, Remedy):
+            self.meant = remedy.meant
         super().__init__(self.message)
 
     def __str__(self) -> str:
@@ -132,14 +141,18 @@ class LoopcalError(Exception):
         self.meant = (argument, *others)
         return self
 
+    def then(self, command: str) -> Self:
+        """The same error with the command that follows; PROJECT, RESULT, READINGS and ROBOT stand
+        for files of the user."""
+        self.follows = command
+        return self
+
     def next_command(self, words: Sequence[str]) -> None:
         """Fill in what to type next, where the error shows it; words: of the command that failed.
 
         Where nothing differs, the same command follows once the remedy is done.
         """
-        argument, *others = self.meant or ("",)
-        mended = [m for w in words for m in (others if w == argument else [w])]
-        mended = _with_options(mended, self.options)
+        mended = _with_options(_as_meant(words, *self.meant), self.options)
         self.again = sorted(mended) == sorted(words)
         self.command = join(["loopcal", *mended])
 
@@ -148,6 +161,7 @@ class LoopcalError(Exception):
         joined = f"{place}: {self.place}" if self.place else place
         error = type(self)(self.message, code=self.code, place=joined, remedy=self.remedy)
         error.options, error.meant, error.command = self.options, self.meant, self.command
+        error.follows = self.follows
         return error
 
 
@@ -256,16 +270,34 @@ def _abbreviates(short_name: str, name: str) -> bool:
     return all(letter in rest for letter in short_name)
 
 
-def nearest(name: str, candidates: Iterable[str]) -> str:
+def nearest(name: str, candidates: Iterable[str]) -> Remedy:
     """A remedy naming the known spelling nearest to `name`, or the first of them.
 
     >>> nearest("collumns", ["columns", "file"])
     "did you mean 'columns'?"
     """
     choices = list(candidates)
-    if close := closest(name, choices):
-        return f"did you mean {close!r}?"
-    return "known are " + listed(choices, 40) if choices else "none is known here"
+    close = closest(name, choices)
+    every = "known are " + listed(choices, 40) if choices else "none is known here"
+    remedy = Remedy(f"did you mean {close!r}?" if close else every)
+    remedy.meant = (name, close) if close else (name, *choices[:1])
+    return remedy
+
+
+def _as_meant(words: Sequence[str], argument: str = "", *others: str) -> list[str]:
+    """Words of a command line with others for an argument, or for one name of a list in it."""
+    mended: list[str] = []
+    for word in words:
+        before, equals, after = word.rpartition("=" if word.startswith("--") else "\n")
+        names = after.split(",")
+        if word == argument:
+            mended += others
+        elif argument in names and len(others) == 1:
+            listed_names = ",".join(others[0] if name == argument else name for name in names)
+            mended.append(f"{before}{equals}{listed_names}")
+        else:
+            mended.append(word)
+    return mended
 
 
 def _with_options(words: Sequence[str], options: Sequence[str]) -> list[str]:

@@ -18,7 +18,29 @@ NEXT = {
         f"calibrate {P} --method lsq",
         f"calibrate {P} --method least-squares",
     ),
-    "a method that nobody knows": (f"calibrate {P} --method=zz", f"calibrate {P}"),
+    "a method that nobody knows": (
+        f"calibrate {P} --method=zz",
+        f"calibrate {P} --method=auto",
+    ),
+    "a format that nobody knows": (f"export {R} --to kuka", f"export {R} --to urdf"),
+    "an option of another command": (
+        "calibrate readings.csv --urdf robot.urdf",
+        "init readings.csv --urdf robot.urdf",
+    ),
+    "an option that nobody knows": ("init readings.csv --robot robot.urdf", "init --help"),
+    "a table of the robot for a URDF": (
+        "init readings.csv --urdf table.csv",
+        "init readings.csv --dh table.csv",
+    ),
+    "a robot that is absent": (
+        "init readings.csv --dh arm-7.csv",
+        "init readings.csv --urdf robot.urdf",
+    ),
+    "readings for a table of the robot": (
+        "init readings.csv --dh other.csv",
+        "init readings.csv --urdf robot.urdf",
+    ),
+    "one table of readings": ("calibrate readings.csv", "init readings.csv --urdf robot.urdf"),
     "one name of several": (
         f"calibrate {P} --require sound,bettr",
         f"calibrate {P} --require sound,better",
@@ -61,6 +83,7 @@ def test_an_error_ends_with_the_next_command(name: str, folder: Path, run: Run) 
     (folder / "empty").mkdir()
     (folder / "robot.urdf").write_text("<robot/>", "utf-8")
     shutil.copy(folder / "readings.csv", folder / "other.csv")
+    (folder / "table.csv").write_text("a [mm],d [mm],alpha [deg],theta [deg]\n1,2,90,0\n", "utf-8")
     done = run(*typed.split())
     assert done.code in (2, 3), done.err
     assert "Traceback" not in done.err

@@ -23,7 +23,7 @@ from loopcal.cli.application import (
     option,
     out_option,
 )
-from loopcal.cli.output import log, print_data, print_done, print_json, print_out, screen
+from loopcal.cli.output import below, log, print_data, print_done, print_json, print_out, screen
 from loopcal.cli.registry import keeper
 from loopcal.companions import called
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError
@@ -419,18 +419,26 @@ def init(
             "columns=x,y,z' or 'contact between=left,right radius=20mm,20mm'; once for each.",
         ),
     ] = None,
+    infer_units: Annotated[
+        bool,
+        flag("--infer-units", "Take no unit from the headers: infer all by the nominal machine."),
+    ] = False,
     run: Annotated[bool, flag("--run", "Calibrate at once and open the report.")] = False,
 ) -> None:
     """Recognise readings and a robot; write a finished project."""
     from loopcal.cli.asking import ask_on_terminal, open_page
-    from loopcal.workflow.beginning.initial import RobotFile, initial_project
+    from loopcal.workflow.beginning.initial import initial_project
+    from loopcal.workflow.beginning.robot_file import RobotFile
 
-    robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out, tuple(observe or ()))
+    looking = tuple(observe or ())
+    robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out, looking, infer_units)
     done = initial_project(files or (), robot, out=out, sheet=sheet, ask=ask_on_terminal())
-    print_out(str(done))
-    if run:
+    if not run:
+        print_out(str(done))
+    else:
         try:
-            calibrate(str(done.written[0]))
+            with below(done.inferred):
+                calibrate(str(done.written[0]))
         except InputError as error:  # the project is written: this is no bad input any more
             raise NoTrustworthyResult(
                 error.message, code=error.code, place=error.place, remedy=error.remedy

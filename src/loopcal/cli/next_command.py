@@ -1,8 +1,8 @@
 """The command that follows an error, filled in with the files of the user.
 
-What an error says decides it: a command in its remedy, the name that was meant, an option that the
-remedy names. Words in capitals (PROJECT, RESULT, FILE) become files below the folder of the
-command. Where nothing else follows, the same command is run again after the remedy, or its help.
+The error states it where it is raised: options, a word that was meant, another command. Words in
+capitals (PROJECT, RESULT, READINGS, ROBOT) become files below the folder of the command. Where
+nothing else follows, the same command is run again after the remedy, or its help.
 """
 
 from __future__ import annotations
@@ -23,12 +23,10 @@ _MOST = 2_000
 """Entries of folders that are looked at: the command may run in a large one."""
 _TABLES = (".csv", ".tsv", ".xlsx", ".parquet")
 _RESULT = "result.json"
+_ROBOT = ("--urdf", "--dh", "--machine")
+_OTHER_FILE = ("missing-file", "wrong-file-type", "no-data", "invalid-syntax", "missing-column")
 _OF_PROJECTS = ("calibrate", "check", "plan", "simulate")
 _OF_RESULTS = ("predict", "compare", "report", "export", "verify", "update", "correct", "record")
-_TYPED = re.compile(r"(?:loopcal [a-z]+|pip install)(?: [^\s;,()]+)*")
-_MEANT = re.compile(r"did you mean (['\"])(?P<near>.+?)\1\?")
-_QUOTED = re.compile(r"(['\"])(?P<name>.+?)\1")
-_OPTION = re.compile(r"--[a-z][a-z-]+")
 _CAPITALS = re.compile(r"[A-Z]{2,}(?:\.[a-z]+|\.{3})?")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
@@ -43,13 +41,16 @@ def fill_in(error: LoopcalError, words: Sequence[str]) -> None:
     if not _typeable(words):
         error.again = False
         return
+    error.options = tuple(_filled(error.options, words))
     error.next_command(words)
     if not error.again:
         return
     error.again = False
-    for rule in (_of_remedy, _of_name, _of_option, _of_place, _of_tables):
-        if (command := rule(error, words)) and command != join(["loopcal", *words]):
-            error.command = command
+    begins, *rest = split(error.follows) or [""]
+    follows = [begins, *_filled(rest, words)]
+    for mended in (follows, _placed(error, words), _whole_day(error, words)):
+        if len(mended) > 1:
+            error.command = join(mended)
             return
     # A file is mended for the same command; other arguments need its help.
     error.again = isinstance(error, InputError)
@@ -70,11 +71,16 @@ def after_usage(error: Any, words: Sequence[str]) -> str:
     mended: list[str] | None = None
     if kind == "NoSuchOption":
         name, names = error.option_name, sorted(getattr(error, "possibilities", None) or ())
-        near = [closest(name, names) or names[0]] if names else []
+        meant = closest(name.lstrip("-"), [other.lstrip("-") for other in names])
+        near = [f"--{meant}"] if meant else []
         flags = {o for p in error.ctx.command.params for o in p.opts if getattr(p, "is_flag", 0)}
         after = [*words[words.index(name) + 1 :], "-"][0] if name in words else "-"
         if near and near[0] in flags and not after.startswith("-"):
             return _help(command)  # a value follows, and the flag takes none
+        if command in _OF_PROJECTS and name in _ROBOT:
+            return join(["loopcal", "init", *words[1:]])  # readings and a robot make a project
+        if not near:
+            return _help(command)
         mended = [m for w in words for m in (near if w.partition("=")[0] == name else [w])]
     elif kind == "MissingParameter":
         mended = _with_missing(error.param, words)
@@ -96,82 +102,47 @@ def _help(command: str) -> str:
     return join(["loopcal", command, "--help"])
 
 
-def _of_remedy(error: LoopcalError, words: Sequence[str]) -> str:
-    """A command that the remedy states, its words in capitals filled in."""
-    from loopcal.cli.registry import COMMANDS
-
-    for typed in _TYPED.findall(error.remedy or ""):
-        if typed.startswith("pip"):
-            return str(typed)
-        if typed.split()[1] not in COMMANDS or len(typed.split()) < 3:
-            continue
-        parts: list[str] | None = []
-        for part in split(typed):
-            names = _files(part.rstrip("."), words) if _CAPITALS.fullmatch(part) else [part]
-            parts = None if parts is None or not names else [*parts, *names]
-        if parts:
-            return join(parts)
-    return ""
+def _filled(parts: Sequence[str], words: Sequence[str]) -> list[str]:
+    """The words with files for those in capitals; none where the folder has none for one."""
+    made: list[str] = []
+    for part in parts:
+        names = _files(part, words) if _CAPITALS.fullmatch(part) else [part]
+        if not names:
+            return []
+        made += names
+    return made
 
 
-def _of_name(error: LoopcalError, words: Sequence[str]) -> str:
-    """The same command with the name that was meant; without an option of which none is near."""
-    near = _MEANT.search(error.remedy or "")
-    for name in (match["name"] for match in _QUOTED.finditer(error.message)):
-        for i, word in enumerate(words[1:], 1):
-            before, _, after = word.rpartition("=")
-            names = (after if word.startswith("--") else word).split(",")
-            if name not in names:
-                continue
-            if near:
-                names[names.index(name)] = near["near"]
-                value = ",".join(names)
-                one = f"{before}={value}" if word.startswith("--") else value
-                return join(["loopcal", *words[:i], one, *words[i + 1 :]])
-            option = word.startswith("--") or words[i - 1].startswith("--")
-            if option and error.code in ("unknown-name", "invalid-value"):
-                first = i if word.startswith("--") else i - 1
-                return join(["loopcal", *words[:first], *words[i + 1 :]])
-    return ""
-
-
-def _of_option(error: LoopcalError, words: Sequence[str]) -> str:
-    """The same command with an option that the remedy names and that a file answers."""
-    if error.code == "unwritable-file":
-        return join(["loopcal", *_without("--out", words)])
-    for name in _OPTION.findall(error.remedy or ""):
-        if name in ("--urdf", "--dh") and not {"--urdf", "--dh", "--machine"} & {*words}:
-            robot = _robot(words)
-            return f"{join(['loopcal', *words])} {robot}" if robot else ""
-        if name == "--project" and name not in words and (files := _files("PROJECT", words)):
-            return join(["loopcal", *words, name, *files])
-    return ""
-
-
-def _of_place(error: LoopcalError, words: Sequence[str]) -> str:
+def _placed(error: LoopcalError, words: Sequence[str]) -> list[str]:
     """The same command with a file of this folder for one that is absent or of another kind."""
-    if error.code not in ("missing-file", "wrong-file-type", "no-data"):
-        return ""
-    place = (error.place or "").removesuffix(f"/{_RESULT}")
-    at = next((i for i, word in enumerate(words) if word == place), 0)
+    place = (error.place or "").removesuffix(f"/{_RESULT}").partition(": ")[0]
+    if error.code not in _OTHER_FILE or place not in words[1:]:
+        return []
+    at = len(words) - 1 - words[::-1].index(place)
+    ahead, behind = ["loopcal", *words[:at]], list(words[at + 1 :])
+    if ahead[-1] == "--urdf" and _is_dh(place):
+        return [*ahead[:-1], "--dh", place, *behind]
+    if ahead[-1] in _ROBOT:
+        robot = _files("ROBOT", [])
+        return [*ahead[:-1], *robot, *behind] if robot and place not in robot else []
     takes = "PROJECT" if words[0] in _OF_PROJECTS else "RESULT" if words[0] in _OF_RESULTS else ""
     takes = "READINGS" if words[0] == "init" else takes
-    names = _files(takes, [w for i, w in enumerate(words) if i != at or takes == "PROJECT"])
-    if at != 1 or not names:
-        return ""
-    return join(["loopcal", *words[:at], *names, *words[at + 1 :]])
+    names = _files(takes, [w for w in words if w != place or takes == "PROJECT"])
+    return [*ahead, *names, *behind] if at == 1 and names and place not in names else []
 
 
-def _of_tables(error: LoopcalError, words: Sequence[str]) -> str:
-    """All tables of the first day where only some of them were named."""
-    if error.code != "missing-column" or words[0] not in ("predict", "verify", "update"):
-        return ""
+def _whole_day(error: LoopcalError, words: Sequence[str]) -> list[str]:
+    """All tables of the first day, or both of the folder, where only some of them were named."""
+    first = {"init": 1, "predict": 2, "verify": 2, "update": 2}.get(words[0])
+    if error.code != "missing-column" or first is None:
+        return []
     tables = _tables(words)
-    named = [i for i, word in enumerate(words) if word.endswith(_TABLES)]
-    if not named or not tables or {words[i] for i in named} >= {*tables}:
-        return ""
+    named = [i for i in range(first, len(words)) if words[i].endswith(_TABLES)]
+    named = [i for i in named if words[i - 1] not in _ROBOT]
+    if not named or {words[i] for i in named} >= {*tables} or (first == 1 and len(tables) != 2):
+        return []
     rest = [word for i, word in enumerate(words) if i not in named[1:]]
-    return join(["loopcal", *rest[: named[0]], *tables, *rest[named[0] + 1 :]])
+    return ["loopcal", *rest[: named[0]], *tables, *rest[named[0] + 1 :]]
 
 
 def _with_missing(param: Any, words: Sequence[str]) -> list[str] | None:
@@ -223,7 +194,7 @@ def _files(what: str, words: Sequence[str]) -> list[str]:
         "B": lambda: [r for r in _newest(_is_result) if r not in words][:1],
         "READINGS": lambda: _tables(words),
         "FILE...": lambda: _tables(words) if words[0] == "predict" else [],
-        "ROBOT.urdf": lambda: _newest(lambda p: p.suffix == ".urdf")[:1],
+        "ROBOT": lambda: split(_robot(words)),
         "FORMAT": lambda: ["dh"],
         "NAME": lambda: [w for w in words[1:2] if words[0] == "new" and w[0] != "-"] or ["machine"],
         "FOLDER": lambda: ["machine.history"],
@@ -293,11 +264,10 @@ def _tables(words: Sequence[str]) -> list[str]:
     return [str(path) for path in tables if not _is_dh(path)][:4]
 
 
-def _is_dh(path: Path) -> bool:
-    with suppress(OSError), path.open("rb") as file:
-        head = file.readline(2_000).lower()
-        return b"alpha" in head and b"theta" in head
-    return False
+def _is_dh(path: str | Path) -> bool:
+    from loopcal.files.recognition.dh_table import is_dh  # only errors ask
+
+    return is_dh(path)
 
 
 def _robot(words: Sequence[str]) -> str:
@@ -310,7 +280,7 @@ def _robot(words: Sequence[str]) -> str:
             urdfs = [path for path in beside if path.suffix == ".urdf"]
             if len(urdfs) == 1:
                 return f"--urdf {quote(str(urdfs[0]))}"
-            tables = [path for path in beside if path.suffix in (".csv", ".tsv") and _is_dh(path)]
+            tables = [path for path in beside if _is_dh(path)]
             if len(tables) == 1:
                 return f"--dh {quote(str(tables[0]))}"
     return ""

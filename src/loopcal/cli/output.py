@@ -11,7 +11,9 @@ import json
 import os
 import re
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from typing import Any, TextIO
 
 from loopcal.errors import LONGEST_TEXT, Unfinished, short
@@ -43,6 +45,21 @@ def print_out(text: str) -> None:
 
 SCREEN = 40
 """Lines that a terminal shows at once."""
+_ABOVE = ContextVar("above", default=0)
+"""Lines that stand on the same screen already."""
+_JUDGED = 2
+"""Parts of a result that are always shown: what it is, and its verdict."""
+
+
+@contextmanager
+def below(text: str) -> Iterator[None]:
+    """Print text; what is printed within this shares its screen."""
+    print_out(f"{text}\n")
+    token = _ABOVE.set(text.count("\n") + 2)
+    try:
+        yield
+    finally:
+        _ABOVE.reset(token)
 
 
 def screen(text: str) -> str:
@@ -51,12 +68,13 @@ def screen(text: str) -> str:
     The parts keep their order. One that does not fit any more is left out, and named by its first
     words in the last line.
     """
-    if text.count("\n") < SCREEN:
+    room = SCREEN - _ABOVE.get()
+    if text.count("\n") < room:
         return text
-    kept, left, room = list[str](), list[str](), SCREEN - 2
+    kept, left, room = list[str](), list[str](), room - 2
     for part in text.split("\n\n"):
         needed = part.count("\n") + 2
-        if needed > room:
+        if needed > room and len(kept) >= _JUDGED:
             head = part.split("\n")[0]
             name = head.split("  ")[0] if "  " in head else head.split(" ")[0].rstrip(":")
             left.append("warnings" if name == "WARNING" else name)

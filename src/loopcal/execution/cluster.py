@@ -166,7 +166,7 @@ def _distributed() -> ModuleType:
             "--cluster needs dask.distributed, which is not installed",
             code="missing-dependency",
             remedy="pip install 'loopcal[cluster]'",
-        ) from None
+        ).then("pip install 'loopcal[cluster]'") from None
     logging.getLogger("tornado.application").addFilter(_worth_logging)
     module: ModuleType = distributed
     return module

@@ -2,15 +2,16 @@
 
 Most files say themselves what they are: pages by a meta element, JSON by its key "loopcal", TOML by
 its first line, tables by columns that only loopcal writes. Tables in the columns of a project do
-not: NAME.json or NAME.truth.json beside lists their SHA-256. All others, such as programs of robots
-and files that were changed since, count as the user's.
+not: NAME.json or NAME.truth.json beside lists their SHA-256. A new project is meant to be changed;
+its last lines list the SHA-256 of its files. All others, such as programs of robots and files that
+were changed since, count as the user's.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -25,11 +26,15 @@ from loopcal.files.toml.place import Place
 Arguments = ParamSpec("Arguments")
 Returned = TypeVar("Returned")
 REMEDY = "name another output, or state --force (force=True) to replace it; a backup is kept"
+_FOREIGN = "it was changed since loopcal wrote it, or is of another origin"
 _WINDOW = 1 << 16
 """Bytes at either end of a file in which its mark stands."""
 _PAGE = re.compile(rb'<meta name="loopcal(?:-(record))?" content="([a-z-]+|[0-9a-f]{64})">')
 _OLD_REPORT = b'<meta name="generator" content="loopcal '
 """Of pages of versions before 0.2, which were reports or records."""
+_SEAL = b"# loopcal init replaces its files while they are unchanged. SHA-256:\n"
+_SEALED = re.compile(rb"\n" + re.escape(_SEAL) + rb"(?P<files>(?:#   .+\n)+)\Z")
+_PROJECT = "project.toml"
 _MARKS = {
     "certificate": re.compile(rb'<record xmlns="urn:loopcal:record"'),
     "JSON": re.compile(rb'\A\{\s*"schema": \d+,\s*"loopcal": "[^"\n]*"(?!,\s*"name")'),  # no export
@@ -83,6 +88,16 @@ def one_command(function: Callable[Arguments, Returned]) -> Callable[Arguments, 
     return within
 
 
+@contextmanager
+def carried_over() -> Iterator[None]:
+    """What is read within this may be written over by what follows from it."""
+    token = _COMMAND.set(None)
+    try:
+        yield
+    finally:
+        _COMMAND.reset(token)
+
+
 def force_outputs() -> None:
     """Let the command under way replace files of others; backups are kept."""
     under_way = _COMMAND.get()
@@ -98,13 +113,19 @@ def note_input(path: Path) -> None:
             under_way.read.add(_identity(path))
 
 
+def sealed(files: Mapping[str, bytes]) -> dict[str, bytes]:
+    """The files of a new project, whose last lines list them, and so tell when they are changed."""
+    listed = b"".join(_listed(name, content) for name, content in files.items())
+    return {**files, _PROJECT: files[_PROJECT] + b"\n" + _SEAL + listed}
+
+
 def refuse_foreign(*paths: Path) -> None:
     """Raise InputError, before any work, where one of these files is there and is not loopcal's."""
     for path in paths:
         if path.is_file() and not _forced():
             _refuse_input(path)
             if kind_of(path.name, _window(path), _digest(path), _beside(path)) is None:
-                raise _refused(path, "loopcal did not write it, or it was changed since")
+                raise _refused(path, _FOREIGN)
 
 
 def is_foreign(path: Path, new: bytes | None, together: Callable[[str], bytes | None]) -> bool:
@@ -126,7 +147,7 @@ def is_foreign(path: Path, new: bytes | None, together: Callable[[str], bytes | 
         return not allowed or _is_input(path)
     _refuse_input(path)
     if not allowed:
-        why = "loopcal did not write it, or it was changed since"
+        why = _FOREIGN
         raise _refused(path, why if old is None else f"it holds another result of loopcal ({old})")
     return False
 
@@ -150,7 +171,20 @@ def kind_of(
         listing = beside(f"{Path(name).stem}{end}") or b""
         if _MARKS["JSON"].search(listing[:_WINDOW]) and digest().encode() in listing:
             return f"table of *{end}"
+    project = window if name == _PROJECT else beside(_PROJECT) or b""
+    if seal := _SEALED.search(project):
+        content = project[: seal.start()] if name == _PROJECT else None
+        line = _listed(name, content) if content is not None else _line(name, digest())
+        return "file of loopcal init" if line in seal["files"] else None
     return None
+
+
+def _listed(name: str, content: bytes) -> bytes:
+    return _line(name, sha256(content).hexdigest())
+
+
+def _line(name: str, digest: str) -> bytes:
+    return f"#   {digest}  {name}\n".encode()
 
 
 def free_name(path: Path) -> Path:
@@ -178,7 +212,7 @@ def _refuse_input(path: Path) -> None:
 
 def _refused(path: Path, why: str) -> InputError:
     return InputError(
-        f"the file exists and was not changed: {why}",
+        f"the file exists and is kept: {why}",
         code="unwritable-file",
         place=str(path),
         remedy=REMEDY,

@@ -354,9 +354,9 @@ class _Run:
         assert verdict is not None
         required = {"sound", *self.project.verdict.require, *self.request.require}
         asked = [(name, answer) for name, answer in verdict.answers.items() if name in required]
-        failed = [answer for name, answer in asked if refuses(name, answer)]
+        failed = [name for name, answer in asked if refuses(name, answer)]
         if failed:
-            return f"{failed[0].words} {failed[0].next or ''}".rstrip()
+            return f"the verdict says why ({', '.join(failed)}: not answered yes)"
         loose = document.identifiability.not_identifiable
         if loose and (self.request.require_identifiable or self.project.fit.require_identifiable):
             return "not every parameter is identifiable: " + "; ".join(u.words for u in loose)

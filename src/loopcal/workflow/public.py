@@ -57,7 +57,9 @@ from loopcal.workflow.simulation import simulated
 Output = TypeVar("Output")
 Described = TypeVar("Described", bound=Callable[..., Any])
 _FIT = frozenset(Fit.__dataclass_fields__)
-_ROBOT = frozenset(("urdf", "dh", "machine", "base", "tip", "sheet", "joints", "leave_out"))
+_ROBOT = frozenset(
+    ("urdf", "dh", "machine", "base", "tip", "sheet", "joints", "leave_out", "infer_units")
+)
 """Arguments of `init` that describe a robot."""
 _ON_MACHINE = """
     mechanism may also be a Project, what `init` returns, or the path of a project or mechanism

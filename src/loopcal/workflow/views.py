@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Verdict
-from loopcal.errors import InputError
+from loopcal.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from loopcal.document.findings import Outlier
+    from loopcal.document.fit import ParameterEntry
     from loopcal.document.parameter_table import ParameterTable
     from loopcal.figures.figure import Figure
     from loopcal.report.source import Source
@@ -69,6 +70,10 @@ class Views:
         from loopcal.document.parameter_table import ParameterTable
 
         return ParameterTable(self.unjudged.parameters)
+
+    def __getitem__(self, name: str) -> ParameterEntry:
+        """The parameter of this name, as `params` has it."""
+        return self.params[name]
 
     @property
     def rms(self) -> float | None:
@@ -208,6 +213,10 @@ class Plots:
 
     def __repr__(self) -> str:
         return "<Plots: residuals(), space(), parameters(), correlations()>"
+
+    def __getattr__(self, name: str) -> Any:
+        figures = [n for n in dir(type(self)) if not n.startswith("_") and n != "drawn"]
+        raise AttributeError(f"no figure is called {name!r}: {nearest(name, figures)}")
 
     def residuals(self) -> Any:
         """Computed minus measured outputs pose by pose, before and after."""

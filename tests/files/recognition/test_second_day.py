@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import read_project
-from loopcal.workflow.beginning.initial import RobotFile, initial_project
+from loopcal.workflow.beginning.initial import initial_project
+from loopcal.workflow.beginning.robot_file import RobotFile
 from tests.reference import dh_arm
 from tests.refusals import refused
 

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -17,7 +18,8 @@ from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition import meanings
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.robots import dh_robot
-from loopcal.workflow.beginning.initial import RobotFile, initial_project
+from loopcal.workflow.beginning.initial import initial_project
+from loopcal.workflow.beginning.robot_file import RobotFile
 from tests.reference import dh_arm
 from tests.refusals import refused
 
@@ -371,13 +373,37 @@ def test_another_robot_is_refused_and_shuffled_points_are_named(tmp_path: Path, 
         lc.init(shuffled, dh=path)
 
 
-def test_nothing_is_overwritten(tmp_path: Path, arm: Any) -> None:
+def test_a_project_gives_way_to_another_until_it_is_changed(tmp_path: Path, arm: Any) -> None:
     joints, points = arm
     columns = {**of(joints, NAMES), **of(points, "xyz")}
-    lc.init(columns, dh=dh(tmp_path), out=tmp_path / "out")
-    path = dh(tmp_path)
-    with refused("unwritable-file"):
-        lc.init(columns, dh=path, out=tmp_path / "out")
+    path, out = dh(tmp_path), tmp_path / "out"
+    lc.init(columns, dh=path, out=out)
+    lc.init({n: column[:30] for n, column in columns.items()}, dh=path, out=out)
+    assert len(lc.load_dataset(lc.read_project(out / "project.toml")).dataset) == 30
+    with (out / "readings.csv").open("a", encoding="utf-8") as file:
+        file.write("\n")
+    with refused("unwritable-file", "readings.csv"):
+        lc.init(columns, dh=path, out=out)
+    with (out / "project.toml").open("a", encoding="utf-8") as file:
+        file.write("# mine\n")
+    with refused("unwritable-file", "project.toml"):
+        lc.init(columns, dh=path, out=out)
+
+
+def test_joints_beyond_the_arm_that_stand_still_do_not_choose_the_chain(tmp_path: Path) -> None:
+    """Fingers of a gripper: no chain holds both, and each has a joint more than the arm."""
+    dh_arm.write_slipped(tmp_path)
+    urdf = tmp_path / "arm.urdf"
+    joint = (
+        '<link name="other"/><joint name="grip_2" type="prismatic"><parent link="tool0"/>'
+        '<child link="other"/><axis xyz="0 1 0"/><limit lower="0" upper="0.1" effort="0" '
+        'velocity="1"/></joint></robot>'
+    )
+    urdf.write_text(urdf.read_text("utf-8").replace("</robot>", joint), "utf-8")
+    read = pl.read_csv(tmp_path / "poses.csv").with_columns(grip=0.02, grip_2=0.02)
+    made = lc.init(read, urdf=urdf)
+    assert len(made.mechanism.joints) == 6
+    assert made.inputs["mechanism"]["tip"] == "tool0"
 
 
 def test_too_many_joint_columns_are_listed(tmp_path: Path, arm: Any) -> None:

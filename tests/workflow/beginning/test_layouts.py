@@ -22,9 +22,11 @@ from analyses.layouts import (
     xyz,
 )
 from loopcal.errors import InputError
+from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.recognition.expressions import joint_columns
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.headers import heading
+from loopcal.files.recognition.lists import listed_columns
 from tests.bags import motion
 from tests.refusals import refused
 
@@ -56,7 +58,10 @@ def joint_readings(made: lc.InitialProject) -> np.ndarray:
         "X_soll, X_ist",
         "UR log: target_q, actual_q, actual_qd, TCP",
         "E1 moves a rail",
+        "fingers of a gripper beside the joints of a URDF",
         "a modified table under plain headers",
+        "a list of joints in one column",
+        "KRL: {A1 12.3, A2 ...} in one column",
         "Japanese, Shift-JIS",
     ],
 )
@@ -78,6 +83,10 @@ def test_a_length_beside_two_angles_is_a_tracker(tmp_path: Path) -> None:
     [
         ("rostopic echo -p, two files by time", np.ones(POSES, dtype=bool)),
         ("two files without ids, two rows lost", ~np.isin(np.arange(POSES), [9, 22])),
+        (
+            "two files without ids, a row lost in every part",
+            ~np.isin(np.arange(POSES), [4, 19, 31]),
+        ),
         ("a few numeric ids measured twice", np.ones(POSES, dtype=bool)),
     ],
 )
@@ -144,6 +153,52 @@ def test_the_next_command_of_a_refusal_goes_on(
     joint, line = made
     assert np.allclose(lc.load_dataset(project).dataset[joint], sign * world.read[:, 3], atol=1e-6)
     assert line in Path("out/project.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    "name", ["two joints under each other's headers", "degrees under headers of radians"]
+)
+def test_a_mistake_in_the_headers_is_read_by_the_next_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    robot, maker = LAYOUTS[name]
+    world = World(robot, 1)
+    described(world, tmp_path)
+    maker(world, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    code, printed = begin(["data.csv", "--dh", "dh.csv", "--out", "out"], tmp_path)
+    assert code == 3
+    command = next_command(printed)
+    assert command is not None
+    assert begin(command[1:], tmp_path)[0] == 0
+    project = lc.read_project("out/project.toml")
+    read = lc.load_dataset(project).dataset
+    joints = [q for q in read.readings if q not in "xyz"]
+    assert np.allclose([read[q] for q in joints], world.read.T, atol=1e-6)
+    # A file of another day has the same mistake.
+    later = read_new_readings(("data.csv",), project.inputs, project.mechanism)
+    assert np.allclose([later[q] for q in joints], world.read.T, atol=1e-6)
+
+
+def test_lists_in_cells_become_columns() -> None:
+    made = listed_columns(heading("pose [mm]"), ["{'x': 1, 'y': -2e1}", "{'x': 3.5, 'y': .4}"])
+    assert [(h.stem, h.unit, v.tolist()) for h, v in made] == [
+        ("pose_x", "mm", [1.0, 3.5]),
+        ("pose_y", "mm", [-20.0, 0.4]),
+    ]
+    assert [h.stem for h, _ in listed_columns(heading("q"), ["[1, 2]", "(3 4)"])] == ["q_1", "q_2"]
+    for cells in (["[1, 2]", "[3]"], ["[1]", "[2]"], ["1, 2", "3, 4"], ["{A 1, A 2}"] * 2, []):
+        assert listed_columns(heading("q"), cells) == []
+
+
+def test_the_table_of_the_robot_may_stand_among_the_readings(tmp_path: Path) -> None:
+    world = World("six", 1)
+    described(world, tmp_path)
+    written(tmp_path / "a.csv", {**joints(world), **xyz("{}", world.points)})
+    made = lc.init(tmp_path / "a.csv", tmp_path / "dh.csv")
+    assert np.allclose(joint_readings(made), world.read, atol=1e-6)
+    with refused("no-data", "no readings"):
+        lc.init(tmp_path / "dh.csv", dh=tmp_path / "dh.csv")
 
 
 def test_expressions_of_columns() -> None:

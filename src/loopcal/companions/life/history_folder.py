@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from shlex import join
 from typing import Any
 
 from loopcal.errors import InputError, short
@@ -148,7 +149,7 @@ def read_entries(folder: str | Path) -> Entries:
             code="missing-file",
             place=str(folder),
             remedy="begin the history with: loopcal history FOLDER --add RESULT",
-        )
+        ).then(join(["loopcal", "history", str(folder), "--add", "RESULT"]))
     whole: list[Entry] = []
     skipped: list[Skipped] = []
     for path in sorted(folder.glob("*.json")):

@@ -90,7 +90,7 @@ def _check(content: RecordContent) -> None:
             place="[record]",
             remedy=f"state them in [record] of the project, such as {wanted}; "
             "then give that project with --project",
-        )
+        ).offering("--project", "PROJECT")
     for key in ("date", "received", "issued"):
         if key in texts:
             _days(texts[key], key)

@@ -108,7 +108,7 @@ def arm_joints(mechanism: Mechanism) -> dict[str, str]:
             remedy="load the calibrated robot: loopcal export RESULT --to urdf"
             if mechanism.joints
             else "correct targets of serial arms; for parallel machines export the parameters",
-        )
+        ).then("loopcal export RESULT --to urdf" if mechanism.joints else "")
     return dict(mechanism.joints)
 
 

@@ -208,13 +208,13 @@ def _written(
             # Only the writer of a format shows whether it can hold the machine.
             with suppress(InputError):
                 _of_format(other, machine, ExportOptions(), read_from)
-                able.append(repr(other.name))
+                able.append(other.name)
         raise InputError(
             error.message,
             code=error.code,
             place=error.place,
-            remedy=f"export one of these, which take this machine: {', '.join(able)}",
-        ) from None
+            remedy=f"export one of these, which take this machine: {', '.join(map(repr, able))}",
+        ).offering(*(["--to", "dh" if "dh" in able else able[0]] if able else [])) from None
 
 
 def _of_format(

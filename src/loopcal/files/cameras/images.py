@@ -50,7 +50,7 @@ def detect(images: str | Path | Iterable[str | Path], board: Board) -> Detection
             "images are read by OpenCV, which is not installed",
             code="missing-dependency",
             remedy="pip install 'loopcal[images]'",
-        )
+        ).then("pip install 'loopcal[images]'")
     if board.pattern is None:
         raise InputError(
             f"how the board {board.name!r} is printed is not stated",

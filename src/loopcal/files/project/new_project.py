@@ -28,7 +28,7 @@ def write_new_files(folder: Path, files: Mapping[str, str | bytes]) -> tuple[Pat
     for name in files:
         if (folder / name).exists():
             raise InputError(
-                "the file exists and was not changed",
+                "the file exists and is kept",
                 code="unwritable-file",
                 place=str(folder / name),
                 remedy="name another folder, or remove the file",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,12 +102,14 @@ def _read(
     """The readings of all files, with columns read aside where a file has them."""
     path = expanded(spec.file, project.folder, place.at("file"))
     if project.simulation is not None and not path.exists():
+        named = quote(str(project.path or "-"))
+        command = f"loopcal simulate {named} --out {quote(str(path))} --seed 1"
         raise InputError(
             f"there is no file {str(path)!r} yet",
             code="missing-file",
             place=str(place.at("file")),
-            remedy=f"create it: loopcal simulate {project.path or '-'} --out {path} --seed 1",
-        )
+            remedy=f"create it: {command}",
+        ).then(command)
     if not spec.join:
         try:
             return believed(spec, read_dataset(path, {**spec.columns, **aside}, **spec.options)), ()

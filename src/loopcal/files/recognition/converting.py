@@ -266,7 +266,7 @@ def _column(fields: Fields, key: str | int) -> Field | None:
         return fields.fields[key - 1] if key <= len(fields.fields) else None
     exact = [f for f in fields.fields if f.label == key]
     if exact:
-        return exact[0]
+        return exact[0].without_unit()  # the project states it, also where this header is wrong
     return computed_column(fields.fields, key)
 
 

@@ -68,6 +68,16 @@ class DhTable:
         return sum(row.kind != "fixed" for row in self.rows)
 
 
+def is_dh(path: str | Path) -> bool:
+    """Whether a text file is a table of Denavit-Hartenberg parameters."""
+    if Path(path).suffix.lower() not in (".csv", ".tsv", ".txt"):
+        return False
+    try:
+        return read_dh(path).moving > 0
+    except InputError:
+        return False
+
+
 def read_dh(path: str | Path) -> DhTable:
     """The table of a file.
 

@@ -53,6 +53,10 @@ class Field:
         """The unit that its header states."""
         return self.heading.unit if self.heading else None
 
+    def without_unit(self) -> Field:
+        """The same column as if its header stated none."""
+        return replace(self, heading=self.heading and replace(self.heading, unit=None))
+
     @property
     def label(self) -> str:
         """How the reader knows it: its header, or its number."""

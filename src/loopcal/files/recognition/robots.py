@@ -70,13 +70,14 @@ def urdf_robot(
         if link is not None and ends and link not in ends:
             raise unknown_name(f"no chain ends at a link {link!r}", link, ends, path.name)
     every = [b for b in chains if (base in (None, b.base)) and (tip in (None, b.tip))]
-    named = {*named_joints(fields, {name for b in every for name in b.joints})}
-    if not named:
-        affixed = [b.joints for b in every if any(affixed_joints(fields, b.joints))]
-        named = {*max(affixed, key=len, default=())}
-    usual = len(usual_joints(fields)) if not named else 0
-    if named:
-        fitting = [b for b in every if set(b.joints) == named]
+    columns = {name: f for b in every for name, f in named_joints(fields, b.joints).items()}
+    if not columns:
+        affixed = ((b.joints, c) for b in every for c in affixed_joints(fields, b.joints))
+        names, fields_of = max(affixed, key=lambda one: len(one[0]), default=((), ()))
+        columns = dict(zip(names, fields_of, strict=True))
+    usual = len(usual_joints(fields)) if not columns else 0
+    if columns:
+        fitting = [b for b in every if {*b.joints} == {*columns}] or _of_moving(every, columns)
         why = "its moving joints are the columns' names"
     else:
         moves = len(moving(usual_joints(fields)))
@@ -97,6 +98,14 @@ def urdf_robot(
         remark += f"; other tips: {listed(list(dict.fromkeys(others)))}"
     table = _urdf_table(relative, best.base, best.tip)
     return Robot(table, len(best.joints), best.joints, (remark,))
+
+
+def _of_moving(every: Sequence[Branch], columns: Mapping[str, Field]) -> list[Branch]:
+    """The shortest chains with all joints that move: fingers, wheels or another arm stand still."""
+    still = {name for name, f in columns.items() if f not in moving([*columns.values()])}
+    holding = [b for b in every if {*columns} - still <= {*b.joints} <= {*columns}]
+    fewest = min((len(b.joints) for b in holding), default=0)
+    return [b for b in holding if len(b.joints) == fewest]
 
 
 def _urdf_table(relative: str, base: str, tip: str) -> dict[str, Any]:
@@ -145,12 +154,15 @@ def _which_chain(path: Path, every: Sequence[Branch], fitting: Sequence[Branch])
         f"--base {b.base!r} --tip {b.tip!r} ({len(b.joints)} joints)" for b in longest
     )
     what = "several chains fit" if fitting else "no chain fits"
+    likely = longest[:1]
+    if len(longest) > 1 and longest[0].joints[:-1] == longest[1].joints[:-1]:  # two fingers
+        likely = [b for b in longest if b.joints == longest[0].joints[:-1]] or likely
     return InputError(
         f"{what} the joint columns of the readings",
         code="unknown-name",
         place=path.name,
         remedy=f"state one of: {shown}" if shown else "name a URDF with moving joints",
-    )
+    ).offering(*(word for b in likely for word in ("--base", b.base, "--tip", b.tip)))
 
 
 def dh_robot(path: Path, fields: Sequence[Field], signs: Sequence[int] = ()) -> Robot:

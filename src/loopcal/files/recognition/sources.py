@@ -30,6 +30,7 @@ from loopcal.files.recognition.headers import (
     stem,
     words,
 )
+from loopcal.files.recognition.lists import listed_columns
 from loopcal.files.recognition.shots import MOST_TARGETS, pooled, widened
 from loopcal.files.tables import bag
 from loopcal.files.tables.recording import Recording
@@ -174,8 +175,13 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     units = _row_of_units(table, numeric)
     for i, symbol in units.items():
         headings[i] = replace(headings[i] or Heading("", ""), unit=symbol or None)
-    pose = _pose_column(table, headings, numeric)
-    texts = [i for i in table.columns if i not in numeric and i != pose]
+    lists = {
+        i: columns
+        for i in table.columns
+        if i not in numeric and (columns := listed_columns(headings[i], table.ids(i)))
+    }
+    pose = _pose_column(table, headings, [*numeric, *lists])
+    texts = [i for i in table.columns if i not in (*numeric, *lists, pose)]
     cells = {i: table.ids(i) for i in (pose, *texts) if i is not None}
     beginning = [table.ids(i) for i in sorted(table.columns)[:1]]
     count = len(table.rows)
@@ -202,13 +208,18 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
         counted(f, labels[f.position]) if f.position in texts and not f.is_time else f
         for f in fields
     )
+    split = [one for columns in lists.values() for one in columns]
+    fields += tuple(
+        Field(number, k, header, numbers[every])
+        for k, (header, numbers) in enumerate(split, _width(table))
+    )
     fields = _distinct(_named_by_texts(fields, headings, {i: labels[i] for i in texts}))
     ids = None if pose is None else labels[pose]
     sheet = table.sheet or sheet
     named = None if pose is None else column_key(names, pose)
     # what is not one table below its header is written into a file of its own
     header = tuple(names)
-    place = path if len(every) == count and not titled else None
+    place = path if len(every) == count and not titled and not lists else None
     used = {f.position for f in fields}
     idle = [names[i] for i in texts if i not in used and _stem(headings, i) not in _TARGETS]
     if idle := [name for name in idle if name and not _NAMED.fullmatch(stem(name))]:

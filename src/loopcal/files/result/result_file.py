@@ -130,6 +130,7 @@ def _refuse_elsewhere(path: Path) -> None:
         place=str(place),
         remedy="name the folder of a result, or calibrate first: loopcal calibrate PROJECT",
     )
+    error.then("loopcal calibrate PROJECT")
     if len(folders) == 1:
         error.meaning(str(place), *folders, *([str(place)] if is_readings else []))
     raise error

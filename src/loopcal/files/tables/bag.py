@@ -189,7 +189,7 @@ def _opened(path: Path) -> Iterator[Any]:
             code="missing-dependency",
             place=path.name,
             remedy="pip install 'loopcal[bags]'",
-        ) from None
+        ).then("pip install 'loopcal[bags]'") from None
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
         yield bag
 

@@ -181,11 +181,11 @@ def refuse_other_kind(path: str | Path) -> None:
     if ending in _TABLES:
         words = "this is a table of readings"
         remedy = f"make a project of it: loopcal init {name} --urdf ROBOT.urdf, or --dh TABLE.csv"
-        beside = [quote(str(urdf)) for urdf in path.parent.glob("*.urdf")]
-        command = f"loopcal init {name} --urdf {beside[0]}" if len(beside) == 1 else ""
+        command = f"loopcal init {name} ROBOT"
     elif ending in _ROBOTS:
         words = "this is the description of a robot"
-        remedy = f"make a project of it and of your readings: loopcal init READINGS --urdf {name}"
+        command = f"loopcal init READINGS --urdf {name}"
+        remedy = f"make a project of it and of your readings: {command}"
     elif (path.is_dir() or ending == ".json") and (result / "result.json").is_file():
         words = "this is the result of a calibration"
         remedy = "name the project that it came from; verify, predict, export and report take it"
@@ -198,5 +198,5 @@ def refuse_other_kind(path: str | Path) -> None:
     error = InputError(
         f"{words}, not a project file", code="wrong-file-type", place=str(path), remedy=remedy
     )
-    error.command = command
+    error.then(command)
     raise error.meaning(str(path), str(project)) if project.is_file() else error

@@ -24,8 +24,8 @@ from loopcal.units import to_si
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood, every_way
 
 Rows = NDArray[np.intp]
-_BLOCK, _MOST_LOST = 12, 20
-"""Rows that place the machine, and rows that may be lost."""
+_BLOCK, _BLOCKS, _MOST_LOST = 12, 9, 20
+"""Rows that place the machine, so many places where these are tried, and rows that may be lost."""
 _PLACED = 0.02
 """A placed nominal machine misses its readings by a smaller share of their spread."""
 
@@ -42,19 +42,16 @@ def aligned(sources: Sequence[Source], read: Reader) -> Fields | None:
     if least < _BLOCK or not 0 < lost <= _MOST_LOST:
         return None
     longer = lengths.index(max(lengths))
-    best: Understood | None = None
-    where: Sequence[Rows] = ()
-    machine = None
-    for begin in sorted({0, (least - _BLOCK) // 2, least - _BLOCK}):
+    for begin in np.unique(np.linspace(0, least - _BLOCK, _BLOCKS).astype(int)):
         for shift in range(lost + 1):
             rows = [np.arange(begin, begin + _BLOCK) + shift * (i == longer) for i in (0, 1)]
             machine, layouts = read(_side_by_side(sources, rows))
             way = min(every_way(machine, layouts), key=lambda u: u.share, default=None)
-            if way and way.share <= min(_PLACED, best.share if best else np.inf):
-                best, where = way, rows
-    if best is None or machine is None:
-        return None
-    return _matched(sources, machine, best, where)
+            if way is None or way.share > _PLACED:
+                continue
+            if (fields := _matched(sources, machine, way, rows)) is not None:
+                return fields
+    return None
 
 
 def _side_by_side(sources: Sequence[Source], rows: Sequence[Rows]) -> Fields:

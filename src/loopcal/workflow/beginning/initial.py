@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.aliases import of_project
-from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
+from loopcal.errors import InputError, NoTrustworthyResult, UsageError
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.mounted import Mounted
@@ -24,7 +24,7 @@ from loopcal.files.atomic import write_files
 from loopcal.files.cameras.folder import are_images, files_of, tables_of
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.registry import machine_type
-from loopcal.files.outputs import refuse_foreign, relative
+from loopcal.files.outputs import carried_over, refuse_foreign, relative, sealed
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import Conditions, apart
 from loopcal.files.recognition.converting import dataset_of
@@ -62,6 +62,7 @@ from loopcal.workflow.beginning.delays import Delay, delays
 from loopcal.workflow.beginning.from_images import from_images
 from loopcal.workflow.beginning.from_tree import dh_table, from_tree, urdf_table
 from loopcal.workflow.beginning.images_project import CORNERS, WRONG
+from loopcal.workflow.beginning.robot_file import InitOptions, RobotFile, among, used
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,
@@ -79,34 +80,6 @@ Array = NDArray[np.float64]
 USUAL = 20e-3
 """A nominal machine is nearer to its readings than this [m]."""
 _ROWS, _WORST = 5, 5
-
-
-@dataclass(frozen=True)
-class RobotFile:
-    """What describes the robot: a URDF, a table of Denavit-Hartenberg parameters, or a type.
-
-    base, tip: links of the URDF; joints: the columns of its joints, or expressions of them, divided
-    by commas; leave_out: names of columns that take no part, with * for any letters.
-    """
-
-    urdf: str | Path | None = None
-    dh: str | Path | None = None
-    machine: str | None = None
-    base: str | None = None
-    tip: str | None = None
-    joints: str | None = None
-    leave_out: str | None = None
-    observe: Sequence[str] = ()
-
-
-class InitOptions(TypedDict, total=False):
-    """What `init` is given beside the files: `RobotFile` says what each means."""
-
-    base: str | None
-    tip: str | None
-    joints: str | None
-    leave_out: str | None
-    observe: Sequence[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +130,15 @@ class InitialProject:
 
     def __str__(self) -> str:
         parts = [self.words, ""] if self.words else self._first_rows()
-        parts += [*(f"- {words}" for words in self.remarks), ""]
+        parts += [self.inferred]
+        if self.written:
+            parts += ["next:", f"  {self.command}"]
+        return "\n".join(parts)
+
+    @property
+    def inferred(self) -> str:
+        """What was inferred, how far the drawing is off, and the files that were written."""
+        parts = [*(f"- {words}" for words in self.remarks), ""]
         for name, fit in self.fits.items():
             turned = ""
             if fit.turned is not None:
@@ -171,7 +152,6 @@ class InitialProject:
             parts += ["worst poses: " + ", ".join(self._worst_words())]
         if self.written:
             parts += ["", f"written: {', '.join(map(str, self.written))}"]
-            parts += ["next:", f"  {self.command}"]
         return "\n".join(parts)
 
     def _first_rows(self) -> list[str]:
@@ -234,13 +214,20 @@ def init(
     write into, by default none; sheet: of a workbook, or the variable of a MATLAB file, by default
     the one with by far the most numbers. joints: the columns of the joints in the machine's order,
     as "J1,-J2,J3+J2,J4*0.001" where they count
-    otherwise; leave_out: columns that take no part, as "*_soll,v*".
+    otherwise; leave_out: columns that take no part, as "*_soll,v*"; infer_units: take none from
+    headers.
 
     Raises InputError where something remains open, with what is possible, and where files are in
     the way.
     """
     robot = RobotFile(urdf, dh, machine, **options)
-    return initial_project(readings, robot, out=out, sheet=sheet)
+    # A list of paths is these files.
+    listed = [list(one) if _are_paths(one) else [one] for one in readings]
+    return initial_project([*chain.from_iterable(listed)], robot, out=out, sheet=sheet)
+
+
+def _are_paths(entry: Any) -> bool:
+    return isinstance(entry, list | tuple) and all(isinstance(one, str | Path) for one in entry)
 
 
 def initial_project(
@@ -265,26 +252,31 @@ def initial_project(
     if are_images(readings):
         return _of_images(readings, robot, folder, write=out is not None)
     if not any((robot.urdf, robot.dh, robot.machine)):
-        urdfs = [path for path in files_of(readings) if path.suffix == ".urdf"]
-        robot = replace(robot, urdf=urdfs[0]) if len(urdfs) == 1 else robot
-        readings = [r for r in readings if len(urdfs) != 1 or str(r) != str(urdfs[0])]
-    readings = tables_of(readings)
+        robot, readings = among(readings, robot)
+    readings = [entry for entry in tables_of(readings) if str(entry) != str(robot.dh)]
     if out is not None:
         from_files = all(isinstance(entry, str | Path) for entry in readings)
         names = (PROJECT,) if from_files else (PROJECT, READINGS)
         refuse_foreign(*(folder / name for name in names))
+    if not readings:
+        raise InputError(
+            "this describes the robot, and no readings are named",
+            code="no-data",
+            place=str(robot.dh or robot.urdf),
+            remedy="name files of readings before it",
+        )
     sources: list[Source] = []
     for entry in readings:
         sources += sources_of(entry, len(sources), sheet)
     sources, by_time = at_rest(sources, joints_of(robot.urdf))
     every = _joined(sources, robot, folder)
-    fields = _without(every, robot.leave_out)
+    fields = used(every, robot)
     columns, signs = _joints(fields, robot)
     made = _robot(robot, replace(fields, fields=columns or fields.fields), folder, signs)
     one = _readable(made, fields, columns, folder)
     if made.otherwise is not None and not one.share <= NEAR_ENOUGH:
         other = _readable(made.otherwise, fields, columns, folder)
-        if CLEARLY * other.share < one.share:
+        if CLEARLY * other.share < one.share and other.share < 1.0:  # else both explain nothing
             one = other.better_than(one)
     if not one.share <= PLAUSIBLE and (encoders := counted(one.machine, one.layouts)):
         columns = joint_columns(fields.fields, encoders.columns)
@@ -324,7 +316,7 @@ def initial_project(
     )
     if out is None:
         return done
-    files = {PROJECT: text.encode("utf-8"), **tables}
+    files = sealed({PROJECT: text.encode("utf-8"), **tables})
     write_files(folder, files)
     return replace(done, written=tuple(folder / name for name in files))
 
@@ -387,7 +379,7 @@ def _kept(made: Begun, folder: Path, *, write: bool) -> InitialProject:
     )
     if not write:
         return done
-    files = {PROJECT: made.text.encode("utf-8"), **made.beside}
+    files = sealed({PROJECT: made.text.encode("utf-8"), **made.beside})
     write_files(folder, files)
     return replace(done, written=tuple(folder / name for name in files))
 
@@ -420,13 +412,10 @@ def _described(robot: RobotFile, folder: Path, fields: Sequence[Field]) -> Robot
 def _robot(robot: RobotFile, fields: Fields, folder: Path, signs: Sequence[int]) -> Robot:
     named = [k for k in ("urdf", "dh", "machine") if getattr(robot, k) is not None]
     if len(named) != 1:
-        error = UsageError(
+        raise UsageError(
             f"{' and '.join(named) or 'nothing'} describes the robot",
             remedy="name exactly one of --urdf FILE, --dh FILE and --machine TYPE",
-        )
-        folders = {source.path.parent for source in fields.sources if source.path}
-        near = [str(urdf) for folder in folders for urdf in folder.glob("*.urdf")]
-        raise error.offering("--urdf", *near) if len(near) == 1 and not named else error
+        ).offering(*([] if named else ["ROBOT"]))
     if robot.urdf is not None:
         path = Path(robot.urdf)
         return urdf_robot(path, relative(path, folder), fields.fields, robot.base, robot.tip)
@@ -454,7 +443,7 @@ def _joined(sources: Sequence[Source], robot: RobotFile, folder: Path) -> Fields
             raise
 
         def read(fields: Fields) -> tuple[Machine, Sequence[Layout]]:
-            kept = _without(fields, robot.leave_out)
+            kept = used(fields, robot)
             columns, signs = _joints(kept, robot)
             made = _robot(robot, kept, folder, signs)
             some = layouts(kept.fields, made.joints, made.names, columns)
@@ -501,22 +490,6 @@ def _readable(robot: Robot, fields: Fields, columns: tuple[Field, ...], folder: 
     return _Readable(robot, machine, fields, conditions, every_layout, ways)
 
 
-def _without(fields: Fields, names: str | None) -> Fields:
-    """Without the columns that these names, divided by commas, have."""
-    kept = list(fields.fields)
-    for name in [part.strip() for part in (names or "").split(",") if part.strip()]:
-        gone = [f for f in kept if fnmatchcase(f.label, name)]
-        if not gone:
-            raise InputError(
-                f"{name!r} is no column",
-                code="unknown-name",
-                place="--leave-out",
-                remedy=nearest(name, [f.label for f in kept]),
-            )
-        kept = [f for f in kept if f not in gone]
-    return replace(fields, fields=tuple(kept))
-
-
 def _table(dataset: Dataset, statement: Statement) -> bytes:
     """The readings and their sds in SI units, for the file beside the project."""
     columns = statement.tables["data"]["columns"]
@@ -532,7 +505,7 @@ def _read(statement: Statement, folder: Path) -> Project:
 
 def _planned(statement: Statement, folder: Path) -> Statement:
     """With what the project that was planned from states of limits and demands, if it fits."""
-    with suppress(InputError):
+    with suppress(InputError), carried_over():
         before = read_project(folder / PROJECT)
         if before.data is None:
             also = {k: v for k, v in before.inputs.items() if k in ("plan", "verdict")}

@@ -99,7 +99,8 @@ def contradiction(case: Case) -> Explanation | None:
         "wrong-unit",
         f"the units in the headers contradict the readings: the nominal machine fits with "
         f"{other}, and misses them by {_percent(stated)} of their spread as stated",
-        "correct the unit in the header, or remove it to have it inferred",
+        "correct the unit in the header, or state --infer-units, which takes none from headers",
+        ("--infer-units",),
     )
 
 
@@ -116,6 +117,7 @@ def objection(case: Case) -> Explanation | None:
         _coordinates(case),
         _reversed(case, 1),
         _displaced_zeros(case, 1),
+        _exchanged(case),
         _reversed(case, 2),
         _displaced_zeros(case, -1),
         _coupled(case),
@@ -297,6 +299,23 @@ def _reversed(case: Case, count: int) -> Iterator[Explanation]:
         )
 
 
+def _exchanged(case: Case) -> Iterator[Explanation]:
+    """Two joints under each other's columns."""
+    joints = tuple(zip(case.machine.joints, case.machine.units, strict=True))
+    for (one, unit_of_one), (other, unit_of_other) in combinations(joints, 2):
+        if unit_of_one == unit_of_other:
+            share, options = _counted(case, {one: Counting(), other: Counting()}, (one, other))
+            yield Explanation(
+                share,
+                "implausible-readings",
+                f"the columns of {one} and {other} are exchanged: the other way round the nominal "
+                f"machine misses the readings by {_percent(share)} of their spread, as read by "
+                f"{_percent(case.share)}",
+                "state --joints, with the columns in the order of the machine",
+                options,
+            )
+
+
 def _shuffled(case: Case) -> Iterator[Explanation]:
     """Of every way to read the columns, the first whose points fit in another order."""
     for way in case.ways if case.share > NOTHING else ():
@@ -359,9 +378,19 @@ def _coupled(case: Case) -> Iterator[Explanation]:
             )
 
 
-def _counted(case: Case, counting: Mapping[str, Counting]) -> tuple[float, tuple[str, ...]]:
-    """The least misfit with joints counted in another way, and the option that states this."""
+def _counted(
+    case: Case, counting: Mapping[str, Counting], exchanged: Sequence[str] = ()
+) -> tuple[float, tuple[str, ...]]:
+    """The least misfit with joints counted in another way, and the option that states this.
+
+    exchanged: two joints under each other's columns.
+    """
     layouts = list({id(way.layout): way.layout for way in case.ways[:_LIKELIEST]}.values())
+    if exchanged:
+        order = list(range(len(case.machine.joints)))
+        i, j = map(case.machine.joints.index, exchanged)
+        order[i], order[j] = j, i
+        layouts = [replace(one, joints=tuple(one.joints[k] for k in order)) for one in layouts]
     ways = every_way(case.machine, layouts, counting=counting)
     if not ways:
         return float("inf"), ()

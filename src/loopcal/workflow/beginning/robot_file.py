@@ -1,0 +1,75 @@
+"""What `init` is given beside the readings: the robot, its joints, columns that take no part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, TypedDict
+
+from loopcal.errors import InputError, nearest
+from loopcal.files.cameras.folder import files_of
+from loopcal.files.recognition.dh_table import is_dh
+from loopcal.files.recognition.joins import Fields
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """What describes the robot: a URDF, a table of Denavit-Hartenberg parameters, or a type.
+
+    base, tip: links of the URDF; joints: the columns of its joints, or expressions of them, divided
+    by commas; leave_out: names of columns that take no part, with * for any letters; infer_units:
+    whether units are taken from no header.
+    """
+
+    urdf: str | Path | None = None
+    dh: str | Path | None = None
+    machine: str | None = None
+    base: str | None = None
+    tip: str | None = None
+    joints: str | None = None
+    leave_out: str | None = None
+    observe: Sequence[str] = ()
+    infer_units: bool = False
+
+
+class InitOptions(TypedDict, total=False):
+    """What `init` is given beside the files: `RobotFile` says what each means."""
+
+    base: str | None
+    tip: str | None
+    joints: str | None
+    leave_out: str | None
+    observe: Sequence[str]
+    infer_units: bool
+
+
+def among(readings: Sequence[Any], robot: RobotFile) -> tuple[RobotFile, Sequence[Any]]:
+    """The one file among the readings that describes a robot, and the others."""
+    paths = files_of(readings)
+    urdfs = [path for path in paths if path.suffix == ".urdf"]
+    if len(urdfs) == 1:
+        return replace(robot, urdf=urdfs[0]), [r for r in readings if str(r) != str(urdfs[0])]
+    tables = [path for path in paths if is_dh(path)]
+    if len(tables) == 1:
+        return replace(robot, dh=tables[0]), [r for r in readings if str(r) != str(tables[0])]
+    return robot, readings
+
+
+def used(fields: Fields, robot: RobotFile) -> Fields:
+    """Without the columns that are left out, and without units that are to be inferred."""
+    kept = list(fields.fields)
+    if robot.infer_units:
+        kept = [f.without_unit() for f in kept]
+    for name in [part.strip() for part in (robot.leave_out or "").split(",") if part.strip()]:
+        gone = [f for f in kept if fnmatchcase(f.label, name)]
+        if not gone:
+            raise InputError(
+                f"{name!r} is no column",
+                code="unknown-name",
+                place="--leave-out",
+                remedy=nearest(name, [f.label for f in kept]),
+            )
+        kept = [f for f in kept if f not in gone]
+    return replace(fields, fields=tuple(kept))
