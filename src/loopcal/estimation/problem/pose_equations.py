@@ -34,6 +34,12 @@ class PoseEquations:
     D: Array
     X: Array
 
+    @property
+    def count(self) -> NDArray[np.intp]:
+        """(b,) equations that say anything: corners that were not detected leave zeros."""
+        counts: NDArray[np.intp] = self.X.any(axis=2).sum(axis=1)
+        return counts
+
 
 def pose_equations(
     problem: Problem, parameters: Array, corrections: Array
