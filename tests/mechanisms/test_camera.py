@@ -205,6 +205,6 @@ def test_pixels_are_predicted_without_closing_loops(monkeypatch: pytest.MonkeyPa
     )  # where the search begins does not matter
     arguments = (made, problem.start, x, problem.pose_constants)
     direct = prediction.predict_outputs(*arguments)
-    monkeypatch.setattr(prediction, "_of_pixels", lambda *_: None)
+    monkeypatch.setattr(prediction, "pixel_loops", lambda *_: None)
     np.testing.assert_allclose(direct, prediction.predict_outputs(*arguments), atol=1e-9)
     np.testing.assert_allclose(direct, uv.reshape(-1, 6), atol=1e-9)

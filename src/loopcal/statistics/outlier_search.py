@@ -285,11 +285,12 @@ class Search:
         """
         if self.scale == "stated":
             return replace(fit, factor=1.0, denominator=math.inf)
-        fit = replace(fit, alike={}, blocks=(), images=self._images(fit))
+        fit = replace(fit, alike={}, blocks=())
         blocks = fit.equations(self.problem)
         if self.scale == "residual":
             fit = replace(fit, alike=independent(blocks, ~gone))
         fit = replace(fit, blocks=fit.turned(blocks))
+        fit = replace(fit, images=self._images(fit))
         factor = self._factor(fit, gone, cleaned)
         if self.scale == "auto" and factor < self._plausible(gone):
             return replace(fit, factor=1.0, denominator=math.inf)

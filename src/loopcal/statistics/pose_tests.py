@@ -181,24 +181,32 @@ def pose_tests(problem: Problem, fit: Fitted, fitted: NDArray[np.bool_]) -> Pose
 
 
 def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> PoseTests:
-    spread = rows_times(block.D, fit.covariance) @ block.D.transpose(0, 2, 1)
-    values, vectors = np.linalg.eigh(spread)
-    # The eigenvalues of W: what the other poses leave to test in each direction.
+    # By the root of C, in units of the sds: an image has many more equations than parameters.
+    unit = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
+    sizes, directions = np.linalg.eigh(fit.covariance / unit / unit[:, None])
+    root = unit[:, None] * directions * np.sqrt(np.maximum(sizes, 0.0))
+    vectors, singular, _ = np.linalg.svd(rows_times(block.D, root), full_matrices=False)
+    # The eigenvalues of W: what the other poses leave to test in each direction; 1 in all others.
     # With the pose in C, 1 - D C D^T is the inverse of 1 + D C D^T without it (Woodbury).
+    values = np.square(singular)
     redundancy = np.where(fitted[:, None], 1.0 - values, 1.0 / (1.0 + values))
     open_ = redundancy > UNCONTROLLED
     turned = np.einsum("brs,br->bs", vectors, block.E)
     y = np.where(open_, turned * np.where(fitted[:, None], 1.0, redundancy), 0.0)
-    t = (np.square(y) / np.where(open_, redundancy, 1.0)).sum(axis=1) / fit.factor
-    X = np.einsum("brs,brk->bsk", vectors, block.X)
-    power = np.einsum("bs,bsk->kb", np.where(open_, redundancy, 0.0), np.square(X))
-    whole = np.square(X).sum(axis=1).T
+    rest = np.maximum(np.square(block.E).sum(axis=1) - np.square(turned).sum(axis=1), 0.0)
+    t = ((np.square(y) / np.where(open_, redundancy, 1.0)).sum(axis=1) + rest) / fit.factor
+    X = np.swapaxes(vectors, 1, 2) @ block.X
+    whole = np.square(block.X).sum(axis=1).T
+    lost = 1.0 - np.where(open_, redundancy, 0.0)
+    power = whole - np.einsum("bs,bsk->kb", lost, np.square(X))
+    along = np.einsum("brk,br->kb", block.X, block.E)
+    along -= np.einsum("bsk,bs->kb", X, turned - y)
     possible = (power > UNCONTROLLED * whole) & (power > 0.0)
-    root = np.sqrt(np.where(possible, power, 1.0))
+    length = np.sqrt(np.where(possible, power, 1.0))
     scale = np.sqrt(fit.factor)
-    w = np.where(possible, -np.einsum("bsk,bs->kb", X, y) / root / scale, np.nan)
-    silent = block.E.shape[1] - block.count
-    return PoseTests(t, open_.sum(axis=1) - silent, w, np.where(possible, scale / root, np.nan))
+    w = np.where(possible, -along / length / scale, np.nan)
+    freedom = block.count - (~open_).sum(axis=1)
+    return PoseTests(t, freedom, w, np.where(possible, scale / length, np.nan))
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,8 @@ def pose_equations(
             PoseEquations(
                 everything[block.poses],
                 whitened.E.T.copy(),
-                np.einsum("crb,ncb->brn", T, values.by_parameter if J_p is None else J_p),
+                T.transpose(2, 1, 0)
+                @ (values.by_parameter if J_p is None else J_p).transpose(2, 1, 0),
                 _by_readings(T, values.by_quantity, pattern),
             )
         )
