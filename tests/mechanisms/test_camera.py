@@ -15,7 +15,6 @@ from loopcal.estimation.problem import patterns
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.cameras.lens import Intrinsics, project
-from loopcal.mechanisms.instruments.camera import further_terms
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import OutputGroup
 from loopcal.statistics.region import _in_view
@@ -182,18 +181,6 @@ def test_a_camera_that_moves_puts_the_board_as_far_away() -> None:
         assert np.linalg.norm(moved, axis=1) == pytest.approx(np.ones(8), abs=1e-9)
 
 
-def test_further_terms_are_those_of_lens_and_print_that_are_free() -> None:
-    made = mechanism("base")
-    groups = further_terms(made.parameters)
-    assert [[name.split("_", 1)[1] for name in group] for group in groups] == [
-        ["k3"],
-        ["warp_x", "warp_y"],
-        ["aspect"],
-    ]
-    held = made.parameters.with_fixed(["*_k3", "*_warp_*"])
-    assert further_terms(held) == groups[2:]
-
-
 def test_pixels_are_predicted_without_closing_loops(monkeypatch: pytest.MonkeyPatch) -> None:
     T = hands(6, 4)
     uv = pixels(T, on="base")
@@ -205,6 +192,6 @@ def test_pixels_are_predicted_without_closing_loops(monkeypatch: pytest.MonkeyPa
     )  # where the search begins does not matter
     arguments = (made, problem.start, x, problem.pose_constants)
     direct = prediction.predict_outputs(*arguments)
-    monkeypatch.setattr(prediction, "_of_pixels", lambda *_: None)
+    monkeypatch.setattr(prediction, "pixel_loops", lambda *_: None)
     np.testing.assert_allclose(direct, prediction.predict_outputs(*arguments), atol=1e-9)
     np.testing.assert_allclose(direct, uv.reshape(-1, 6), atol=1e-9)

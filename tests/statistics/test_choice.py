@@ -13,7 +13,7 @@ import pytest
 import loopcal as lc
 from loopcal.execution.executor import InProcess
 from loopcal.statistics.case import Case, Entrant, entrants, without_terms
-from loopcal.statistics.choice import _about, _taken, choose
+from loopcal.statistics.choice import _taken, choose
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.judged import Judged
@@ -218,9 +218,3 @@ def test_a_calibration_that_does_not_converge_is_not_hidden_by_the_nominal_machi
     assert result.chosen is not None
     assert result.chosen.method == "implicit-loop"
     assert not result.status.converged
-
-
-def test_the_choice_says_what_images_think_of_a_term() -> None:
-    gain = Gain(0.021, 0.006, 20)
-    assert _about(["eye_k3"], gain, alike=False, likely=True) == "eye_k3 +0.0210 ± 0.0060 px"
-    assert _about(["a", "b"], None, alike=True, likely=False) == "a and b, less likely without"

@@ -17,7 +17,7 @@ import loopcal as lc
 from analyses.gauntlet_worlds import Parallel
 from loopcal.cli.application import app
 from loopcal.cli.registry import COMMANDS, loaded
-from loopcal.document.accuracy import BoardPlace, Coverage, Distances
+from loopcal.document.accuracy import Coverage
 from loopcal.document.catalogue import CATALOGUE
 from loopcal.document.change_points import (
     Change,
@@ -142,22 +142,6 @@ def test_every_finding_has_its_answer(code: str) -> None:
     assert found.sound.passed is passed
     assert found.sound.next
     assert found.grade == ("bad" if passed is False else "care")
-
-
-@pytest.mark.parametrize(("missed", "noise", "code"), [(6, 0, 1), (6, 5.9, 0), (1.4, 0, 0)])
-def test_images_not_used_speak_about_the_sd_that_is_stated_in_mm(
-    missed: float, noise: float, code: int
-) -> None:
-    document = clean()
-    assert document.prediction is not None
-    assert document.prediction.region is not None
-    stated = document.prediction.region.of("m")
-    assert stated is not None
-    sd = stated.sd_at_poses or 0.0
-    away = Distances(missed * sd, missed * sd, missed * sd, missed * sd, 6)
-    place = BoardPlace(None, away, 0.0, missed * sd, noise * sd, 0.0)
-    told = changed(document, "validation.places", (place,))
-    assert [f.code for f in findings_of(told)].count("board-missed") == code
 
 
 def test_halves_of_the_images_may_differ_by_three_sds_in_the_focal_length() -> None:

@@ -10,6 +10,7 @@ import pytest
 import loopcal as lc
 from analyses.cameras_truth import Shots, shots
 from loopcal.measurements.dataset import Dataset
+from loopcal.statistics.outlier_search import Search
 from loopcal.statistics.wrong_corners import wrong_corners
 from loopcal.workflow.beginning.initial import InitialProject
 
@@ -68,3 +69,30 @@ def test_an_image_in_another_order_is_one_outlier(begun: tuple[Shots, InitialPro
     outliers = lc.find_outliers(_fit(project, _changed(project.dataset, uv)))
     assert [(one.pose, one.quantity) for one in outliers.found] == [("8", None)]
     assert "another order" in (outliers.found[0].cause or "")
+
+
+def test_blurred_images_are_no_outliers_but_one_in_another_order_is(
+    begun: tuple[Shots, InitialProject],
+) -> None:
+    one, project = begun
+    rng = np.random.default_rng(6)
+    pixels = one.rig.pixels(one.rig.flange(one.q))
+    blur = np.exp(np.linspace(-0.7, 0.7, len(pixels)))[rng.permutation(len(pixels)), None, None]
+    uv = pixels + one.rig.corner * blur * rng.normal(size=pixels.shape)
+    assert not lc.find_outliers(_fit(project, _changed(project.dataset, uv))).found
+    uv[7] = uv[7, ::-1]
+    outliers = lc.find_outliers(_fit(project, _changed(project.dataset, uv)))
+    assert [(one.pose, one.quantity) for one in outliers.found] == [("8", None)]
+
+
+def test_corners_that_were_not_detected_are_no_equations(
+    begun: tuple[Shots, InitialProject],
+) -> None:
+    one, project = begun
+    uv = one.uv.copy()
+    uv[3, 4:] = np.nan
+    result = _fit(project, _changed(project.dataset, uv))
+    search = Search(result, 0.05, "auto")
+    _, _, tests = search.run()
+    points = uv.shape[1]
+    assert tests.freedom.tolist() == [2 * (4 if i == 3 else points) for i in range(len(uv))]

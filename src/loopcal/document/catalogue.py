@@ -207,13 +207,6 @@ _ROWS = (
         _PLAN,
     ),
     _sound_open(
-        "board-missed",
-        "Images not used put the board {missed:2} from where the machine puts it, without the "
-        "noise of corners: {ratio:2} times the predicted sd of {sd:2}.",
-        "Take more images. The predicted sd of few images is uncertain itself.",
-        _PLAN,
-    ),
-    _sound_open(
         "white-model-error",
         "Besides the sensors, the machine model has an error with an sd of {sd:3}, taken as "
         "independent from pose to pose.",

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.patterns import Pattern, held_loops
-from loopcal.estimation.problem.problem import BLOCK, Problem, Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting, most_poses
+from loopcal.estimation.sensitivity import pixel_loops
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.measurements.noise import ReadingUncertainty
-from loopcal.mechanisms.mechanism import PIXELS, Mechanism
+from loopcal.mechanisms.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 _SETTLED = 1e-9
@@ -36,7 +37,7 @@ def predict_outputs(
     """
     rows = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
     predicting = mechanism.predicting()
-    if (direct := _of_pixels(predicting, mechanism.outputs)) is not None:
+    if (direct := pixel_loops(predicting, mechanism.outputs)) is not None:
         # A loop of pixels is computed minus read.
         values = _loop_values(
             predicting.tape, parameters, readings, pose_constants, tuple(estimated)
@@ -46,20 +47,6 @@ def predict_outputs(
     place = {name: i for i, name in enumerate(predicting.parameters.names)}
     free = np.array([place[name] for name in estimated], dtype=np.intp)
     return _closed(predicting, loops, rows, parameters, readings, pose_constants, free)[rows]
-
-
-def _of_pixels(predicting: Mechanism, outputs: Sequence[str]) -> list[int] | None:
-    """For each output the loop whose pixel it is; None where other loops are to be closed."""
-    loop_of = {
-        reading: loop
-        for family in predicting.families
-        if family.form == PIXELS
-        for loop, reading in zip(family.loops, family.readings, strict=True)
-    }
-    loops = predicting.tape.loops
-    if {loop_of.get(output) for output in outputs} != {*loops}:
-        return None
-    return [loops.index(loop_of[output]) for output in outputs]
 
 
 def solving(mechanism: Mechanism, hidden: Collection[str]) -> Mechanism:
@@ -205,10 +192,11 @@ def _loop_values(
     tape: Tape, parameters: Array, readings: Array, pose_constants: Array, names: tuple[str, ...]
 ) -> Array:
     """f(x, p) (m, N) at readings (k, N), by the engine with derivatives by these parameters."""
-    engine = engine_for(tape, names, min(BLOCK, max(readings.shape[1], 1)))
+    size = most_poses(tape, len(names))
+    engine = engine_for(tape, names, min(size, max(readings.shape[1], 1)))
     out = np.empty((len(tape.loops), readings.shape[1]))
-    for begin in range(0, readings.shape[1], BLOCK):
-        part = slice(begin, begin + BLOCK)
+    for begin in range(0, readings.shape[1], size):
+        part = slice(begin, begin + size)
         out[:, part] = engine.evaluate(
             parameters, readings[:, part], pose_constants[:, part], Stage.VALUES
         ).f

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.problem.problem import BLOCK
+from loopcal.estimation.problem.problem import most_poses
 from loopcal.expressions.engine import engine_for
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 
 Array = NDArray[np.float64]
 
@@ -45,22 +45,41 @@ def output_sensitivity(
     quantities, unused = mechanism.tape.quantities, mechanism.unused
     outputs = [quantities.index(name) for name in mechanism.outputs]
     determined = [i for i in dict.fromkeys([*outputs, *also]) if quantities[i] not in unused]
+    direct = None if len(determined) > len(outputs) else pixel_loops(mechanism, mechanism.outputs)
     poses, o = x.shape[1], len(outputs)
     by_parameter = np.full((poses, o, len(names)), np.nan)
     by_reading = np.full((poses, o, len(quantities)), np.nan)
-    engine = engine_for(mechanism.tape, tuple(names), min(BLOCK, max(poses, 1)))
-    for begin in range(0, poses, BLOCK):
-        part = slice(begin, min(begin + BLOCK, poses))
+    size = most_poses(mechanism.tape, len(names))
+    engine = engine_for(mechanism.tape, tuple(names), min(size, max(poses, 1)))
+    for begin in range(0, poses, size):
+        part = slice(begin, min(begin + size, poses))
         values = engine.evaluate(parameters, x[:, part], pose_constants[:, part])
         J_x = values.by_quantity.transpose(2, 1, 0)
         J_p = values.by_parameter.transpose(2, 1, 0)
         good = np.isfinite(J_x).all(axis=(1, 2)) & np.isfinite(J_p).all(axis=(1, 2))
+        where = np.flatnonzero(good) + begin
+        if direct is not None:  # the slope of a loop by its own pixel is -1
+            by_parameter[where] = J_p[good][:, direct]
+            by_reading[where] = J_x[good][:, direct]
+            continue
         # There may be more loops than unknowns, which then come nearest in least squares. The
         # outputs are the first o of them.
         solve = -np.linalg.pinv(J_x[good][:, :, determined])[:, :o]
-        where = np.flatnonzero(good) + begin
         by_parameter[where] = solve @ J_p[good]
-        J_r = J_x[good].copy()
-        J_r[:, :, determined] = 0.0
-        by_reading[where] = solve @ J_r
+        by_reading[where] = solve @ J_x[good]
+    by_reading[:, :, determined] = 0.0
     return Sensitivity(by_parameter, by_reading)
+
+
+def pixel_loops(predicting: Mechanism, outputs: Sequence[str]) -> list[int] | None:
+    """For each output the loop whose pixel it is; None where other loops are to be closed."""
+    loop_of = {
+        reading: loop
+        for family in predicting.families
+        if family.form == PIXELS
+        for loop, reading in zip(family.loops, family.readings, strict=True)
+    }
+    loops = predicting.tape.loops
+    if {loop_of.get(output) for output in outputs} != {*loops}:
+        return None
+    return [loops.index(loop_of[output]) for output in outputs]

@@ -364,7 +364,7 @@ class Mechanism:
             raise unknown_name(f"the reading {missing[0]!r} is absent", missing[0], list(read))
         every = np.array(np.broadcast_arrays(*map(np.asarray, rows)), dtype=float)
         x, constants = np.split(every, [len(self.tape.quantities)])
-        engine = engine_for(self.tape, (), max(x.shape[1], 1))
+        engine = engine_for(self.tape, (), max(x.shape[1], 1), ())
         f = engine.evaluate(p, x, constants, Stage.VALUES).f
         return dict(zip(self.tape.loops, np.array(f), strict=True))
 

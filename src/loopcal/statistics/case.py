@@ -211,14 +211,6 @@ def without_terms(case: Case, one: Entrant, terms: Collection[str]) -> Entrant |
     return replace(one, case=replace(one.case, mechanism=fewer))
 
 
-def holding(one: Entrant, names: Collection[str]) -> Entrant:
-    """A candidate that holds these parameters as stated."""
-    case = one.case
-    mechanism = case.fit.with_prior(case.mechanism)
-    mechanism = mechanism.with_parameters(mechanism.parameters.with_fixed(names))
-    return replace(one, case=replace(case, mechanism=mechanism, fit=case.fit.changed(prior=None)))
-
-
 def nominal_case(case: Case, moved: Collection[str] = ()) -> Case:
     """The nominal machine, placed and mounted by readings of instruments weighted alike."""
     mechanism = nominal_machine(case.fit.with_prior(case.mechanism), moved)

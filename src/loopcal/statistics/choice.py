@@ -7,16 +7,15 @@ parts: poses at random, and regions of the joint space. The risk of a candidate 
 squared distance there, averaged over both ways to leave the pose out; without outputs it is minus
 twice the log density of its loops.
 
-Of structured candidates those terms leave whose gain is not positive; of calibrations by images
-those further terms of lens and print without which images are predicted as well, and as likely. The
-one of least risk is taken, but one that takes no sensor as exact where that is within one paired
-standard error of it, and with only its certain terms where these are. It is taken, or without one
-the first method, unless another is significantly better: lower in both, by more than the 97.5 %
-point of Student's t times the standard error of the mean difference. Errors in one region are not
-independent, so regions are the units of the second; the units of the first are poses. Against a
-structured candidate both must be significant, because poses of a narrow set cannot show what its
-prior is good for elsewhere; between plain methods one is enough. What another candidate beats by
-the rule of the verdict (`loopcal.document.choice.beats`) is never taken.
+Of structured candidates those terms leave whose gain is not positive. The one of least risk is
+taken, but one that takes no sensor as exact where that is within one paired standard error of it,
+and with only its certain terms where these are. It is taken, or without one the first method,
+unless another is significantly better: lower in both, by more than the 97.5 % point of Student's t
+times the standard error of the mean difference. Errors in one region are not independent, so
+regions are the units of the second; the units of the first are poses. Against a structured
+candidate both must be significant, because poses of a narrow set cannot show what its prior is good
+for elsewhere; between plain methods one is enough. What another candidate beats by the rule of the
+verdict (`loopcal.document.choice.beats`) is never taken.
 """
 
 from __future__ import annotations
@@ -38,9 +37,8 @@ from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import helping, process_cores
-from loopcal.mechanisms.instruments.camera import further_terms
 from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
-from loopcal.statistics.case import Case, Entrant, entrants, holding
+from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.culprits import culprits
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
@@ -51,7 +49,6 @@ from loopcal.statistics.judged import Judged, begun, fitted, lean
 from loopcal.statistics.noise_floor import excess, noise_floor
 from loopcal.statistics.risks import (
     beats,
-    explains_as_well,
     mean_risk,
     predicts_as_well,
     risk_of,
@@ -144,11 +141,9 @@ def choose(
     judged = [*judged, *more]
     _refuse(judged)
     judged = gathered(process_cores(), lean, case, judged)
-    about_terms = ""
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
         judged = _with_fewer(case, judged, plan, executor, progress)
-        judged, about_terms = _without_further(judged, plan, len(case.data), executor)
         judged = _refitted(judged, plan, len(case.data), executor)
     taken, chosen, validation = _choice(judged, plan, len(case.data))
     about_images: dict[str, Any] = {}
@@ -159,7 +154,7 @@ def choose(
             validation = replace(validation, images=image_validation(taken, plan, executor))
     assert taken.whole is not None
     exact = (one.failed for one in judged if one.error and one.error.code == CONTRADICTED)
-    words = chosen.words + about_terms + run_changes.words()
+    words = chosen.words + run_changes.words()
     chosen = replace(chosen, words=words, contradicted=next(exact, None))
     if other is not None:
         validation = validated(taken.entrant.case, taken.whole, other)
@@ -295,50 +290,6 @@ def _with_fewer(
     if fewer.failed or not predicts_as_well(risk, risks[taken.name], plan):
         return [*judged]
     return [fewer if one is taken else one for one in judged]
-
-
-def _without_further(
-    judged: Sequence[Judged], plan: Plan, poses: int, executor: Executor | None
-) -> tuple[list[Judged], str]:
-    """The calibration of images that would be taken, where each group of terms of lens and print
-    is held as stated without which it predicts as well and loops are as likely: each within one
-    paired standard error. And which, in words."""
-    able = [one for one in judged if one.made and not one.entrant.drawn]
-    if not able:
-        return [*judged], ""
-    held, free = list[str](), list[str]()
-    taken = first = _taken(able, {one.name: risk_of(one, plan, poses) for one in able}, plan)
-    for names in further_terms(taken.entrant.case.mechanism.parameters):
-        fewer = fitted(begun(holding(taken.entrant, names), taken.whole))
-        if fewer.failed:
-            continue
-        (fewer,) = _validated([fewer], plan, executor, None)
-        if not fewer.made:
-            continue
-        risk, base = (risk_of(one, plan, poses) for one in (fewer, taken))
-        alike = predicts_as_well(risk, base, plan)
-        likely = explains_as_well(fewer, taken, plan, poses)
-        words = _about(names, Gain.in_rms(base[0], risk[0], plan.groups), alike, likely)
-        (held if alike and likely else free).append(words)
-        taken = fewer if alike and likely else taken
-    about = (
-        "; terms of lens and print, by rms without them minus with them: " if held or free else ""
-    )
-    about += "; ".join(
-        f"{how} {', '.join(words)}"
-        for how, words in (("held as stated", held), ("free", free))
-        if words
-    )
-    return [taken if one is first else one for one in judged], about
-
-
-def _about(names: Sequence[str], gain: Gain | None, alike: bool, likely: bool) -> str:
-    """Terms that were held on trial, and what images not used say."""
-    words = shortened(" and ".join(names), 60)
-    if gain is not None and math.isfinite(gain.sd):
-        sd = max(gain.sd, 1e-4)
-        words += f" {by_sd(gain.difference, sd, 'px', sign=True)} ± {by_sd(sd, sd, 'px')} px"
-    return words + (", less likely without" if alike and not likely else "")
 
 
 def _refitted(

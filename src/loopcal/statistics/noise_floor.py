@@ -10,12 +10,15 @@ No calibration can do better on readings that are not corrected.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.accuracy import main_unit
 from loopcal.estimation.noise.learning import typical_sd
+from loopcal.estimation.problem.patterns import Pattern
+from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.mechanisms.outputs import POLAR, Seen, cartesian, seen_outputs
@@ -61,9 +64,9 @@ def _floor(result: FitResult) -> float | None:
     sds[[quantities.index(q) for q in mechanism.disturbances]] = 0.0
     values = np.array([p.nominal for p in mechanism.parameters])
     parts = []
-    for pattern in problem.patterns:
-        x = problem.readings[:, pattern.poses] + result.solution.corrections[:, pattern.poses]
-        constants, sd = problem.pose_constants[:, pattern.poses], sds[:, pattern.poses]
+    for pattern, poses in _blocks(problem):
+        x = problem.readings[:, poses] + result.solution.corrections[:, poses]
+        constants, sd = problem.pose_constants[:, poses], sds[:, poses]
         S = output_sensitivity(
             mechanism, values, problem.names, x, constants, pattern.unmeasured
         ).by_reading
@@ -77,6 +80,15 @@ def _floor(result: FitResult) -> float | None:
     squares = np.concatenate(parts) if parts else np.empty(0)
     squares = squares[np.isfinite(squares)]
     return math.sqrt(float(squares.mean())) if squares.size else None
+
+
+def _blocks(problem: Problem) -> Iterator[tuple[Pattern, NDArray[np.intp]]]:
+    """Patterns with some of their poses: slopes by all readings are large for images."""
+    everything = np.arange(len(problem.poses))
+    for pattern in problem.patterns:
+        poses = everything[pattern.poses]
+        for begin in range(0, len(poses), problem.most):
+            yield pattern, poses[begin : begin + problem.most]
 
 
 def _squares(

@@ -23,12 +23,14 @@ from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.solution import Solution
+from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.statistics.folds import blocks
 from loopcal.statistics.pose_tests import (
     Fitted,
     PoseTests,
     independent,
     pose_tests,
+    scatter_of_images,
     settle,
     tail,
 )
@@ -65,6 +67,8 @@ class Search:
         names = self.problem.mechanism.tape.quantities
         aside = set(self.problem.mechanism.disturbances)
         self.readings = np.array([name not in aside for name in names])
+        read = [f.readings for f in self.problem.mechanism.families if f.form == PIXELS]
+        self.pixels = np.array([any(name in some for some in read) for name in names])
 
     def hopeless(self) -> bool:
         """Whether whole columns may be wrong: a bad fit, or one that bent the machine a lot."""
@@ -200,12 +204,18 @@ class Search:
     def _ratios(self, fit: Fitted) -> Array:
         """|E|^2 / r of every pose (N,), in units in which the median of a good one is that of a
         normal one; infinite where it is no number."""
-        ratios = np.zeros(len(self.problem.poses))
-        for block in fit.equations(self.problem):
-            r = block.E.shape[1]
-            if r:
-                ratios[block.poses] = np.square(block.E).sum(axis=1) / r
+        squares, equations = self._squares(fit)
+        ratios = squares / np.maximum(equations, 1)
         return np.where(np.isfinite(ratios), ratios, np.inf)
+
+    def _squares(self, fit: Fitted) -> tuple[Array, NDArray[np.intp]]:
+        """|E|^2 of every pose (N,), and its number of equations (N,)."""
+        squares = np.zeros(len(self.problem.poses))
+        equations = np.zeros(len(squares), dtype=np.intp)
+        for block in fit.equations(self.problem):
+            squares[block.poses] = np.square(block.E).sum(axis=1)
+            equations[block.poses] = block.count
+        return squares, equations
 
     def tested(self, tests: PoseTests) -> int:
         """How many poses the tests speak of: of a stream all, for what fits badly is here."""
@@ -222,7 +232,11 @@ class Search:
 
     def _remarkable(self, tests: PoseTests) -> NDArray[np.bool_]:
         # Half of the level for poses, half for readings, shared by all of each (Bonferroni).
-        w = tests.w[self.readings]
+        w = tests.w.copy()
+        # a corner stands out from the others of its image
+        rest = (tests.t - np.square(w[self.pixels])) / np.maximum(tests.freedom - 1, 1)
+        w[self.pixels] /= np.sqrt(np.maximum(rest, 1.0))
+        w = w[self.readings]
         poses = 0.5 * self.level / max(self.tested(tests), 1)
         readings = 0.5 * self.level / max(float(np.isfinite(w).sum()) * self._share, 1)
         misfit = ~(tests.p_pose >= poses)  # what is no number is one
@@ -276,6 +290,7 @@ class Search:
         if self.scale == "residual":
             fit = replace(fit, alike=independent(blocks, ~gone))
         fit = replace(fit, blocks=fit.turned(blocks))
+        fit = replace(fit, images=self._images(fit))
         factor = self._factor(fit, gone, cleaned)
         if self.scale == "auto" and factor < self._plausible(gone):
             return replace(fit, factor=1.0, denominator=math.inf)
@@ -285,17 +300,19 @@ class Search:
         denominator = equations if cleaned else 2.0 * kept / _MEDIAN_SD**2
         return replace(fit, factor=factor, denominator=max(denominator, 1.0))
 
+    def _images(self, fit: Fitted) -> float:
+        """How alike images scatter, as `scatter_of_images` has it."""
+        if not self.pixels.any():
+            return math.inf
+        return scatter_of_images(self._ratios(fit), self._squares(fit)[1])
+
     def _factor(self, fit: Fitted, gone: NDArray[np.bool_], cleaned: bool) -> float:
         pose_blocks = fit.equations(self.problem)
-        ratios, total, equations = [], 0.0, 0
-        for block in pose_blocks:
-            r = block.E.shape[1]
-            if r:
-                s = np.square(block.E).sum(axis=1)[~gone[block.poses]]
-                ratios.append(s / quantile(0.5, r))
-                total, equations = total + float(s.sum()), equations + r * len(s)
-        middle = float(np.median(np.concatenate(ratios)))
-        spare, mean = self._spare(fit), total / equations if cleaned else 0.0
+        squares, equations = (one[~gone] for one in self._squares(fit))
+        squares, equations = squares[equations > 0], equations[equations > 0]
+        middle = float(np.median(squares / quantile(0.5, equations.astype(float))))
+        total = float(squares.sum() / equations.sum())
+        spare, mean = self._spare(fit), total if cleaned else 0.0
         return max(middle / spare, mean / spare, rounding_left(self.problem, pose_blocks), 1e-300)
 
     def _spare(self, fit: Fitted) -> float:

@@ -35,6 +35,11 @@ _POINT, _ENOUGH, _HUBER, _ROUNDS = 3, 10, 1.5, 4
 """Equations that a point gives; poses for each equation from which their scatter is known; from so
 many sds on a pose counts less, in so many rounds."""
 
+# Chosen, not derived: fewer equations, or images, do not show how scales differ.
+_IMAGE, _IMAGES = 8, 5
+_NORMAL = 1.4826
+"""sd of a normal variable over its median absolute deviation."""
+
 
 @dataclass(frozen=True)
 class PoseTests:
@@ -42,7 +47,8 @@ class PoseTests:
 
     t: (N,) chi-squared of the pose, freedom: (N,) its degrees of freedom; w: (k, N) of each
     reading, NaN where it cannot be tested; sd: (k, N) of the size of its error [SI]; denominator:
-    degrees of freedom of the scale, inf where it is known.
+    degrees of freedom of the scale, inf where it is known; images: those by which the scale of one
+    image differs from that of another, inf where they are alike.
     """
 
     t: Array
@@ -50,11 +56,18 @@ class PoseTests:
     w: Array
     sd: Array
     denominator: float = math.inf
+    images: float = math.inf
+
+    @property
+    def of_pose(self) -> float:
+        """Degrees of freedom of the scale of one pose."""
+        relative = 1.0 / self.denominator + 1.0 / self.images
+        return 1.0 / relative if relative else math.inf
 
     @property
     def p_pose(self) -> Array:
         """Probability of such a t where the pose is good, (N,)."""
-        return tail(self.t, self.freedom, self.denominator)
+        return tail(self.t, self.freedom, self.of_pose)
 
 
 @dataclass(frozen=True)
@@ -62,9 +75,10 @@ class Fitted:
     """Where a fit stands: parameters (n_all,), corrections (k, N) [SI], covariance (n, n) at a
     variance factor of 1, the factor itself with its degrees of freedom, inf where it is known.
 
-    alike: number of equations r -> (r, r) by which those of a pose are turned to be independent and
-    alike, where the scale of errors that several targets share comes from the residuals; blocks:
-    the equations of all poses of the fit where they are at hand.
+    images: degrees of freedom by which the scales of images differ (`scatter_of_images`), inf where
+    they are alike; alike: number of equations r -> (r, r) by which those of a pose are turned to be
+    independent and alike, where the scale of errors that several targets share comes from the
+    residuals; blocks: the equations of all poses of the fit where they are at hand.
     """
 
     parameters: Array
@@ -72,6 +86,7 @@ class Fitted:
     covariance: Array
     factor: float
     denominator: float = math.inf
+    images: float = math.inf
     alike: Mapping[int, Array] = field(default_factory=dict)
     blocks: tuple[PoseEquations, ...] = ()
 
@@ -117,6 +132,22 @@ def independent(blocks: Sequence[PoseEquations], kept: NDArray[np.bool_]) -> dic
     return whitenings
 
 
+def scatter_of_images(ratios: Array, equations: NDArray[np.intp]) -> float:
+    """Degrees of freedom nu of the scales of images, from |E|^2 / r (N,) and r (N,).
+
+    Blur, light and distance make corners of one image scatter more than those of another. With
+    variances of inverse chi-squared, |E|^2 / r follows F(r, nu), and its logarithm has about the
+    variance 2 / r + 2 / nu. The median absolute deviation measures that, bad images or not.
+    """
+    able = (equations >= _IMAGE) & np.isfinite(ratios) & (ratios > 0.0)
+    if able.sum() < _IMAGES:
+        return math.inf
+    logs = np.log(ratios[able])
+    variance = (_NORMAL * float(np.median(np.abs(logs - np.median(logs))))) ** 2
+    further = variance - float((2.0 / equations[able]).mean())
+    return 2.0 / further if further > 0.0 else math.inf
+
+
 def tail(t: Array, freedom: NDArray[np.intp], denominator: float = math.inf) -> Array:
     """Probability of a chi-squared above t; 1 without freedom to test, 0 for an infinite t.
 
@@ -146,27 +177,36 @@ def pose_tests(problem: Problem, fit: Fitted, fitted: NDArray[np.bool_]) -> Pose
             w[:, block.poses], sd[:, block.poses] = tests.w, tests.sd
     hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, w.shape))
     w[hidden] = np.nan
-    return PoseTests(t, freedom, w, sd, fit.denominator)
+    return PoseTests(t, freedom, w, sd, fit.denominator, fit.images)
 
 
 def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> PoseTests:
-    spread = rows_times(block.D, fit.covariance) @ block.D.transpose(0, 2, 1)
-    values, vectors = np.linalg.eigh(spread)
-    # The eigenvalues of W: what the other poses leave to test in each direction.
+    # By the root of C, in units of the sds: an image has many more equations than parameters.
+    unit = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
+    sizes, directions = np.linalg.eigh(fit.covariance / unit / unit[:, None])
+    root = unit[:, None] * directions * np.sqrt(np.maximum(sizes, 0.0))
+    vectors, singular, _ = np.linalg.svd(rows_times(block.D, root), full_matrices=False)
+    # The eigenvalues of W: what the other poses leave to test in each direction; 1 in all others.
     # With the pose in C, 1 - D C D^T is the inverse of 1 + D C D^T without it (Woodbury).
+    values = np.square(singular)
     redundancy = np.where(fitted[:, None], 1.0 - values, 1.0 / (1.0 + values))
     open_ = redundancy > UNCONTROLLED
     turned = np.einsum("brs,br->bs", vectors, block.E)
     y = np.where(open_, turned * np.where(fitted[:, None], 1.0, redundancy), 0.0)
-    t = (np.square(y) / np.where(open_, redundancy, 1.0)).sum(axis=1) / fit.factor
-    X = np.einsum("brs,brk->bsk", vectors, block.X)
-    power = np.einsum("bs,bsk->kb", np.where(open_, redundancy, 0.0), np.square(X))
-    whole = np.square(X).sum(axis=1).T
+    rest = np.maximum(np.square(block.E).sum(axis=1) - np.square(turned).sum(axis=1), 0.0)
+    t = ((np.square(y) / np.where(open_, redundancy, 1.0)).sum(axis=1) + rest) / fit.factor
+    X = np.swapaxes(vectors, 1, 2) @ block.X
+    whole = np.square(block.X).sum(axis=1).T
+    lost = 1.0 - np.where(open_, redundancy, 0.0)
+    power = whole - np.einsum("bs,bsk->kb", lost, np.square(X))
+    along = np.einsum("brk,br->kb", block.X, block.E)
+    along -= np.einsum("bsk,bs->kb", X, turned - y)
     possible = (power > UNCONTROLLED * whole) & (power > 0.0)
-    root = np.sqrt(np.where(possible, power, 1.0))
+    length = np.sqrt(np.where(possible, power, 1.0))
     scale = np.sqrt(fit.factor)
-    w = np.where(possible, -np.einsum("bsk,bs->kb", X, y) / root / scale, np.nan)
-    return PoseTests(t, open_.sum(axis=1), w, np.where(possible, scale / root, np.nan))
+    w = np.where(possible, -along / length / scale, np.nan)
+    freedom = block.count - (~open_).sum(axis=1)
+    return PoseTests(t, freedom, w, np.where(possible, scale / length, np.nan))
 
 
 @dataclass(frozen=True)

@@ -319,7 +319,7 @@ def parts_at(
     values = np.array([p.nominal for p in solved.parameters])
     unread = _unread_joints(solved, x)
     x[unread] = 0.0
-    y = predict_outputs(solved, values, x, constants)
+    y = predict_outputs(solved, values, x, constants, calibrated.names)
     x[[names.index(q) for q in solved.outputs]] = y
     for i, moved_by in enumerate(_moved_by(solved) if unread.any() else ()):
         y[i, unread[moved_by].any(axis=0)] = np.nan

@@ -22,6 +22,7 @@ from loopcal.document.findings import RegionEntry, RegionRange, RegionSd
 from loopcal.estimation.cameras.at_board import sight_of
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.constants import as_now
+from loopcal.estimation.problem.problem import VALUES
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.limits import joint_limits
@@ -75,33 +76,24 @@ def region_of(
     if cameras:
         solved = solving(mechanism, also)
         values = np.array([p.nominal for p in solved.parameters])
-        pixels = predict_outputs(solved, values, np.nan_to_num(x), constants)
+        now_at = np.nan_to_num(x), constants
+        pixels = predict_outputs(solved, values, *now_at, calibrated.names)
         seen = np.any([_in_view(corrected, names, group, pixels) for group in groups], axis=0)
         kept = np.flatnonzero(seen)[:_POSES]
         if len(kept) < _FEWEST:
             return None
         x, constants = x[:, kept], constants[:, kept]
-    region = _parts(calibrated, x, constants, also)
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
-    fit = _parts(calibrated, corrected[:, some], now[:, some], also, True)
+    _, of_fit = _sds(calibrated, groups, corrected[:, some], now[:, some], also, measured=True)
+    predicted, of_region = _sds(calibrated, groups, x, constants, also)
     read = np.isfinite(np.broadcast_to(problem.uncertainty.sd, corrected.shape))[:, some]
     worst: dict[str, tuple[float, RegionSd]] = {}
-    for group in groups:
-        at, over = (trace_sd(parts.covariance, group) for parts in (fit, region))
-        sizes = {group.unit: (at, over)}
-        if group.points > 1:
-            out = ~_in_view(corrected, names, group, region.outputs)
-            over[out] = np.nan
-            at, over = (
-                _at_board(calibrated, group, *one)
-                for one in ((corrected[:, some], now[:, some], fit), (x, constants, region))
-            )
-            over[out] = np.nan
-            sizes["m"] = at, over
+    for group, at_poses, over_region in zip(groups, of_fit, of_region, strict=True):
+        out = group.points > 1 and ~_in_view(corrected, names, group, predicted)
         # Of poses in which an instrument read nothing, no data say how sure it is there.
         seen = read[[names.index(q) for q in group.outputs]].any(axis=0)
-        for unit, (at, over) in sizes.items():
-            at = np.where(seen, at, np.nan)
+        for unit, at in at_poses.items():
+            at, over = np.where(seen, at, np.nan), np.where(out, np.nan, over_region[unit])
             ratio, sd = _ratio(unit, at[np.isfinite(at)], over[~np.isnan(over)])
             if sd is not None and ratio >= worst.get(unit, (0.0, None))[0]:
                 worst[unit] = ratio, sd
@@ -142,15 +134,53 @@ def _ratio(unit: str, at: Array, over: Array) -> tuple[float, RegionSd | None]:
     return ratio, RegionSd(unit, mean, *finite)
 
 
+def _sds(
+    calibrated: Predictor,
+    groups: Sequence[OutputGroup],
+    x: Array,
+    constants: Array,
+    also: list[str],
+    *,
+    measured: bool = False,
+) -> tuple[Array, list[dict[str, Array]]]:
+    """Outputs (o, N) at readings x (k, N), and of each group unit -> sd (N,); of images by m too.
+
+    In parts, because covariances of images are large.
+    """
+    size = max(1, VALUES // len(calibrated.units) ** 2)
+    outputs, sds = [], []
+    for begin in range(0, x.shape[1], size):
+        part = slice(begin, begin + size)
+        at = x[:, part], constants[:, part]
+        parts = _parts(calibrated, *at, also, measured)
+        covariance = parts.covariance
+        outputs.append(parts.outputs)
+        sds.append([_by_unit(calibrated, group, *at, covariance) for group in groups])
+    joined = [
+        {unit: np.concatenate([one[i][unit] for one in sds]) for unit in sds[0][i]}
+        for i in range(len(groups))
+    ]
+    return np.concatenate(outputs, axis=1), joined
+
+
+def _by_unit(
+    calibrated: Predictor, group: OutputGroup, x: Array, constants: Array, covariance: Array
+) -> dict[str, Array]:
+    sds = {group.unit: trace_sd(covariance, group)}
+    if group.points > 1:
+        sds["m"] = _at_board(calibrated, group, x, constants, covariance)
+    return sds
+
+
 def _at_board(
-    calibrated: Predictor, group: OutputGroup, x: Array, constants: Array, parts: Parts
+    calibrated: Predictor, group: OutputGroup, x: Array, constants: Array, covariance: Array
 ) -> Array:
     """(N,) sd [m] of the board that a camera sees at readings x (k, N)."""
     mechanism = calibrated.mechanism
     values = np.array([p.nominal for p in mechanism.parameters])
     sight = sight_of(mechanism, group.instrument, values, np.nan_to_num(x), constants)
     o = len(mechanism.outputs)
-    return replace(sight, slopes=sight.slopes[:, :, :o]).sds(parts.covariance)
+    return replace(sight, slopes=sight.slopes[:, :, :o]).sds(covariance)
 
 
 def _in_view(

@@ -39,38 +39,19 @@ def risks_of_part(whole: FitResult, part: Predicted) -> Array:
     distances = by_pose(deviations(whole.mechanism, part.measured, part.differences))
     if distances is not None:
         return np.square(distances)
-    return _surprise(whole, part)
-
-
-def _surprise(whole: FitResult, part: Predicted) -> Array:
-    """(n,) minus twice the log densities."""
     stated = part.stated(whole.drifting)
     density = None if stated is None else stated.log_density
     return np.full(len(part.index), np.nan) if density is None else -2.0 * density
 
 
-def explains_as_well(one: Judged, other: Judged, plan: Plan, poses: int) -> bool:
-    """Whether the loops of poses at random, left out, are as likely by a candidate as by another:
-    within one paired standard error. Noise of a pose hides what distances alone would show."""
-    risks = (_of_parts(one, plan, poses, _surprise)[0], _of_parts(other, plan, poses, _surprise)[0])
-    gain = Gain.of(risks[1], risks[0], plan.groups)
-    return not gain.clusters or gain.difference <= gain.sd
-
-
 def risk_of(one: Judged, plan: Plan, poses: int) -> Array:
     """(2, N): risk where the pose was left out at random, and with its region; NaN if unknown."""
-    return _of_parts(one, plan, poses, risks_of_part)
-
-
-def _of_parts(
-    one: Judged, plan: Plan, poses: int, risk: Callable[[FitResult, Predicted], Array]
-) -> Array:
     risks = np.full((2, poses), np.nan)
     if one.whole is not None:
         for number, part in enumerate(one.made):
             if isinstance(part, Predicted):
                 row = int(number >= len(plan.random.indices))
-                risks[row, part.index] = risk(one.whole, part)
+                risks[row, part.index] = risks_of_part(one.whole, part)
     return risks
 
 

@@ -76,8 +76,8 @@ def scatter(result: FitResult) -> Scatter | None:
         # 1 - values are the eigenvalues of H_i.
         single += float(np.square((1.0 - values).sum(axis=1)).sum() + np.square(1.0 - values).sum())
         root = vectors / np.sqrt(np.maximum(values, _LEAST))[:, None, :]
-        freed = np.einsum("brs,bts,bt->br", root, vectors, block.E)
-        pulls = np.einsum("brn,br->bn", turned, freed)
+        freed = root @ (np.swapaxes(vectors, 1, 2) @ block.E[:, :, None])
+        pulls = (np.swapaxes(turned, 1, 2) @ freed)[:, :, 0]
         matrix = matrix + pulls.T @ pulls
     poses = (np.trace(whole) ** 2 + np.trace(whole @ whole)) / max(single, 1e-300)
     left = 1.0 - rank / max(solution.equations, 1)

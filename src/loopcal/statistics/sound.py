@@ -36,8 +36,6 @@ from loopcal.statistics.judged_readings import (
 # Chosen, not derived: less is within what single regions differ by.
 WORSE = 1.5
 """Rms on poses not used over rms on poses used that is called too large."""
-OF_RMS = 0.41
-"""sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
 # Record 0054; `analyses.small_changes` counts what the regions then hold.
 SMALL = 0.5
 """Predicted sds by which changes may move the end point: 95 % regions then hold at least 90 %."""
@@ -224,36 +222,6 @@ def _overfitted(document: ResultDocument) -> Fact | None:
     return fact("overfitted", numbers={"ratio": unseen.rms / accuracy.after.rms})
 
 
-def _board_missed(document: ResultDocument) -> Fact | None:
-    """Where images not used contradict the predicted sd of the board's place.
-
-    Regions of pixels hold with so few images because they are wide, while an sd is stated in mm.
-    The missed distance is rms without the noise of corners, at the lower end of its interval.
-    """
-    validation, region = document.validation, document.region
-    stated = None if region is None else region.of("m")
-    if validation is None or stated is None or not stated.sd_at_poses:
-        return None
-    sd = stated.sd_at_poses
-    missed, ratio = 0.0, 0.0
-    for place in validation.places:
-        if place.position is None or place.noise_across is None or place.noise_along is None:
-            continue
-        noise, rms = math.hypot(place.noise_across, place.noise_along), place.position.rms
-        least = rms * (1.0 - 2.0 * OF_RMS / math.sqrt(place.position.poses or 1))
-        sure = math.sqrt(max(least**2 - noise**2, 0.0)) / sd
-        if sure > max(ratio, WORSE):
-            missed, ratio = math.sqrt(rms**2 - noise**2), sure
-    if not ratio:
-        return None
-    numbers: dict[str, Figure | float] = {
-        "missed": Figure(missed, "m"),
-        "ratio": missed / sd,
-        "sd": Figure(sd, "m"),
-    }
-    return fact("board-missed", numbers=numbers)
-
-
 def _mounting(document: ResultDocument) -> Fact | None:
     unstated = () if document.mechanism is None else document.mechanism.unstated
     if not unstated:
@@ -369,7 +337,6 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     drift_or_machine,
     _errors_shared,
     _overfitted,
-    _board_missed,
     _model_error,
     off_the_drawing,
     _scales,

@@ -36,7 +36,7 @@ from loopcal.statistics.case import NOMINAL
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.judged_readings import Readings
 from loopcal.statistics.region import Span
-from loopcal.statistics.sound import OF_RMS, SOUND
+from loopcal.statistics.sound import SOUND
 
 if TYPE_CHECKING:
     from loopcal.statistics.validation import Validation
@@ -113,14 +113,10 @@ NEAR_ONLY = 3.0
 near these poses only: that of the alarm of single predictions."""
 # Paired standard errors that "better" needs (docs/explanation/verdict.md).
 _CERTAIN = 2.0
+_OF_RMS = 0.41
+"""sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
 _DRAWN = "the nominal machine"
-_BEYOND = (
-    "scales-unlike",
-    "scale-off-the-drawing",
-    "overfitted",
-    "board-missed",
-    "observations-conflict",
-)
+_BEYOND = ("scales-unlike", "scale-off-the-drawing", "overfitted", "observations-conflict")
 """Facts that leave a fit usable with care, but move predictions by more than half their sd."""
 
 
@@ -224,7 +220,7 @@ def _compared(document: ResultDocument, unseen: Distances) -> _Compared:
         drawn = document.accuracy.nominal or document.accuracy.before
         n = max(unseen.poses or document.data.used, 1)
         # Without pairs: both rms are taken as independent, and their variances add.
-        sd = OF_RMS * math.hypot(drawn.rms, unseen.rms) / math.sqrt(n)
+        sd = _OF_RMS * math.hypot(drawn.rms, unseen.rms) / math.sqrt(n)
         difference = drawn.rms - unseen.rms
         paired.append(Rival(_DRAWN, difference, sd, beats(difference, sd, None, None)))
     return _Compared(unseen.rms, tuple(sorted(paired, key=lambda r: r.name != _DRAWN)))

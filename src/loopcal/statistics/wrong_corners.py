@@ -8,7 +8,9 @@ the corners of a camera,
 
     P(d > s sqrt(2 log(n / a))) = a / n      where all n corners are good.
 
-An image most of whose corners are wrong is wrong as a whole.
+Images that are blurred or far away scatter more. There s is that of the image itself, so that not
+half of its corners are called wrong. An image most of whose corners are wrong by the scatter of the
+others is wrong as a whole.
 """
 
 from __future__ import annotations
@@ -93,6 +95,9 @@ def wrong_corners(result: FitResult, level: float = LEVEL) -> WrongCorners:
             kept = tested & ~aside[pairs[:, 0]]
             sds[name] = max(float(np.median(distance[kept])) / _RAYLEIGH, 1e-9)
             far = tested & (distance > limit * sds[name])
+            share = far.sum(axis=0) / np.maximum(tested.sum(axis=0), 1)
+            usual = np.maximum(sds[name], _medians(distance, kept) / _RAYLEIGH)
+            far &= (share > HALF) | (distance > limit * usual)
             now[pairs[:, 0]] = now[pairs[:, 1]] = far
         if any(np.array_equal(now, one) for one in earlier[-2:]):
             break
@@ -108,6 +113,14 @@ def wrong_corners(result: FitResult, level: float = LEVEL) -> WrongCorners:
     single = aside & ~images
     cleaned = _weighed(problem, cameras, sds, single)
     return WrongCorners(single, images, count, sds, corrections, cleaned)
+
+
+def _medians(distance: Array, kept: NDArray[np.bool_]) -> Array:
+    """(N,) over the corners (n, N) of each image that are kept; 0 without any."""
+    seen = np.where(kept, distance, np.nan)
+    seen[:, ~kept.any(axis=0)] = 0.0
+    medians: Array = np.nanmedian(seen, axis=0)
+    return medians
 
 
 def _cameras(problem: Problem) -> dict[str, NDArray[np.intp]]:

@@ -67,7 +67,7 @@ class Sight:
 
     def sds(self, covariance: Array) -> Array:
         """(N,) sd in space [m] of the body by the covariance (N, c, c) of what is compared."""
-        shared = np.einsum("nic,ncd,nid->n", self.slopes, covariance, self.slopes)
+        shared = ((self.slopes @ covariance) * self.slopes).sum(axis=(1, 2))
         return np.asarray(np.sqrt(np.maximum(shared, 0.0)))
 
 
@@ -154,7 +154,7 @@ def _slopes(mechanism: Mechanism, parameters: Array, x: Array, constants: Array)
     shifts = {c.name: body.displacements[_moving(mechanism, c)][0][:3] for c in cameras}
     asked = tuple(dict.fromkeys(name for names in shifts.values() for name in names))
     values = np.concatenate([parameters, np.zeros(len(body.tape.parameters) - len(parameters))])
-    engine = engine_for(body.tape, asked, min(_MOST, x.shape[1]))
+    engine = engine_for(body.tape, asked, min(_MOST, x.shape[1]), ())
     G = np.zeros((x.shape[1], len(mechanism.compared), 3))
     for begin in range(0, x.shape[1], _MOST):
         part = slice(begin, begin + _MOST)

@@ -34,6 +34,12 @@ class PoseEquations:
     D: Array
     X: Array
 
+    @property
+    def count(self) -> NDArray[np.intp]:
+        """(b,) equations that say anything: corners that were not detected leave zeros."""
+        counts: NDArray[np.intp] = self.X.any(axis=2).sum(axis=1)
+        return counts
+
 
 def pose_equations(
     problem: Problem, parameters: Array, corrections: Array
@@ -57,7 +63,8 @@ def pose_equations(
             PoseEquations(
                 everything[block.poses],
                 whitened.E.T.copy(),
-                np.einsum("crb,ncb->brn", T, values.by_parameter if J_p is None else J_p),
+                T.transpose(2, 1, 0)
+                @ (values.by_parameter if J_p is None else J_p).transpose(2, 1, 0),
                 _by_readings(T, values.by_quantity, pattern),
             )
         )

@@ -52,6 +52,12 @@ VALUES = 1_000_000
 made of a block is several times as large, and a fit with a model error has hundreds of columns."""
 
 
+def most_poses(tape: Tape, parameters: int) -> int:
+    """Poses in a block at most, of derivatives by so many parameters and all quantities."""
+    each = len(tape.loops) * (len(tape.quantities) + parameters)
+    return max(1, min(BLOCK, VALUES // max(each, 1)))
+
+
 @dataclass(frozen=True)
 class Problem:
     """Everything a fit needs, in SI units and the orders of the tape.
@@ -150,9 +156,7 @@ class Problem:
     @property
     def most(self) -> int:
         """Poses in a block at most."""
-        tape = self.mechanism.tape
-        each = len(tape.loops) * (len(tape.quantities) + len(self.free))
-        return max(1, min(BLOCK, VALUES // max(each, 1)))
+        return most_poses(self.mechanism.tape, len(self.free))
 
     def _block(self, most: int) -> int:
         poses = len(self.poses)

@@ -18,7 +18,7 @@ from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.frame import ChainFrame, Frame, Values, Vector
 from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
-from loopcal.mechanisms.parameters import Parameter, Parameters
+from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.station import MOTIONS, Name, Station, placed_by
 
 PIXEL = ("u", "v")
@@ -259,29 +259,6 @@ def _eye_in_hand(body: Frame, station: Station, mount: Sequence[Step], p: Values
         for u in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     )
     return origin, ex, ey, cross(ex, ey)
-
-
-FURTHER = (
-    ("s1", "s2", "s3", "s4"),
-    ("k4", "k5", "k6"),
-    ("k3",),
-    ("warp_x", "warp_y"),
-    ("aspect",),
-)
-"""What a lens or a print may lack: groups that leave in this order, the finest first."""
-
-
-def further_terms(parameters: Parameters) -> tuple[tuple[str, ...], ...]:
-    """Groups of free parameters of lenses and prints that images need not show, by `FURTHER`; the
-    aspect is that of prints."""
-    keys = {
-        p.name: p.name.removeprefix(f"{p.owner}_")
-        for p in parameters
-        if not p.fixed
-        and (p.role == "print" or (p.role == "lens" and not p.name.endswith("_aspect")))
-    }
-    groups = (tuple(name for name, key in keys.items() if key in group) for group in FURTHER)
-    return tuple(group for group in groups if group)
 
 
 # What a machine's description says of its cameras.
