@@ -19,11 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 
 from loopcal.mechanisms.parameters import BEYOND
 from loopcal.statistics.another_day import Day
-from loopcal.statistics.changed import LEVEL
 
 Array = NDArray[np.float64]
 CONDITIONS = (
@@ -36,6 +35,9 @@ _NONE, _LARGEST = 1e-4, 1e2
 """Scales in unit steps: so little is no change, and more is another machine."""
 _BEGINS = (1e-2, 1e-1)
 """Scales at which a search begins, for there may be more than one end."""
+# Chosen, not derived: a drift that did not happen costs little, for its learnt size is small.
+_UNLIKELY = 0.05
+"""p-value of an unchanged machine below which it drifts."""
 _SCATTER = 5.0
 """By how much the sd of the readings may exceed the stated one. It is no smaller, for with few
 poses a drift of every parameter would take the place of noise."""
@@ -117,9 +119,10 @@ class RestrictedLikelihood:
             for begin in _BEGINS
         ]
         best = min(ends, key=lambda end: end[0])
-        # Half of the draws of an unchanged machine end at zero (Self and Liang 1987): the test is
-        # conservative.
-        if chi2.sf(least[0] - best[0], groups) > LEVEL:
+        # Unchanged, a scale ends at zero in half of the draws (Self and Liang 1987).
+        k = np.arange(groups + 1)
+        p_value = binom.pmf(k, groups, 0.5) @ chi2.sf(least[0] - best[0], np.maximum(k, 1e-9))
+        if p_value > _UNLIKELY:
             return np.zeros(groups)
         scales = np.exp(best[1][1:])
         return np.where(scales > 10.0 * _NONE, scales, 0.0)
