@@ -186,3 +186,12 @@ def test_the_zero_of_a_slide_has_the_sizes_of_a_length() -> None:
     most = {one.names[0]: one.most for one in causes if one.kind == "zero"}
     assert {units[q] for q in most} == {"rad", "m"}
     assert all((limit < 0.05) == (units[q] == "m") for q, limit in most.items())
+
+
+@pytest.mark.parametrize(("half", "named"), [(2e-3, True), (15e-3, False)])
+def test_a_size_that_no_pose_determines_is_not_named(half: float, named: bool) -> None:
+    value, parts = 10.4e-3, {"tool_x": 4e-3, "tool_z": -9.6e-3}
+    bounds = (0.5 * half, value - half, value + half)
+    change = Change("tool", "mounting", "m", value, *bounds, 1e-9, (), parts)
+    assert ("mm" in change.words) is named
+    assert change.words.startswith("tool moved")

@@ -128,6 +128,9 @@ class Change:
         if self.kind == "load" and self.unit != "kg":
             return f"{self.where} {verb}"
         half = 0.5 * (self.high - self.low)
+        if self.parts and half >= abs(self.value):
+            # A part that these poses do not show is as large as the sum of those that they show.
+            return f"{self.where} {verb}, by a size that these poses do not determine"
         if self.kind == "expansion":
             value, sure = (significant(1e6 * one, 3) for one in (self.value, half))
             return f"{self.where} {verb} by {value} ± {sure} ppm"

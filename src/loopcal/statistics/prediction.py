@@ -408,10 +408,9 @@ def _by_readings(
             S = S.copy()
             for i, q in enumerate(calibrated.units):
                 S[:, i, names.index(q)] = 1.0
-            learnt = {
-                q: reading_noise.slopes[q] for q in calibrated.units if q in reading_noise.slopes
-            }
-            entries |= {q: reading_noise.sds[q] for q in learnt}
+            of_outputs = [q for q in calibrated.units if q in reading_noise.learnt]
+            learnt = {q: s for q, s in reading_noise.slopes.items() if q in of_outputs}
+            entries |= {q: reading_noise.sds[q] for q in of_outputs}
         for q, relative in learnt.items():
             slopes[:, names.index(q)] = relative
     # What is found moves nothing by itself: any sd will do for it.

@@ -48,13 +48,15 @@ left when they are added up."""
 class ReadingNoise:
     """What a calibration knows of the noise of single readings.
 
-    sds: quantity -> sd of a reading [SI], empty where not known; slopes: quantity -> relative
-    changes of its variance along the slopes of the parameters' covariance; joint: covariances [SI]
+    sds: quantity -> sd of a reading [SI], empty where not known; learnt: whose sds the calibration
+    has learnt; slopes: quantity -> relative changes of its variance along the slopes of the
+    parameters' covariance, where these are known; joint: covariances [SI]
     of quantities that are not independent; unmeasured: quantities that no sensor reads, whatever
     columns hold start values of them.
     """
 
     sds: Mapping[str, float] = field(default_factory=dict)
+    learnt: frozenset[str] = frozenset()
     slopes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     joint: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
     unmeasured: frozenset[str] = frozenset()
@@ -69,6 +71,7 @@ class ReadingNoise:
         """From the entries of a document."""
         return cls(
             {q: entry.sd for entry in noise for q in entry.quantities},
+            frozenset(q for e in noise if e.source == "estimated" for q in e.quantities),
             {q: entry.slopes for entry in noise for q in entry.quantities if entry.slopes},
             {entry.quantities: np.array(entry.matrix) for entry in joint},
             frozenset(unmeasured),

@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.companions.life.conditions import CONDITIONS, drift_of_conditions
 from loopcal.companions.life.drift import Since, allowed
 from loopcal.companions.life.earlier import Around, Earlier, Sloped
 from loopcal.document.fit import NoiseEntry
@@ -143,6 +144,8 @@ def updated(
             standing = freed(calibrated.mechanism)
             day = replace(day, freed=tuple(n for n in day.freed if n not in standing))
         placed = day.placed()
+        conditions = drift_of_conditions(replace(day, calibrated=calibrated.drifted(drift)))
+        drift = np.hstack([drift, conditions])
         earlier = Earlier.of(calibrated)
     result: FitResult | None = None
     around, share, stepped = placed.parameters, 1.0, np.zeros(len(placed.parameters))
@@ -174,7 +177,7 @@ def updated(
         )
         noted = () if held else calibrated.noise
         result = replace(result, inherited=Inherited(prior.widened(result), terms, noted))
-    result = result.noted(*allowance.words)
+    result = result.noted(*allowance.words, *([CONDITIONS] if conditions.size else []))
     if (words := _unchanged(calibrated, result, placed)) is not None:
         result = result.noted(words)
     done = Updated(result, allowance.check)

@@ -1,0 +1,89 @@
+"""A change of a whole machine is followed, and what is kept is as unsure as it makes it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+
+import loopcal as lc
+from analyses.followed import Days, rigidly
+from loopcal.companions.life.conditions import RestrictedLikelihood, drift_of_conditions
+from loopcal.statistics.another_day import Day
+from loopcal.statistics.calibrated import Calibrated
+
+
+@cache
+def days(draw: int) -> tuple[Days, lc.Result]:
+    made = Days.of("six", "stated", draw)
+    return made, made.calibrated("stated")
+
+
+def grown(readings: dict[str, np.ndarray], growth: float) -> dict[str, np.ndarray]:
+    """Points of a machine all of whose lengths grew: its station takes up where it stands."""
+    return {q: (1.0 + growth) * v if q in "xyz" else v for q, v in readings.items()}
+
+
+def test_the_likelihood_is_that_of_dense_matrices() -> None:
+    rng = np.random.default_rng(1)
+    F, A, B, C = (rng.standard_normal((30, k)) for k in (4, 5, 3, 2))
+    e = rng.standard_normal(30)
+    columns = np.column_stack([A, B, C, e])
+    columns -= F @ np.linalg.lstsq(F, columns, rcond=None)[0]
+    owner = np.repeat([0, 1, 2], [5, 3, 2])
+    likelihood = RestrictedLikelihood(columns.T @ columns, owner, 26)
+    K, values = null_space(F.T), []
+    logs = [np.array(v) for v in ([0.0, 0.0, 0.0], [0.3, -1.0, 0.7])]
+    for sd, s, t in np.exp(logs):
+        V = K.T @ (sd**2 * np.eye(30) + A @ A.T + s**2 * B @ B.T + t**2 * C @ C.T) @ K
+        values.append(np.linalg.slogdet(V)[1] + (K.T @ e) @ np.linalg.solve(V, K.T @ e))
+    assert [likelihood(one)[0] for one in logs] == pytest.approx(values, rel=1e-10)
+    for one in logs:
+        steps = 1e-6 * np.eye(3)
+        slopes = [(likelihood(one + s)[0] - likelihood(one - s)[0]) / 2e-6 for s in steps]
+        assert likelihood(one)[1] == pytest.approx(slopes, rel=1e-6, abs=1e-6)
+
+
+def test_an_unchanged_machine_has_no_drift_of_conditions() -> None:
+    made, first = days(0)
+    calibrated = Calibrated.of(first, "").stationed
+    day = Day.of(calibrated, lc.Dataset.from_arrays(made.later.readings), made.later.noise)
+    assert drift_of_conditions(day).shape == (len(calibrated.mechanism.parameters), 0)
+
+
+@pytest.mark.parametrize("draw", [0, 1, 2])
+def test_a_machine_that_grew_is_followed_with_honest_sds(draw: int) -> None:
+    made, first = days(draw)
+    updated = lc.update(first, grown(made.later.readings, 2e-4))
+    fresh = grown(made.fresh.readings, 2e-4)
+    true = (1.0 + 2e-4) * made.fresh.true
+
+    def error(result: lc.Result) -> tuple[float, float]:
+        """Rms distance at fresh poses, and what the covariance says [m]."""
+        predicted = lc.predict(result, fresh)
+        points = np.column_stack([predicted.outputs[q] for q in "xyz"])
+        off = rigidly(points, true) - true
+        stated = np.trace(predicted.covariance, axis1=1, axis2=2)
+        return float(np.sqrt(np.square(off).sum(axis=1).mean())), float(np.sqrt(stated.mean()))
+
+    off, stated = error(updated)
+    assert off < 0.6 * error(first)[0]
+    assert off < 1.2 * stated
+    assert any("conditions" in words for words in updated.warnings)
+
+
+def test_learnt_sds_of_outputs_count_where_an_update_learnt_them() -> None:
+    """Of a calibration that takes its joints as exact: the learnt sd holds their noise."""
+    made, _ = days(0)
+    joints = dict.fromkeys(made.joints, 0.0)
+    points = dict.fromkeys("xyz", 5e-5)
+    noise = lc.Noise(joints | points, estimate=dict.fromkeys("xyz", "group"))
+    first = lc.calibrate(
+        made.first.mechanism, made.first.readings, noise=noise, method="implicit-loop"
+    )
+    updated = lc.update(first, made.later.readings)
+    learnt = next(entry.sd for entry in updated.noise if "x" in entry.quantities)
+    predicted = lc.predict(updated, made.fresh.readings)
+    assert (np.diagonal(predicted.covariance, axis1=1, axis2=2) > learnt**2).all()
