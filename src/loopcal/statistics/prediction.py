@@ -182,8 +182,8 @@ class Prediction:
 
     def words(self) -> str:
         """What was predicted, how sure it is, and the alarm."""
-        predicted = np.isfinite(np.array(list(self.outputs.values()))).all(axis=0)
-        lines = [f"{int(predicted.sum())} of {len(self.poses)} poses predicted"]
+        finite = np.isfinite(np.array(list(self.outputs.values())))
+        lines = [f"{int(finite.any(axis=0).sum())} of {len(self.poses)} poses predicted"]
         further = "what the fit leaves" if self.by_residuals else "readings"
         parts = [("parameters", self.from_parameters), (further, self.from_readings)]
         for name, covariance in parts:
@@ -191,7 +191,10 @@ class Prediction:
                 lines.append("sd caused by readings: unknown, because their sds are unknown")
                 continue
             for group, of in zip(self.groups, self._named(), strict=True):
-                lines.append(f"sd{of} caused by {name}: {_spread(covariance, group)}")
+                of_it = finite[list(group.rows)].any(axis=0)  # of another arm nothing was read
+                if of_it.any():
+                    spread = _spread(covariance[of_it], group)
+                    lines.append(f"sd{of} caused by {name}: {spread}")
         return "\n".join(lines + self._alarm())
 
     def _named(self) -> list[str]:

@@ -202,6 +202,8 @@ def _placed(linear: Linearised, names: Sequence[str]) -> tuple[Placed, ...]:
     order, entries = mechanism.parameters.names, []
     for name in names:
         i = order.index(name)
+        if not placement.J[:, i].any():
+            continue  # of an instrument that saw nothing, as of another arm
         shown = abs(seen[i] - np.abs(placement.directions[i])).max(initial=0.0) < 1e-6
         entries.append(
             Placed(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
 from loopcal.files.cameras.folder import are_images
-from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.project.new_readings import read_new_readings, reads
 from loopcal.files.result.result_poses import poses_of_result
 from loopcal.files.tables.readers import column_labels, read_dataset, read_once
 from loopcal.measurements.checks import refuse_implausible
@@ -82,6 +82,11 @@ def new_readings(
         from loopcal.workflow.beginning.later_images import later_images
 
         return later_images(entries, mechanism)
+    observe = inputs.get("data", {}).get("observe")
+    if observe and not (len(entries) == 1 and reads(entries[0], inputs, mechanism)):
+        from loopcal.workflow.beginning.from_tree import later_rows
+
+        return later_rows(entries, mechanism, observe)
     return read_new_readings(data, inputs, mechanism, whole=whole)
 
 

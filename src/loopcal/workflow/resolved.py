@@ -100,7 +100,8 @@ def _of_project(project: Project, data: Any, units: Units) -> Stated:
     options: dict[str, Any] = {"fit": settings, "start": settings.start}
     if noise.entries or not settings.method.exact:
         options["noise"] = noise
-    return Stated(project.mechanism, dataset, options, {"title": project.title})
+    kept = {"title": project.title, "inputs": project.inputs}
+    return Stated(project.mechanism, dataset, options, kept)
 
 
 def result_of(value: Any) -> Any:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from analyses.trees import touching
 from loopcal.errors import Code
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
@@ -180,3 +181,28 @@ def test_a_tree_is_written_again_bit_for_bit(folder: Path) -> None:
     assert again.tree == made.tree
     assert again.tape == made.tape
     assert again.parameters == made.parameters
+
+
+def test_a_file_of_one_arm_is_read_on_another_day_as_on_the_first(tmp_path: Path) -> None:
+    """Its columns and joints have the names of the first day; what it lacks was not read."""
+    world = touching(np.random.default_rng([1, 0]))
+    for name, text in {"bodies.csv": world.bodies + "\n", **world.files}.items():
+        (tmp_path / name).write_text(text, "utf-8")
+    renamed = (tmp_path / "seen_a.csv").read_text("utf-8").replace("l1,", "A1,", 1)
+    (tmp_path / "seen_a.csv").write_text(renamed, "utf-8")
+    observe = [o + " joints=l1:A1" if "name=a" in o else o for o in world.observe]
+    files = [tmp_path / name for name in world.files]
+    lc.init(*files, dh=tmp_path / "bodies.csv", observe=observe, out=tmp_path / "cell")
+    result = lc.calibrate(tmp_path / "cell" / "project.toml", method="implicit-loop")
+    (tmp_path / "seen_a_monday.csv").write_text(renamed, "utf-8")
+    predicted = result.predict(tmp_path / "seen_a_monday.csv")
+    assert np.isfinite(predicted.outputs["a_x"]).all()
+    assert np.isnan(predicted.outputs["b_x"]).all()
+    assert "30 of 30 poses predicted" in predicted.words()
+    assert "sd of b" not in predicted.words()
+    day = lc.verify(result, [tmp_path / "seen_a_monday.csv"])
+    assert day.calibrated is not None
+    assert day.calibrated.rms < 1e-4
+    assert not any(one.name.startswith("touch") for one in day.placed)
+    with refused("missing-column", "no observation stands in this file"):
+        result.predict(tmp_path / "bodies.csv")

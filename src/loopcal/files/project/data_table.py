@@ -115,6 +115,14 @@ class DataTable(FileTable):
         SourceTable | None,
         Key("How files in the layout of the user's first ones are read on later days."),
     ] = None
+    observe: Annotated[
+        tuple[str, ...],
+        Key(
+            "Of a whole robot, its observations as `init` took them, by which files of later days "
+            "are read.",
+            example=["point name=tracker on=left_hand columns=x,y,z"],
+        ),
+    ] = ()
 
     @property
     def parts(self) -> tuple[FileTable, ...]:

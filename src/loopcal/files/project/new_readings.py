@@ -86,6 +86,17 @@ def read_new_readings(
     return dataset
 
 
+def reads(path: Any, inputs: Mapping[str, Any], mechanism: Mechanism) -> bool:
+    """Whether a file has a column of the project for each joint."""
+    spec = _spec(inputs, mechanism)
+    try:
+        labels = column_labels(read_once(path, **spec.keywords))
+    except InputError:
+        return False
+    columns = {q: c.column for part in spec.parts for q, c in part.columns.items()}
+    return all(columns[q] in labels for q in mechanism.joints if q in columns)
+
+
 def _is_converted(paths: Sequence[Any], spec: DataTable, wanted: Set[str]) -> bool:
     """Whether a file has the columns that the project reads, and so not those of its source."""
     columns = {q: c for part in spec.parts for q, c in part.columns.items() if q in wanted}

@@ -29,7 +29,7 @@ _LISTS = ("between", "radius", "readings", "normal", "gravity", "gaps", "columns
 class Observation:
     """table: of [[mechanism.instrument]]; columns: of its readings, empty where their names say;
     joints: joint -> its column in this file; file, where: in which rows it was observed; camera,
-    board: of the corners, empty for all."""
+    board: of the corners, empty for all; text: as it was typed."""
 
     table: Mapping[str, Any]
     columns: tuple[str, ...] = ()
@@ -38,6 +38,7 @@ class Observation:
     where: tuple[str, str] | None = None
     camera: str = ""
     board: str = ""
+    text: str = ""
 
     @property
     def name(self) -> str:
@@ -74,7 +75,9 @@ def observation(text: str) -> Observation:
         joints or None,
         keys.get("file", ""),
         _pair(text, keys["where"]) if "where" in keys else None,
-        *(keys.get(key, "") if kind == "camera" else "" for key in _CORNERS),
+        camera=keys.get("camera", "") if kind == "camera" else "",
+        board=keys.get("board", "") if kind == "camera" else "",
+        text=text,
     )
 
 

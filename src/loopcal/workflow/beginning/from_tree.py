@@ -18,8 +18,9 @@ from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.dh_table import Row, read_dh
 from loopcal.files.recognition.fields import Field, Source, in_si, taken_in
 from loopcal.files.recognition.joint_sets import named_joints
-from loopcal.files.recognition.observations import Observation
+from loopcal.files.recognition.observations import Observation, observations
 from loopcal.files.recognition.robots import joint_table
+from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
@@ -80,6 +81,7 @@ def from_tree(
     robot: the [mechanism] table without instruments (`urdf_table`, `dh_table`); looking: what was
     observed; folder: where the project will lie. Raises InputError where something remains open.
     """
+    typed = looking
     looking = [replace(one, table=_with_readings(one)) for one in looking]
     table = {**robot, "instrument": [dict(one.table) for one in looking]}
     mechanism = mechanism_from_data(dict(table), str(folder / PROJECT))
@@ -109,6 +111,7 @@ def from_tree(
             "file": READINGS,
             "pose": "pose",
             "columns": {q: {"column": q, "unit": units[q]} for q in used if units[q] != "1"},
+            "observe": [one.text for one in typed if one.text],
         },
         "noise": _noise(mechanism, used, eyes.noise),
     }
@@ -133,6 +136,26 @@ def from_tree(
     dataset = Dataset.from_arrays(readings, units={q: units[q] for q in used}, poses=rows.poses)
     count = f"{rows.count} poses with {listed([one.name for one in looking], 8)}"
     return Begun(tables, beside, (*remarks, *words), dataset, count)
+
+
+def later_rows(entries: Sequence[Any], mechanism: Mechanism, observe: Sequence[str]) -> Dataset:
+    """Readings of another day: files in the layout of the first ones, perhaps of one arm alone.
+
+    observe: what was observed, as typed at `init`. What a file does not hold was not read there.
+    Raises InputError as `from_tree` does.
+    """
+    looking = [
+        replace(one, table=_with_readings(one))
+        for one in observations(observe)
+        if one.table["type"] != "camera"
+    ]
+    sources = [source for i, entry in enumerate(entries) for source in sources_of(entry, i)]
+    rows, _ = _rows(sources, mechanism, looking, {})
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    seen = [q for one in mechanism.families for q in one.readings]
+    names = dict.fromkeys((*mechanism.joints, *seen, *rows.columns))
+    readings = {q: rows.values(q) for q in names}
+    return Dataset.from_arrays(readings, units={q: units[q] for q in names}, poses=rows.poses)
 
 
 def urdf_table(relative: str, root: str | None) -> dict[str, Any]:
