@@ -206,3 +206,20 @@ def test_a_file_of_one_arm_is_read_on_another_day_as_on_the_first(tmp_path: Path
     assert not any(one.name.startswith("touch") for one in day.placed)
     with refused("missing-column", "no observation stands in this file"):
         result.predict(tmp_path / "bodies.csv")
+
+
+def test_a_project_that_was_changed_is_replaced_by_force_alone(folder: Path) -> None:
+    begun(folder, ("both.csv",), TOUCH)
+    begun(folder, ("both.csv",), TOUCH)
+    project = folder / "cell" / "project.toml"
+    project.write_text(project.read_text("utf-8") + "# mine\n", "utf-8")
+    with refused("unwritable-file", "force=True"):
+        begun(folder, ("both.csv",), TOUCH)
+    lc.init(
+        folder / "both.csv",
+        dh=folder / "bodies.csv",
+        observe=[TOUCH],
+        out=folder / "cell",
+        force=True,
+    )
+    assert project.with_name("project.toml.bak").read_text("utf-8").endswith("# mine\n")

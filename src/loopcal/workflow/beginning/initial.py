@@ -24,7 +24,7 @@ from loopcal.files.atomic import write_files
 from loopcal.files.cameras.folder import are_images, files_of, tables_of
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.registry import machine_type
-from loopcal.files.outputs import carried_over, refuse_foreign, relative, sealed
+from loopcal.files.outputs import carried_over, one_command, refuse_foreign, relative, sealed
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import Conditions, apart
 from loopcal.files.recognition.converting import dataset_of
@@ -195,6 +195,7 @@ def _shown(value: float) -> str:
     return "" if np.isnan(value) else f"{value:z.4f}".rstrip("0").rstrip(".")
 
 
+@one_command
 def init(
     *readings: Any,
     urdf: str | Path | None = None,
@@ -202,6 +203,7 @@ def init(
     machine: str | None = None,
     out: str | Path | None = None,
     sheet: str | None = None,
+    force: bool = False,
     **options: Unpack[InitOptions],
 ) -> InitialProject:
     """Recognise readings and a robot, and make a finished project of them.
@@ -212,7 +214,8 @@ def init(
     Units, orders and directions that no header states are those with which the placed nominal
     machine fits clearly best. Without readings it is a project to plan from. out: the folder to
     write into, by default none; sheet: of a workbook, or the variable of a MATLAB file, by default
-    the one with by far the most numbers. joints: the columns of the joints in the machine's order,
+    the one with by far the most numbers; force: whether a project that was changed is replaced,
+    of which a backup is kept. joints: the columns of the joints in the machine's order,
     as "J1,-J2,J3+J2,J4*0.001" where they count
     otherwise; leave_out: columns that take no part, as "*_soll,v*"; infer_units: take none from
     headers.
