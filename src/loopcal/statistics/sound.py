@@ -332,6 +332,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _spatial,
     _plain_model,
     _coverage,
+    _conflict,  # which makes residuals depend on the order, and scales differ
     _serial,
     order_or_model,
     drift_or_machine,
@@ -340,7 +341,6 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _model_error,
     off_the_drawing,
     _scales,
-    _conflict,
     sds_overruled,
     size_unsure,
     _unsettled,
