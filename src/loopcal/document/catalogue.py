@@ -156,6 +156,14 @@ _ROWS = (
         _AUTO,
     ),
     _sound_open(
+        "observations-conflict",
+        "{instrument} contradicts the other observations by {apart:2} rms: its readings miss by "
+        "{beside:2} beside them, by {alone:2} by themselves (p = {p_value:p}).",
+        "Check what it assumes: which body it is of, a radius, a flat plane. Then calibrate "
+        "without it, and compare.",
+        _REPORT,
+    ),
+    _sound_open(
         "serial-dependence",
         "Residuals of {instrument} depend on the pose order (correlation {correlation:2}).",
         "Look for shifts, or measure in random order.",
@@ -249,14 +257,6 @@ _ROWS = (
         "Check the temperature of the machine, the certificate of the instrument, and the drawing.",
         _REPORT,
         detail="That moves the points by {moves:2} (rms).",
-    ),
-    _sound_open(
-        "observations-conflict",
-        "{instrument} contradicts the other observations by {apart:2} rms: its readings miss by "
-        "{beside:2} beside them, by {alone:2} by themselves (p = {p_value:p}).",
-        "Check what it assumes: which body it is of, a radius, a flat plane. Then calibrate "
-        "without it, and compare.",
-        _REPORT,
     ),
     _sound_open(
         "sds-contradicted",

@@ -332,7 +332,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _spatial,
     _plain_model,
     _coverage,
-    _conflict,  # which makes residuals depend on the order, and scales differ
+    _conflict,
     _serial,
     order_or_model,
     drift_or_machine,
