@@ -73,7 +73,8 @@ class PlanSettings:
     nor line of sight may touch; forbidden: readings near which no pose may be; number: of random
     candidates; model_error: "structured" counts what geometry does not explain among the
     parameters, "none" does not; seed: of the random candidates; repeats: whether the first pose is
-    measured again in the middle and at the end.
+    measured again in the middle and at the end; occasions: for each kind of pose the
+    instruments that serve it, by default those of poses already measured.
 
     Raises InputError for a number below 1 and an unknown model_error.
     """
@@ -88,6 +89,7 @@ class PlanSettings:
     model_error: str = "structured"
     seed: int = 0
     repeats: bool = True
+    occasions: tuple[tuple[str, ...], ...] = ()
 
     def __post_init__(self) -> None:
         if self.number < 1:

@@ -6,11 +6,11 @@ estimator's own elimination: what is simulated here checks what is estimated the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from loopcal.errors import InputError
 from loopcal.expressions.domain import explain_domain
@@ -71,6 +71,24 @@ def reachable(
     return np.concatenate(parts) if parts else np.zeros(0, dtype=bool)
 
 
+def closed_within(
+    mechanism: Mechanism,
+    parameters: Array,
+    values: Array,
+    pose_constants: Array,
+    free: Mapping[str, tuple[ArrayLike, ArrayLike]],
+) -> tuple[Array, NDArray[np.bool_]]:
+    """All quantities (k, N), those that are free moved within their spans [SI] by least steps
+    until the loops close, and (N,) whether they do; other arguments as of `close_loops`."""
+    closed = np.array(values, dtype=float)
+    bounds = np.array(
+        [[np.broadcast_to(end, closed.shape[1]) for end in span] for span in free.values()]
+    ).reshape(len(free), 2, closed.shape[1])
+    settled = _settled(mechanism, parameters, closed, pose_constants, tuple(free), bounds)
+    parts = [at.finite & _closed(at.f, x) for _, x, at in settled]
+    return closed, np.concatenate(parts) if parts else np.zeros(0, dtype=bool)
+
+
 @dataclass(frozen=True)
 class _Settled:
     """Loop values (m, b), and the poses (b,) where they and their derivatives are numbers."""
@@ -85,12 +103,20 @@ def _settled(
     closed: Array,
     pose_constants: Array,
     unknown: Sequence[str],
+    bounds: Array | None = None,
 ) -> Iterator[tuple[slice, Array, _Settled]]:
-    """Blocks of poses with what is unknown found in place; poses without values stand still."""
+    """Blocks of poses with what is unknown found in place; poses without values stand still.
+
+    bounds: (u, 2, N) within which it is found, by least steps where it may be more than the loops.
+    """
     tape = mechanism.tape
     rows = [tape.quantities.index(name) for name in unknown]
-    if len(rows) > len(tape.loops):
+    if bounds is None and len(rows) > len(tape.loops):
         raise _too_few_driven(mechanism, unknown)
+    if not tape.loops:  # nothing to close
+        every = np.ones((1, closed.shape[1]), dtype=bool)
+        yield slice(None), closed, _Settled(np.zeros(every.shape), every[0])
+        return
     angles = {name for name in unknown if mechanism.quantities[name] == "rad"}
     angles -= {turn for orientation in mechanism.orientations for turn in orientation.turns}
     turns = [i for i, name in enumerate(unknown) if name in angles]
@@ -103,13 +129,21 @@ def _settled(
             numbers = np.isfinite(np.concatenate([loops.f[None], loops.by_quantity]))
             finite = np.asarray(numbers.all(axis=(0, 1)))
             step = np.zeros((len(rows), x.shape[1]))
-            step[:, finite] = _newton_step(
-                loops.by_quantity[rows][:, :, finite], loops.f[:, finite]
-            )
+            slopes, f = loops.by_quantity[rows][:, :, finite], loops.f[:, finite]
+            step[:, finite] = _newton_step(slopes, f)
+            if bounds is not None:
+                low, high = bounds[:, 0, part], bounds[:, 1, part]
+                # What stands at its bound and would leave it lets the others move instead.
+                stands = ((x[rows] <= low) & (step > 0.0)) | ((x[rows] >= high) & (step < 0.0))
+                step[:, finite] = _newton_step(slopes * ~stands[:, None, finite], f)
             largest = np.abs(step[turns]).max(axis=0, initial=0.0)
             # The whole step is scaled, not its angles alone: Newton's direction stays.
             step *= _TURN / np.maximum(largest, _TURN)
-            x[rows] -= step
+            before = x[rows]
+            after = before - step
+            if bounds is not None:
+                after = np.clip(after, bounds[:, 0, part], bounds[:, 1, part])
+            x[rows], step = after, before - after
             if np.abs(step).max(initial=0.0) <= _STEP * max(1.0, np.abs(x).max(initial=0.0)):
                 break
         yield part, x, _Settled(engine.evaluate(parameters, x, c).f, finite)

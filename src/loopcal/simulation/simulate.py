@@ -16,7 +16,7 @@ from loopcal.measurements.noise import Noise, NoiseLike, ReadingUncertainty, res
 from loopcal.measurements.source import Source
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.simulation.closing import close_loops, reachable
+from loopcal.simulation.closing import close_loops, closed_within, reachable
 from loopcal.simulation.poses import measured, parallel, stream, unstated_orientations
 
 Array = NDArray[np.float64]
@@ -117,6 +117,22 @@ def within_reach(
     x, unknown = _values(mechanism, driven, {})
     values = np.array([p.nominal for p in mechanism.parameters])
     return reachable(mechanism, values, x, _pose_constants(mechanism, driven), unknown)
+
+
+def moved_to_close(
+    mechanism: Mechanism,
+    readings: Mapping[str, ArrayLike] | Dataset | Any,
+    free: Mapping[str, tuple[ArrayLike, ArrayLike]],
+) -> tuple[dict[str, Array], NDArray[np.bool_]]:
+    """The quantities that are free, moved within their spans [SI] until the loops close at the
+    nominal parameters, and (N,) whether they do; readings as of `simulate`."""
+    driven = readings if isinstance(readings, Dataset) else Dataset.from_arrays(readings)
+    driven = driven.with_readings(parallel(unstated_orientations(mechanism, driven), len(driven)))
+    x, _ = _values(mechanism, driven, {})
+    values = np.array([p.nominal for p in mechanism.parameters])
+    constants = _pose_constants(mechanism, driven)
+    closed, closes = closed_within(mechanism, values, x, constants, free)
+    return {q: closed[mechanism.tape.quantities.index(q)] for q in free}, closes
 
 
 def _read(

@@ -5,18 +5,30 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.companions.planning.view import faces, in_image
+from loopcal.companions.planning.occasions import (
+    blanked,
+    blanks,
+    brought_together,
+    direct_readings,
+    gaps_of,
+    occasions,
+    served,
+    stated_for,
+    without_direct,
+)
+from loopcal.companions.planning.view import faces, in_image, shown
 from loopcal.errors import InputError, listed
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.measurements.plan_settings import PlanSettings, Span
-from loopcal.mechanisms.chain import frames, product
+from loopcal.mechanisms.chain import Step, frames, product
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.outputs import POLAR, cartesian_slopes, point_outputs, points
@@ -120,26 +132,66 @@ def drawn(mechanism: Mechanism, ranges: Mapping[str, Span], site: PlanSettings) 
     allowed.
     """
     number, parts = site.number, list[_Sifted]()
+    serves = served(mechanism, site.occasions or occasions(mechanism, None), number)
     for i in range(_ROUNDS):
         if sum(part.count for part in parts) >= number:
             break
         # A prime far above any number of rounds keeps the seeds of neighbouring plans apart.
         readings = _drawn(mechanism, ranges, number, site.seed + 1000003 * i)
         names = tuple(str(number * i + j + 1) for j in range(number))
-        parts.append(_sifted(mechanism, Dataset.from_arrays(readings, poses=names), site))
+        poses = Dataset.from_arrays(readings, poses=names)
+        poses, closes = brought_together(mechanism, poses, serves, ranges)
+        parts.append(_sifted(mechanism, poses, site, serves, closes))
     return _joined(parts, number, lambda pose: (int(pose) - 1) % number % 2 == 0)
 
 
-def stated_candidates(
-    mechanism: Mechanism, poses: Dataset, site: PlanSettings, *, seen: bool = False
-) -> Candidates:
+def stated_candidates(mechanism: Mechanism, poses: Dataset, site: PlanSettings) -> Candidates:
     """These poses, without those whose loops do not close and those that are not allowed.
 
-    seen: whether cameras are known to see the boards, as of candidates at another machine.
-
-    Raises InputError where none is left.
+    Things touch if joints that move by `NEAR` at most make them; where a gap is blank they need
+    not. Raises InputError where none is left.
     """
-    return _joined([_sifted(mechanism, poses, site, seen=seen)], len(poses))
+    serves = stated_for(mechanism, poses)
+    spans = {
+        q: (poses.readings[q] - NEAR[unit], poses.readings[q] + NEAR[unit])
+        for q, unit in mechanism.joints.items()
+        if q in poses.readings
+    }
+    moved, closes = brought_together(mechanism, poses, serves, spans)
+    missing = {q: v for q, v in moved.readings.items() if q not in poses.readings}
+    poses = poses.with_readings(missing, units={q: mechanism.quantities[q] for q in missing})
+    return _joined([_sifted(mechanism, poses, site, serves, closes)], len(poses))
+
+
+def blank_in(data: Dataset) -> dict[str, Mask]:
+    """Reading -> (N,) where it is blank, of those that are anywhere."""
+    return {q: blank for q, v in data.readings.items() if (blank := np.isnan(v)).any()}
+
+
+def closed_at(mechanism: Mechanism, driven: Dataset, blank: Mapping[str, Mask]) -> Dataset:
+    """What would be read of these candidates at another machine, and where nothing would be.
+
+    Contacts are off by what that machine makes of them.
+    """
+    machine = without_direct(mechanism)
+    data = simulate(machine, _driven(mechanism, driven), noise=EXACT, seed=0).dataset
+    direct = direct_readings(mechanism, data)
+    # What is blank is so before it is any reading: a board beside a camera is infinitely far away.
+    for q in direct.keys() & blank.keys():
+        direct[q] = np.where(blank[q], np.nan, direct[q])
+    return blanked(data.with_readings(direct), blank)
+
+
+def reached(mechanism: Mechanism, driven: Dataset) -> Mask:
+    """(N,) the candidates that another machine can reach too, whatever its contacts."""
+    return within_reach(without_direct(mechanism), _driven(mechanism, driven))
+
+
+def _driven(mechanism: Mechanism, poses: Dataset) -> Dataset:
+    """The poses without gaps, which their joints decide."""
+    kept = {q: v for q, v in poses.readings.items() if q not in gaps_of(mechanism)}
+    units = {q: unit for q, unit in poses.units.items() if q in kept}
+    return Dataset.from_arrays(kept, units=units, poses=poses.poses)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,41 +209,53 @@ class _Sifted:
 
 
 def _sifted(
-    mechanism: Mechanism, poses: Dataset, site: PlanSettings, *, seen: bool = False
+    mechanism: Mechanism, poses: Dataset, site: PlanSettings, serves: Mask, touches: Mask
 ) -> _Sifted:
+    gaps = gaps_of(mechanism)
     computed = {*mechanism.outputs, *mechanism.turns, *mechanism.disturbances}
     computed |= {column for o in mechanism.orientations for column in o.columns}
     units = {**mechanism.quantities, **mechanism.pose_constants}
-    readings = {q: v for q, v in poses.readings.items() if q in units and q not in computed}
+    bare = {*units} - computed - gaps
+    readings = {q: v for q, v in poses.readings.items() if q in bare}
     stated = np.isfinite(np.array([*readings.values()])).all(axis=0)
     readings = {q: np.where(stated, v, 0.0) for q, v in readings.items()}
     readings |= {q: np.zeros(len(poses)) for q in mechanism.disturbances}
     for q, value in mechanism.latest.items():
         readings.setdefault(q, np.full(len(poses), value))
     driven = Dataset.from_arrays(readings, units={q: units[q] for q in readings}, poses=poses.poses)
-    closes = stated & within_reach(mechanism, driven)
+    closes = stated & reached(mechanism, driven)
     refused = {} if closes.all() else {"loops do not close": int((~closes).sum())}
+    if not (touches | ~closes).all():
+        refused["does not touch within the limits"] = int((closes & ~touches).sum())
+        closes &= touches
     # Before anything is predicted: beside a camera there are no pixels.
-    if not seen and not (before := faces(mechanism, driven)).all():
+    serves, before = shown(mechanism, serves, faces(mechanism, driven))
+    if not before.all():
         refused["board not before a camera"] = int((closes & ~before).sum())
         closes &= before
     if not closes.any():
         return _Sifted(len(poses), refused)
-    closed = simulate(mechanism, driven.take(np.flatnonzero(closes)), noise=EXACT, seed=0).dataset
-    rules = allowed(mechanism, site, closed, seen=seen)
+    some = np.flatnonzero(closes)
+    serves = serves[:, some]
+    closed = closed_at(mechanism, driven.take(some), blanks(mechanism, serves))
+    serves, whole = shown(mechanism, serves, in_image(mechanism, closed))
+    closed = blanked(closed, blanks(mechanism, serves))
+    rules = allowed(mechanism, site, closed, whole)
     refused |= rules.refused
     if not rules.poses.any():
         return _Sifted(len(poses), refused)
     closed = closed.take(np.flatnonzero(rules.poses))
-    hidden = computed | (mechanism.implied.keys() - readings.keys())
+    # Where some poses touch and others do not, their gaps say which.
+    mixed = {q for q in gaps if np.isnan(closed.readings[q]).any()}
+    hidden = computed | (mechanism.implied.keys() - readings.keys() - mixed)
     shown_quantities = [q for q in closed.readings if q in units and q not in hidden]
     shown_quantities.sort(key=lambda q: q not in readings)
-    shown = Dataset.from_arrays(
+    rows = Dataset.from_arrays(
         {q: closed.readings[q] for q in shown_quantities},
         units={q: units[q] for q in shown_quantities},
         poses=closed.poses,
     )
-    return _Sifted(len(poses), refused, shown, closed)
+    return _Sifted(len(poses), refused, rows, closed)
 
 
 def _joined(
@@ -291,12 +355,11 @@ class Allowed:
     refused: Mapping[str, int] = field(default_factory=dict)
 
 
-def allowed(
-    mechanism: Mechanism, site: PlanSettings, data: Dataset, *, seen: bool = False
-) -> Allowed:
+def allowed(mechanism: Mechanism, site: PlanSettings, data: Dataset, whole: Mask) -> Allowed:
     """The rules applied to closed candidates, each to what the ones before it left.
 
-    Raises InputError where a rule needs a point that the mechanism does not have.
+    whole: (N,) whether some camera has all of a board in its image. Raises InputError where a rule
+    needs a point that the mechanism does not have.
     """
     left = np.ones(len(data), dtype=bool)
     refused: dict[str, int] = {}
@@ -305,12 +368,14 @@ def allowed(
         refused[rule] = int((left & bad).sum())
         np.logical_and(left, ~bad, out=left)
 
-    if not seen and not (whole := in_image(mechanism, data)).all():
+    if not whole.all():
         without("board not whole in the image", ~whole)
     if site.forbidden is not None:
         without("forbidden rows", _forbidden(mechanism, site.forbidden, data))
     if site.reach is None and not site.keep_out and site.sight is None:
         return Allowed(left, refused)
+    if mechanism.tree is not None and not mechanism.chain:
+        return _of_whole_robot(mechanism, site, data, Allowed(left, refused))
     family = _sees_point(mechanism)
     base = _base(mechanism, family)
     measured = np.array([data.readings[q] for q in point_outputs(mechanism, family)])
@@ -319,13 +384,8 @@ def allowed(
     if site.reach is not None:
         without("reach", ~site.reach.holds(at))
     if site.keep_out:
-        bad = np.zeros(len(data), dtype=bool)
-        chain = _links(mechanism, data)
-        for box in site.keep_out:
-            bad |= box.holds(at)
-            for a, b in zip(chain, [*chain[1:], at], strict=False):
-                bad |= box.crossed(a, b)
-        without("keep-out boxes", bad)
+        chain = _links(mechanism.chain, mechanism, data)
+        without("keep-out boxes", _kept_out(site, [*chain, at]))
     if site.sight is not None:
         stands = np.array(site.sight.station)[: len(read), None]
         bad = np.zeros(len(data), dtype=bool)
@@ -367,11 +427,52 @@ def _moved(T: Array, at: Array) -> Array:
     return np.asarray((T[:3, :3] @ whole + T[:3, 3:])[: len(at)])
 
 
-def _links(mechanism: Mechanism, data: Dataset) -> list[Array]:
-    """The joints (3, N) of a serial arm from its base on; none of other machines."""
+def _of_whole_robot(
+    mechanism: Mechanism, site: PlanSettings, data: Dataset, so_far: Allowed
+) -> Allowed:
+    """The boxes for every limb: what a pose serves must be within reach, no link in a box."""
+    assert mechanism.tree is not None
+    if site.sight is not None:
+        raise InputError(
+            f"{mechanism.name!r} has several limbs, whose lines of sight are not known",
+            code="unsupported",
+            remedy="leave out sight; state poses that may not be measured as forbidden rows",
+        )
     values = {p.name: p.nominal for p in mechanism.parameters}
-    *ahead, (_, tip) = frames(mechanism.chain, data.readings, values)
-    pairs = zip(mechanism.chain, ahead, strict=True)
+    left, refused = so_far.poses, dict(so_far.refused)
+    outside, hit = (np.zeros(len(data), dtype=bool) for _ in range(2))
+    for leaf in mechanism.tree.leaves:
+        hit |= _kept_out(site, _links(mechanism.tree.path(leaf), mechanism, data))
+    for family in mechanism.families:
+        *_, (R, origin) = frames(mechanism.tree.path(family.on), data.readings, values)
+        place = [n for n in family.mounted if n.endswith(("_x", "_y", "_z"))][:3]
+        on_body = np.array([values[n] for n in place]) if len(place) == 3 else np.zeros(3)
+        at = (origin + R @ on_body).T
+        served = np.any([np.isfinite(data.readings[q]) for q in family.readings], axis=0)
+        hit |= served & _kept_out(site, [origin.T, at])
+        if site.reach is not None:
+            outside |= served & ~site.reach.holds(at)
+    for rule, bad in (("reach", outside), ("keep-out boxes", hit)):
+        refused[rule] = int((left & bad).sum())
+        left = left & ~bad
+    return Allowed(left, refused)
+
+
+def _kept_out(site: PlanSettings, way: list[Array]) -> Mask:
+    """(N,) whether a way through points (d, N) touches a box, or ends in one."""
+    bad = np.zeros(way[-1].shape[1], dtype=bool)
+    for box in site.keep_out:
+        bad |= box.holds(way[-1])
+        for a, b in pairwise(way):
+            bad |= box.crossed(a, b)
+    return bad
+
+
+def _links(way: Sequence[Step], mechanism: Mechanism, data: Dataset) -> list[Array]:
+    """The joints (3, N) of a limb from its base on, and its end; none of other machines."""
+    values = {p.name: p.nominal for p in mechanism.parameters}
+    *ahead, (_, tip) = frames(way, data.readings, values)
+    pairs = zip(way, ahead, strict=True)
     joints = [origin.T for step, (_, origin) in pairs if step.joint is not None]
     return [*joints, tip.T] if joints else []
 

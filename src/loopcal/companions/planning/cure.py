@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from loopcal.companions.planning.candidates import drawn, ranges_of, typical_sds, with_sds
 from loopcal.companions.planning.information import information, rows_of
+from loopcal.companions.planning.occasions import occasions
 from loopcal.companions.planning.plan import as_problem, measured_poses
 from loopcal.companions.planning.search import Search
 from loopcal.document.plain import finite
@@ -59,7 +60,7 @@ class Cure:
             "enough": self.enough,
             "condition_number": self.condition,
             "poses": [
-                {q: float(values[i]) for q, values in readings.items()}
+                {q: finite(float(values[i])) for q, values in readings.items()}
                 for i in range(len(self.poses))
             ],
         }
@@ -98,7 +99,9 @@ def cure(mechanism: Mechanism, existing: Dataset, noise: Noise, settings: PlanSe
     with one_blas_thread():
         measured = measured_poses(mechanism, existing, noise)
         ranges = ranges_of(measured.start, settings.ranges, existing)
-        pool = drawn(measured.start, ranges, replace(settings, number=CANDIDATES))
+        kinds = settings.occasions or occasions(measured.start, existing)
+        few = replace(settings, number=CANDIDATES, occasions=kinds)
+        pool = drawn(measured.start, ranges, few)
         like = with_sds(pool.closed, typical_sds(measured.problem))
         other = as_problem(measured.start, like, noise)
         before = rows_of(measured.problem, measured.problem.start, measured.corrections)

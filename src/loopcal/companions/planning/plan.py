@@ -30,9 +30,12 @@ from numpy.typing import NDArray
 
 from loopcal.companions.planning.candidates import (
     Candidates,
+    blank_in,
+    closed_at,
     drawn,
     in_shares,
     ranges_of,
+    reached,
     stated_candidates,
     too_few,
     typical_sds,
@@ -48,6 +51,7 @@ from loopcal.companions.planning.information import (
     rows_of,
     white_error,
 )
+from loopcal.companions.planning.occasions import occasions
 from loopcal.companions.planning.planned import (
     CALIBRATE,
     CRITERIA,
@@ -80,7 +84,6 @@ from loopcal.measurements.plan_settings import PlanSettings
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.smooth import vectors_for
 from loopcal.mechanisms.structure.structured import EFFECT, structured
-from loopcal.simulation.simulate import within_reach
 
 Array = NDArray[np.float64]
 TESTS = 300
@@ -205,6 +208,8 @@ def _pool(
         stated = candidates if isinstance(candidates, Dataset) else Dataset.from_arrays(candidates)
         return stated_candidates(mechanism, stated, settings)
     ranges = ranges_of(mechanism, settings.ranges, existing)
+    if existing is not None and not settings.occasions:
+        settings = replace(settings, occasions=occasions(mechanism, existing))
     return drawn(mechanism, ranges, settings)
 
 
@@ -233,7 +238,7 @@ def pooled(
         other = mechanism.with_nominal(values)
         if number == 0 and not _depends(first, other, pool.take(some), some, noise):
             break
-        if within_reach(other, pool.driven).all():
+        if reached(other, pool.driven).all():
             draws.append(_at(other, pool, tests, measured, noise).information)
     return Pooled(tuple(draws), first.problem)
 
@@ -245,19 +250,23 @@ class _Drawn:
     rows: Array
 
 
-def _tests(mechanism: Mechanism, pool: Candidates, settings: PlanSettings) -> Dataset:
-    """Driven readings of the poses whose end point counts."""
+def _tests(mechanism: Mechanism, pool: Candidates, settings: PlanSettings) -> Candidates:
+    """The poses whose end point counts."""
     if settings.region:
         ranges = ranges_of(mechanism, {**settings.ranges, **settings.region}, None)
-        return drawn(mechanism, ranges, PlanSettings(number=TESTS, seed=settings.seed + 1)).driven
+        return drawn(mechanism, ranges, PlanSettings(number=TESTS, seed=settings.seed + 1))
     index = np.unique(np.linspace(0, len(pool.even) - 1, TESTS).astype(np.intp))
-    return pool.driven.take(pool.even[index])
+    return pool.take(pool.even[index])
 
 
 def _problem(
-    mechanism: Mechanism, driven: Dataset, noise: Noise, typical: Mapping[str, float]
+    mechanism: Mechanism,
+    driven: Dataset,
+    noise: Noise,
+    typical: Mapping[str, float],
+    blank: Mapping[str, NDArray[np.bool_]],
 ) -> Problem:
-    closed = stated_candidates(mechanism, driven, PlanSettings(), seen=True).closed
+    closed = closed_at(mechanism, driven, blank)
     return as_problem(mechanism, with_sds(closed, typical), noise)
 
 
@@ -270,12 +279,12 @@ def as_problem(mechanism: Mechanism, closed: Dataset, noise: Noise) -> Problem:
 def _at(
     mechanism: Mechanism,
     pool: Candidates,
-    tests: Dataset,
+    tests: Candidates,
     measured: Measured | None,
     noise: Noise,
 ) -> _Drawn:
     typical = {} if measured is None else typical_sds(measured.problem)
-    problem = _problem(mechanism, pool.driven, noise, typical)
+    problem = _problem(mechanism, pool.driven, noise, typical, blank_in(pool.closed))
     rows = rows_of(problem, problem.start, np.zeros(problem.readings.shape))
     before = np.empty((0, *rows.shape[1:]))
     if measured is not None:
@@ -285,7 +294,14 @@ def _at(
         )
     T, white = np.empty((0, 1, rows.shape[2])), 0.0
     if mechanism.outputs:
-        at = _problem(mechanism, tests, noise, typical)
+        some = tests.take(np.flatnonzero(reached(mechanism, tests.driven)))
+        # The end point is anywhere; behind a camera there are no pixels of it.
+        unseen = {
+            q: blank
+            for q, blank in blank_in(some.closed).items()
+            if q not in mechanism.outputs or mechanism.quantities[q] == "px"
+        }
+        at = _problem(mechanism, some.driven, noise, typical, unseen)
         white = white_error(at)
         T = end_point_rows(at, at.start, at.readings, at.pose_constants)
     roles = [mechanism.roles.get(n, "placement") for n in problem.names]
@@ -299,9 +315,9 @@ def _depends(
     first: _Drawn, other: Mechanism, pool: Candidates, some: NDArray[np.intp], noise: Noise
 ) -> bool:
     """Whether a draw of the parameters changes what these candidates say."""
-    if not within_reach(other, pool.driven).all():
+    if not reached(other, pool.driven).all():
         return True
-    problem = _problem(other, pool.driven, noise, {})
+    problem = _problem(other, pool.driven, noise, {}, blank_in(pool.closed))
     rows = rows_of(problem, problem.start, np.zeros(problem.readings.shape))
     nominal_rows = first.rows[some] @ first.information.root
     drawn_rows = rows @ first.information.root

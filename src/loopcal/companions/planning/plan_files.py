@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.companions.planning.candidates import ranges_of
+from loopcal.companions.planning.occasions import occasions
 from loopcal.companions.planning.page import plan_html
 from loopcal.companions.planning.plan import plan
 from loopcal.companions.planning.planned import Plan
@@ -155,19 +156,26 @@ def plan_folder(project: Project) -> Path:
 def settings_of(project: Project) -> PlanSettings:
     """The [plan] of a project, its forbidden rows read.
 
-    Ranges that are not stated are those of the project's readings (`ranges_of`).
+    Ranges that are not stated are those of the project's readings (`ranges_of`), and instruments
+    that its poses were measured with together are in the plan.
     """
     settings, name = project.plan, project.inputs.get("plan", {}).get("forbidden")
     if name is not None:
         path = expanded(name, project.folder, Place(project.name).at("plan", "forbidden"))
         rows = new_readings(path, project.inputs, project.mechanism)
         settings = replace(settings, forbidden=rows)
+    mechanism, ranged = project.mechanism, True
     try:
-        ranges_of(project.mechanism, settings.ranges, None)
+        ranges_of(mechanism, settings.ranges, None)
     except InputError:
-        with suppress(InputError):
-            measured = load_dataset(project).dataset
-            ranges = ranges_of(project.mechanism, settings.ranges, measured)
+        ranged = False
+    if ranged and len(mechanism.families) < 2:
+        return settings
+    with suppress(InputError):
+        measured = load_dataset(project).dataset
+        settings = replace(settings, occasions=occasions(mechanism, measured))
+        if not ranged:
+            ranges = ranges_of(mechanism, settings.ranges, measured)
             settings = replace(settings, ranges=ranges)
     return settings
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,40 +15,51 @@ from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.station import Station
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 TILT = math.radians(60.0)
 """Most that a board is turned away from the camera: detectors lose corners beyond."""
 
 
-def faces(mechanism: Mechanism, joints: Dataset) -> NDArray[np.bool_]:
-    """(N,) whether some camera has a board before it, towards its image and tilted by at most
+def shown(mechanism: Mechanism, serves: Mask, seen: Mapping[str, Mask]) -> tuple[Mask, Mask]:
+    """(F, N) the families that poses serve where cameras see so much; and (N,) the poses with a
+    camera that sees its board, and those without any camera."""
+    serves = serves.copy()
+    rows = [i for i, family in enumerate(mechanism.families) if family.name in seen]
+    due = serves[rows].any(axis=0)
+    for i in rows:
+        serves[i] &= seen[mechanism.families[i].name]
+    return serves, np.asarray(~due | serves[rows].any(axis=0))
+
+
+def faces(mechanism: Mechanism, joints: Dataset) -> dict[str, Mask]:
+    """By camera (N,) whether it has its board before it, towards its image and tilted by at most
     `TILT`; the print is on the side of the board that most of these poses show."""
-    seen = np.zeros(len(joints), dtype=bool)
-    for family in _cameras(mechanism):
-        seen |= _faces(mechanism, family, joints)
-    return seen if _cameras(mechanism) else ~seen
+    return {f.name: _faces(mechanism, f, joints) for f in _cameras(mechanism)}
 
 
-def in_image(mechanism: Mechanism, data: Dataset) -> NDArray[np.bool_]:
-    """(N,) whether some camera has all of a board in its image, twice as large as its principal
+def in_image(mechanism: Mechanism, data: Dataset) -> dict[str, Mask]:
+    """By camera (N,) whether it has all of its board in its image, twice as large as its principal
     point is from its corner."""
     values = {p.name: p.nominal for p in mechanism.parameters}
-    inside = np.zeros(len(data), dtype=bool)
+    inside = {}
     for family in _cameras(mechanism):
         eye = family.readings[0].split(":")[0]
         size = 2.0 * np.array([values[f"{eye}_cx"], values[f"{eye}_cy"]])[:, None]
         pixels = np.array([data.readings[q] for q in family.readings]).reshape(-1, 2, len(data))
-        inside |= ((pixels > 0.0) & (pixels < size)).all(axis=(0, 1))
-    return inside if _cameras(mechanism) else ~inside
+        inside[family.name] = ((pixels > 0.0) & (pixels < size)).all(axis=(0, 1))
+    return inside
 
 
 def _cameras(mechanism: Mechanism) -> list[Family]:
-    return [f for f in mechanism.families if f.form == PIXELS] if mechanism.chain else []
+    return [f for f in mechanism.families if f.form == PIXELS] if mechanism.tree else []
 
 
-def _faces(mechanism: Mechanism, family: Family, joints: Dataset) -> NDArray[np.bool_]:
+def _faces(mechanism: Mechanism, family: Family, joints: Dataset) -> Mask:
+    assert mechanism.tree is not None
     eye, board = family.readings[0].split(":")[:2]
     values = {p.name: p.nominal for p in mechanism.parameters}
-    *_, (R, origin) = frames(mechanism.chain, joints.readings, values)
+    way = mechanism.tree.path(family.on, family.against)
+    *_, (R, origin) = frames(way, joints.readings, values)
     T = np.tile(np.eye(4), (len(joints), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = R, origin
     eyes, boards = (product(Station(name).steps, {}, values) for name in (eye, board))
