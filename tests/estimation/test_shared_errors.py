@@ -60,16 +60,17 @@ def test_outlier_tests_hold_their_level_where_targets_share_errors(
     N = 150
     rates: dict[str, list[float]] = {"white": [], "turned": []}
     problem: Any = SimpleNamespace(
-        readings=np.zeros((0, N)), uncertainty=SimpleNamespace(sd=np.zeros((0, N)))
+        readings=np.zeros((9, N)), uncertainty=SimpleNamespace(sd=np.ones((9, N)))
     )
     problem.where_closed = problem
     for _ in range(40):
         E = residuals(rng, N, 0.8)
-        block = PoseEquations(np.arange(N), E, np.zeros((N, 9, 1)), np.zeros((N, 9, 0)))
+        X = np.broadcast_to(np.eye(9), (N, 9, 9))  # each equation has a reading of its own
+        block = PoseEquations(np.arange(N), E, np.zeros((N, 9, 1)), X)
         monkeypatch.setattr(
             "loopcal.statistics.pose_tests.pose_equations", lambda *_, block=block, **__: (block,)
         )
-        plain = Fitted(np.zeros(1), np.zeros((0, N)), np.zeros((1, 1)), 1.0)
+        plain = Fitted(np.zeros(1), np.zeros((9, N)), np.zeros((1, 1)), 1.0)
         turned = Fitted(
             plain.parameters,
             plain.corrections,
