@@ -76,12 +76,15 @@ class Candidates:
 def too_few(left: int, considered: int, refused: Mapping[str, int], poses: int) -> InputError:
     """The refusal where fewer candidates are left than poses are requested."""
     lost = ", ".join(f"{rule} {count}" for rule, count in refused.items() if count)
+    next_options = ("--poses", str(left)) if left else ("--candidates", "READINGS")
     return InputError(
         f"only {left} of {considered} candidates may be measured; poses requested: {poses}"
         + (f" (excluded: {lost})" if lost else ""),
         code="too-few-poses",
-        remedy="request fewer poses, give more candidates, or widen the limits",
-    )
+        remedy="request fewer poses, give more candidates, or widen the limits"
+        if left
+        else "widen the limits and boxes, or choose among poses of your own",
+    ).offering(*next_options)
 
 
 def ranges_of(

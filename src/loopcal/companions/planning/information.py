@@ -116,7 +116,7 @@ def end_point_rows(problem: Problem, parameters: Array, x: Array, pose_constants
     S = output_sensitivity(
         mechanism, parameters, problem.names, x, pose_constants, unread
     ).by_parameter
-    parts = []
+    parts, seen = [], []
     for one in _seen(mechanism):
         outputs = [q for q in (one.position or one.turns) if q in mechanism.outputs]
         part = S[:, [mechanism.outputs.index(q) for q in outputs]]
@@ -126,9 +126,13 @@ def end_point_rows(problem: Problem, parameters: Array, x: Array, pose_constants
         elif one.form in POLAR:
             at = x[[mechanism.tape.quantities.index(q) for q in outputs]]
             part = cartesian_slopes(at) @ part
-        parts.append(part)
+        # A board that no image shows is not judged.
+        shown = np.asarray(np.isfinite(x[[names.index(q) for q in outputs]]).any(axis=0))
+        parts.append(np.where(shown[:, None, None], part, 0.0))
+        seen.append(shown)
     # Several seen points count as their mean square, so their number does not change the criterion.
-    rows = np.concatenate(parts, axis=1) / np.sqrt(len(parts))
+    count = np.maximum(np.sum(seen, axis=0), 1)
+    rows = np.concatenate(parts, axis=1) / np.sqrt(count)[:, None, None]
     finite: Array = rows[np.isfinite(rows).all(axis=(1, 2))]
     return finite
 

@@ -105,6 +105,14 @@ def _seen(mechanism: Mechanism, family: Family, data: Dataset) -> Mask:
     return np.asarray(np.any(seen, axis=0)) if seen else np.zeros(len(data), dtype=bool)
 
 
+def serving(mechanism: Mechanism, closed: Dataset) -> tuple[tuple[str, ...], ...]:
+    """The instruments that serve each pose; none where all serve every one."""
+    seen = [(f.name, _seen(mechanism, f, closed)) for f in mechanism.families]
+    if all(of.all() for _, of in seen):
+        return ()
+    return tuple(tuple(name for name, of in seen if of[i]) for i in range(len(closed)))
+
+
 def served(mechanism: Mechanism, kinds: tuple[tuple[str, ...], ...], count: int) -> Mask:
     """(F, N) which family each of so many poses serves: two poses of every kind in turn."""
     at = np.arange(count) // 2 % max(len(kinds), 1)
@@ -150,7 +158,7 @@ def brought_together(
     """
     families = touching(mechanism)
     rows = [mechanism.families.index(f) for f in families]
-    closes = np.ones(len(poses), dtype=bool)
+    every, closes = np.ones(len(poses)), np.ones(len(poses), dtype=bool)
     readings = {q: values.copy() for q, values in poses.readings.items()}
     for kind in np.unique(serves[rows].T, axis=0):
         loops = {loop for f, one in zip(families, kind, strict=True) if one for loop in f.loops}
@@ -162,14 +170,11 @@ def brought_together(
         alone = replace(mechanism, tape=tape, families=(), outputs=(), body=None)
         inputs = frozenset().union(*tape.depends_on("quantity"))
         moving = [q for q in mechanism.joints if q in inputs]
-        driven = [q for q in moving if q not in poses.readings]
-        free = {
-            q: (-np.inf, np.inf)
-            if driven
-            else tuple(np.broadcast_to(s, len(poses))[some] for s in spans[q])
-            for q in driven or moving
-            if driven or q in spans
-        }
+        if loose := [q for q in moving if q not in poses.readings]:
+            free = dict.fromkeys(loose, (-np.inf * every, np.inf * every))
+        else:
+            free = {q: (spans[q][0] * every, spans[q][1] * every) for q in moving if q in spans}
+        free = {q: (low[some], high[some]) for q, (low, high) in free.items()}
         moved, ok = moved_to_close(alone, poses.take(some), free)
         closes[some] = ok
         for q, values in moved.items():

@@ -51,7 +51,7 @@ from loopcal.companions.planning.information import (
     rows_of,
     white_error,
 )
-from loopcal.companions.planning.occasions import occasions
+from loopcal.companions.planning.occasions import occasions, serving
 from loopcal.companions.planning.planned import (
     CALIBRATE,
     CRITERIA,
@@ -355,6 +355,11 @@ def _planned(
     roles = mechanism.roles
     shown = [n for n in names if n in roles and roles[n] != "model error"]
     units = {n: mechanism.parameters[n].unit for n in shown}
+    serves = serving(mechanism, taken.closed)
+    named = {name for kind in serves for name in kind}
+    idle = [f for f in mechanism.families if serves and f.name not in named]
+    # What an instrument alone says is not expected of poses that it does not serve.
+    aside = {n for f in idle for n in (*f.mounted, *f.standing)}
     fitted = expected_of(draw, names, draw.of(kept), len(kept))
     bends = np.array([roles.get(n) == "model error" for n in names])
     rigid = None
@@ -379,8 +384,10 @@ def _planned(
         len(made.draws),
         end_point_unit(mechanism),
         units,
-        _remarks(curve[-1].parameters, units),
+        _remarks(curve[-1].parameters, {n: u for n, u in units.items() if n not in aside}),
         rigid,
+        serves,
+        tuple(f.name for f in idle),
     )
 
 

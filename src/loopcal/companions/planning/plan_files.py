@@ -27,6 +27,7 @@ from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables
 from loopcal.files.result.deployed import PLAN, note_deployed, result_path
 from loopcal.files.result.result_poses import poses_of_result
+from loopcal.files.tables.writer import Column
 from loopcal.files.toml.place import Place
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
@@ -132,7 +133,10 @@ def run_plan(
             units={q: unit for q, unit in poses.units.items() if q not in pixels},
             poses=poses.poses,
         )
-    tables = readings_tables(poses, data, {}, folder / POSES, {"use": made.use})
+    more: dict[str, Column] = {"use": made.use}
+    if made.serves:
+        more["serves"] = tuple(" ".join(kind) for kind in made.serves)
+    tables = readings_tables(poses, data, {}, folder / POSES, more)
     files: dict[str, str | bytes] = {**tables}
     document = marked({"title": read.title, **made.document()}, files)
     files[DOCUMENT] = marked_json(document)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,7 +19,7 @@ from loopcal.companions.planning.search import (
     inverse,
     test_variances,
 )
-from loopcal.document.plain import plain
+from loopcal.document.plain import finite, plain
 from loopcal.measurements.dataset import Dataset
 from loopcal.presentation.shown import SHOWN, columns, significant, with_unit
 from loopcal.units import from_si
@@ -75,7 +76,9 @@ class Plan:
     promise; random: random choices beside it; travel: length of the way, shortened: over that in
     the order of choice; draws: of the parameters that the criterion is averaged over; unit: of the
     end point; units: parameter -> SI unit; rigid: what all poses promise of a machine that is as
-    its geometry says, None where nothing beside geometry was assumed, or where it was learnt.
+    its geometry says, None where nothing beside geometry was assumed, or where it was learnt;
+    serves: the instruments of each pose, none where all serve every one; idle: those of the
+    mechanism that no pose serves.
     """
 
     poses: Dataset
@@ -97,6 +100,8 @@ class Plan:
     units: Mapping[str, str]
     remarks: tuple[str, ...] = ()
     rigid: Expected | None = None
+    serves: tuple[tuple[str, ...], ...] = ()
+    idle: tuple[str, ...] = ()
 
     @property
     def count(self) -> int:
@@ -125,7 +130,8 @@ class Plan:
                 {
                     "pose": pose,
                     "use": self.use[i],
-                    "readings": {q: values[i] for q, values in readings.items()},
+                    "readings": {q: finite(values[i]) for q, values in readings.items()},
+                    **({"serves": list(self.serves[i])} if self.serves else {}),
                 }
                 for i, pose in enumerate(self.poses.poses)
             ],
@@ -149,6 +155,14 @@ class Plan:
         ]
         if again:
             lines.append(f"the first pose {again} times more, which shows a drift")
+        kinds = Counter(
+            " and ".join(map(repr, kind))
+            for kind, use in zip(self.serves, self.use, strict=False)
+            if use != REPEAT
+        )
+        kinds.update(dict.fromkeys(map(repr, self.idle), 0))
+        if kinds:
+            lines += [", ".join(f"{n or 'none'} for {kind}" for kind, n in kinds.items())]
         lines += [f"{count} of {self.considered} excluded: {rule}" for rule, count in self._lost()]
         lines += [
             f"criterion {self.criterion} ({CRITERIA[self.criterion]}): at least "

@@ -46,7 +46,7 @@ def in_image(mechanism: Mechanism, data: Dataset) -> dict[str, Mask]:
         eye = family.readings[0].split(":")[0]
         size = 2.0 * np.array([values[f"{eye}_cx"], values[f"{eye}_cy"]])[:, None]
         pixels = np.array([data.readings[q] for q in family.readings]).reshape(-1, 2, len(data))
-        inside[family.name] = ((pixels > 0.0) & (pixels < size)).all(axis=(0, 1))
+        inside[family.name] = np.asarray(((pixels > 0.0) & (pixels < size)).all(axis=(0, 1)))
     return inside
 
 
