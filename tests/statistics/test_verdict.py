@@ -547,8 +547,11 @@ def test_a_camera_that_looks_ahead_is_off_by_the_angle_that_it_is_turned() -> No
         eye = (
             replace(
                 document.parameters[0],
-                **{"name": f"eye_{k}", "owner": "eye", "role": "mounting", "nominal": v},
+                name=f"eye_{k}",
+                owner="eye",
+                role="mounting",
                 unit="rad" if k.startswith("r") else "m",
+                nominal=v,
                 value=v + off.get(k, 0.0),
                 sd=1e-3,
             )
