@@ -66,21 +66,26 @@ def screen(text: str) -> str:
     """What fits on one screen of a text whose parts are apart by an empty line.
 
     The parts keep their order. One that does not fit any more is left out, and named by its first
-    words in the last line.
+    words in the last line; of a table that alone is longer than a screen the first rows are kept.
     """
     room = SCREEN - _ABOVE.get()
     if text.count("\n") < room:
         return text
     kept, left, room = list[str](), list[str](), room - 2
     for part in text.split("\n\n"):
-        needed = part.count("\n") + 2
-        if needed > room and len(kept) >= _JUDGED:
-            head = part.split("\n")[0]
-            name = head.split("  ")[0] if "  " in head else head.split(" ")[0].rstrip(":")
+        lines = part.split("\n")
+        head = lines[0]
+        name = head.split("  ")[0] if "  " in head else head.split(" ")[0].rstrip(":")
+        if len(lines) + 1 > room and len(kept) >= _JUDGED:
             left.append("warnings" if name == "WARNING" else name)
             continue
-        kept.append(part)
-        room -= needed
+        if kept and len(lines) > SCREEN:
+            left.append(f"{len(lines) - room} more rows of {name}")
+            lines = lines[:room]
+        kept.append("\n".join(lines))
+        room -= len(lines) + 1
+    if not left:
+        return text
     return "\n\n".join([*kept, f"(not shown: {', '.join(dict.fromkeys(left))}; all: --full)"])
 
 
