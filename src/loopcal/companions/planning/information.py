@@ -126,8 +126,9 @@ def end_point_rows(problem: Problem, parameters: Array, x: Array, pose_constants
         elif one.form in POLAR:
             at = x[[mechanism.tape.quantities.index(q) for q in outputs]]
             part = cartesian_slopes(at) @ part
-        # A board that no image shows is not judged.
-        shown = np.asarray(np.isfinite(x[[names.index(q) for q in outputs]]).any(axis=0))
+        # A board is judged where an image shows it.
+        lost = np.isinf(sds[[names.index(q) for q in outputs]]).all(axis=0)
+        shown = np.asarray(~lost | lost.all())
         parts.append(np.where(shown[:, None, None], part, 0.0))
         seen.append(shown)
     # Several seen points count as their mean square, so their number does not change the criterion.

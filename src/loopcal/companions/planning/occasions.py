@@ -97,9 +97,9 @@ def occasions(mechanism: Mechanism, measured: Dataset | None) -> tuple[tuple[str
 
 def _seen(mechanism: Mechanism, family: Family, data: Dataset) -> Mask:
     """(N,) whether a family is read; gaps without a column are."""
-    own = family in touching(mechanism)
-    columns = [q for q in family.readings if own or q not in mechanism.implied]
-    if not columns or (own and not any(q in data.readings for q in columns)):
+    silent = family in touching(mechanism)
+    columns = [q for q in family.readings if silent or q not in mechanism.implied]
+    if not columns or (silent and not any(q in data.readings for q in columns)):
         return np.ones(len(data), dtype=bool)
     seen = [np.isfinite(data.readings[q]) for q in columns if q in data.readings]
     return np.asarray(np.any(seen, axis=0)) if seen else np.zeros(len(data), dtype=bool)
