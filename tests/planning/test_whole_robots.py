@@ -95,6 +95,9 @@ def test_poses_of_ones_choice_touch_only_where_joints_nearly_make_them() -> None
     assert len(stated_candidates(arms(), lc.Dataset.from_arrays(near), SETTINGS).driven) == 4
     left = stated_candidates(arms(), lc.Dataset.from_arrays(far), SETTINGS)
     assert left.driven.poses == ("3", "4")
+    blank = {**near, "rq0": np.array([np.nan, 0.0, 0.0, 0.0]) + near["rq0"]}
+    whole = stated_candidates(arms(), lc.Dataset.from_arrays(blank), SETTINGS)
+    assert whole.driven.poses == ("2", "3", "4")
     kept = stated_candidates(arms(), lc.Dataset.from_arrays(near), SETTINGS).driven
     np.testing.assert_array_equal(kept["lq1"], near["lq1"])
 

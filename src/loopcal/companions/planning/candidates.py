@@ -160,7 +160,9 @@ def stated_candidates(mechanism: Mechanism, poses: Dataset, site: PlanSettings) 
         for q, unit in mechanism.joints.items()
         if q in poses.readings
     }
-    moved, closes = brought_together(mechanism, poses, serves, spans)
+    filled = poses.with_readings({q: np.nan_to_num(poses.readings[q]) for q in spans})
+    spans = {q: (np.nan_to_num(low), np.nan_to_num(high)) for q, (low, high) in spans.items()}
+    moved, closes = brought_together(mechanism, filled, serves, spans)
     missing = {q: v for q, v in moved.readings.items() if q not in poses.readings}
     poses = poses.with_readings(missing, units={q: mechanism.quantities[q] for q in missing})
     return _joined([_sifted(mechanism, poses, site, serves, closes)], len(poses))
