@@ -121,7 +121,7 @@ def from_tree(
         fit["method"] = "implicit-loop"
         words += (
             f"{open_ones} parameters and {rows.count} poses: the method is implicit-loop, which "
-            "takes minutes; delete the line to compare all methods and model errors, in many more",
+            "takes up to a minute; delete the line to compare methods and model errors, in many",
         )
     repeated = len(places) - len(set(places))
     if repeated:
