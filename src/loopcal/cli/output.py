@@ -50,6 +50,10 @@ _ABOVE = ContextVar("above", default=0)
 _JUDGED = 2
 """Parts of a result that are always shown: what it is, and its verdict."""
 
+# Chosen, not derived.
+_ROWS = 10
+"""Rows of a long table that are shown at least."""
+
 
 @contextmanager
 def below(text: str) -> Iterator[None]:
@@ -79,9 +83,10 @@ def screen(text: str) -> str:
         if len(lines) + 1 > room and len(kept) >= _JUDGED:
             left.append("warnings" if name == "WARNING" else name)
             continue
-        if kept and len(lines) > SCREEN:
-            left.append(f"{len(lines) - room} more rows of {name}")
-            lines = lines[:room]
+        if kept and "  " in head and len(lines) > SCREEN:  # a verdict is whole, however long
+            rows = max(room, _ROWS)
+            left.append(f"{len(lines) - rows} more rows of {name}")
+            lines = lines[:rows]
         kept.append("\n".join(lines))
         room -= len(lines) + 1
     if not left:

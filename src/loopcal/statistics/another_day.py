@@ -18,7 +18,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Linearised, components_of
-from loopcal.statistics.possible_changes import unit_of
+from loopcal.statistics.possible_changes import changed_share, unit_of
 from loopcal.statistics.replacing import Replaced, freed, replaced
 from loopcal.statistics.run_order import told_by_joints
 
@@ -113,12 +113,8 @@ class Day:
         columns = []
         for point in self.moved:
             names = sorted(point.names, key=lambda n: n not in self.problem.mechanism.quantities)
-            size = (
-                1.0 * (row >= point.number)
-                if point.until is None
-                else np.clip((row - point.number) / max(point.until - point.number, 1), 0.0, 1.0)
-            )
-            columns.append(size * placement.columns(names))
+            share = changed_share(row, point.number, point.until)
+            columns.append(share * placement.columns(names))
         return np.hstack(columns)
 
     def without(self, poses: NDArray[np.intp]) -> Day:

@@ -33,7 +33,13 @@ from loopcal.lazy import cached_property
 from loopcal.presentation.shown import wrapped
 from loopcal.statistics.estimated import log_tail
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
-from loopcal.statistics.possible_changes import ALONG_A_RUN, Possible, possible, unit_of
+from loopcal.statistics.possible_changes import (
+    ALONG_A_RUN,
+    Possible,
+    changed_share,
+    possible,
+    unit_of,
+)
 from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines
 from loopcal.statistics.scales import scales
 
@@ -135,14 +141,8 @@ class _Step:
     @property
     def columns(self) -> Array:
         """(N, R, d)"""
-        number = np.arange(len(self.candidate.columns))
-        # From 0 to 1: the size of a ramp is its change over the poses in which it was seen.
-        rows = (
-            1.0 * (number >= self.at)
-            if self.until is None
-            else np.clip((number - self.at) / max(self.until - self.at, 1), 0.0, 1.0)
-        )
-        return rows[:, None, None] * self.candidate.columns
+        share = changed_share(np.arange(float(len(self.candidate.columns))), self.at, self.until)
+        return share[:, None, None] * self.candidate.columns
 
 
 def find_shifts(result: FitResult, *, level: float = 0.01, most: int = MOST) -> Shifts:

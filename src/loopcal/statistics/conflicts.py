@@ -1,14 +1,16 @@
 """Whether one observation contradicts the others, and by how much.
 
-In directions z of the parameters with information 1 from all equations and priors together, those
-of one observation hold F (k, k), with the gradient g; the others and the priors hold 1 - F, with
--g. Along an eigenvector of F with the value f each side has an estimate of its own,
+Directions z of the parameters are scaled, so that all equations and priors together have the
+information 1. The equations of one observation have the information F (k, k) and the gradient g.
+The others and the priors have 1 - F and -g. Take an eigenvector of F, with the eigenvalue f. Along
+it the observation alone gives one estimate, and all others give another one:
 
     z_one = g / f,   z_others = -g / (1 - f),   z_one - z_others ~ N(0, s^2 / f + 1 / (1 - f)),
 
-s^2 the variance that the one leaves by itself. An observation that shares a pose with others is
-taken as what it adds to them. What contradicts the rest, as a plane that is not flat does, bends
-the machine towards itself, and its learnt sd hides it.
+s^2 is the variance of the residuals that the observation leaves in a fit by itself. Of an
+observation that shares a pose with others, only what it adds to them counts. An observation that
+contradicts the others, such as a contact of a ball with a wrong radius, gets a large learnt sd,
+and no residual stands out.
 """
 
 from __future__ import annotations

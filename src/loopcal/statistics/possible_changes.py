@@ -10,6 +10,9 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from loopcal.estimation.problem.problem import Problem
 from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.mechanisms.parameters import GEOMETRY
@@ -18,6 +21,7 @@ from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.sag import LOAD, TOOL
 from loopcal.mechanisms.structure.structured import driven_joints
 
+Array = NDArray[np.float64]
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
 # joint that is mastered anew, a link that a crash bends, a tool that is exchanged, a print that was
 # fitted to another page, 50 K of warming at 24e-6 per kelvin. A load may do anything.
@@ -75,6 +79,14 @@ Cause = Callable[[Problem], Iterable[Possible]]
 def possible(problem: Problem, causes: Iterable[Cause]) -> list[Possible]:
     """All changes by these causes."""
     return list(dict.fromkeys(one for cause in causes for one in cause(problem)))
+
+
+def changed_share(number: Array, at: int, until: int | None) -> Array:
+    """The share of a change that has happened at poses of these numbers: all of it from `at` on, or
+    in proportion to the number up to `until`."""
+    if until is None:
+        return np.asarray(1.0 * (number >= at))
+    return np.clip((number - at) / max(until - at, 1), 0.0, 1.0)
 
 
 def unit_of(problem: Problem, name: str) -> str:

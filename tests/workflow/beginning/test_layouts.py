@@ -119,6 +119,20 @@ def test_joints_that_nothing_distinguishes_are_asked_for(tmp_path: Path) -> None
     assert np.allclose(joint_readings(named), world.read, atol=1e-6)
 
 
+def begun_by_the_next_command(name: str, folder: Path) -> tuple[World, lc.Project]:
+    """A layout that is refused, and the project that the command in its refusal makes."""
+    robot, maker = LAYOUTS[name]
+    world = World(robot, 1)
+    described(world, folder)
+    maker(world, folder)
+    code, printed = begin(["data.csv", "--dh", "dh.csv", "--out", "out"], folder)
+    assert code == 3
+    command = next_command(printed)
+    assert command is not None
+    assert begin(command[1:], folder)[0] == 0
+    return world, lc.read_project(folder / "out" / "project.toml")
+
+
 @pytest.mark.parametrize(
     ("name", "sign", "made"),
     [
@@ -139,17 +153,8 @@ def test_the_next_command_of_a_refusal_goes_on(
     sign: float,
     made: tuple[str, str],
 ) -> None:
-    robot, maker = LAYOUTS[name]
-    world = World(robot, 1)
-    described(world, tmp_path)
-    maker(world, tmp_path)
     monkeypatch.chdir(tmp_path)
-    code, printed = begin(["data.csv", "--dh", "dh.csv", "--out", "out"], tmp_path)
-    assert code == 3
-    command = next_command(printed)
-    assert command is not None
-    assert begin(command[1:], tmp_path)[0] == 0
-    project = lc.read_project("out/project.toml")
+    world, project = begun_by_the_next_command(name, tmp_path)
     joint, line = made
     assert np.allclose(lc.load_dataset(project).dataset[joint], sign * world.read[:, 3], atol=1e-6)
     assert line in Path("out/project.toml").read_text()
@@ -161,17 +166,8 @@ def test_the_next_command_of_a_refusal_goes_on(
 def test_a_mistake_in_the_headers_is_read_by_the_next_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    robot, maker = LAYOUTS[name]
-    world = World(robot, 1)
-    described(world, tmp_path)
-    maker(world, tmp_path)
     monkeypatch.chdir(tmp_path)
-    code, printed = begin(["data.csv", "--dh", "dh.csv", "--out", "out"], tmp_path)
-    assert code == 3
-    command = next_command(printed)
-    assert command is not None
-    assert begin(command[1:], tmp_path)[0] == 0
-    project = lc.read_project("out/project.toml")
+    world, project = begun_by_the_next_command(name, tmp_path)
     read = lc.load_dataset(project).dataset
     joints = [q for q in read.readings if q not in "xyz"]
     assert np.allclose([read[q] for q in joints], world.read.T, atol=1e-6)

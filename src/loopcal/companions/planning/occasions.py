@@ -37,7 +37,7 @@ def gaps_of(mechanism: Mechanism) -> frozenset[str]:
 
 
 def _direct(mechanism: Mechanism) -> tuple[Family, ...]:
-    """Contacts and images: each reading follows from the joints by a loop of its own."""
+    """Contacts and images. The joints determine each reading of these, by one loop equation."""
     if mechanism.tree is None:
         return ()
     return (*touching(mechanism), *(f for f in mechanism.families if f.form == PIXELS))

@@ -88,27 +88,25 @@ def read_new_readings(
 
 def reads(path: Any, inputs: Mapping[str, Any], mechanism: Mechanism) -> bool:
     """Whether a file has a column of the project for each joint."""
-    spec = _spec(inputs, mechanism)
-    try:
-        labels = column_labels(read_once(path, **spec.keywords))
-    except InputError:
-        return False
-    columns = {q: c.column for part in spec.parts for q, c in part.columns.items()}
-    return all(columns[q] in labels for q in mechanism.joints if q in columns)
+    return _has_columns(path, _spec(inputs, mechanism), {*mechanism.joints})
 
 
 def _is_converted(paths: Sequence[Any], spec: DataTable, wanted: Set[str]) -> bool:
     """Whether a file has the columns that the project reads, and so not those of its source."""
-    columns = {q: c for part in spec.parts for q, c in part.columns.items() if q in wanted}
-    if not isinstance(paths[0], str | Path):
+    assert spec.source is not None
+    return len(paths) == 1 and _has_columns(paths[0], spec, spec.source.columns.keys() & wanted)
+
+
+def _has_columns(path: Any, spec: DataTable, quantities: Set[str]) -> bool:
+    """Whether a file has the columns in which the project reads these quantities."""
+    if not isinstance(path, str | Path):
         return False
     try:
-        labels = column_labels(read_once(paths[0], **spec.keywords))
+        labels = column_labels(read_once(path, **spec.keywords))
     except InputError:  # of a table below titles, which only its source describes
         return False
-    assert spec.source is not None
-    joints = [columns[q].column for q in spec.source.columns if q in columns]
-    return len(paths) == 1 and set(labels) >= set(joints)
+    columns = {q: c.column for part in spec.parts for q, c in part.columns.items()}
+    return {columns[q] for q in quantities if q in columns} <= {*labels}
 
 
 def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataTable:
