@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import loopcal as lc
+from analyses import trees
 from analyses.instruments import (
     ARM_VALUES,
     JOINTS,
@@ -145,3 +149,32 @@ def test_the_size_of_a_linkage_is_held_unless_something_tells_it() -> None:
         assert assemble(four_bar(), [blind]).parameters["a2_x"].fixed
     seen = assemble(four_bar(), [point(readings=("x", "y"), dimension=2)])
     assert not seen.parameters["a2_x"].fixed
+
+
+def test_hands_that_only_touch_each_other_say_how_little_they_know_of_their_size(
+    tmp_path: Path,
+) -> None:
+    """Poses left out are predicted, though few of them tell no size by themselves."""
+    world = trees.touching(np.random.default_rng([0, 0]))
+    (tmp_path / "bodies.csv").write_text(f"{world.bodies}\n", "utf-8")
+    (tmp_path / "touch.csv").write_text(world.files["touch.csv"], "utf-8")
+    cell = tmp_path / "cell"
+    dh, touch = tmp_path / "bodies.csv", world.observe[:1]
+    lc.init(tmp_path / "touch.csv", dh=dh, observe=touch, out=cell)
+    project = cell / "project.toml"
+    fit = 'fit = { method = "implicit-loop", validation = { folds = 5 } }\n\n[mechanism]\n'
+    project.write_text(project.read_text("utf-8").replace("[mechanism]\n", fit, 1), "utf-8")
+    document = lc.calibrate(project).document
+    assert document.validation is not None
+    assert not document.validation.failed
+    (valid,) = (one for one in document.findings or () if one.question == "valid")
+    assert valid.code == "near-poses-only"
+    # The sd of (l . dl) / (l . l), by draws of the changes dl.
+    names = document.covariance.names
+    lengths = {p.name: p.value for p in document.parameters if p.unit == "m"}
+    along = np.array([lengths.get(name, 0.0) for name in names])
+    zero, C = np.zeros(len(names)), np.array(document.covariance.matrix, dtype=float)
+    drawn = np.random.default_rng(0).multivariate_normal(zero, C, 20_000) @ along
+    share = 100.0 * float(drawn.std()) / float(along @ along)
+    (stated,) = re.findall(r"an sd of ([\d.]+) %", valid.words)
+    assert float(stated) == pytest.approx(share, rel=0.05)

@@ -810,3 +810,25 @@ def test_a_finding_names_its_place_and_its_numbers() -> None:
     assert slip.place.parameters == ("x6B",)
     assert slip.numbers["changes"].value == 1.0
     assert slip.next is not None
+
+
+def test_a_joint_that_stood_still_is_said_to_have_stood_still() -> None:
+    arm = dh_arm()
+    driven = [q for q in arm.quantities if q not in arm.outputs]
+    ranges = dict.fromkeys(driven, (-1.5, 1.5)) | {driven[0]: (0.2, 0.2)}
+    sds = dict.fromkeys(arm.quantities, 1e-5)
+    poses = lc.random_poses(ranges, 60, seed=3)
+    data = lc.simulate(arm, poses, noise=lc.Noise(sds), seed=4).dataset
+    data = data.with_readings({driven[0]: np.full(len(data), 0.2)})
+    prior = dict.fromkeys(arm.parameters.names, 1e-2)
+    result = lc.calibrate(arm, data, noise=sds, prior=prior, method="implicit-loop")
+    assert result.verdict.valid.code == "valid-while-parked"
+    assert repr(driven[0]) in result.verdict.valid.words
+    region = result.document.region
+    assert region is not None
+    assert region.parked == (driven[0],)
+    kept = lc.verdict(result, region={driven[0]: (0.2, 0.2)})
+    assert kept.valid.code == "valid-in-region"
+    assert region.worst_while_parked is not None
+    assert kept.valid.number == region.worst_while_parked.ratio
+    assert (region.worst.ratio or np.inf) > 3.0

@@ -355,6 +355,14 @@ _ROWS = (
         "State the region ([verdict] region).",
         _CHECK,
     ),
+    _not_valid(
+        "gaps-only",
+        "Nothing but gaps was read: no reading says where the machine stands away from the touched "
+        "places. Its size, all lengths alike, {size}.",
+        "Add an instrument that measures points, or use it near the touched places only.",
+        _CHECK,
+        shared="near-poses-only",
+    ),
     _valid_open(
         "valid-if-sound",
         "The predicted sd is {sd_in_region:2} in {where} and {sd_at_poses:2} at the measured "
@@ -374,6 +382,13 @@ _ROWS = (
         "The predicted sd is {sd_in_region:2} in {where} and {sd_at_poses:2} at the measured "
         "poses.",
         f"{_ALL_OVER}, or state the region in which you work.",
+        _PLAN,
+    ),
+    _valid_open(
+        "valid-while-parked",
+        "The predicted sd is {sd_in_region:2} in the working region while {joints} stays as in all "
+        "poses, and {sd_at_poses:2} at these; where {joints} moves, it is {moved}.",
+        "Keep it there, or measure poses in which it moves.",
         _PLAN,
     ),
     _valid(

@@ -250,11 +250,24 @@ class RegionEntry:
     by: tuple[RegionSd, ...]
     """For each unit of outputs that of the instrument with the largest ratio; the worst first. What
     cameras see has two: px, and m at the board."""
+    parked: tuple[str, ...] = ()
+    """Joints that stood still in all poses and have room in the region."""
+    while_parked: tuple[RegionSd, ...] = ()
+    """As `by`, where these joints stay as they stood."""
 
     @property
     def worst(self) -> RegionSd:
         """The largest ratio of any unit; what is stated in px is stated in m as well."""
-        return next((one for one in self.by if one.unit != "px"), self.by[0])
+        return self._worst(self.by)
+
+    @property
+    def worst_while_parked(self) -> RegionSd | None:
+        """The same where parked joints stay; None without any."""
+        return self._worst(self.while_parked) if self.while_parked else None
+
+    @staticmethod
+    def _worst(by: tuple[RegionSd, ...]) -> RegionSd:
+        return next((one for one in by if one.unit != "px"), by[0])
 
     def of(self, unit: str) -> RegionSd | None:
         """Of one unit; None where no output has it."""

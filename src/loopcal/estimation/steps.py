@@ -31,7 +31,7 @@ from loopcal.estimation.noise.learning import components, with_model
 from loopcal.estimation.plausible import refuse_contradiction
 from loopcal.estimation.problem.alignment import begun
 from loopcal.estimation.problem.problem import Problem, Weighting, build_problem
-from loopcal.estimation.problem.size import refuse_collapse
+from loopcal.estimation.problem.size import refuse_collapse, refuse_without_length
 from loopcal.estimation.problem.starting import refuse_unreachable
 from loopcal.estimation.solve.fallback import solve_or_fall_back
 from loopcal.estimation.solve.solution import End
@@ -241,14 +241,20 @@ def started(
         for name in start:
             mechanism.parameters[name]  # raises for a name that is not there
         problem = build_problem(mechanism, data, noise, start, whole=whole)
-        refuse_parallel_axes(mechanism)
+        _refuse_undetermined(problem)
         return problem
     problem = build_problem(mechanism, data, noise, whole=whole)
-    refuse_parallel_axes(mechanism)
+    _refuse_undetermined(problem)
     if (aligned := begun(problem, start)) is not mechanism:
         problem = problem.with_nominal(aligned)
     refuse_unreachable(problem, problem.start)
     return problem
+
+
+def _refuse_undetermined(problem: Problem) -> None:
+    arrays = problem.readings, problem.pose_constants, problem.uncertainty.sd
+    refuse_without_length(problem.mechanism, *arrays)
+    refuse_parallel_axes(problem.mechanism)
 
 
 def refuse_loss(fit: Fit) -> None:

@@ -54,6 +54,25 @@ def region_of(
 
     stated: quantity -> range [SI], in place of limits.
     """
+    stated = stated or {}
+    region = _region(result, calibrated, stated)
+    if region is None:
+        return None
+    names, readings = calibrated.mechanism.tape.quantities, result.problem.readings
+    stood: dict[str, Span] = {}
+    for one in region.ranges:
+        row = readings[names.index(one.quantity)]
+        if one.quantity not in stated and row.min() == row.max() and one.high > one.low:
+            stood[one.quantity] = float(row[0]), float(row[0])
+    if not stood:
+        return region
+    still = _region(result, calibrated, {**stated, **stood})
+    return replace(region, parked=tuple(stood), while_parked=still.by if still else ())
+
+
+def _region(
+    result: FitResult, calibrated: Predictor, stated: Mapping[str, Span]
+) -> RegionEntry | None:
     mechanism = calibrated.mechanism
     machine, problem = mechanism.predicting(), result.problem
     names, outputs = machine.tape.quantities, set(machine.outputs)
@@ -65,7 +84,7 @@ def region_of(
     ]
     if not driven:
         return None
-    ranges = ranges_of(mechanism, {q: corrected[names.index(q)] for q in driven}, stated or {})
+    ranges = ranges_of(mechanism, {q: corrected[names.index(q)] for q in driven}, stated)
     now = as_now(mechanism, problem.pose_constants)
     also = [q for i, q in enumerate(names) if unread[i] and q not in still]
     between = driven if {one.source for one in ranges} == {"readings"} else []

@@ -26,11 +26,14 @@ from loopcal.document import catalogue
 from loopcal.document.accuracy import BoardPlace, Distances
 from loopcal.document.catalogue import CATALOGUE
 from loopcal.document.choice import beats
+from loopcal.document.findings import RegionSd
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer, Fact, Figure, Finding, Verdict, fact
+from loopcal.errors import listed
 from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.estimation.result import FitResult
+from loopcal.presentation.shown import significant
 from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.case import NOMINAL
 from loopcal.statistics.findings import Findings, findings
@@ -126,23 +129,54 @@ def valid(document: ResultDocument) -> Fact:
         return fact("region-not-judged")
     region = document.region
     if region is None:
-        return fact("region-unknown")
+        return _gaps_only(document) or fact("region-unknown")
     sources = {one.source for one in region.ranges}
     where = "the working region"
     if sources == {"readings"}:
         where = "the region between the measured poses (no limits are known)"
     elif "turn" in sources:
         where = "the working region (joints without stated limits turn a quarter turn either way)"
-    worst = region.worst
-    if worst.sd is None or worst.ratio is None:
+    worst, parked = region.worst, region.worst_while_parked
+    near = worst.ratio is None or worst.ratio > NEAR_ONLY
+    if near and parked and parked.ratio is not None and parked.ratio <= NEAR_ONLY:
+        moved = "unbounded" if worst.sd is None else f"{Figure(worst.sd, worst.unit):2}"
+        joints = listed(region.parked, 3)
+        return fact("valid-while-parked", numbers=_sds(parked), joints=joints, moved=moved)
+    if worst.sd is None:
         return fact("direction-open", where=where)
-    numbers = {
-        "sd_ratio": Figure(worst.ratio),
-        "sd_in_region": Figure(worst.sd, worst.unit),
-        "sd_at_poses": Figure(worst.sd_at_poses, worst.unit),
+    code = "near-poses-only" if near else "valid-in-region"
+    return fact(code, numbers=_sds(worst), where=where)
+
+
+def _gaps_only(document: ResultDocument) -> Fact | None:
+    """Of a machine that was only touched, whose size is the direction that gaps show worst.
+
+    With the free lengths l and their covariance C the size, (l^T dl) / (l^T l), has the sd
+    (l^T C l)^(1/2) / (l^T l).
+    """
+    if document.accuracy is None or document.prediction is not None:
+        return None
+    names, matrix = document.covariance.names, np.array(document.covariance.matrix, float)
+    values = {p.name: p.value for p in document.parameters if p.unit == "m"}
+    lengths = np.array([values.get(name, 0.0) for name in names])
+    kept = lengths != 0.0
+    long, C = lengths[kept], matrix[np.ix_(kept, kept)]
+    variance = float(long @ C @ long) if len(long) else math.nan
+    if not variance >= 0.0:  # an open direction has NaN
+        return fact("gaps-only", size="is open")
+    share, most = math.sqrt(variance) / float(long @ long), float(np.abs(long).max())
+    sd, length = Figure(share * most, "m"), Figure(most, "m")
+    return fact(
+        "gaps-only", size=f"has an sd of {significant(100.0 * share, 2)} % ({sd:2} in {length:3})"
+    )
+
+
+def _sds(of: RegionSd) -> dict[str, Figure | float]:
+    return {
+        "sd_ratio": Figure(of.ratio or math.inf),
+        "sd_in_region": Figure(of.sd or math.inf, of.unit),
+        "sd_at_poses": Figure(of.sd_at_poses, of.unit),
     }
-    code = "near-poses-only" if worst.ratio > NEAR_ONLY else "valid-in-region"
-    return fact(code, numbers=numbers, where=where)
 
 
 def better(document: ResultDocument) -> Fact:

@@ -223,3 +223,15 @@ def test_a_project_that_was_changed_is_replaced_by_force_alone(folder: Path) -> 
         force=True,
     )
     assert project.with_name("project.toml.bak").read_text("utf-8").endswith("# mine\n")
+
+
+def test_a_touched_plane_begins_where_the_drawing_has_its_points(folder: Path) -> None:
+    """A joint about the vertical keeps the height, 350 mm and 420 mm sin 30 degrees."""
+    rows = ["lq1 [deg],lq2 [deg]", *(f"{a},30" for a in range(-60, 60, 10))]
+    (folder / "floor.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    made = begun(folder, ("floor.csv",), "plane name=floor on=lh")
+    (floor,) = made.inputs["mechanism"]["instrument"]
+    assert floor["normal"] == [0.0, 0.0, 1.0]
+    assert made.mechanism.parameters["floor_distance"].nominal == pytest.approx(0.56)
+    stated = begun(folder, ("floor.csv",), "plane name=floor on=lh normal=0,0,-2")
+    assert stated.mechanism.parameters["floor_distance"].nominal == pytest.approx(-0.56)

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.problem.constants import constants_by_pose, standing_exact, with_implied
 from loopcal.estimation.problem.patterns import Pattern, Poses, held_loops, patterns_of
-from loopcal.estimation.problem.size import refuse_without_length
 from loopcal.estimation.problem.unknowns import Unknowns
 from loopcal.expressions.tape import Tape
 from loopcal.lazy import cached_property
@@ -227,7 +226,6 @@ def build_problem(
     refuse_without_redundancy(mechanism, problem.patterns, problem.poses)
     if whole:
         refuse_too_few(problem.equations, problem.count, problem.unknowns)
-    refuse_without_length(mechanism, problem.readings, constants, uncertainty.sd)
     return problem if stated else problem.weighted(Weighting.ALIKE)
 
 

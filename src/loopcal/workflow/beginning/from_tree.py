@@ -27,6 +27,7 @@ from loopcal.files.toml.reader import SCHEMA
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.frame import ChainFrame, matrices
 from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.statistics.choice import FOLDS
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn, joint_noise
 from loopcal.workflow.beginning.tree_images import Eyes, Pictures, see, sources_and_pictures
 
@@ -99,9 +100,11 @@ def from_tree(
     units = {**mechanism.quantities, **mechanism.pose_constants}
     readings = {q: rows.values(q) for q in used}
     places = _places(mechanism, readings)
+    facing, begun = _facing(mechanism, looking, readings)
+    table["instrument"] = [{**one.table, **facing.get(one.name, {})} for one in looking]
     sitting, said = _sitting(mechanism, looking, readings)
     stated = drawn(mechanism, DRAWN_MM, DRAWN_MRAD, DRAWN_MRAD)
-    table["parameters"] = stated | eyes.parameters | sitting
+    table["parameters"] = stated | eyes.parameters | sitting | begun
     words += said
     tables: dict[str, Any] = {
         "schema": SCHEMA,
@@ -121,14 +124,17 @@ def from_tree(
         fit["method"] = "implicit-loop"
         words += (
             f"{open_ones} parameters and {rows.count} poses: the method is implicit-loop, which "
-            "takes up to a minute; delete the line to compare methods and model errors, in many",
+            "takes a minute or two; delete the line to compare methods and model errors, which "
+            "takes ten or more",
         )
     repeated = len(places) - len(set(places))
     if repeated:
-        fit["validation"] = {"folds": 10, "group": PLACE}
+        fit["validation"] = {"folds": FOLDS, "group": PLACE}
         words += (
             f"{len(set(places))} places, some approached again: validation leaves out whole places",
         )
+    elif fit:  # auto validates by itself
+        fit["validation"] = {"folds": FOLDS}
     if fit:
         tables["fit"] = fit
     columns: dict[str, Any] = {"pose": rows.poses, **readings, PLACE: places}
@@ -505,6 +511,40 @@ def _sitting(
                 f"sits elsewhere on that body, delete {listed(names, 3)} below"
             )
     return entries, tuple(words)
+
+
+def _facing(
+    mechanism: Mechanism, looking: Sequence[Observation], readings: Mapping[str, Array]
+) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
+    """Where each touched plane is by the drawing: its `normal`, by name of the observation, and
+    its distance as an entry of [parameters].
+
+    The plane with the least squares of distances from the touched points: a tilt is an angle about
+    a nominal normal, which must not be 90 degrees off.
+    """
+    assert mechanism.tree is not None
+    nominal = {p.name: p.nominal for p in mechanism.parameters}
+    families = {family.name: family for family in mechanism.families}
+    normals: dict[str, dict[str, Any]] = {}
+    distances: dict[str, Any] = {}
+    for one in looking:
+        if one.table["type"] != "plane":
+            continue
+        family = families[one.name]
+        path = mechanism.tree.path(family.on, family.against)
+        touched = np.isfinite(readings[family.readings[0]])
+        bodies = bodies_of(ChainFrame(path, readings, nominal), len(touched))
+        points = bodies.origins[touched]
+        middle, normal = points.mean(axis=0), one.table.get("normal")
+        if normal is None:
+            across = np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 0]
+            across = across * np.sign(across[np.argmax(np.abs(across))])
+            normal = [round(float(v), 3) + 0.0 for v in across]  # no -0
+            normals[one.name] = {"normal": normal}
+        n = np.array(normal) / np.linalg.norm(normal)
+        away = round(1e3 * float(n @ middle), 1)
+        distances[f"{one.name}_distance"] = {"value": away, "unit": "mm"}
+    return normals, distances
 
 
 def _as_drawn(mechanism: Mechanism, family: Family, readings: Mapping[str, Array]) -> bool:
