@@ -822,6 +822,7 @@ def test_a_joint_that_stood_still_is_said_to_have_stood_still() -> None:
     data = data.with_readings({driven[0]: np.full(len(data), 0.2)})
     prior = dict.fromkeys(arm.parameters.names, 1e-2)
     result = lc.calibrate(arm, data, noise=sds, prior=prior, method="implicit-loop")
+    assert result.verdict is not None
     assert result.verdict.valid.code == "valid-while-parked"
     assert repr(driven[0]) in result.verdict.valid.words
     region = result.document.region
