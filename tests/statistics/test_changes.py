@@ -204,6 +204,7 @@ def test_a_drift_of_the_instrument_is_modelled_and_predictions_hold_for_the_end(
     assert result.document.change_points is not None
     (point,) = result.document.change_points.found
     assert (point.shape, point.modelled, point.moved) == ("ramp", True, "reading")
+    assert not point.imitated
     assert point.changes["z"].size == pytest.approx(1.5e-3, rel=0.15)
     assert result.mechanism.latest == {NUMBER: 60.0}
     answer = lc.verdict(result).answers["sound"]
@@ -221,7 +222,11 @@ def test_a_drift_of_the_instrument_is_modelled_and_predictions_hold_for_the_end(
 
 def test_a_drift_that_the_joints_imitate_is_not_modelled() -> None:
     case = Case(ARM, wandering("sweep"), None, FIT)
-    assert changes(case, case.fit, case.calibrated()).points == ()
+    whole = case.calibrated()
+    assert changes(case, case.fit, whole).points == ()
+    ramps = [point for point in lc.find_shifts(whole).found if point.shape == "ramp"]
+    assert ramps
+    assert all(point.imitated for point in ramps)
 
 
 def test_a_target_that_seems_to_drift_is_not_modelled() -> None:

@@ -602,6 +602,22 @@ def test_a_drift_that_ordered_poses_cannot_tell_from_the_machine_leaves_the_answ
         assert found.passed is (None if code != "sound" else True)
 
 
+def test_a_ramp_in_an_order_that_the_joints_tell_leaves_the_answer_open() -> None:
+    """Random joints tell no order, sorted ones do; beside a slip both are named as before."""
+    ramp = replace(SLIP, shape="ramp", pose="1", after="120", until=120)
+    told = replace(ramp, imitated=True)
+    cases = (
+        ((ramp,), "change-points"),
+        ((told,), "drift-or-model"),
+        ((told, SLIP), "change-points"),
+    )
+    for points, code in cases:
+        changes = ChangePoints(points, 0.01, 120, "")
+        found = verdict_of(replace(clean(), change_points=changes)).sound
+        assert (found.code, found.passed) == (code, None if code == open_ else False)
+        assert "all along poses 1 to 120" in found.words or code == moved
+
+
 def test_a_drift_that_a_smooth_model_error_hides_is_named() -> None:
     first, *others = candidates(1e-6).over
     alike = replace(others[0], serial=Likeness(0.3, 1e-6))

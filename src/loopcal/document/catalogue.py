@@ -180,10 +180,10 @@ _ROWS = (
     ),
     _sound_open(
         "change-or-model",
-        "Something may have changed along the run near pose {place.poses} (p = {evidence:p}).",
+        "Something may have changed along the run{what} (p = {evidence:p}).",
         "Measure the poses in random order: a drift is then no model error.",
         "loopcal plan {project}",
-        detail="A slow drift or a smooth model error explains it as well.",
+        detail="A slow drift or an error of the machine model explains it as well.",
         shared="drift-or-model",
     ),
     _sound_open(

@@ -58,6 +58,8 @@ class ChangePoint:
     """Of moves."""
     modelled: bool = False
     """Whether the result has it as an effect, as the method "auto" gives it where it is certain."""
+    imitated: bool = False
+    """Of a ramp, whether the joints tell the order: an error of the machine model looks like it."""
     until: Count | None = None
     """Of a ramp, the number of the last pose in which it was seen; null: a step."""
 

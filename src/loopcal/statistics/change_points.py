@@ -40,7 +40,7 @@ from loopcal.statistics.possible_changes import (
     possible,
     unit_of,
 )
-from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines
+from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines, told_by_joints
 from loopcal.statistics.scales import scales
 
 Array = NDArray[np.float64]
@@ -212,6 +212,8 @@ class Search:
         fit = fit.again() if smooth else fit
         fit, steps = self._placed(fit, steps)
         points = [self._point(fit, steps, step) for step in steps]
+        if any(step.ramp for step in steps) and told_by_joints(self._joints()) is not None:
+            points = [replace(point, imitated=point.shape == "ramp") for point in points]
         apart = self._distinct(fit, steps)
         order = self.system.order
         fits = fit.p_values >= UNREMARKABLE if steps else np.zeros(0, dtype=bool)
@@ -252,7 +254,7 @@ class Search:
         """The steps that an error of the machine model along these poses does not look like."""
         if not steps:
             return []
-        joints = self.problem.readings[joint_rows(self.problem)][:, self.system.order].T
+        joints = self._joints()
         followed = order_by_joints(joints) if any(step.ramp for step in steps) else 1.0
         cosines = path_cosines(joints)
         smooth = self._smooth(fit, steps, cosines) if cosines > _WAVES else []
@@ -260,6 +262,10 @@ class Search:
         if followed < FOLLOWED:
             return [s for s in clear if not s.ramp or s.candidate.change.kind in _INSTRUMENT]
         return [step for step in clear if not step.ramp]
+
+    def _joints(self) -> Array:
+        """(N, n) in the order of the run."""
+        return self.problem.readings[joint_rows(self.problem)][:, self.system.order].T
 
     def _smooth(self, fit: Fitted, steps: Sequence[_Step], cosines: int = _WAVES) -> list[_Step]:
         """The steps that slow changes over the run explain, beside which only an edge counts."""

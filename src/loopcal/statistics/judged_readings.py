@@ -166,9 +166,13 @@ def order_or_model(document: ResultDocument) -> Fact | None:
     residuals. What is left beside learnt terms and changes from a pose on may be either.
     """
     chosen, depends, changes = document.chosen, document.dependence, document.change_points
-    if document.terms and changes is not None and changes.unsure and not changes.found:
-        edge = min(changes.unsure, key=lambda point: point.p_value)
-        return fact("change-or-model", Where(poses=(edge.pose,)), {"evidence": edge.p_value})
+    if changes is not None and all(point.imitated for point in changes.found):
+        unsure = changes.found or (changes.unsure if document.terms else ())
+        if unsure:
+            likely = min(unsure, key=lambda point: point.p_value)
+            what = f": {likely.what}" if likely.imitated else f" near pose {likely.pose}"
+            place, evidence = Where(poses=(likely.pose,)), {"evidence": likely.p_value}
+            return fact("change-or-model", place, evidence, what=what)
     if chosen is None or depends is None or depends.serial:
         return None
     alike = next((one.serial for one in chosen.over if one.serial), None)

@@ -64,7 +64,7 @@ def _moved(document: ResultDocument) -> Fact | None:
     """Changes that are not modelled; small ones are significant beside nothing but the noise."""
     points = () if document.change_points is None else document.change_points.found
     points = tuple(point for point in points if not point.modelled)
-    if not points:
+    if all(point.imitated for point in points):  # `order_or_model`
         return None
     most = max(_beside(document, point) for point in points)
     if most < SMALL:
