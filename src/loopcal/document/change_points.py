@@ -59,7 +59,7 @@ class ChangePoint:
     modelled: bool = False
     """Whether the result has it as an effect, as the method "auto" gives it where it is certain."""
     imitated: bool = False
-    """Of a ramp, whether the joints tell the order: an error of the machine model looks like it."""
+    """Whether it is a ramp in an order that the joints tell, as an error of the machine looks."""
     until: Count | None = None
     """Of a ramp, the number of the last pose in which it was seen; null: a step."""
 
