@@ -13,6 +13,7 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.files.recognition.headers import Heading, below_titles, heading, meanings, words
+from loopcal.files.recognition.robot_lists import listed_robot, without_robot
 from loopcal.files.tables.cells import is_missing
 from loopcal.units import unit
 
@@ -23,7 +24,7 @@ _LENGTHS_AND_TWIST = ("a", "d", "alpha")
 _CELL = re.compile(
     r"(?P<variable>(?!pi)[a-zθϑ][a-zθϑ_]*_?\d*\*?)?\s*(?P<sign>[-+])?\s*"
     r"(?P<number>\d+\.?\d*(?:e[-+]?\d+)?|\.\d+)?\s*\*?\s*"
-    r"(?P<pi>pi)?(?:\s*/\s*(?P<below>[1-9]\d*))?\s*(?P<degrees>°)?"
+    r"(?P<pi>pi)?(?:\s*/\s*(?P<below>[1-9]\d*))?\s*(?P<unit>°|deg|rad)?"
 )
 _MODIFIED = meanings("dh_modified")
 _KINDS = {"": "revolute", **meanings("joint_kinds")}
@@ -70,7 +71,7 @@ class DhTable:
 
 def is_dh(path: str | Path) -> bool:
     """Whether a text file is a table of Denavit-Hartenberg parameters."""
-    if Path(path).suffix.lower() not in (".csv", ".tsv", ".txt"):
+    if without_robot(path)[0].suffix.lower() not in (".csv", ".tsv", ".txt"):
         return False
     try:
         return read_dh(path).moving > 0
@@ -79,12 +80,15 @@ def is_dh(path: str | Path) -> bool:
 
 
 def read_dh(path: str | Path) -> DhTable:
-    """The table of a file.
+    """The table of a file; of one that lists several robots, `FILE[ROBOT]`.
 
     Raises InputError for a missing column, a row that is no joint, and units that nothing shows.
     """
-    path = Path(path)
-    table, _ = below_titles(path, None, len(_LENGTHS_AND_TWIST))
+    path, robot = without_robot(path)
+    table, passed = listed_robot(path, robot) or (
+        below_titles(path, None, len(_LENGTHS_AND_TWIST))[0],
+        (),
+    )
     if not table.names:
         raise InputError(
             "the table of the robot has no header",
@@ -144,8 +148,10 @@ def read_dh(path: str | Path) -> DhTable:
         kind = _kind(word, name, f"{path.name}, row {i + 1}")
         values = {k: float(numbers[k][i] * unit(units[k]).factor) for k in numbers}
         sign = -1 if signs is not None and signs[i] < 0 else 1
+        if name.startswith("-") and not is_missing(name):  # a reading that counts backwards
+            name, sign = name[1:].strip(), -sign
         rows.append(Row(name, kind=kind, direction=sign, body=body, parent=parent, **values))
-    return DhTable(tuple(rows), modified, tuple(remarks), modified or bool(forms))
+    return DhTable(tuple(rows), modified, (*remarks, *passed), modified or bool(forms))
 
 
 @dataclass(frozen=True)
@@ -194,7 +200,8 @@ def _cell(text: str, decimal: str, place: str) -> _Cell:
     sign = -1.0 if match["sign"] == "-" else 1.0
     value = float(match["number"] or (1.0 if match["pi"] else 0.0))
     value *= (math.pi if match["pi"] else 1.0) / float(match["below"] or 1.0)
-    shown = "rad" if match["pi"] else "deg" if match["degrees"] else ""
+    stated = "deg" if match["unit"] == "°" else match["unit"] or ""
+    shown = "rad" if match["pi"] else stated
     return _Cell(sign * value, shown, bool(match["variable"]))
 
 

@@ -1,0 +1,111 @@
+"""Robots listed in plain text: a line per body, the header in a comment, a section per robot.
+
+    # columns body, parent, reading, a, d, alpha, offset [m, rad]
+    [arm]
+    hand  wrist  T1  0.05  0.2  -90deg  0
+
+A robot of several is named behind the file, as `robots.txt[arm]`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+
+from loopcal.errors import InputError, listed, unknown_name
+from loopcal.files.recognition.headers import heading, meanings
+from loopcal.files.tables.readers import read_table
+from loopcal.files.tables.table import Table
+from loopcal.units import convertible
+
+_KEYS = meanings("dh")
+_NUMBERS = {"a": "m", "d": "m", "alpha": "rad", "offset": "rad"}
+_SECTION = re.compile(r"\[([\w .-]+)\]")
+_NAMED = re.compile(r"(?P<file>.+)\[(?P<robot>[\w .-]+)\]")
+_COLUMNS = re.compile(r".*\bcolumns?\b:?\s*(?P<names>[^\[]*)(?:\[(?P<units>[^\]]*)\])?.*", re.I)
+_DIGIT = re.compile(r"\d|pi|^-$")
+
+
+@dataclass
+class _Robot:
+    """Lines of one robot: their numbers and cells, and those that are none of its rows."""
+
+    lines: list[int] = field(default_factory=list)
+    cells: list[list[str]] = field(default_factory=list)
+    others: list[str] = field(default_factory=list)
+
+
+def without_robot(path: str | Path) -> tuple[Path, str | None]:
+    """The file, and the robot that is named behind it."""
+    match = _NAMED.fullmatch(str(path))
+    if match is None or Path(path).exists():
+        return Path(path), None
+    return Path(match["file"]), match["robot"]
+
+
+def listed_robot(path: Path, robot: str | None) -> tuple[Table, tuple[str, ...]] | None:
+    """The rows of one robot as a table, and remarks; None where a file lists none like this.
+
+    Raises InputError where several are listed and none is named, or one that is not there.
+    """
+    if path.suffix.lower() != ".txt" or not path.is_file():
+        return None
+    names, robots = (), dict[str, _Robot]()
+    section = ""
+    for number, line in enumerate(path.read_text("utf-8", errors="replace").splitlines(), 1):
+        bare, _, comment = (part.strip() for part in line.partition("#"))
+        names = names or _header(comment if not bare else "")
+        if match := _SECTION.fullmatch(bare):
+            section = match[1]
+        elif bare and names:
+            cells, one = bare.split(), robots.setdefault(section, _Robot())
+            if len(cells) == len(names) and all(map(_DIGIT.search, _numbers(names, cells))):
+                one.lines.append(number)
+                one.cells.append(cells)
+            else:
+                one.others.append(bare)
+    robots = {name: one for name, one in robots.items() if one.cells}
+    if not robots:
+        return None
+    if robot is None and len(robots) > 1:
+        raise InputError(
+            f"it lists {len(robots)} robots: {listed(robots, 10)}",
+            code="missing-key",
+            place=path.name,
+            remedy=f"name one behind the file: {path.name}[{next(iter(robots))}]",
+        )
+    if robot is not None and robot not in robots:
+        raise unknown_name(f"{path.name} lists no robot {robot!r}", robot, tuple(robots))
+    one = robots[robot] if robot is not None else next(iter(robots.values()))
+    text = "\n".join(",".join(cells) for cells in [list(names), *one.cells]) + "\n"
+    table = read_table(BytesIO(text.encode()))
+    others = f"{path.name}: these lines are no rows of the robot: {listed(one.others, 1)}"
+    return replace(table, file=path.name, rows=np.array(one.lines)), (others,) * bool(one.others)
+
+
+def _header(comment: str) -> tuple[str, ...]:
+    """The names of columns that a comment states, units included; none of another comment."""
+    match = _COLUMNS.fullmatch(comment)
+    if match is None:
+        return ()
+    words = [word for word in re.split(r"[,;|\s]+", match["names"]) if word]
+    keys = [_KEYS.get(heading(word).stem, "") for word in words]
+    if not {"a", "d", "alpha"} <= {*keys}:
+        return ()
+    stated = [unit for unit in re.split(r"[,;\s]+", match["units"] or "") if unit]
+    names = []
+    for word, key in zip(words, keys, strict=True):
+        of = next((u for u in stated if key in _NUMBERS and convertible(u, _NUMBERS[key])), None)
+        names.append(word if of is None else f"{word} [{of}]")
+    return tuple(names)
+
+
+def _numbers(names: Sequence[str], cells: Sequence[str]) -> list[str]:
+    """The cells that hold numbers."""
+    keys = [_KEYS.get(heading(name).stem, "") for name in names]
+    return [cell for key, cell in zip(keys, cells, strict=True) if key in _NUMBERS]
