@@ -59,7 +59,7 @@ class ChangePoint:
     modelled: bool = False
     """Whether the result has it as an effect, as the method "auto" gives it where it is certain."""
     imitated: bool = False
-    """Whether it is a ramp in an order that the joints tell, as an error of the machine looks."""
+    """Whether it is a ramp in an order that the joints show, as an error of the machine is."""
     until: Count | None = None
     """Of a ramp, the number of the last pose in which it was seen; null: a step."""
 

@@ -55,8 +55,8 @@ def listed_robot(path: Path, robot: str | None) -> tuple[Table, tuple[str, ...]]
     """
     if path.suffix.lower() != ".txt" or not path.is_file():
         return None
-    names, robots = (), dict[str, _Robot]()
-    section = ""
+    names: tuple[str, ...] = ()
+    robots, section = dict[str, _Robot](), ""
     for number, line in enumerate(path.read_text("utf-8", errors="replace").splitlines(), 1):
         bare, _, comment = (part.strip() for part in line.partition("#"))
         names = names or _header(comment if not bare else "")
