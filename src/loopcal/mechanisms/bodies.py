@@ -28,7 +28,8 @@ NAME = "robot"
 class Hanging:
     """A body below its parent: the joint of a URDF, or the row of a table, that ties them.
 
-    fixed: of a row, whether nothing moves it, so that its name is read nowhere.
+    fixed: of a row, whether nothing moves it, so that its name is read nowhere; standing: whether
+    the joint is where a robot stands, which no drawing states.
 
     Raises InputError unless exactly one of joint and row is there.
     """
@@ -40,6 +41,9 @@ class Hanging:
     )
     row: Annotated[Joint | None, Key("The row of Denavit and Hartenberg that ties it.")] = None
     fixed: Annotated[bool, Key("Of a row, whether nothing moves it.")] = False
+    standing: Annotated[
+        bool, Key("Of a fixed joint, whether a robot stands there, which no drawing states.")
+    ] = False
 
     def __post_init__(self) -> None:
         if (self.joint is None) == (self.row is None):
@@ -62,7 +66,8 @@ class Hanging:
     def parameters(self) -> dict[str, Parameter]:
         """Its parameters, those of a joint at their nominal values, those of a row at 0."""
         if self.joint is not None:
-            return {p.name: p for p in self.joint.origin}
+            name = self.joint.name if self.standing else ""
+            return {p.name: p.of("placement", name) if name else p for p in self.joint.origin}
         if self.fixed:
             return axis_parameters(self.name, self.steps)
         return chain_parameters(self.steps)

@@ -16,7 +16,7 @@ from loopcal.files.machines.declared_function import Function
 from loopcal.files.machines.machine_type import ChainTable, MechanismTable
 from loopcal.files.machines.registry import kinds, table_of
 from loopcal.files.machines.serial import Serial
-from loopcal.files.machines.trees import BodyTable, Tree
+from loopcal.files.machines.trees import BodyTable, StandingRobot, Tree
 from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.effects.registry import EFFECTS
 from loopcal.mechanisms.exponentials import ScrewJoint
@@ -39,6 +39,7 @@ MAKERS: dict[str, Callable[..., Any]] = {
     **CHAINS,
     "between": Between,
     "body": BodyTable,
+    "standing-robot": StandingRobot,
     "chain": ChainTable,
     "function": Function,
     "screw-joint": ScrewJoint,

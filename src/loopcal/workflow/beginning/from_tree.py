@@ -104,7 +104,8 @@ def from_tree(
     table["instrument"] = [{**one.table, **facing.get(one.name, {})} for one in looking]
     sitting, said = _sitting(mechanism, looking, readings)
     stated = drawn(mechanism, DRAWN_MM, DRAWN_MRAD, DRAWN_MRAD)
-    table["parameters"] = stated | eyes.parameters | sitting | begun
+    guessed = stated | eyes.parameters | sitting | begun
+    table["parameters"] = guessed | dict(robot.get("parameters", {}))
     words += said
     tables: dict[str, Any] = {
         "schema": SCHEMA,

@@ -24,6 +24,7 @@ from loopcal.files.atomic import write_files
 from loopcal.files.cameras.folder import are_images, files_of, tables_of
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.registry import machine_type
+from loopcal.files.machines.trees import tree_table
 from loopcal.files.outputs import carried_over, one_command, refuse_foreign, relative, sealed
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import Conditions, apart
@@ -355,12 +356,15 @@ def _of_tree(readings: Sequence[Any], robot: RobotFile, folder: Path) -> Begun:
     looking, remarks = observations(robot.observe), tuple[str, ...]()
     if robot.urdf is not None:
         table = urdf_table(relative(Path(robot.urdf), folder), robot.base)
+    elif robot.machine is not None and robot.machine.endswith(".toml"):
+        table = tree_table(Path(robot.machine), folder)
     else:
         tree = None if robot.dh is None else dh_table(Path(robot.dh), robot.base)
         if tree is None:
             raise UsageError(
                 "observations are of a robot of several bodies, which nothing describes",
-                remedy="name --urdf FILE, or --dh FILE with the columns body and parent",
+                remedy="name --urdf FILE, --dh FILE with the columns body and parent, or --machine "
+                'FILE of the type "tree"',
             )
         table, remarks = tree
     return from_tree(readings, table, looking, folder, remarks)
