@@ -98,23 +98,40 @@ def _of_outputs(source: Source) -> list[Figure | None]:
 
 @dataclass(frozen=True, eq=False)
 class SeenPoints:
-    """Points (d, N) [m] that one instrument measured, and computed minus measured ones."""
+    """Points (d, N) [m] that instruments measured, and computed minus measured ones."""
 
     at: Array
     along: Array
 
+    def beside(self, other: SeenPoints) -> SeenPoints:
+        """These, and those of the other in poses without these."""
+        without = ~np.isfinite(self.at + self.along).all(axis=0)
+        return SeenPoints(
+            np.where(without, other.at, self.at), np.where(without, other.along, self.along)
+        )
+
 
 def seen_points(source: Source, differences: Mapping[str, Array]) -> SeenPoints | None:
-    """The points of the instrument whose place is known, if any is."""
+    """The points of the first instrument whose place is known, if any is, and of those that stand
+    with it; of a pose that several see, that of the first one."""
     readings = source.table.readings
     families = source.mechanism.families if source.mechanism else ()
+    seen: SeenPoints | None = None
+    station: object = None
     # the machine is drawn where the first instrument sees it whose place is known
     for family in sorted(families, key=lambda f: f.placement is None):
         names = point_outputs(source.mechanism, family) if source.mechanism else ()
-        if names and all(name in readings and name in differences for name in names):
-            at = np.array([readings[name] for name in names])
-            computed = at + np.array([differences[name] for name in names])
-            return SeenPoints(points(family, at), points(family, computed) - points(family, at))
+        if not names or not all(name in readings and name in differences for name in names):
+            continue
+        at = np.array([readings[name] for name in names])
+        computed = points(family, at + np.array([differences[name] for name in names]))
+        at = points(family, at)
+        if seen is None:
+            seen, station = SeenPoints(at, computed - at), family.placement
+        elif station is not None and family.placement == station:
+            seen = seen.beside(SeenPoints(at, computed - at))
+    if seen is not None:
+        return seen
     if families or len(differences) not in (2, 3) or not differences.keys() <= readings.keys():
         return None
     return SeenPoints(
@@ -191,7 +208,8 @@ def _machine(source: Source, points: Array) -> Machine | None:
     # The median, which a lost point far away does not move.
     middle = np.nanmedian(points, axis=1, keepdims=True)
     away = np.square(points - middle).sum(axis=0)
-    names = source.document.data.quantities
+    # Of a tree of bodies the joints say all; what looks at it may be blank in any pose.
+    names = tuple(source.mechanism.joints) or source.document.data.quantities
     columns = {q: source.table.readings[q] for q in names if q in source.table.readings}
     readings = {q: v for q, v in columns.items() if np.isfinite(v).any()}
     # 0 * NaN is NaN: poses that lack a reading drop out.
