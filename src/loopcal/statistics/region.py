@@ -44,6 +44,9 @@ _QUARTER = 0.5 * math.pi
 # Chosen, not derived: an rms of 40 is sure to 8 %, by the same formula.
 _FEWEST = 40
 """Poses of the box that the machine can reach; of fewer nothing is said."""
+# Chosen, not derived: more than an encoder's noise, far less than shows anything of a joint.
+_STILL = 1e-3
+"""A joint that covers less of its region stood still."""
 Span = tuple[float, float]
 
 
@@ -62,8 +65,8 @@ def region_of(
     stood: dict[str, Span] = {}
     for one in region.ranges:
         row = readings[names.index(one.quantity)]
-        if one.quantity not in stated and row.min() == row.max() and one.high > one.low:
-            stood[one.quantity] = float(row[0]), float(row[0])
+        if one.quantity not in stated and np.ptp(row) < _STILL * (one.high - one.low):
+            stood[one.quantity] = float(row.min()), float(row.max())
     if not stood:
         return region
     still = _region(result, calibrated, {**stated, **stood})
