@@ -61,9 +61,13 @@ def shared_data() -> Callable[[str], Path]:
 
 
 def pytest_collection_finish() -> None:
-    """What is loaded now stays to the end: the garbage collector need not look at it again."""
+    """What is loaded now stays to the end: the garbage collector need not look at it again.
+
+    And it looks less often: at every 700 new objects it takes 2 % of the suite's time.
+    """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.accuracy import Distances
 from loopcal.errors import InputError, NoTrustworthyResult
-from loopcal.estimation.accuracy import Apart, accuracy, by_pose, deviations, main_unit
+from loopcal.estimation.accuracy import Apart, by_pose, deviations, main_unit, overall
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -172,7 +172,7 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
 
 
 def _distances(apart: Sequence[Apart]) -> Distances | None:
-    output_accuracy = accuracy(apart)
+    output_accuracy = overall(apart)
     return None if output_accuracy is None else output_accuracy.distances
 
 
