@@ -26,7 +26,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,8 +48,8 @@ F, CENTRE = 900.0, np.array([640.0, 480.0])
 POSES, FRESH = 70, 40
 
 
-def step(theta: Any, a: float, d: float, alpha: float) -> Array:
-    """(..., 4, 4) of a row with angles theta (...)."""
+def steps(theta: Array, a: Array, d: Array, alpha: Array) -> Array:
+    """(..., n, 4, 4) of n rows with angles theta (..., n)."""
     c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
     T = np.zeros((*np.shape(theta), 4, 4))
     T[..., 0, 0], T[..., 0, 1], T[..., 0, 2], T[..., 0, 3] = c, -s * ca, s * sa, a * c
@@ -72,10 +71,13 @@ class Limb:
 
     def hand(self, q: Array) -> Array:
         """T_base_hand (..., 4, 4) at joints (..., n)."""
-        T = step(*self.rows[0])
-        for i, row in enumerate(self.rows[1:]):
-            T = T @ step(row[0] + q[..., i], *row[1:])
-        return T
+        theta, *rest = self.rows.T
+        # Of what carries it nothing turns.
+        turned = theta + np.concatenate([np.zeros((*q.shape[:-1], 1)), q], axis=-1)
+        T, *others = np.moveaxis(steps(turned, *rest), -3, 0)
+        for other in others:
+            T = T @ other
+        return np.asarray(T)
 
 
 def limb(
@@ -127,6 +129,8 @@ def reached(residual: Callable[[Array], Array], starts: Array) -> Array | None:
             if np.abs(f).max() < 1e-10:
                 break
             move = -np.linalg.solve(J.T @ J + damping * np.eye(n), J.T @ f)
+            if np.abs(move).max() < 1e-8 and np.abs(f).max() > 1e-6:
+                break  # as near as it comes from there: out of reach
             better = np.abs(residual(q + move)).max() < np.abs(f).max()
             q, damping = (q + move, 0.1 * damping) if better else (q, 10.0 * damping)
         if np.abs(residual(q)).max() < 1e-9 and np.abs(q).max() < 2.6:
@@ -174,7 +178,7 @@ def read(random: np.random.Generator, *limbs_q: tuple[Limb, Array]) -> dict[str,
 
 def tracked(T: Array, one: Limb, q: Array, target: Array) -> Array:
     """(N, 3) a target on the hand in the tracker."""
-    return np.array([(T @ one.hand(row) @ target)[:3] for row in q])
+    return np.asarray((T @ one.hand(q) @ target)[:, :3])
 
 
 def named(name: str, values: Array) -> dict[str, Array]:

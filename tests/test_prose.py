@@ -28,7 +28,12 @@ INSTEAD = {
     r"\d+k um": "mm",
 }
 """Pattern -> what to write instead."""
-READ = list(sentences())
+
+
+@pytest.fixture(scope="module")
+def read() -> list[Sentence]:
+    """Every sentence that a user may read; not at import, which every process of the suite does."""
+    return list(sentences())
 
 
 def long_ones(read: list[Sentence]) -> list[str]:
@@ -40,20 +45,20 @@ def riddles(read: list[Sentence], pattern: str) -> list[str]:
     return [str(sentence) for sentence in read if found.search(sentence.text)]
 
 
-def test_no_sentence_is_too_long() -> None:
-    assert long_ones(READ) == []
+def test_no_sentence_is_too_long(read: list[Sentence]) -> None:
+    assert long_ones(read) == []
 
 
 @pytest.mark.parametrize("pattern", INSTEAD)
-def test_the_standard_word_is_used(pattern: str) -> None:
-    assert riddles(READ, pattern) == [], f"write instead: {INSTEAD[pattern]}"
+def test_the_standard_word_is_used(pattern: str, read: list[Sentence]) -> None:
+    assert riddles(read, pattern) == [], f"write instead: {INSTEAD[pattern]}"
 
 
-def test_pages_sources_and_the_report_are_read() -> None:
-    files = {sentence.file for sentence in READ}
+def test_pages_sources_and_the_report_are_read(read: list[Sentence]) -> None:
+    files = {sentence.file for sentence in read}
     assert {"README.md", "docs/how-to/first-robot.md", "src/loopcal/cli/commands.py"} <= files
     assert "src/loopcal/report/template/report.html" in files
-    assert len(READ) > 3000
+    assert len(read) > 3000
 
 
 def test_a_long_sentence_and_a_riddle_are_found() -> None:

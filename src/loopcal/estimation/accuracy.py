@@ -199,13 +199,19 @@ def by_pose(apart: Sequence[Apart]) -> Array | None:
     return np.where(count > 0, np.sqrt(squares / np.maximum(count, 1)), np.nan)
 
 
+def overall(apart: Sequence[Apart]) -> Accuracy | None:
+    """The distances of all poses summed up, without those of single instruments."""
+    unit, values = main_unit(apart), main_distances(apart)
+    return None if unit is None or values is None else Accuracy.of(values, unit)
+
+
 def accuracy(apart: Sequence[Apart]) -> Accuracy | None:
     """The distances of all poses summed up; None where there are none."""
-    unit, values = main_unit(apart), main_distances(apart)
-    if unit is None or values is None:
+    whole = overall(apart)
+    if whole is None:
         return None
     angles = [one.angle for one in apart if one.angle is not None]
-    turned = Accuracy.of(np.array(angles), "rad") if angles and unit != "rad" else None
+    turned = Accuracy.of(np.array(angles), "rad") if angles and whole.unit != "rad" else None
     by = [
         InstrumentAccuracy(
             one.seen.instrument,
@@ -215,7 +221,7 @@ def accuracy(apart: Sequence[Apart]) -> Accuracy | None:
         )
         for one in apart
     ]
-    return together(Accuracy.of(values, unit), turned, by)
+    return together(whole, turned, by)
 
 
 def together(

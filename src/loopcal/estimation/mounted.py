@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.problem.alignment import align
-from loopcal.mechanisms.frame import Frame, matrices
+from loopcal.mechanisms.chain import last_frame
+from loopcal.mechanisms.frame import ChainFrame
 
 Array = NDArray[np.float64]
 # docs/decisions/0052.
@@ -46,6 +47,16 @@ _WEAK = 1e-6
 """A direction of the placement that the poses determine so much less than others stays as it is."""
 
 
+# Chosen, not derived: leaves out a twentieth on each side, more than gross errors are.
+_MIDDLE = (0.05, 0.95)
+
+
+def extent(points: Array) -> float:
+    """How far [m] the middle nine tenths of points (N, 3) reach along their longest axis."""
+    complete = points[np.isfinite(points).all(axis=1)]
+    return float(np.ptp(np.quantile(complete, _MIDDLE, axis=0), axis=0).max())
+
+
 @dataclass(frozen=True, eq=False)
 class Bodies:
     """Frames of the body in the machine's base: rotations (N, 3, 3), origins (N, 3) [m]."""
@@ -58,6 +69,11 @@ class Bodies:
         """(N,) whether all joints were read."""
         joints_read: NDArray[np.bool_] = np.asarray(np.isfinite(self.origins).all(axis=1))
         return joints_read
+
+    @cached_property
+    def extent(self) -> float:
+        """How far [m] the origins move along the axis on which they move most."""
+        return extent(self.origins)
 
     def at(self, targets: Array) -> Array:
         """(N, 3) the points of the body at one place on it, (3,)."""
@@ -138,10 +154,7 @@ def _points(
     """Targets (K, 3) and distances (N,) after fitting placement and targets by some poses."""
     K, before, little = len(measured), np.inf, _LITTLE * _spread(measured[0])
     for _ in range(_STEPS):
-        seen = np.array([bodies.at(u) for u in targets])
-        motion = align(seen[:, good].reshape(-1, 3).T, measured[:, good].reshape(-1, 3).T)
-        S, t = motion.rotation, motion.shift
-        placed = seen @ S.T + t
+        placed, S, t = _placed(bodies, measured, targets, good)
         left = (measured - placed)[:, good]
         n = left.shape[1]
         rms = float(np.sqrt(np.square(left).sum() / (K * n)))
@@ -158,11 +171,20 @@ def _points(
         moved = step[6:].reshape(K, 3)
         targets = targets + moved
         if np.abs(moved).max() < 1e-7:
+            placed = _placed(bodies, measured, targets, good)[0]
             break
+    else:
+        placed = _placed(bodies, measured, targets, good)[0]
+    return targets, np.sqrt(np.square(placed - measured).sum(axis=(0, 2)))
+
+
+def _placed(
+    bodies: Bodies, measured: Array, targets: Array, good: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
+    """The targets (K, N, 3) as the station sees them, with its rotation S and shift t."""
     seen = np.array([bodies.at(u) for u in targets])
     motion = align(seen[:, good].reshape(-1, 3).T, measured[:, good].reshape(-1, 3).T)
-    off = seen @ motion.rotation.T + motion.shift - measured
-    return targets, np.sqrt(np.square(off).sum(axis=(0, 2)))
+    return seen @ motion.rotation.T + motion.shift, motion.rotation, motion.shift
 
 
 def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUNDS) -> Mounted:
@@ -309,7 +331,9 @@ def origin_rms(bodies: Bodies, measured: Array) -> float:
     return _rms(np.sqrt(np.square(bodies.origins - measured).sum(axis=1)))
 
 
-def bodies_of(frame: Frame, count: int) -> Bodies:
-    """The bodies of a frame whose joints are readings (N,) of `count` poses."""
-    T = matrices(frame, count)
-    return Bodies(T[:, :3, :3], T[:, :3, 3])
+def bodies_of(frame: ChainFrame, count: int) -> Bodies:
+    """The bodies of a chain whose joints are readings (N,) of `count` poses."""
+    R, origins = last_frame(frame.steps, frame.joints, frame.parameters, count)
+    # Where a joint was not read, nothing is known of the body, even if its origin stands still.
+    origins[~np.isfinite(R).all(axis=(1, 2))] = np.nan
+    return Bodies(R, origins)

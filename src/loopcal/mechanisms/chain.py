@@ -196,6 +196,25 @@ def frames(
         yield R, origin
 
 
+def last_frame(
+    steps: Sequence[Step], joints: Mapping[str, Any], parameters: Mapping[str, float], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """R (N, 3, 3) and origin (N, 3) of the last of `frames` at readings (N,) of `count` poses."""
+    # Each axis a row of components (3, N): a step touches two of them at most, and sees all poses.
+    axes = [np.repeat(axis[:, None], count, axis=1) for axis in np.eye(3)]
+    origin = np.zeros((3, count))
+    for step in steps:
+        amount = step.amount(joints, parameters)
+        if step.motion[0] == "t":
+            origin = origin + axes["xyz".index(step.motion[1])] * amount
+        else:
+            i, j = PLANES[step.motion[1]]
+            c, s = np.cos(amount), np.sin(amount)
+            axes[i], axes[j] = c * axes[i] + s * axes[j], c * axes[j] - s * axes[i]
+    R = np.ascontiguousarray(np.array(axes).transpose(2, 1, 0))
+    return R, np.ascontiguousarray(origin.T)
+
+
 Triple = tuple[float, float, float]
 JointName = Annotated[str, Key("The quantity that is read; begins the names of its parameters.")]
 

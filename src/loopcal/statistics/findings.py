@@ -97,10 +97,12 @@ def findings(result: FitResult, region: Mapping[str, Span] | None = None) -> Fin
     solution = result.solution
     with one_blas_thread():
         prediction = predictor(result)
-        searches: tuple[Callable[[FitResult], Any], ...] = (find_columns, find_poses, _shifts)
-        columns, outliers, shifts = gathered(process_cores(), _searched, result, searches)
-        if columns:
+        # A file that is at fault as a whole says nothing of single poses.
+        if columns := find_columns(result):
             outliers, shifts = of_file(columns), NOT_SEARCHED
+        else:
+            searches: tuple[Callable[[FitResult], Any], ...] = (find_poses, _shifts)
+            outliers, shifts = gathered(process_cores(), _searched, result, searches)
         parts = result.parts
         earlier = parts.change_points or ChangePoints((), shifts.level, 0)
         modelled = earlier.found
@@ -153,9 +155,10 @@ def nominal_distances(result: FitResult) -> Distances | None:
     if not result.mechanism.outputs:
         return None
     try:
-        fit, sought = replace(result.fit, prior=None), not result.faults
-        case = Case(result.mechanism, result.dataset, None, fit)
-        nominal_accuracy = replace(nominal_case(case), trusted=sought).calibrated().accuracy_after
+        fit = replace(result.fit, prior=None)
+        case = nominal_case(Case(result.mechanism, result.dataset, None, fit))
+        # Faults of the file were sought by this drawing already.
+        nominal_accuracy = replace(case, trusted=True).calibrated().accuracy_after
     except (InputError, NoTrustworthyResult):
         return None  # nothing can be placed, or not by these readings
     return None if nominal_accuracy is None else nominal_accuracy.distances

@@ -58,14 +58,17 @@ def test_what_was_tried_in_vain_is_said() -> None:
 
 
 def test_a_machine_assembled_the_other_way_round_is_found() -> None:
-    """Every parameter off by up to half a metre or two radians: 12 starts, one optimum each."""
+    """Every parameter off by up to half a metre or two radians: 12 starts, one optimum each.
+
+    The first file is searched for faults too, which costs more than the fit.
+    """
     reached = 0
     for seed in range(12):
         simulated = planar_arm(20, seed=seed)
         data = simulated.read(SDS, seed=seed)
         best = calibrate(simulated.truth, data, noise=Noise(SDS), start="nominal")
         off = simulated.off(0.5, 2.0, seed=seed)
-        result = calibrate(off, data, noise=Noise(SDS), start="nominal")
+        result = calibrate(off, data, noise=Noise(SDS), start="nominal", trusted=seed > 0)
         assert best.chi_squared is not None
         assert result.chi_squared is not None
         if result.status.converged:

@@ -92,8 +92,12 @@ def test_a_fit_that_begins_at_the_end_stays() -> None:
 @pytest.mark.parametrize("loss", ["huber", "student-t"])
 @pytest.mark.parametrize("share", [0.0, 0.05])
 def test_intervals_hold_the_truth_with_and_without_gross_errors(method, loss, share) -> None:
+    """The rms of 25 draws of 6 parameters has a standard error of 1 / sqrt(2 * 150) = 0.06.
+
+    Sds that are stated 15 % too small or too large fail it.
+    """
     z = []
-    for draw in range(50):
+    for draw in range(25):
         data = spoilt(ARM.read(SDS, 100 + draw), share, 900 + draw)
         result = lc.calibrate(ARM.truth, data, noise=NOISE, method=method, loss=loss)
         errors = [result.value[n] - v for n, v in ARM.values.items()]

@@ -235,7 +235,7 @@ def expected_of(draw: Information, names: Sequence[str], total: Array, poses: in
     values, vectors = np.linalg.eigh(total)
     loose = values < _LOOSE * draw.ridge
     C = inverse(total)
-    sds = np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", draw.root, C, draw.root), 0.0))
+    sds = np.sqrt(np.maximum(np.einsum("nk,nk->n", draw.root @ C, draw.root), 0.0))
     # a parameter is loose where most of its variance lies along loose directions
     along = np.square(draw.root @ (vectors[:, loose] / np.sqrt(values[loose]))).sum(axis=1)
     bad = along > 0.5 * np.square(sds)

@@ -214,7 +214,7 @@ def _end_point(mechanism: Mechanism, result: FitResult, at: _Points) -> Mapping[
         machine, parameters, result.estimated, x, at.pose_constants
     ).by_parameter[:, :o]
     # Rounding can leave a variance of 0 a little below 0.
-    sd = np.sqrt(np.maximum(np.einsum("poi,ij,poj->op", S, covariance, S), 0.0))
+    sd = np.sqrt(np.maximum(np.einsum("poi,poi->op", S @ covariance, S), 0.0))
     distance = np.sqrt(np.square(off).sum(axis=0))
     return {
         "end_point_rms": float(np.sqrt(np.mean(np.square(distance)))),

@@ -100,8 +100,20 @@ def misfit(
 
 
 def _better(away: Array, kept: float) -> NDArray[np.intp]:
-    # Between poses, one of them infinite, interpolation would give NaN; "higher" takes a pose.
-    return np.flatnonzero(away <= np.nanquantile(away, kept, method="higher"))
+    return np.flatnonzero(away <= _quantile(away, kept))
+
+
+def _quantile(away: Array, kept: float) -> float:
+    """The misfit that this share of the poses keeps to; NaN where none has any.
+
+    As `np.nanquantile` with the method "higher": between poses, one of them infinite, interpolation
+    would give NaN. A repair is one of hundreds, and this a tenth of its time there.
+    """
+    some = away[~np.isnan(away)]
+    if not some.size:
+        return math.nan
+    at = math.ceil(kept * (some.size - 1))
+    return float(np.partition(some, at)[at])
 
 
 def unread(problem: Problem) -> bool:
@@ -186,7 +198,7 @@ def at_start(problem: Problem) -> float:
         return math.inf
     if not np.isfinite(away).any():
         return math.inf
-    return float(np.nanquantile(away, MOST, method="higher"))
+    return _quantile(away, MOST)
 
 
 def missed(problem: Problem, near: float, *, noisy: bool) -> bool:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.mounted import KEPT, Bodies, bodies_of
+from loopcal.estimation.mounted import KEPT, Bodies, bodies_of, extent
 from loopcal.files.recognition.fields import names_of
 from loopcal.files.recognition.layouts import Layout
 from loopcal.files.recognition.meanings import Meaning, joint_units, meanings
@@ -30,7 +30,7 @@ FAR = 10.0
 """A meaning that fits so many times worse on a few poses is not tried on more."""
 # Few poses drop what is wrong by factors; more decide among the rest.
 _SAMPLE, _FEW = 120, 40
-_AS_LARGE, _MIDDLE = 8.0, (0.05, 0.95)
+_AS_LARGE = 8.0
 """Between mm and cm lies a factor of 10."""
 
 
@@ -190,10 +190,7 @@ def as_large(meaning: Meaning, bodies: Bodies) -> bool:
     """Whether the readings move about as far as the body does; units differ by larger factors."""
     if meaning.position.ndim != 2:
         return True
-    read, moved = (
-        float(np.ptp(np.quantile(p[np.isfinite(p).all(axis=1)], _MIDDLE, axis=0), axis=0).max())
-        for p in (meaning.position, bodies.origins)
-    )
+    read, moved = extent(meaning.position), bodies.extent
     return moved < _AS_LARGE * read and read < _AS_LARGE * moved
 
 
