@@ -37,6 +37,9 @@ GUESSED = {"m": (0.1, "mm"), "rad": (0.5, "mrad"), "px": (0.3, "px")}
 DRAWN_MM, DRAWN_MRAD = 2.0, 5.0
 """How far a robot is from its drawing, as sds: what stands between two hands tells some directions
 apart by nothing else. Chosen: twice and more what arms of many makers are off by."""
+MOUNTED_MM = 200.0
+"""How far a target is from the origin of its body where no drawing says, as an sd: as of an arm's
+tool."""
 LARGE = 30_000
 """Parameters times poses from which one method is begun with. Chosen by one robot of two
 arms: at 31,500 comparing all took more than 9.5 minutes on two cores, one method one minute."""
@@ -491,19 +494,25 @@ def _sitting(
     nominal = {p.name: p.nominal for p in mechanism.parameters}
     families = {family.name: family for family in mechanism.families}
     bodies: dict[str, str] = {}
+    # Of these, poses that hardly turn a hand leave the target open by hundreds of metres.
+    seen = {one.table.get("target") for one in looking if one.table["type"] != "contact"}
     for one in looking:
         family, target = families[one.name], one.table.get("target")
         if one.table["type"] == "contact":
             bodies[one.table.get("centre", f"{one.name}_2")] = family.against
             target = target or f"{one.name}_1"
-        if target and _as_drawn(mechanism, family, readings):
-            bodies[target] = family.on
+        if target:
+            bodies[target] = family.on if _as_drawn(mechanism, family, readings) else ""
     entries: dict[str, Any] = {}
     words = []
     for target, body in bodies.items():
         link = mechanism.tree.links.get(body)
         names = [f"{target}_{axis}" for axis in "xyz"]
-        if link is None or any(step.joint for step in link.steps) or not nominal.keys() >= {*names}:
+        if not nominal.keys() >= {*names}:
+            continue
+        if target in seen:
+            entries |= {name: {"value": 0.0, "unit": "mm", "sd": MOUNTED_MM} for name in names}
+        if link is None or any(step.joint for step in link.steps):
             continue
         if np.abs(bodies_of(ChainFrame(link.steps, {}, nominal), 1).origins).max() > NOWHERE:
             entries |= {name: {"value": 0.0, "unit": "mm", "sd": DRAWN_MM} for name in names}
