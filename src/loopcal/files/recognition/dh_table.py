@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.headers import Heading, below_titles, heading, meanings, words
+from loopcal.files.recognition.framed import framed_table
+from loopcal.files.recognition.headers import Heading, heading, meanings, words
 from loopcal.files.tables.cells import is_missing
 from loopcal.units import unit
 
@@ -84,7 +85,7 @@ def read_dh(path: str | Path) -> DhTable:
     Raises InputError for a missing column, a row that is no joint, and units that nothing shows.
     """
     path = Path(path)
-    table, _ = below_titles(path, None, len(_LENGTHS_AND_TWIST))
+    table, _ = framed_table(path, None, len(_LENGTHS_AND_TWIST))
     if not table.names:
         raise InputError(
             "the table of the robot has no header",
