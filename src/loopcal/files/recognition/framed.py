@@ -17,7 +17,7 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.files.recognition.headers import heading
-from loopcal.files.recognition.records import are_records, records_table
+from loopcal.files.recognition.records import are_records, has_numbers, records_table
 from loopcal.files.tables.cells import is_missing, is_number
 from loopcal.files.tables.dialect import DELIMITERS, cut
 from loopcal.files.tables.raw import Text, read_text
@@ -63,14 +63,24 @@ def framed_table(path: Path, part: str | int | None, fewest: int) -> tuple[Table
     try:
         table = read_table(path, **({} if part is None else {reader_of(path).part: part}))
     except InputError:
-        among_lines = _in_text(path, fewest) if reader_of(path) is TEXT else None
+        if reader_of(path) is not TEXT or (text := _searched(path)) is None:
+            raise
+        among_lines = _in_text(text, fewest)
+        if among_lines is None and not has_numbers(text):
+            raise InputError(
+                "this text has no line with two numbers, so it holds no readings",
+                code="no-data",
+                place=str(path),
+                remedy="name files with a row per pose, and a column per joint and reading",
+            ) from None
         if among_lines is None:
             raise
         return among_lines
     if not _suspect(table):
         return table, ""
     if reader_of(path) is TEXT:
-        return _in_text(path, fewest) or (table, "")
+        text = _searched(path)
+        return (text and _in_text(text, fewest)) or (table, "")
     return _in_cells(table, fewest)
 
 
@@ -103,14 +113,18 @@ def _in_cells(table: Table, fewest: int) -> tuple[Table, str]:
     return made, _remark(table.name, int(number[0]) - 1, frame)
 
 
-def _in_text(path: Path, fewest: int) -> tuple[Table, str] | None:
-    """The table among the lines of a text; None where there is none."""
+def _searched(path: Path) -> Text | None:
+    """The text of a file; None of what is none, or is too long."""
     if not path.is_file() or path.stat().st_size > _MOST_BYTES:
         return None
     try:
-        text = read_text(path)
+        return read_text(path)
     except InputError:
         return None
+
+
+def _in_text(text: Text, fewest: int) -> tuple[Table, str] | None:
+    """The table among the lines of a text; None where there is none."""
     lines = text.data.decode("utf-8").split("\n")
     if are_records(lines):
         return records_table(text) or _among(lines, text, fewest)

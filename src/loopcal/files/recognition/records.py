@@ -67,6 +67,12 @@ def are_records(lines: Iterable[str]) -> bool:
     return 2 * marked > len(numbered)
 
 
+def has_numbers(text: Text) -> bool:
+    """Whether some line has several numbers, or some lines have one each."""
+    counts = [len(_NUMBERS.findall(line)) for line in text.data.decode("utf-8").split("\n")]
+    return max(counts) > 1 or sum(counts) >= FEWEST
+
+
 def records_table(text: Text) -> tuple[Table, str] | None:
     """A row each time that the form repeats, and what to say of it; None without such a form."""
     content = _BLOCK.sub(_in_brackets, text.data.decode("utf-8"))
