@@ -1,4 +1,4 @@
-"""Seventy-eight layouts of real files through `loopcal init`: right, refused, or silently wrong.
+"""105 layouts of real files through `loopcal init`: right, refused, or silently wrong.
 
 Robots and readings are simulated here in plain NumPy. A layout is right if the machine that its
 project calibrates predicts fresh poses within 1.1 of that calibrated from a plain file of the same
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import json
 import shlex
 import warnings
 from collections import Counter
@@ -756,6 +757,13 @@ def _(w: World, p: Path) -> Case:
     return case
 
 
+_SCALES = (
+    '[[mechanism.effect]]\ntype = "scale"\njoints = ["*"]\n\n[mechanism.parameters]\n'
+    '"*_scale" = { value = 0.0, unit = "1", sd = 0.02 }\n'
+)
+"""The scale of each joint, learnt as `init` does it for counts."""
+
+
 @layout("encoder counts")
 def _(w: World, p: Path) -> Case:
     scale = np.array([9556.3, 9556.3, 8212.0, 6112.5, 6112.5, 3720.1]) * 180 / np.pi
@@ -765,10 +773,7 @@ def _(w: World, p: Path) -> Case:
     case.fresh = of(names, w.fresh * scale + zeros), w.target(w.fresh)
     stated = [f"{n} [deg]" for n in names]
     case.by_hand = of(stated, w.shown(w.read)), of(stated, w.shown(w.fresh))
-    case.effect = (
-        '[[mechanism.effect]]\ntype = "scale"\njoints = ["*"]\n\n[mechanism.parameters]\n'
-        '"*_scale" = { value = 0.0, unit = "1", sd = 0.02 }\n'
-    )
+    case.effect = _SCALES
     return case
 
 
@@ -1055,6 +1060,309 @@ def _(w: World, p: Path) -> Case:
     columns = {**joints(w, "J{} [deg]"), **xyz("{} [mm]", w.points)}
     rows = [(i, name, column[k]) for k, i in enumerate(ids(w)) for name, column in columns.items()]
     return plain(p, dict(zip(("pose", "channel", "value"), zip(*rows, strict=True), strict=True)))
+
+
+# Exports of instruments, and files of controllers and programs that are no table
+
+
+def tracker(w: World, p: Path) -> str:
+    """The tracker's points in a plain file."""
+    return written(p / "tracker.csv", xyz("{} [mm]", w.points))
+
+
+def repeated(path: Path, form: str, values: Array, head: str = "", end: str = "") -> str:
+    """A text in which one form is filled with each row, {i} with its number; returns its name."""
+    rows = (form.replace("{i}", str(i)) % tuple(row) for i, row in enumerate(values, 1))
+    path.write_text(head + "".join(rows) + end)
+    return path.name
+
+
+def posed(w: World, missing: Sequence[int]) -> Case:
+    """A case of a pose, whose quaternion the file by hand has too; missing: poses not seen."""
+    rows = ~np.isin(np.arange(POSES), missing)
+    turns = Rotation.from_matrix(w.turns).as_quat()[:, [3, 0, 1, 2]]
+    return Case(
+        [], rows=rows, stated={**xyz("{} [mm]", w.points), **of(("qw", "qx", "qy", "qz"), turns)}
+    )
+
+
+@layout("KRL: points of a .dat")
+def _(w: World, p: Path) -> Case:
+    form = (
+        "DECL E6AXIS XP{i}={A1 %.6f,A2 %.6f,A3 %.6f,A4 %.6f,A5 %.6f,A6 %.6f,E1 0.0,E2 0.0}\n"
+        'DECL FDAT FP{i}={TOOL_NO 1,BASE_NO 0,IPO_FRAME #BASE,POINT2[] " "}\n'
+    )
+    head = "&ACCESS RVP\n&REL 1\nDEFDAT CALIB\nEXT BAS (BAS_COMMAND :IN,REAL :IN )\n"
+    name = repeated(p / "calib.dat", form, w.shown(w.read), head, "ENDDAT\n")
+    return Case([name, tracker(w, p)])
+
+
+@layout("Fanuc: positions of an .LS")
+def _(w: World, p: Path) -> Case:
+    lines = "".join(f"{i + 1:4d}:J P[{i + 1}] 20% FINE    ;\n" for i in range(POSES))
+    form = (
+        "P[{i}]{\n   GP1:\n\tUF : 0, UT : 1,\t\n\tJ1= %12.6f deg,\tJ2= %12.6f deg,\t"
+        "J3= %12.6f deg,\n\tJ4= %12.6f deg,\tJ5= %12.6f deg,\tJ6= %12.6f deg\n};\n"
+    )
+    head = f"/PROG  CALIB\n/ATTR\nOWNER = MNEDITOR;\nPROG_SIZE = 1234;\n/MN\n{lines}/POS\n"
+    name = repeated(p / "CALIB.LS", form, w.shown(w.read), head, "/END\n")
+    return Case([name, tracker(w, p)])
+
+
+_RAPID = "CONST jointtarget jPos{i}:=[[%.6f,%.6f,%.6f,%.6f,%.6f,%.6f],[9E9,9E9,9E9,9E9,9E9,9E9]];\n"
+
+
+@layout("RAPID: jointtargets of a .mod")
+def _(w: World, p: Path) -> Case:
+    moves = "".join(f"    MoveAbsJ jPos{i + 1},v100,fine,tool0;\n" for i in range(POSES))
+    head = "%%%\n  VERSION:1\n  LANGUAGE:ENGLISH\n%%%\nMODULE Calib\n  ! points\n"
+    end = f"  PROC main()\n{moves}  ENDPROC\nENDMODULE\n"
+    return Case([repeated(p / "Calib.mod", _RAPID, w.shown(w.read), head, end), tracker(w, p)])
+
+
+@layout("RAPID: robtargets, which are computed")
+def _(w: World, p: Path) -> Case:
+    turns = Rotation.from_matrix(w.tcp_turns).as_quat()[:, [3, 0, 1, 2]]
+    form = "CONST robtarget p{i}:=[[%.3f,%.3f,%.3f],[%.6f,%.6f,%.6f,%.6f],[0,0,-1,0],[9E9,9E9]];\n"
+    values = np.column_stack([1e3 * w.tcp, turns])
+    name = repeated(p / "Calib.mod", form, values, "MODULE Calib\n", "ENDMODULE\n")
+    return Case([written(p / "joints.csv", joints(w)), name])
+
+
+@layout("Yaskawa: pulses of a .JBI")
+def _(w: World, p: Path) -> Case:
+    ratio = np.array([1341.4, 1341.4, 1341.4, 1000.0, 1000.0, 622.0]) * 180 / np.pi
+    head = f"/JOB\n//NAME CALIB\n//POS\n///NPOS {POSES},0,0,0,0,0\n///TOOL 0\n///PULSE\n"
+    moves = "".join(f"MOVJ C{i + 1:05d} VJ=10.00\n" for i in range(POSES))
+    form = "C000{i}=%d,%d,%d,%d,%d,%d\n"
+    end = f"//INST\n///DATE 2026/01/01 10:00\nNOP\n{moves}END\n"
+    name = repeated(p / "CALIB.JBI", form, np.round(w.read * ratio), head, end)
+    case = Case([name, tracker(w, p)])
+    case.fresh = of((f"C {i}" for i in range(1, 7)), w.fresh * ratio), w.target(w.fresh)
+    stated = [f"J{i} [deg]" for i in range(1, 7)]
+    case.by_hand = of(stated, w.shown(w.read)), of(stated, w.shown(w.fresh))
+    case.effect = _SCALES
+    return case
+
+
+@layout("VAL 3: joints of a .dtx")
+def _(w: World, p: Path) -> Case:
+    form = '<Value key="{i}" j1="%.6f" j2="%.6f" j3="%.6f" j4="%.6f" j5="%.6f" j6="%.6f" />\n'
+    head = '<?xml version="1.0"?>\n<Database>\n<Data name="jPos" type="jointRx" size="36">\n'
+    name = repeated(p / "calib.dtx", form, w.shown(w.read), head, "</Data></Database>\n")
+    return Case([name, tracker(w, p)])
+
+
+@layout("rostopic echo: YAML")
+def _(w: World, p: Path) -> Case:
+    names = ", ".join(f"joint_a{i}" for i in range(1, 7))
+    form = (
+        "header:\n  seq: {i}\n  stamp:\n    secs: {i}\n  frame_id: ''\nname: [" + names + "]\n"
+        "position: [%.9f, %.9f, %.9f, %.9f, %.9f, %.9f]\nvelocity: []\neffort: []\n---\n"
+    )
+    return Case([repeated(p / "joints.yaml", form, w.read), tracker(w, p)])
+
+
+@layout("JSON: a list of records")
+def _(w: World, p: Path) -> Case:
+    rows = zip(w.read.tolist(), w.points.tolist(), strict=True)
+    (p / "data.json").write_text(json.dumps([{"joints": q, "position": x} for q, x in rows]))
+    return Case(["data.json"])
+
+
+@layout("JSON: a record per line")
+def _(w: World, p: Path) -> Case:
+    rows = enumerate(zip(w.read.tolist(), w.points.tolist(), strict=True))
+    lines = [json.dumps({"t": 0.5 * i, "q": q, "p": x}) for i, (q, x) in rows]
+    (p / "data.jsonl").write_text("\n".join(lines))
+    return Case(["data.jsonl"])
+
+
+@layout("JSON: lists of all rows")
+def _(w: World, p: Path) -> Case:
+    (p / "data.json").write_text(json.dumps({"q": w.read.tolist(), "p": w.points.tolist()}))
+    return Case(["data.json"])
+
+
+@layout("NumPy: two .npy")
+def _(w: World, p: Path) -> Case:
+    np.save(p / "q.npy", w.read)
+    np.save(p / "p.npy", w.points)
+    return Case(["q.npy", "p.npy"])
+
+
+@layout("NumPy: .npz, one array transposed", "ur")
+def _(w: World, p: Path) -> Case:
+    np.savez(p / "data.npz", q=w.read, p=w.points.T, base=np.eye(4))
+    return Case(["data.npz"])
+
+
+@layout("MATLAB: a struct of matrices, one transposed")
+def _(w: World, p: Path) -> Case:
+    from scipy.io import savemat
+
+    savemat(p / "data.mat", {"log": {"q": w.read, "p": w.points.T, "date": "today"}})
+    return Case(["data.mat"])
+
+
+@layout("MATLAB: two matrices beside a calibration matrix", "iiwa")
+def _(w: World, p: Path) -> Case:
+    from scipy.io import savemat
+
+    savemat(p / "data.mat", {"Q": w.read, "P": w.points, "T_base": np.eye(4)})
+    return Case(["data.mat"])
+
+
+@layout("OptiTrack: five rows of headers")
+def _(w: World, p: Path) -> Case:
+    case, turns = posed(w, [7]), Rotation.from_matrix(w.turns).as_quat()
+    head = [
+        "Format Version,1.23,Take Name,Take 1,Capture Frame Rate,120.0,Rotation Type,Quaternion",
+        "",
+        ",Type," + ",".join(["Rigid Body"] * 8),
+        ",Name," + ",".join(["ee"] * 8),
+        ",," + ",".join(["Rotation"] * 4 + ["Position"] * 3 + ["Mean Marker Error"]),
+        "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,",
+    ]
+    for i, row in enumerate(np.hstack([turns, w.points])):
+        cells = [f"{v:.7f}" for v in row] + ["0.0003"] if i != 7 else [""] * 8
+        head.append(f"{i},{i / 120:.6f}," + ",".join(cells))
+    (p / "take.csv").write_text("\n".join(head) + "\n")
+    case.files = [written(p / "joints.csv", joints(w)), "take.csv"]
+    return case
+
+
+@layout("NDI Polaris: a number for what is missing")
+def _(w: World, p: Path) -> Case:
+    case, lost = posed(w, [4, 17, 30]), -3.697314e28
+    turns = Rotation.from_matrix(w.turns).as_quat()[:, [3, 0, 1, 2]]
+    values = np.column_stack([turns, 1e3 * w.points])
+    rows = ["Tools,Port 1,Frame,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error"]
+    for i, row in enumerate(values):
+        seen = bool(case.rows[i])
+        cells = ",".join(f"{v:.7f}" if seen else f"{lost:.6E}" for v in (*row, 0.07))
+        rows.append(f"1,Port 1,{5000 + 17 * i},{'OK' if seen else 'Missing'},{cells}")
+    (p / "ndi.csv").write_text("\n".join(rows) + "\n")
+    case.files = [written(p / "joints.csv", joints(w, "joint_{}")), "ndi.csv"]
+    return case
+
+
+@layout("SpatialAnalyzer: // above, no header")
+def _(w: World, p: Path) -> Case:
+    head = "// Exported from SpatialAnalyzer\n// Units: Millimeters\n"
+    form = "A, Robot::Grid, p{i}, %.5f, %.5f, %.5f\n"
+    name = repeated(p / "sa.txt", form, 1e3 * w.points, head)
+    return Case([written(p / "joints.csv", joints(w)), name])
+
+
+@layout("PolyWorks: a row per coordinate")
+def _(w: World, p: Path) -> Case:
+    near = w.points + w.rng.normal(0, 1e-3, w.points.shape)
+    rows = ["PolyWorks Inspector;2024;;;", "Piece: 1;;;;", ";;;;"]
+    rows.append("Name;Control;Nominal;Measured;Deviation")
+    for i, both in enumerate(zip(1e3 * near, 1e3 * w.points, strict=True), 1):
+        for axis, a, b in zip("XYZ", *both, strict=True):
+            rows.append(f"pt{i};{axis};{a:.4f};{b:.4f};{b - a:.4f}")
+    (p / "pw.csv").write_text("\n".join(rows) + "\n")
+    labels = [f"pt{i + 1}" for i in range(POSES)]
+    return Case([written(p / "joints.csv", {"Point": labels, **joints(w)}), "pw.csv"])
+
+
+@layout("Verisurf: nominal, actual and delta in inches")
+def _(w: World, p: Path) -> Case:
+    near = w.points + w.rng.normal(0, 1e-3, w.points.shape)
+    inches = [of((f"{n} {a}" for a in "XYZ"), v / 0.0254) for n, v in (("Nominal", near),)]
+    inches.append(of((f"Actual {a}" for a in "XYZ"), w.points / 0.0254))
+    delta = {"3D Delta": np.linalg.norm(near - w.points, axis=1) / 0.0254}
+    return plain(p, {"Label": ids(w, "Pt {}")}, joints(w, "Axis {}"), *inches, delta)
+
+
+@layout("API: UTF-16, six lines above the header")
+def _(w: World, p: Path) -> Case:
+    seen = polar(w.points)
+    head = "API Radian Measurement File\r\nDate:\t2026-01-01\r\nTemp(C):\t20.3\r\n\r\n"
+    head += "Index\tGroup\tTarget\tDistance(mm)\tAzimuth(deg)\tElevation(deg)\tRMS(mm)\r\n"
+    rows = [f"{i}\tA\tSMR\t{d:.5f}\t{a:.7f}\t{e:.7f}\t0.004" for i, (d, a, e) in enumerate(seen, 1)]
+    (p / "api.txt").write_text(head + "\r\n".join(rows) + "\r\n", encoding="utf-16")
+    stated = of(("range [mm]", "azimuth [deg]", "elevation [deg]"), seen)
+    return Case([written(p / "joints.csv", joints(w, "J{} (deg)")), "api.txt"], stated=stated)
+
+
+@layout("FARO: X, Y, Z before each number")
+def _(w: World, p: Path) -> Case:
+    name = repeated(p / "faro.txt", "M_POINT{i}  X %.4f  Y %.4f  Z %.4f\n", 1e3 * w.points)
+    return Case([written(p / "joints.csv", joints(w)), name])
+
+
+@layout("Hz, V and D in two files", "iiwa")
+def _(w: World, p: Path) -> Case:
+    r, a, e = polar(w.points, 200 / 180).T
+    number = {"N°": [str(i + 1) for i in range(POSES)]}
+    leica = {"PointId": number["N°"], "Hz [gon]": a % 400, "V [gon]": 100 - e, "D [m]": 1e-3 * r}
+    files = [
+        written(p / "robot.txt", {**number, **joints(w, "q{} (deg)")}, sep="\t"),
+        written(p / "leica.csv", leica, sep=";", digits=7),
+    ]
+    stated = {"range [mm]": r, "azimuth [deg]": 0.9 * a, "elevation [deg]": 0.9 * e}
+    return Case(files, stated=stated)
+
+
+@layout("a sheet with a title, merged headers and units below")
+def _(w: World, p: Path) -> Case:
+    import xlsxwriter
+
+    book = xlsxwriter.Workbook(str(p / "data.xlsx"))
+    sheet = book.add_worksheet("Protokoll")
+    sheet.write(0, 0, "Messprotokoll Roboter 7")
+    sheet.write(2, 0, "Nr.")
+    sheet.merge_range(2, 1, 2, 6, "Gelenkwinkel")
+    sheet.merge_range(2, 7, 2, 9, "Lasertracker")
+    sheet.write_row(3, 1, [*(f"A{i}" for i in range(1, 7)), *"XYZ"])
+    sheet.write_row(4, 1, ["°"] * 6 + ["mm"] * 3)
+    for i, row in enumerate(np.hstack([w.shown(w.read), 1e3 * w.points]).tolist()):
+        sheet.write_row(5 + i, 0, [i + 1, *row])
+    book.close()
+    return Case(["data.xlsx"])
+
+
+@layout("pandas: index and two levels of columns", "ur")
+def _(w: World, p: Path) -> Case:
+    head = "," + ",".join(["joints"] * 6 + ["tracker"] * 3) + "\n"
+    head += "," + ",".join([*(f"j{i}" for i in range(1, 7)), *"xyz"]) + "\n"
+    form = "{i}," + ",".join(["%.9f"] * 9) + "\n"
+    return Case([repeated(p / "log.csv", form, np.hstack([w.read, w.points]), head)])
+
+
+@layout("pandas: an index, sorted down")
+def _(w: World, p: Path) -> Case:
+    head = "," + ",".join([*(f"j{i}" for i in range(1, 7)), *"xyz"]) + "\n"
+    rows = [
+        ",".join([str(i), *(f"{v:.9f}" for v in (*q, *x))])
+        for i, (q, x) in enumerate(zip(w.read, w.points, strict=True))
+    ]
+    (p / "log.csv").write_text(head + "\n".join(rows[::-1]) + "\n")
+    return Case(["log.csv"])
+
+
+@layout("numpy.savetxt, two files")
+def _(w: World, p: Path) -> Case:
+    np.savetxt(p / "q.txt", w.read)
+    np.savetxt(p / "p.txt", w.points)
+    return Case(["q.txt", "p.txt"])
+
+
+@layout("German words for the joints of a UR, decimal comma", "ur")
+def _(w: World, p: Path) -> Case:
+    names = ("Base", "Schulter", "Ellbogen", "Handgelenk 1", "Handgelenk 2", "Handgelenk 3")
+    return plain(
+        p,
+        {"Zeit": 0.008 * np.arange(POSES)},
+        of((f"{n} (°)" for n in names), w.shown(w.read)),
+        xyz("{} / mm", w.points, "XYZ"),
+        sep=";",
+        decimal=",",
+        encoding="utf-8-sig",
+    )
 
 
 # The robot's description

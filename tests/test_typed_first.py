@@ -62,6 +62,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
 Call = Callable[[SimpleNamespace], Any]
 # A calibration takes a second: those of other tables are compared by what `init` made of them.
 CALLS: dict[str, Call] = {
+    "len(result)": lambda m: len(m.result) == len(m.result.params) > 0,
+    "name in result": lambda m: "joint_2_x" in m.saved and "q" not in m.saved,
+    "dict(result)": lambda m: [*dict(m.result)] == [*m.result.keys()] == [*m.result],
+    "robot._repr_html_()": lambda m: "joint_2_x" in m.robot._repr_html_(),
     "lc.calibrate(df, urdf=)": lambda m: m.result.converged,
     "lc.calibrate(joints, tracker, urdf=)": lambda m: (
         lc.calibrate(
@@ -155,6 +159,31 @@ MISSES: dict[str, tuple[Call, type[Exception], str]] = {
     "lc.from_urdf": (lambda m: lc.from_urdf, AttributeError, "lc.load_urdf"),
     "result.verify": (lambda m: m.result.verify, AttributeError, "lc.verify(result, readings)"),
     "result.plot.errors": (lambda m: m.result.plot.errors, AttributeError, "'residuals'"),
+    "lc.kinematics": (lambda m: lc.kinematics, AttributeError, "lc.load_urdf('robot.urdf').fk(q)"),
+    "lc.URDF": (lambda m: lc.URDF, AttributeError, "lc.load_urdf"),
+    "lc.minimize": (lambda m: lc.minimize, AttributeError, "lc.calibrate"),
+    "lc.from_pandas": (lambda m: lc.from_pandas, AttributeError, "lc.calibrate(readings"),
+    "lc.qwertz": (lambda m: lc.qwertz, AttributeError, "help(loopcal)"),
+    "Mechanism.from_urdf": (
+        *(lambda m: lc.Mechanism.from_urdf(m.urdf), AttributeError, "lc.load_urdf(path)"),
+    ),
+    "Dataset.from_pandas": (
+        *(lambda m: lc.Dataset.from_pandas(m.df), AttributeError, "Dataset.from_arrays"),
+    ),
+    "list(result.findings)": (
+        *(lambda m: list(m.result.findings), TypeError, "result.document.findings"),
+    ),
+    "result.findings[0]": (
+        *(lambda m: m.result.findings[0], TypeError, "result.document.findings"),
+    ),
+    "result.score(df)": (lambda m: m.result.score, AttributeError, "result.rms"),
+    "result.transform(df)": (lambda m: m.result.transform, AttributeError, "result.correct"),
+    "result.to_pickle": (lambda m: m.result.to_pickle, AttributeError, "result.save(folder)"),
+    "result.show()": (lambda m: m.saved.show, AttributeError, "result.report()"),
+    "robot.fkine": (lambda m: m.robot.fkine, AttributeError, "robot.fk(q)"),
+    "robot.jacob0": (lambda m: m.robot.jacob0, AttributeError, "lc.correct"),
+    "robot.links": (lambda m: m.robot.links, AttributeError, "robot.parameters"),
+    "robot.quantitis": (lambda m: m.robot.quantitis, AttributeError, "'quantities'"),
     "lc.save": (lambda m: lc.save, AttributeError, "result.save(folder)"),
     "result.chi2": (lambda m: m.result.chi2, AttributeError, "result.chi_squared"),
     "result.to_csv": (lambda m: m.result.to_csv, AttributeError, "result.to_pandas()"),

@@ -219,6 +219,22 @@ _HOME = {
 _NAMESPACES = ("effects", "instruments", "machines")
 _INSTEAD = {
     "Robot": "lc.load_urdf, or lc.assemble",
+    **dict.fromkeys(("URDF", "load_robot", "robot"), "lc.load_urdf"),
+    **dict.fromkeys(("kinematics", "fk", "forward_kinematics"), "lc.load_urdf('robot.urdf').fk(q)"),
+    **dict.fromkeys(("DHRobot", "SerialArm", "ERobot"), "lc.calibrate(readings, dh='dh.csv')"),
+    **dict.fromkeys(
+        ("from_pandas", "from_dataframe", "from_numpy", "DataFrame"),
+        "lc.calibrate(readings, urdf='robot.urdf'), which takes a DataFrame or arrays as they are",
+    ),
+    **dict.fromkeys(
+        ("solve", "optimize", "minimize", "least_squares", "curve_fit", "identify", "estimate"),
+        "lc.calibrate",
+    ),
+    **dict.fromkeys(("set_seed", "seed"), "seed=... of lc.simulate"),
+    **dict.fromkeys(("datasets", "examples", "example"), "the command loopcal demo"),
+    **dict.fromkeys(("show", "view"), "result.plot() or result.report()"),
+    **dict.fromkeys(("load_data", "read_excel", "load_mat"), "lc.read_dataset, or lc.init"),
+    **dict.fromkeys(("cross_validate", "cross_val_score"), "lc.validate(result)"),
     **dict.fromkeys(
         ("hand_eye", "handeye", "calibrate_camera", "calibrate_hand_eye"),
         "lc.calibrate(folder of images, urdf='robot.urdf')",
@@ -387,9 +403,11 @@ def __getattr__(name: str) -> Any:
     if name in _NAMESPACES:
         return import_module(f"loopcal.{name}")
     if name not in _MODULE:
-        from loopcal.errors import nearest
+        from loopcal.errors import closest
 
-        near = f"use {_INSTEAD[name]}" if name in _INSTEAD else nearest(name, __all__)
+        close = closest(name, __all__)
+        near = f"did you mean {close!r}?" if close else "help(loopcal) lists what there is"
+        near = f"use {_INSTEAD[name]}" if name in _INSTEAD else near
         raise AttributeError(f"module 'loopcal' has no attribute {name!r}: {near}")
     found = getattr(import_module(_MODULE[name]), name)
     globals()[name] = found

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from shlex import join
-from typing import Literal, Self
+from typing import Literal, NoReturn, Self
 
 LONGEST_NAME, LONGEST_TEXT, MOST_NAMES = 80, 2_000, 10
 """Characters of a quoted name and of a whole text, and names of a list, that a message shows."""
@@ -282,6 +282,16 @@ def nearest(name: str, candidates: Iterable[str]) -> Remedy:
     remedy = Remedy(f"did you mean {close!r}?" if close else every)
     remedy.meant = (name, close) if close else (name, *choices[:1])
     return remedy
+
+
+class Instead:
+    """A constructor that a class does not have, and the calls that do what its name says."""
+
+    def __init__(self, words: str) -> None:
+        self.words = words
+
+    def __get__(self, instance: object, owner: type) -> NoReturn:
+        raise AttributeError(f"{owner.__name__} has no such constructor: use {self.words}")
 
 
 def _as_meant(words: Sequence[str], argument: str = "", *others: str) -> list[str]:

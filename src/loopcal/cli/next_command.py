@@ -128,7 +128,9 @@ def _placed(error: LoopcalError, words: Sequence[str]) -> list[str]:
     takes = "PROJECT" if words[0] in _OF_PROJECTS else "RESULT" if words[0] in _OF_RESULTS else ""
     takes = "READINGS" if words[0] == "init" else takes
     names = _files(takes, [w for w in words if w != place or takes == "PROJECT"])
-    return [*ahead, *names, *behind] if at == 1 and names and place not in names else []
+    if {*names} & {place, *behind}:  # a file that is named already is none instead
+        return []
+    return [*ahead, *names, *behind] if at == 1 and names else []
 
 
 def _whole_day(error: LoopcalError, words: Sequence[str]) -> list[str]:

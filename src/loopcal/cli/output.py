@@ -49,6 +49,8 @@ _ABOVE = ContextVar("above", default=0)
 """Lines that stand on the same screen already."""
 _JUDGED = 2
 """Parts of a result that are always shown: what it is, and its verdict."""
+_NEEDED = ("accuracy",)
+"""Parts that come right after these, ahead of causes and warnings."""
 
 # Chosen, not derived.
 _ROWS = 10
@@ -66,32 +68,40 @@ def below(text: str) -> Iterator[None]:
         _ABOVE.reset(token)
 
 
-def screen(text: str) -> str:
+def screen(text: str, following: int = 0) -> str:
     """What fits on one screen of a text whose parts are apart by an empty line.
 
-    The parts keep their order. One that does not fit any more is left out, and named by its first
-    words in the last line; of a table that alone is longer than a screen the first rows are kept.
+    The verdict comes first, then the accuracy, then the other parts in their order. One that does
+    not fit any more is left out, and named by its first words in the last line; of a table that
+    alone is longer than a screen the first rows are kept. following: lines printed below it.
     """
-    room = SCREEN - _ABOVE.get()
+    room = SCREEN - _ABOVE.get() - following
     if text.count("\n") < room:
         return text
     kept, left, room = list[str](), list[str](), room - 2
-    for part in text.split("\n\n"):
+    parts = text.split("\n\n")
+    parts[_JUDGED:] = sorted(parts[_JUDGED:], key=lambda part: _name(part) not in _NEEDED)
+    for part in parts:
         lines = part.split("\n")
-        head = lines[0]
-        name = head.split("  ")[0] if "  " in head else head.split(" ")[0].rstrip(":")
         if len(lines) + 1 > room and len(kept) >= _JUDGED:
-            left.append("warnings" if name == "WARNING" else name)
+            left.append(_name(part))
             continue
-        if kept and "  " in head and len(lines) > SCREEN:  # a verdict is whole, however long
+        if kept and "  " in lines[0] and len(lines) > SCREEN:  # a verdict is whole, however long
             rows = max(room, _ROWS)
-            left.append(f"{len(lines) - rows} more rows of {name}")
+            left.append(f"{len(lines) - rows} more rows of {_name(part)}")
             lines = lines[:rows]
         kept.append("\n".join(lines))
         room -= len(lines) + 1
     if not left:
         return text
     return "\n\n".join([*kept, f"(not shown: {', '.join(dict.fromkeys(left))}; all: --full)"])
+
+
+def _name(part: str) -> str:
+    """The first words of a part."""
+    head = part.partition("\n")[0]
+    name = head.split("  ")[0] if "  " in head else head.split(" ")[0].rstrip(":")
+    return "warnings" if name == "WARNING" else name
 
 
 def print_data(text: str) -> None:
@@ -155,7 +165,7 @@ def print_done(
             log(where)
     else:
         text = text or str(done)
-        text = text if full else screen(text)
+        text = text if full else screen(text, 2 if where else 0)
         print_out(f"{text}\n\n{where}" if where else text)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loopcal.errors import InputError, nearest, unknown_name
+from loopcal.errors import InputError, Instead, nearest, unknown_name
 from loopcal.measurements.poses import counted, pose_id, positions_of
 from loopcal.measurements.source import Source
 from loopcal.measurements.tables import as_numbers, column, column_names
@@ -47,6 +47,10 @@ class Dataset:
             self.source.rows.flags.writeable = False
         _check_shapes(self)
         _check_values(self)
+
+    from_pandas = from_dataframe = from_csv = Instead(
+        "lc.calibrate or lc.init, which take tables and files as they are; or Dataset.from_arrays"
+    )
 
     @classmethod
     def from_arrays(

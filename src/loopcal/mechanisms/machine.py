@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, nearest
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from loopcal.keys import Key, described
@@ -50,10 +50,16 @@ ENDS = ("", "_b")
 
 
 _INSTEAD = {
-    **dict.fromkeys(("joints", "joint_names", "names"), "robot.quantities"),
-    **dict.fromkeys(("dof", "n_joints"), "len(robot.quantities)"),
+    **dict.fromkeys(("joints", "joint_names", "names", "q", "qlim"), "robot.quantities"),
+    **dict.fromkeys(("links", "dh", "params", "offsets"), "robot.parameters"),
+    **dict.fromkeys(("dof", "n_joints", "n", "ndof"), "len(robot.quantities)"),
+    **dict.fromkeys(("fit", "identify"), "lc.calibrate(readings, urdf='robot.urdf')"),
     **dict.fromkeys(
-        ("ik", "inverse_kinematics", "jacobian"),
+        ("plot", "show", "to_urdf", "save", "export"),
+        "lc.calibrate(readings, urdf='robot.urdf') first: its result has it",
+    ),
+    **dict.fromkeys(
+        ("ik", "inverse_kinematics", "jacobian", "jacob0", "ikine", "ikine_LM", "inverse"),
         "lc.correct(result, targets), which solves for joints, or another library on the URDF of "
         "result.to_urdf('robot.urdf')",
     ),
@@ -62,7 +68,7 @@ _INSTEAD = {
         name: f"lc.{name}(lc.assemble(robot, instruments), ...)"
         for name in ("check", "plan", "simulate")
     },
-    **dict.fromkeys(("forward", "tool_pose", "fkine"), "robot.fk(q)"),
+    **dict.fromkeys(("forward", "tool_pose", "fkine", "forward_kinematics", "pose"), "robot.fk(q)"),
 }
 """What people type instead of a name, and the call that does it."""
 
@@ -134,10 +140,18 @@ class Machine:
             words = f"a Machine has no attribute {name!r}"
             if name in _INSTEAD:
                 words += f": use {_INSTEAD[name]}"
+            elif not name.startswith("_"):
+                words += f": {nearest(name, [n for n in dir(self) if n[0] != '_'])}"
             raise AttributeError(words, name=name, obj=self)
 
     def __repr__(self) -> str:
         return f"<Machine {self.name!r}: {len(self.quantities)} quantities>"
+
+    def _repr_html_(self) -> str:
+        from loopcal.presentation.html import table
+
+        head = ["parameter", "nominal", "unit"]
+        return table(head, [[n, f"{p.nominal:.6g}", p.unit] for n, p in self.parameters.items()])
 
 
 @dataclass(frozen=True)

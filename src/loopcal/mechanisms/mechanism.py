@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, nearest, unknown_name
+from loopcal.errors import InputError, Instead, nearest, unknown_name
 from loopcal.expressions.domain import Stage
 from loopcal.expressions.engine import engine_for
 from loopcal.expressions.tape import Tape
@@ -124,6 +124,10 @@ class Mechanism:
     structure: Structure | None = None
     masses: tuple[Load, ...] = ()
     payload: str | None = None
+
+    from_urdf = from_file = from_dh = Instead(
+        "lc.load_urdf(path) for its kinematics, or lc.calibrate(readings, urdf=path)"
+    )
 
     @classmethod
     def from_function(

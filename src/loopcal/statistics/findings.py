@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -74,6 +74,14 @@ class Findings:
     reliability: ReadingReliability | None = None
     scatter: Scatter | None = None
     conflicts: tuple[ConflictEntry, ...] = ()
+
+    def __iter__(self, *_: Any) -> NoReturn:
+        raise TypeError(
+            "these are analyses by name, as result.findings.outliers; the list with codes and "
+            "words is result.document.findings"
+        )
+
+    __getitem__ = __iter__
 
     def words(self) -> str:
         """For the summary: one line each."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import ItemsView, Iterator, KeysView, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -74,6 +74,28 @@ class Views:
     def __getitem__(self, name: str) -> ParameterEntry:
         """The parameter of this name, as `params` has it."""
         return self.params[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of all parameters, as of a mapping."""
+        return iter(self.params)
+
+    def __len__(self) -> int:
+        return len(self.params)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.params
+
+    def __bool__(self) -> bool:
+        """True: that it is there. Whether to use it says `bool(result.verdict)`."""
+        return True
+
+    def keys(self) -> KeysView[str]:
+        """The names of all parameters."""
+        return self.params.keys()
+
+    def items(self) -> ItemsView[str, ParameterEntry]:
+        """Each parameter with its name."""
+        return self.params.items()
 
     @property
     def rms(self) -> float | None:

@@ -22,7 +22,7 @@ from loopcal.files.json_reader import read_json
 from loopcal.files.machines import safe_xml, urdf
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.machines.urdf import branches
-from loopcal.files.recognition.headers import below_titles
+from loopcal.files.recognition.framed import framed_table
 from loopcal.files.tables import raw
 from loopcal.files.tables.readers import read_dataset
 from loopcal.files.toml import reader
@@ -53,7 +53,7 @@ def test_titles_are_sought_in_files_alone(node: str, tmp_path: Path) -> None:
     if node == "a loop":
         path.symlink_to(path)
     with pytest.raises(InputError):
-        below_titles(path, None)
+        framed_table(path, None, 4)
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,13 @@ def test_vectors_by_their_names_rows_or_columns(save):
     assert data.poses == ("p1", "p2", "p3")
 
 
+def test_matrices_of_one_length_by_their_names(save):
+    path = save(q=MATRIX, p=MATRIX.T, K=np.eye(4), t=np.arange(6.0))
+    data = read_dataset(path, {"a": "q y", "b": "p z", "t": "t"})
+    np.testing.assert_array_equal(data["a"], MATRIX[:, 1])
+    np.testing.assert_array_equal(data["b"], MATRIX[:, 2])
+
+
 def test_one_row_is_a_column_where_a_column_is_meant(save):
     np.testing.assert_array_equal(read_dataset(save(x=[1.0, 2.0]), {"x": 1})["x"], [1.0, 2.0])
 
@@ -68,7 +75,7 @@ WRONG = {
         ["'x', 'y'"],
     ),
     "an unknown variable": ({"data": MATRIX}, {"variable": "date"}, ["did you mean 'data'?"]),
-    "several matrices": ({"a": MATRIX, "b": MATRIX}, {}, ["variable = ...", "a (6×3), b (6×3)"]),
+    "no rows": ({"a": 1.0, "b": 2.0}, {}, ["variable = ...", "a (1×1), b (1×1)"]),
     "a cube": ({"a": np.zeros((2, 2, 2))}, {}, ["variable 'a'", "2×2×2"]),
     "complex numbers": ({"a": MATRIX + 1j}, {}, ["variable 'a'", "complex"]),
     "an infinite reading": (

@@ -63,6 +63,13 @@ def joint_readings(made: lc.InitialProject) -> np.ndarray:
         "a list of joints in one column",
         "KRL: {A1 12.3, A2 ...} in one column",
         "Japanese, Shift-JIS",
+        "Fanuc: positions of an .LS",
+        "RAPID: jointtargets of a .mod",
+        "rostopic echo: YAML",
+        "MATLAB: two matrices beside a calibration matrix",
+        "PolyWorks: a row per coordinate",
+        "a sheet with a title, merged headers and units below",
+        "pandas: index and two levels of columns",
     ],
 )
 def test_what_was_measured_is_read(tmp_path: Path, name: str) -> None:
@@ -102,6 +109,20 @@ def test_points_that_a_controller_computed_are_no_measurement(tmp_path: Path) ->
     written(tmp_path / "a.csv", {**joints(world), **xyz("{}", world.tcp)})
     with refused("implausible-readings", "x, y, z"):
         lc.init(tmp_path / "a.csv", dh=tmp_path / "dh.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "missing"),
+    [
+        ("OptiTrack: five rows of headers", [7]),
+        ("NDI Polaris: a number for what is missing", [4, 17, 30]),
+    ],
+)
+def test_poses_that_were_not_seen_are_blank(tmp_path: Path, name: str, missing: list[int]) -> None:
+    world, made = begun(name, tmp_path)
+    blank = np.isnan(made.dataset["x"])
+    assert np.flatnonzero(blank).tolist() == missing
+    assert np.allclose(made.dataset["x"][~blank], world.points[~blank, 0], atol=1e-6)
 
 
 def test_joints_that_nothing_distinguishes_are_asked_for(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -82,9 +83,14 @@ def tables_of(entries: Sequence[Any]) -> list[Any]:
     return opened
 
 
-def are_images(entries: Sequence[Any]) -> bool:
-    """Whether one of the files holds corners of boards, or is an image."""
-    return any(_kind(path) in ("corners", "image") for path in files_of(entries))
+def are_images(entries: Sequence[Any], fewest: int = 1) -> bool:
+    """Whether one of the files holds corners of boards, or so many are images.
+
+    Fewer images beside a table are pictures of something else.
+    """
+    kinds = Counter(map(_kind, files_of(entries)))
+    enough = kinds["image"] >= fewest or not kinds["poses"]
+    return bool(kinds["corners"] or (kinds["image"] and enough))
 
 
 def folders_of_images(entries: Sequence[Any]) -> list[Any]:

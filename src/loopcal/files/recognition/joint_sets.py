@@ -133,12 +133,12 @@ def _ideograms(word: str) -> list[str]:
 
 
 def quaternions(fields: Sequence[Field]) -> Iterator[tuple[Field, ...]]:
-    """Four columns of length 1: named with w, x, y and z, or numbered."""
+    """Four columns of length 1: named with w (or 0), x, y and z, or numbered."""
     by_stem = {f.stem: f for f in fields if f.stem}
     for field in fields:
         for i, letter in enumerate(field.stem):
-            names = [f"{field.stem[:i]}{a}{field.stem[i + 1 :]}" for a in "wxyz"]
-            if letter == "w" and all(n in by_stem for n in names):
+            names = [f"{field.stem[:i]}{a}{field.stem[i + 1 :]}" for a in f"{letter}xyz"]
+            if letter in "w0" and all(n in by_stem for n in names):
                 quaternion = tuple(by_stem[n] for n in names)
                 if unit_norm(quaternion):
                     yield quaternion

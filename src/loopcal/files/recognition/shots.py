@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.files.recognition.fields import STILL, Field
-from loopcal.files.recognition.headers import Heading
+from loopcal.files.recognition.headers import Heading, stem
 from loopcal.presentation.shown import significant
 
 MOST_TARGETS = 8
@@ -68,6 +68,9 @@ def widened(
     kinds, poses = list(dict.fromkeys(labels)), list(dict.fromkeys(ids))
     if not 1 < len(kinds) <= MOST_TARGETS:
         return None
+    # Rows of the three coordinates of one point, and not of three points.
+    axes = {*map(stem, kinds)} == {*"xyz"}
+    endings = [stem(kind) if axes else str(k) for k, kind in enumerate(kinds, 1)]
     place = {pose: i for i, pose in enumerate(poses)}
     rows = np.array([place[i] for i in ids]), np.array([kinds.index(k) for k in labels])
     wide = [np.full((len(poses), len(kinds)), np.nan) for _ in fields]
@@ -87,9 +90,9 @@ def widened(
             columns.append(replace(field, values=np.where(most >= least, least, np.nan)))
             continue
         header = field.heading or Heading("", f"column_{field.position + 1}")
-        for k, kind in enumerate(kinds):
+        for k, (kind, ending) in enumerate(zip(kinds, endings, strict=True)):
             named = Heading(
-                f"{header.text} of {kind}".strip(), f"{header.stem}_{k + 1}", header.unit
+                f"{header.text} of {kind}".strip(), f"{header.stem}_{ending}", header.unit
             )
             columns.append(Field(field.table, field.position, named, cells[:, k]))
     return tuple(columns)

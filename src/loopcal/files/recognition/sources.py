@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.errors import InputError, short
 from loopcal.files.recognition.fields import (
@@ -21,9 +22,9 @@ from loopcal.files.recognition.fields import (
     column_key,
     counted,
 )
+from loopcal.files.recognition.framed import framed_table
 from loopcal.files.recognition.headers import (
     Heading,
-    below_titles,
     heading,
     own_words,
     readings_of,
@@ -43,8 +44,12 @@ from loopcal.measurements.tables import as_numbers, column, column_names
 
 _IDS = frozenset(words("columns", "pose"))
 _TARGETS = frozenset(words("columns", "target"))
+_NAMES = 2
+"""Columns that a header between other rows names at least."""
 _CLEARLY = 3
 """A sheet with so many times the numbers of any other holds the readings."""
+_BEYOND = 1e6
+"""A number so many times as large as all others of its column is a mark, not a reading."""
 _NAMED = re.compile(r"(?P<before>(?:.*_)?)name_?(?P<number>\d{1,3})")
 _NUMBER_LAST = re.compile(r"(?:.*_)?(?P<word>[a-z]+)_?(?P<number>\d{1,3})")
 _WHOLE = re.compile(r"[+-]?\d+")
@@ -129,7 +134,7 @@ def _of_recording(
 
 def _of_file(path: Path, number: int, sheet: str | None) -> tuple[Source, ...]:
     if sheet is not None or reader_of(path).part != "sheet":
-        table, title = below_titles(path, sheet)
+        table, title = framed_table(path, sheet, _NAMES)
         return (_of_table(path, table, title, number, sheet),)
     sheets = _sheets(path)
     which = ", ".join(f"{short(str(one.sheet))!r} ({len(one.rows)} rows)" for one, _ in sheets[:10])
@@ -172,9 +177,6 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     names = [table.names[i] if i < len(table.names) else "" for i in range(_width(table))]
     spoken = own_words(path.parent)
     headings = [heading(name, spoken) if name else None for name in names]
-    units = _row_of_units(table, numeric)
-    for i, symbol in units.items():
-        headings[i] = replace(headings[i] or Heading("", ""), unit=symbol or None)
     lists = {
         i: columns
         for i in table.columns
@@ -191,9 +193,10 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
         last = "The last row" if rows == 1 else f"The last {rows} rows"
         summary = f"{last} of {table.name}: a summary of the others, left out."
         remark = f"{remark} {summary}".strip()
-    every = every[1 if units else 0 :]
     labels = {i: tuple(column_cells[k] for k in every) for i, column_cells in cells.items()}
     values = {i: table.numbers(i, every) for i in numeric if i != pose}
+    values, blanks = _without_blanks(values, names)
+    remark = f"{remark} {blanks}".strip()
     values |= {i: np.empty(0) for i in texts if _stem(headings, i) in STATIONS | TOOLS}
     values |= {
         i: np.array(seconds)
@@ -219,7 +222,7 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
     named = None if pose is None else column_key(names, pose)
     # what is not one table below its header is written into a file of its own
     header = tuple(names)
-    place = path if len(every) == count and not titled and not lists else None
+    place = None if len(every) < count or titled or lists or blanks else path
     used = {f.position for f in fields}
     idle = [names[i] for i in texts if i not in used and _stem(headings, i) not in _TARGETS]
     if idle := [name for name in idle if name and not _NAMED.fullmatch(stem(name))]:
@@ -228,6 +231,25 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
         )
     source = Source(place, sheet, fields, ids, named, header, path.name, remark)
     return _with_ids(source, {_stem(headings, i): labels[i] for i in texts if i not in values})
+
+
+def _without_blanks(
+    columns: Mapping[int, NDArray[np.float64]], names: Sequence[str]
+) -> tuple[dict[int, NDArray[np.float64]], str]:
+    """Columns without the number that stands for "not measured", and what to say of it."""
+    made, said = {**columns}, dict[float, list[str]]()
+    for i, values in columns.items():
+        size = np.abs(np.nan_to_num(values))
+        others = size[size < size.max(initial=0.0)]
+        if others.size and size.max() > _BEYOND * others.max() > 0.0:
+            blank = size == size.max()
+            made[i] = np.where(blank, np.nan, values)
+            said.setdefault(float(values[blank][0]), []).append(names[i] or f"column {i + 1}")
+    words = [
+        f"{number:g} in {', '.join(where)} is no reading: it counts as not measured."
+        for number, where in said.items()
+    ]
+    return made, " ".join(words)
 
 
 def _distinct(fields: Sequence[Field]) -> tuple[Field, ...]:
@@ -275,7 +297,7 @@ def _sheets(path: Path) -> list[tuple[Table, str]]:
     first: InputError | None = None
     for number in count(1):
         try:
-            table, title = below_titles(path, number)
+            table, title = framed_table(path, number, _NAMES)
         except InputError as error:
             # there is no sheet of this number, or the fault is that of the file, not of a sheet
             if error.code == "unknown-name" or (first and str(error) == str(first)):
@@ -337,19 +359,6 @@ def _rewritten(
     remarks = f"{source.remark} {remark}".strip()
     poses = tuple(dict.fromkeys(ids))
     return Source(None, None, fields, poses, "pose", label=source.name, remark=remarks)
-
-
-def _row_of_units(table: Table, numeric: Sequence[int]) -> dict[int, str]:
-    """Position -> unit, of the first row below a header if it holds units; else empty."""
-    if not table.names or len(table.rows) < 2:
-        return {}
-    units = {}
-    for i in numeric:
-        text = table.first(i)
-        if text is None:
-            return {}
-        units[i] = heading(f"x [{text}]").unit or ""
-    return units if any(units.values()) else {}
 
 
 def _width(table: Table) -> int:

@@ -19,7 +19,7 @@ from loopcal.files.tables.cells import is_missing, is_number
 from loopcal.files.tables.reader import Layout
 
 WHITESPACE = " "
-_DELIMITERS = ("\t", ";", ",", WHITESPACE)  # in this order where two would do
+DELIMITERS = ("\t", ";", ",", WHITESPACE)  # in this order where two would do
 _WORDS = {"\t": "tab", WHITESPACE: "white space"}
 _SPOKEN = {
     **dict.fromkeys(("tab", r"\t"), "\t"),
@@ -100,9 +100,9 @@ def recognise(rows: list[Row], name: str, layout: Layout, above: Sequence[Row] =
     def best_of(delimiters: Sequence[str]) -> _Trial:
         return max((_try(rows, d, m) for d in delimiters for m in marks), key=lambda t: t.score)
 
-    best = best_of([stated] if stated else _DELIMITERS)
+    best = best_of([stated] if stated else DELIMITERS)
     if not best.several and stated:
-        _check_fits(best, best_of(_DELIMITERS), rows, name)
+        _check_fits(best, best_of(DELIMITERS), rows, name)
     cells = [_cells(row, best.delimiter, name) for row in rows]
     first = rows[0]
     if header is None:
@@ -124,7 +124,7 @@ def _commented(
 ) -> tuple[int, tuple[str, ...]] | None:
     """The row and the names of a comment that names every column once; None without such a one."""
     for row in above if width >= _FEWEST else ():
-        for delimiter in dict.fromkeys((best.delimiter, *_DELIMITERS)):
+        for delimiter in dict.fromkeys((best.delimiter, *DELIMITERS)):
             line = _BEFORE_UNIT.sub("", row.line) if delimiter == WHITESPACE else row.line
             try:
                 names = _without_empty_end(cut(line, delimiter))

@@ -1,7 +1,7 @@
 """Variables of a MATLAB file (format 4 to 7, not 7.3) as a table.
 
-Three habits are read: a numeric matrix, its columns by number; vectors, columns by their names;
-a struct whose fields are vectors, or an array of structs with one number or text per field.
+Three habits are read: a numeric matrix, its columns by number; vectors and matrices by their names;
+a struct whose fields are such, or an array of structs with one number or text per field.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.errors import InputError, unknown_name
+from loopcal.files.tables.arrays import columns_of, refuse_rivals, rows_of
 from loopcal.files.tables.cells import Cells
 from loopcal.files.tables.raw import existing_file, sha256_of
 from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
@@ -27,7 +28,7 @@ def read_matlab(
     *,
     wanted: Collection[str | int] | None = None,
 ) -> Table:
-    """The variable stated; else the only one there is; else all vectors, by their names.
+    """The variable stated; else the only one there is; else all of one length, by their names.
 
     Of vectors and fields only those wanted (all for None) must be of equal length. Raises
     InputError for format 7.3, a broken file, a variable that is not there or is no table.
@@ -38,20 +39,11 @@ def read_matlab(
         raise unknown_name(f"there is no variable {variable!r}", variable, variables, path.name)
     chosen = variable or (next(iter(variables)) if len(variables) == 1 else None)
     if chosen is None:
-        columns = {n: v for n, v in variables.items() if _is_vector(v)}
-        if not columns:
-            raise InputError(
-                f"there are {len(variables)} variables and none is a vector",
-                code="wrong-file-type",
-                place=path.name,
-                remedy="name the variable with the readings (variable = ... in a project, "
-                f"--sheet of init), one of {_listed(variables)}",
-            )
-        return _from_vectors(columns, path, None, wanted)
+        return _from_arrays(variables, path, None, wanted)
     value, part = variables[chosen], f"variable {chosen!r}"
     name = file_name(path.name, part)
     if value.dtype.names:
-        return _from_vectors(_fields(value, name), path, part, wanted)
+        return _from_arrays(_fields(value, name), path, part, wanted)
     if value.ndim != 2 or value.size == 0:
         raise InputError(
             f"its shape is {_shape(value)}",
@@ -93,10 +85,6 @@ def _load(path: Path) -> dict[str, Any]:
     return variables
 
 
-def _is_vector(value: Any) -> bool:
-    return bool(value.ndim <= 2 and value.size > 1 and value.size == max(value.shape))
-
-
 def _fields(value: Any, name: str) -> dict[str, Any]:
     """The columns of a struct of vectors, or of an array of structs with one entry per field."""
     if value.size == 1:
@@ -117,13 +105,31 @@ def _fields(value: Any, name: str) -> dict[str, Any]:
     return columns
 
 
-def _from_vectors(
-    columns: dict[str, Any], path: Path, part: str | None, wanted: Collection[str | int] | None
+def _from_arrays(
+    arrays: dict[str, Any], path: Path, part: str | None, wanted: Collection[str | int] | None
 ) -> Table:
-    names, name = tuple(columns), file_name(path.name, part)
+    """Vectors by their names, beside the columns of matrices that are as long."""
+    name = file_name(path.name, part)
+    vectors = {n: v.ravel() for n, v in arrays.items() if v.size > 1 and v.size in v.shape}
+    matrices = {n: v for n, v in arrays.items() if v.dtype.kind in "fiu" and n not in vectors}
+    count = rows_of(vectors or matrices)
+    remedy = (
+        "name the variable with the readings (variable = ... in a project, --sheet of init), one "
+        f"of {_listed(arrays)}"
+    )
+    refuse_rivals(matrices, count, name, remedy)
+    columns = {**vectors, **(columns_of(matrices, count) if count > 1 else {})}
+    if not columns:
+        raise InputError(
+            f"none of its {len(arrays)} variables is a vector or a matrix",
+            code="wrong-file-type",
+            place=path.name,
+            remedy=remedy,
+        )
+    names = tuple(columns)
     positions = positions_of(wanted, names, name)
-    vectors = {i: columns[names[i]].ravel() for i in positions}
-    lengths = {names[i]: len(vector) for i, vector in vectors.items()}
+    taken = {i: columns[names[i]] for i in positions}
+    lengths = {names[i]: len(vector) for i, vector in taken.items()}
     if len(set(lengths.values())) != 1:
         few = ", ".join(f"{n} has {length}" for n, length in [*lengths.items()][:5])
         raise InputError(
@@ -133,7 +139,7 @@ def _from_vectors(
             remedy="ask only for columns of one length, or state variable = ...",
         )
     rows = np.arange(1, next(iter(lengths.values())) + 1, dtype=np.int64)
-    cells = {i: _cells(vector, name) for i, vector in vectors.items()}
+    cells = {i: _cells(vector, name) for i, vector in taken.items()}
     return Table(path.name, part, sha256_of(path), names, cells, rows)
 
 
@@ -163,7 +169,7 @@ def _listed(variables: dict[str, Any]) -> str:
 
 READER = Reader(
     "MATLAB",
-    "format 4 to 7: a matrix, vectors by their names, or a struct of vectors",
+    "format 4 to 7: a matrix, or vectors and matrices by their names, also in a struct",
     (".mat",),
     read_matlab,
     ("variable", "spread"),

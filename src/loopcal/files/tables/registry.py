@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from loopcal.errors import InputError
-from loopcal.files.tables import bag, delimited, matlab, parquet, spreadsheet
+from loopcal.files.tables import arrays, bag, delimited, matlab, parquet, spreadsheet
 from loopcal.files.tables.reader import Layout, Reader
 
 TEXT = delimited.READER
-READERS = (TEXT, spreadsheet.READER, parquet.READER, matlab.READER, bag.READER)
+READERS = (TEXT, spreadsheet.READER, parquet.READER, matlab.READER, arrays.READER, bag.READER)
 BY_ENDING = {ending: reader for reader in READERS for ending in reader.endings}
 
 

@@ -81,6 +81,8 @@ Array = NDArray[np.float64]
 USUAL = 20e-3
 """A nominal machine is nearer to its readings than this [m]."""
 _ROWS, _WORST = 5, 5
+_IMAGES = 3
+"""Fewer images calibrate no camera."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +255,7 @@ def initial_project(
         if out is not None:
             refuse_foreign(*(folder / name for name in (PROJECT, READINGS)))
         return _kept(_of_tree(readings, robot, folder), folder, write=out is not None)
-    if are_images(readings):
+    if are_images(readings, _IMAGES):
         return _of_images(readings, robot, folder, write=out is not None)
     if not any((robot.urdf, robot.dh, robot.machine)):
         robot, readings = among(readings, robot)

@@ -1,0 +1,92 @@
+"""Texts that repeat one form: which numbers become which columns, and when there is no form."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from loopcal.files.recognition import records
+from loopcal.files.recognition.records import are_records, records_table
+from loopcal.files.tables.raw import Text
+from loopcal.files.tables.table import Table
+from tests.files.hostile.steps import steps
+
+
+def table(content: str) -> Table | None:
+    made = records_table(Text("points.txt", content.encode(), "0" * 64))
+    return made and made[0]
+
+
+def numbers(made: Table, position: int) -> np.ndarray:
+    return made.numbers(position, np.arange(len(made.rows)))
+
+
+VALUES = [(10.5, -2.0, 30.25), (1e-3, 5.0, 6.0), (-7.0, 8.5, 9.0), (0.0, 1.0, 2.0)]
+
+
+@pytest.mark.parametrize(
+    ("form", "names"),
+    [
+        ("DECL E6AXIS XP{i}={{A1 {0},A2 {1},A3 {2}}}\n", ("A1", "A2", "A3")),
+        ("P[{i}]{{\n GP1:\n J1= {0} deg, J2= {1} deg,\n J3= {2} deg\n}};\n", ("J1", "J2", "J3")),
+        ("CONST jointtarget p{i}:=[[{0},{1},{2}],[9E9]];\n", ("p x", "p y", "p z")),
+        ("C0000{i}={0},{1},{2}\n", ("C x", "C y", "C z")),
+        ('<Value j1="{0}" j2="{1}" j3="{2}" />\n', ("j1", "j2", "j3")),
+        ('{{"t": {i}, "q": [{0}, {1}, {2}]}}, ', ("q x", "q y", "q z")),
+        ("name: [a, b, c]\nposition: [{0}, {1}, {2}]\n---\n", ("a.position", "b.position")),
+        ("name:\n- a\n- b\nposition:\n- {0}\n- {1}\n---\n", ("a.position", "b.position")),
+    ],
+)
+def test_a_number_belongs_to_the_word_before_it(form: str, names: tuple[str, ...]) -> None:
+    made = table("HEAD 7 8\n" + "".join(form.format(*v, i=i) for i, v in enumerate(VALUES)))
+    assert made is not None
+    for name, values in zip(names, zip(*VALUES, strict=True), strict=False):
+        assert np.array_equal(numbers(made, made.names.index(name)), values)
+
+
+def test_lists_of_all_rows_are_columns() -> None:
+    made = table('{"q": [[1, 2, 3], [4, 5, 6], [7, 8, 9], [1, 1, 1]], "t": [0, 1, 2, 3]}')
+    assert made is not None
+    assert made.names == ("q x", "q y", "q z", "t")
+    assert np.array_equal(numbers(made, 1), [2, 5, 8, 1])
+
+
+def test_what_is_missing_is_no_shift_of_rows() -> None:
+    whole = [f'{{"q": {i}, "x": {i}.5, "y": {i}.25}}\n' for i in range(6)]
+    lacking = [*whole[:3], '{"q": 3, "y": 3.25}\n', *whole[4:]]
+    made = table("".join(lacking))
+    assert made is not None
+    assert made.names == ("q", "y")
+    made = table("".join([*whole[:3], '{"q": 3, "x": null, "y": 3.25}\n', *whole[4:]]))
+    assert made is not None
+    assert np.array_equal(numbers(made, 1), [0.5, 1.5, 2.5, np.nan, 4.5, 5.5], equal_nan=True)
+
+
+def test_numbers_after_all_others_belong_to_no_row() -> None:
+    points = "".join(f"C0000{i}={i},{2 * i}\n" for i in range(5))
+    made = table(points + "".join(f"MOVJ C0000{i} VJ=10.00\n" for i in range(5)))
+    assert made is not None
+    assert made.names == ("C 1", "C 2")
+
+
+@pytest.mark.parametrize("content", ["", "no number", "a 1\nb 2\n", "one 1 two 2"])
+def test_without_a_form_there_is_no_table(content: str) -> None:
+    assert table(content) is None
+
+
+def test_rows_of_a_table_are_no_records() -> None:
+    assert not are_records(["J1 [deg],J2 [deg]", "1.5,2.5", "3.5,4.5"])
+    assert are_records(["A, B", "P1={A1 1.0, A2 2.0}", "P2={A1 1.5, A2 2.5}"])
+
+
+@pytest.mark.parametrize(
+    "pattern", [p for p in vars(records).values() if isinstance(p, re.Pattern)]
+)
+@pytest.mark.parametrize(
+    "part", ["a 1\n", "[[1, 2], ", "[a, ", "1 ", "1e", "= ", ":\n- a", "\n", " ", "a", "["]
+)
+def test_steps_grow_as_the_text_does(pattern: re.Pattern[str], part: str) -> None:
+    short, long = (steps(pattern, part * n).count for n in (200, 400))
+    assert long <= 2.6 * short
