@@ -11,6 +11,7 @@ import pytest
 
 from loopcal.companions.app.pictures import Errors, joints_of, machine_figure
 from loopcal.companions.app.predicting import Probe
+from loopcal.companions.app.scene import Scene
 from loopcal.companions.app.session import Session
 from loopcal.companions.app.sizes import SIZE, errors_by_name
 from loopcal.companions.app.views.data import corners_read
@@ -132,7 +133,7 @@ def test_an_arm_that_lies_in_a_plane_has_room_in_every_direction(tmp_path: Path)
     """Axes without extent would leave the figure empty."""
     assert run("new", tmp_path / "arm", "--mechanism", "serial").returncode == 0
     mechanism = read_project(tmp_path / "arm" / "project.toml").mechanism
-    drawn = machine_figure(mechanism, dict.fromkeys(joints_of(mechanism), 0.0))
+    drawn = machine_figure(Scene(mechanism), dict.fromkeys(joints_of(mechanism), 0.0))
     assert drawn is not None
     arm, *others = (np.array([trace[k] for k in "xyz"]) for trace in drawn["data"])
     assert np.ptp(arm, axis=1).min() < 1e-9

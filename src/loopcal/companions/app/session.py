@@ -23,6 +23,7 @@ from loopcal.companions.app.worker import Action, Command, Run, Worker
 from loopcal.companions.robot.programs.registry import BY_ENDING as PROGRAMS
 from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
+from loopcal.files.machines.drawn_links import DrawnLinks, read_links
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.machines.urdf import NO_URDF, branches
 from loopcal.files.project.data_table import DataTable
@@ -107,6 +108,7 @@ class Session:
         self._whole: Cached[Dataset] = Cached()
         self._deployed: Cached[dict[str, bool]] = Cached()
         self._project: Cached[Project | None] = Cached()
+        self._links: Cached[DrawnLinks | None] = Cached()
         self._shown: tuple[Source, Refit | None, Source] | None = None
         self._reading, self._changed = Lock(), Event()
 
@@ -249,6 +251,18 @@ class Session:
             return None if text is None else self.read(text)
 
         return self._project.read((text, str(failed)), read)
+
+    def links(self) -> DrawnLinks | None:
+        """What the links of the robot look like, where the folder has the meshes of its URDF."""
+        project = self.project()
+        stated = {} if project is None else project.inputs.get("mechanism") or {}
+        file = stated.get("file")
+        path = self.folder.path / str(file)
+        if not isinstance(file, str) or path.suffix.lower() not in (".urdf", ".xml"):
+            return None
+        base = stated.get("base", stated.get("root"))
+        at = file, base, tuple(self.folder.listed())
+        return self._links.read(at, lambda: read_links(path, base))
 
     def objection(self) -> str | None:
         """Why the project cannot be read; None where it can, or is not there."""

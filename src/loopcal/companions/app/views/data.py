@@ -12,6 +12,7 @@ from loopcal.companions.app import words
 from loopcal.companions.app.cells import bad_cells, columns
 from loopcal.companions.app.controls import folded, offer, text, uploader
 from loopcal.companions.app.pictures import joints_of, machine_figure, moved
+from loopcal.companions.app.scene import Scene
 from loopcal.companions.app.view import View, heading, plot, table
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
@@ -49,13 +50,14 @@ def show(view: View) -> None:
         ui.label(unread).classes("bad printed")
         _bad(view, project)
     loaded = view.session.readings()
+    scene = Scene(project.mechanism, view.session.links())
     with ui.element("div").classes("beside"):
         with ui.column().classes("figures"):
-            drawn_robot = None if loaded is None else _robot(project, loaded.dataset)
+            drawn_robot = None if loaded is None else _robot(scene, project, loaded.dataset)
         with ui.column().classes("acts"):
             _columns(view, project)
     if loaded is not None:
-        _rows(view, project, loaded, drawn_robot)
+        _rows(view, project, loaded, drawn_robot, scene)
 
 
 def _waiting(view: View, project: Project) -> None:
@@ -158,10 +160,9 @@ def _column(view: View, quantity: str, unit: str, entry: dict[str, Any], labels:
     box.props(f'dense aria-label="unit of {quantity}"')
 
 
-def _robot(project: Project, data: Dataset) -> Any:
+def _robot(scene: Scene, project: Project, data: Dataset) -> Any:
     """The machine in the first pose."""
-    mechanism = project.mechanism
-    drawn = machine_figure(mechanism, _pose(project, data, 0)) if len(data) else None
+    drawn = machine_figure(scene, _pose(project, data, 0)) if len(data) else None
     if drawn is None:
         return None
     return plot(drawn, words.ROBOT_IN_ROW)
@@ -172,7 +173,7 @@ def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
     return {j: float(data[j][index]) if j in data.readings else 0.0 for j in joints}
 
 
-def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any) -> None:
+def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any, scene: Scene) -> None:
     data, mechanism = loaded.dataset, project.mechanism
     units = {**mechanism.quantities, **mechanism.pose_constants}
     images = [one for one in seen_outputs(mechanism) if one.points > 1]
@@ -200,7 +201,7 @@ def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any) ->
     def chosen(event: Any) -> None:
         if drawn_robot is not None:
             pose = _pose(project, data, int(event.args["index"]))
-            drawn_robot.run_plot_method("restyle", *moved(mechanism, pose))
+            drawn_robot.run_plot_method("restyle", *moved(scene, pose))
 
     made = ui.table(
         columns=head,

@@ -97,6 +97,7 @@ def errors_of(view: View) -> Errors | None:
             if before is not None or at not in stated
         },
         left_out=None if data is None else left_out(source, data),
+        links=session.links(),
     )
 
 
@@ -134,7 +135,7 @@ def _elsewhere(linked: Linked) -> None:
         ways = {False: words.DRAG_TURNS, True: words.DRAG_SELECTS}
         turn = ui.toggle(ways, value=False).props(f'no-caps aria-label="{words.DRAG}"')
         turn.on_value_change(lambda e: ui.run_javascript(f"linked.framing({str(e.value).lower()})"))
-    linked.plot(lambda e: e.in_space(), IN_SPACE)
+    linked.plot(lambda e: e.in_space(linked.what), IN_SPACE)
     linked.later.append(partial(linked.pose, IN_SPACE))
 
     def of(name: str) -> Framed:
