@@ -63,6 +63,24 @@ def test_each_instrument_has_errors_in_its_unit(source: Source) -> None:
     assert errors.over_poses("east")["layout"]["yaxis"]["title"]["text"] == "error of east [mm]"
 
 
+def test_a_warm_up_is_drawn_as_a_curve(source: Source) -> None:
+    """Through errors that settle exponentially, close at both ends; none where nothing is slow."""
+    settled = np.exp(-np.arange(60) / 8.0)
+    names = list(source.table.differences_after)
+    rng = np.random.default_rng(2)
+    off = {name: np.zeros(60) for name in names}
+    off["east_range"] = 1e-3 * settled + rng.normal(0.0, 2e-5, 60)
+    errors = Errors.of(source, differences=off, slow=True)
+    assert errors is not None
+    points, curve = errors.over_poses("east")["data"]
+    at, expected = np.array(points["x"]), settled
+    drawn = np.interp(at, curve["x"], curve["y"])
+    assert np.abs(drawn - expected).max() < 0.08  # of 1 mm
+    plain = Errors.of(source, differences=off)
+    assert plain is not None
+    assert len(plain.over_poses("east")["data"]) == 1
+
+
 CAMERA = """
 schema = 1
 [mechanism]

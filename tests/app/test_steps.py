@@ -71,6 +71,14 @@ def test_no_step_is_better_than_the_verdict_of_its_result(state: State) -> None:
                 assert found["deploy"] in ("care", "bad")
 
 
+def test_a_result_that_cannot_be_read_is_wrong_and_not_absent(state: State) -> None:
+    result = ("fit", "diagnose", "validate")
+    absent = lights(replace(state, document=None))
+    unreadable = lights(replace(state, document=None, unreadable="this is no JSON"))
+    assert {absent[step] for step in result} == {"none"}
+    assert {unreadable[step] for step in result} == {"bad"}
+
+
 def test_a_preview_deploys_nothing(state: State) -> None:
     runs = {"export": ended("export r --to urdf --force --out .preview/urdf", 0)}
     assert lights(replace(state, runs=runs, deployed={}))["deploy"] == "none"

@@ -40,6 +40,8 @@ drawn at its edge: one slip of an encoder would flatten all others."""
 TRANSPARENT = "rgba(0,0,0,0)"
 Framed = tuple[Array, Array]
 """What the axes of a flat figure show: (N,) each."""
+COURSE, WINDOW = 80, 0.05
+"""Points of the curve through errors that change slowly, and the sd of its window over the run."""
 SAMPLED = 30
 """Poses whose machine makes the extent of the figure in space."""
 ARROWS_SAID = {
@@ -177,7 +179,8 @@ class Errors:
     ids where these rise; drawn: positions of the poses that are drawn; steps: numbers from which on
     something is modelled as moved; selected: positions of the poses that are marked; changed:
     numbers from which on a finding says that something changed, and how it is named; left_out:
-    the poses that the fit does not use; links: the shapes of the machine.
+    the poses that the fit does not use; links: the shapes of the machine;
+    slow: whether a finding says that errors depend on the order of the poses.
     """
 
     source: Source
@@ -190,6 +193,7 @@ class Errors:
     changed: Mapping[float, str] = field(default_factory=dict)
     left_out: LeftOut | None = None
     links: DrawnLinks | None = None
+    slow: bool = False
 
     @classmethod
     def of(
@@ -202,6 +206,7 @@ class Errors:
         changed: Mapping[float, str] = MappingProxyType({}),
         left_out: LeftOut | None = None,
         links: DrawnLinks | None = None,
+        slow: bool = False,
     ) -> Errors | None:
         """None for a result without outputs. differences: shown instead of the result's."""
         table, accuracy = source.table, source.document.accuracy
@@ -215,7 +220,7 @@ class Errors:
         if ids_are_numbers(table.poses):
             order = np.array([float(pose) for pose in table.poses])
         at = tuple(steps)
-        return cls(source, shown, units, order, kept, at, selected, changed, left_out, links)
+        return cls(source, shown, units, order, kept, at, selected, changed, left_out, links, slow)
 
     @property
     def size(self) -> Array:
@@ -253,6 +258,8 @@ class Errors:
         changed = {at: name for at, name in self.changed.items() if low < at <= high}
         if changed:
             data.append(self._level(sorted({*changed, *self.steps}), values))
+        if self.slow:
+            data.append(self._course(values))
         data += self._aside(None, what, low, high)
         # Between the last pose ahead of a change and the first one behind it.
         lines = [upright(at - 0.5, CHOSEN, 1) for at in sorted({*self.steps, *changed})]
@@ -289,6 +296,24 @@ class Errors:
             **{"type": "scatter", "mode": "lines", "line": line, "hoverinfo": "skip"},
             **{"x": x, "y": y},
         }
+
+    def _course(self, values: Array) -> dict[str, Any]:
+        """A smooth curve through the errors of the poses drawn: a warm-up as an eye takes it.
+
+        Lines fitted about each place, neighbours by weight (Cleveland 1979).
+        """
+        kept = self.drawn[np.isfinite(values[self.drawn])]
+        at, value = self.numbers[kept], values[kept]
+        span = float(np.ptp(at)) if len(at) else 0.0
+        x = np.linspace(at.min(), at.max(), COURSE) if span > 0.0 else np.zeros(0)
+        y = np.empty_like(x)
+        for i, place in enumerate(x):
+            w = np.exp(-0.5 * np.square((at - place) / (WINDOW * span)))
+            middle = w @ at / w.sum()
+            slope = w @ ((at - middle) * value) / max(w @ np.square(at - middle), 1e-300)
+            y[i] = w @ value / w.sum() + slope * (place - middle)
+        line = {"color": CHOSEN, "width": 2}
+        return spots("lines", np.array([x, y]), line=line, hoverinfo="skip", name="course")
 
     def _aside(
         self, joint: str | None, what: str, low: float = -np.inf, high: float = np.inf

@@ -31,7 +31,7 @@ PROJECT = "project.toml"
 RESULT = "result.json"
 PLAN_DOCUMENT = "plan.json"
 RECORD = "record.html"
-TAKEN = {*READERS, *MESHES, *(".urdf", ".xml", ".toml", ".conf", ".yaml", ".yml")}
+TAKEN = {*READERS, *MESHES, *(".urdf", ".xml", ".toml", ".conf", ".yaml", ".yml", ".json")}
 """Endings of the files that are taken in: readings, robots, meshes, projects and what an export
 patches.
 Nothing else is of use, and Python beside them could be run by other programs."""

@@ -326,6 +326,7 @@ class Session:
             unread=self.unread() if project is not None else "",
             waiting=self.waiting(),
             warned=tuple(map(str, loaded.warnings)) if loaded is not None else (),
+            unreadable=self._source.objection,
         )
 
     def read_by(self, command: str) -> str:

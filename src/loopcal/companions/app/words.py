@@ -13,7 +13,7 @@ LIGHTS = {
 SAME = "the same on the command line"
 NO_PROJECT = (
     "There is no project in this folder yet. Begin with the steps Robot and Data: "
-    "they need a description of the robot and the readings."
+    "they need a description of the robot and the readings. Cameras begin with the step Data."
 )
 NO_RESULT = "There is no result yet. Calibrate in the step Fit first."
 NO_OUTPUTS = "The result has no outputs that could be compared with readings."
@@ -84,7 +84,10 @@ DRAG, DRAG_TURNS, DRAG_SELECTS = "Drag in space", "Drag turns", "Drag selects"
 NO_SUCH_POSE = "The result has no pose {pose}."
 CHOOSE_FILES = "Choose files"
 TOO_LARGE = "The file is larger than an upload may be."
-ROBOT_FIRST = "Describe the robot first, in the step Robot."
+ROBOT_FIRST = (
+    "Describe the robot first, in the step Robot. Corners of a camera need none: cameras alone, or "
+    "with the poses of a flange, are recognised without."
+)
 STATE_IT = "Links and sheet, where several fit"
 NO_READINGS = "There is no file of readings in the folder yet."
 ROBOT_DONE = (

@@ -22,6 +22,10 @@ from loopcal.mechanisms.outputs import Seen, seen_outputs
 from loopcal.presentation.shown import in_unit, unit_shown
 
 ENDS = tuple(BY_ENDING)
+LENSES = (".json", ".yaml", ".yml")
+"""Endings of the files that state cameras and boards."""
+WRITTEN = ("readings.csv", "corners.csv")
+"""Files that `loopcal init` may write beside the project."""
 UNITS = {"rad": ("rad", "deg", "mrad"), "m": ("m", "mm", "cm", "um", "in"), "1": ("1",)}
 POSE = """<q-td :props="props"><q-btn flat dense no-caps :label="props.value"
   @click="$parent.$emit('chosen', props.row)"></q-btn></q-td>"""
@@ -79,7 +83,7 @@ def _waiting(view: View, project: Project) -> None:
 
 def _recognise(view: View) -> None:
     kind, value = view.session.robot()
-    files = [name for name in view.files(ENDS) if name != value]
+    files = [name for name in view.files((*ENDS, *LENSES)) if name != value]
     if not files:
         ui.label(words.NO_READINGS)
         return
@@ -91,24 +95,24 @@ def _recognise(view: View) -> None:
     for name in files:
         chosen = view.kept.setdefault(f"read.{name}", True)
         ui.checkbox(name, value=chosen, on_change=partial(keep, name))
-    if not (kind and value):
+    robot = [f"--{kind}", str(value)] if kind and value else []
+    if not robot:
         ui.label(words.ROBOT_FIRST).classes("care")
-        return
-
     links = [("base", words.BASE_LINK), ("tip", words.TIP_LINK)]
     options = [*(links if kind == "urdf" else []), ("sheet", words.PART_OF_FILE)]
     with folded(view, "read.stated", words.STATE_IT), ui.row():
         for option, label in options:
             text(view, f"read.{option}", label)
 
-    # One to plan from: a copy of it is kept.
-    replaced = [] if view.session.project() is None else ["--force"]
+    # One to plan from, or readings named as the project's are: a copy of them is kept.
+    replaces = view.session.project() is not None or {*WRITTEN} & {*files}
+    replaced = ["--force"] if replaces else []
 
     def line() -> list[str]:
         names = [name for name in files if view.kept[f"read.{name}"]]
         stated = [(option, str(view.kept[f"read.{option}"] or "").strip()) for option, _ in options]
         more = [part for option, said in stated if said for part in (f"--{option}", said)]
-        return ["init", *names, f"--{kind}", str(value), *more, "--out", ".", *replaced]
+        return ["init", *names, *robot, *more, "--out", ".", *replaced]
 
     offer(view, words.RECOGNISE, line, what=words.RECOGNISE_READINGS)
 

@@ -26,7 +26,7 @@ def show(view: View) -> None:
     """The step."""
     source = view.session.source()
     if source is None:
-        ui.label(view.session.unreadable() or words.NO_RESULT)
+        ui.label(view.session.unreadable() or words.NO_RESULT).classes("printed-lines")
         return
     with ui.grid(columns="auto 1fr auto").classes("w-full items-center"):
         for bar in top.accuracy_bars(source.document):
