@@ -175,6 +175,21 @@ def test_readings_handed_in_are_read_or_the_step_says_that_they_are_not(
     assert inputs(session)["data"] == "bad"
 
 
+def test_files_of_which_init_made_others_are_not_offered_again(
+    hostile: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "arm"
+    shutil.copytree(hostile, folder)
+    session = Session(folder, command)
+    for name in ("board.csv", "later one.csv"):
+        session.folder.take(name, b"1", "data")
+    assert session.waiting() == ("board.csv", "later one.csv")
+    for code, waiting in ((3, ("board.csv", "later one.csv")), (0, ("board.csv",))):
+        done = {"command": "loopcal init 'later one.csv' --out .", "code": code}
+        session.folder.noted("ended", "Recognise", done)
+        assert session.waiting() == waiting
+
+
 @pytest.mark.parametrize(
     ("kind", "name", "content"),
     [

@@ -42,6 +42,8 @@ Framed = tuple[Array, Array]
 """What the axes of a flat figure show: (N,) each."""
 COURSE, WINDOW = 80, 0.05
 """Points of the curve through errors that change slowly, and the sd of its window over the run."""
+FEWEST = 2.5
+"""Poses within that sd at least: fewer would be followed one by one."""
 SAMPLED = 30
 """Poses whose machine makes the extent of the figure in space."""
 ARROWS_SAID = {
@@ -306,9 +308,10 @@ class Errors:
         at, value = self.numbers[kept], values[kept]
         span = float(np.ptp(at)) if len(at) else 0.0
         x = np.linspace(at.min(), at.max(), COURSE) if span > 0.0 else np.zeros(0)
+        sd = max(WINDOW, FEWEST / len(self.drawn)) * span
         y = np.empty_like(x)
         for i, place in enumerate(x):
-            w = np.exp(-0.5 * np.square((at - place) / (WINDOW * span)))
+            w = np.exp(-0.5 * np.square((at - place) / sd))
             middle = w @ at / w.sum()
             slope = w @ ((at - middle) * value) / max(w @ np.square(at - middle), 1e-300)
             y[i] = w @ value / w.sum() + slope * (place - middle)

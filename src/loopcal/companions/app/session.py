@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import shlex
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -40,6 +41,7 @@ from loopcal.statistics.changes import COLUMN, ids_are_numbers
 from loopcal.statistics.continued import Ending
 from loopcal.workflow.projects import Refit
 
+INIT = "loopcal init "
 LOOKS_EVERY = 0.4
 """Seconds between looks at the folder, for what other programs change."""
 
@@ -358,9 +360,20 @@ class Session:
         project = self.project()
         if project is None or project.data is None:
             return ()
-        unread = {file.name for file in self.folder.listed()} - set(_files(project.data))
+        # Of some files `loopcal init` makes others, as of corners and boards.
+        read = {*_files(project.data), *self._recognised()}
+        unread = {file.name for file in self.folder.listed()} - read
         names = [name for name in self.folder.handed_in("data") if name in unread]
         return tuple(name for name in names if name.lower().endswith(tuple(READERS)))
+
+    def _recognised(self) -> set[str]:
+        """The words of each `loopcal init` that has made a project, among them the files read."""
+        lines = [
+            str(entry.record.get("command", ""))
+            for entry in self.folder.log().entries
+            if entry.kind == "ended" and entry.record.get("code") == 0
+        ]
+        return {word for line in lines if line.startswith(INIT) for word in shlex.split(line)}
 
     def left_aside(self, name: str) -> None:
         """Do not ask again what becomes of a file of readings."""
@@ -402,12 +415,20 @@ class Session:
         project, loaded = self.project(), self.readings()
         if project is None or loaded is None or project.data is None:
             return None if loaded is None else loaded.dataset
-        if not project.data.exclude:
-            return loaded.dataset
-        whole = replace(project, data=replace(project.data, exclude=()))
-        return self._whole.read(self._readings_at(), lambda: load_sample(whole).dataset)
+        stated = project.inputs.get("data", {})
+        kept = {**project.inputs, "data": {k: v for k, v in stated.items() if k != "exclude"}}
+        at = json.dumps(_that_count(kept), sort_keys=True, default=str), self._readings_at()[1]
 
-    def _readings_at(self) -> object:
+        def whole() -> Dataset:
+            # Before any pose is left out, it is what is read already.
+            if not data.exclude:
+                return loaded.dataset
+            return load_sample(replace(project, data=replace(data, exclude=()))).dataset
+
+        data = project.data
+        return self._whole.read(at, whole)
+
+    def _readings_at(self) -> tuple[str | None, tuple[int | None, ...]]:
         """Another value whenever the readings may have changed."""
         project, times = self.project(), self._times()
         files = () if project is None or project.data is None else _files(project.data)
