@@ -30,6 +30,8 @@ HEARS = """(text) => {
   new MutationObserver(look).observe(document.body, { childList: true, subtree: true });
 }"""
 """Remember a notice, however soon it goes. One that is repeated while it is shown gets a count."""
+PHONE = 700
+"""Pixels below which the steps are closed."""
 DRAWN = "e => JSON.stringify((e.querySelector('.js-plotly-plot') ?? e).data[0].y)"
 """The errors that a figure shows."""
 
@@ -51,9 +53,14 @@ class Hand:
     folder: Path = Path()
 
     def step(self, name: str) -> None:
-        """Go to a step."""
+        """Go to a step; on a phone the steps lie over the page as long as they are shown."""
+        phone = self.page.viewport_size["width"] < PHONE
+        if phone:
+            self.page.get_by_role("button", name="Steps", exact=True).click()
         self.page.locator(f'button.step[aria-label^="{name}:"]').click()
         self.page.get_by_role("heading", name=name, exact=True, level=1).wait_for()
+        if phone:
+            expect(self.page.locator(".q-drawer__backdrop:not(.hidden)")).to_have_count(0)
 
     def press(self, name: str | re.Pattern[str]) -> None:
         """Press a button."""

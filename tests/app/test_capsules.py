@@ -10,6 +10,7 @@ import numpy as np
 
 from loopcal.companions.app.capsules import THICK, capsules, vertices
 from loopcal.companions.app.pictures import Errors, machine_figure
+from loopcal.companions.app.scene import Scene
 from loopcal.files.machines.registry import machine_type
 from loopcal.report.source import read_source
 from tests.command_line import run_here as run
@@ -70,13 +71,13 @@ def test_the_machine_in_space_stands_in_the_first_selected_pose(tmp_path: Path) 
         assert errors is not None
         figure = errors.in_space()
         assert figure is not None
-        body = np.array([figure["data"][2][k] for k in "xyz"])
+        body = np.array([figure["data"][3][k] for k in "xyz"])
         measured = np.array([source.table.readings[k][pose] for k in "xyz"])
         assert np.linalg.norm(body - measured[:, None], axis=0).min() < 0.12  # its radius
         posing = errors.posing()
         assert posing is not None
         update, traces = posing
-        assert traces == [2]
+        assert traces == [3]
         np.testing.assert_array_equal(np.array([update[k][0] for k in "xyz"]), body)
         figures.append(figure["layout"]["scene"])
     assert figures[0] == figures[1]
@@ -84,7 +85,7 @@ def test_the_machine_in_space_stands_in_the_first_selected_pose(tmp_path: Path) 
 
 def test_joints_on_the_spot_share_a_label_and_no_joint_lacks_one() -> None:
     arm = machine_type("motoman-ma1400").make()
-    drawn = machine_figure(arm, dict.fromkeys(arm.joints, 0.0))
+    drawn = machine_figure(Scene(arm), dict.fromkeys(arm.joints, 0.0))
     assert drawn is not None
     points = drawn["data"][0]
     labels = [

@@ -12,11 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from loopcal.companions.app import words
 from tests.app.pointing import Hand, new_page
 from tests.app.serving import Served
 from tests.browser import expect, until
 from tests.command_line import run_here
+from tests.mechanisms.test_camera import POINTS, hands, pixels
 from tests.reference import dh_arm
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "slipped_reflector"
@@ -228,3 +231,63 @@ def test_a_draw_wire_set(hand: Hand, tmp_path: Path, shared_data: Callable[[str]
     accuracy = result_of(hand.folder)["accuracy"]
     assert accuracy["after"]["rms"] < accuracy["before"]["rms"] < 0.5e-3
     assert_the_command_line_gives_the_same(hand)
+
+
+def test_a_refusal_offers_the_command_that_mends_it(hand: Hand, tmp_path: Path) -> None:
+    """Readings in mm under headers that say m."""
+    wrong = tmp_path / "poses.csv"
+    wrong.write_text((EXAMPLE / "poses.csv").read_text("utf-8").replace("[mm]", "[m]"), "utf-8")
+    hand.drop("Drop the URDF here", EXAMPLE / "arm.urdf")
+    hand.sees("Go on with the step Data")
+    hand.step("Data")
+    hand.drop("Drop the files of readings here", wrong)
+    hand.sees("Files of readings")
+    hand.run("Recognise", "an input was wrong")
+    hand.page.get_by_role("button", name=words.RUN_NEXT).click()
+    hand.sees("60 poses")
+    project = tomllib.loads((hand.folder / "project.toml").read_text("utf-8"))
+    assert project["data"]["columns"]["x"]["unit"] == "mm"
+
+
+def test_a_camera_needs_no_robot(hand: Hand, tmp_path: Path) -> None:
+    """Corners, board and poses of the flange, one of them named as the project's own file."""
+    files = camera_files(tmp_path)
+    hand.step("Data")
+    hand.drop("Drop the files of readings here", *files)
+    hand.sees("Corners of a camera need none")
+    hand.run("Recognise")
+    hand.sees("12 poses")
+    expect(hand.page.get_by_text("but the project does not read it")).to_have_count(0)
+    hand.step("Robot")
+    hand.page.get_by_label(words.ROBOT_DRAWN, exact=True).wait_for()
+
+
+def camera_files(folder: Path) -> list[Path]:
+    """A board on a flange before a camera: what it saw, without an error."""
+    T = hands(12, 1)
+    seen = pixels(T, on="base")
+    at = [f"{k},{','.join(f'{v:.9f}' for v in row)}" for k, row in enumerate(flange(T).tolist())]
+    texts = {
+        "poses": ["pose,x_m,y_m,z_m,qw,qx,qy,qz", *at],
+        "board": ["board,point,x_m,y_m,z_m", *(f"b,{i},{x},{y},{z}" for i, (x, y, z) in CORNERS)],
+        "readings": [
+            "pose,camera,board,point,u_px,v_px",
+            *(
+                f"{k},eye,b,{i},{seen[row, 0, k]:.4f},{seen[row, 1, k]:.4f}"
+                for k in range(12)
+                for row, (i, _) in enumerate(CORNERS)
+            ),
+        ],
+    }
+    for name, lines in texts.items():
+        (folder / f"{name}.csv").write_text("\n".join(lines) + "\n", "utf-8")
+    return [folder / f"{name}.csv" for name in texts]
+
+
+CORNERS = [*POINTS.items()]
+
+
+def flange(T: np.ndarray) -> np.ndarray:
+    """(N, 7) x, y, z, qw, qx, qy, qz."""
+    turns = Rotation.from_matrix(T[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    return np.hstack([T[:, :3, 3], turns])

@@ -11,6 +11,7 @@ import pytest
 
 from loopcal.companions.app.pictures import Errors, joints_of, machine_figure
 from loopcal.companions.app.predicting import Probe
+from loopcal.companions.app.scene import Scene
 from loopcal.companions.app.session import Session
 from loopcal.companions.app.sizes import SIZE, errors_by_name
 from loopcal.companions.app.views.data import corners_read
@@ -60,6 +61,24 @@ def test_each_instrument_has_errors_in_its_unit(source: Source) -> None:
     assert list(errors.units) == list(errors.shown)
     assert set(errors.units.values()) == {"mm"}
     assert errors.over_poses("east")["layout"]["yaxis"]["title"]["text"] == "error of east [mm]"
+
+
+def test_a_warm_up_is_drawn_as_a_curve(source: Source) -> None:
+    """Through errors that settle exponentially, close at both ends; none where nothing is slow."""
+    settled = np.exp(-np.arange(60) / 8.0)
+    names = list(source.table.differences_after)
+    rng = np.random.default_rng(2)
+    off = {name: np.zeros(60) for name in names}
+    off["east_range"] = 1e-3 * settled + rng.normal(0.0, 2e-5, 60)
+    errors = Errors.of(source, differences=off, slow=True)
+    assert errors is not None
+    points, curve = errors.over_poses("east")["data"]
+    at, expected = np.array(points["x"]), settled
+    drawn = np.interp(at, curve["x"], curve["y"])
+    assert np.abs(drawn - expected).max() < 0.08  # of 1 mm
+    plain = Errors.of(source, differences=off)
+    assert plain is not None
+    assert len(plain.over_poses("east")["data"]) == 1
 
 
 CAMERA = """
@@ -132,7 +151,7 @@ def test_an_arm_that_lies_in_a_plane_has_room_in_every_direction(tmp_path: Path)
     """Axes without extent would leave the figure empty."""
     assert run("new", tmp_path / "arm", "--mechanism", "serial").returncode == 0
     mechanism = read_project(tmp_path / "arm" / "project.toml").mechanism
-    drawn = machine_figure(mechanism, dict.fromkeys(joints_of(mechanism), 0.0))
+    drawn = machine_figure(Scene(mechanism), dict.fromkeys(joints_of(mechanism), 0.0))
     assert drawn is not None
     arm, *others = (np.array([trace[k] for k in "xyz"]) for trace in drawn["data"])
     assert np.ptp(arm, axis=1).min() < 1e-9

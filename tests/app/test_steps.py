@@ -71,6 +71,14 @@ def test_no_step_is_better_than_the_verdict_of_its_result(state: State) -> None:
                 assert found["deploy"] in ("care", "bad")
 
 
+def test_a_result_that_cannot_be_read_is_wrong_and_not_absent(state: State) -> None:
+    result = ("fit", "diagnose", "validate")
+    absent = lights(replace(state, document=None))
+    unreadable = lights(replace(state, document=None, unreadable="this is no JSON"))
+    assert {absent[step] for step in result} == {"none"}
+    assert {unreadable[step] for step in result} == {"bad"}
+
+
 def test_a_preview_deploys_nothing(state: State) -> None:
     runs = {"export": ended("export r --to urdf --force --out .preview/urdf", 0)}
     assert lights(replace(state, runs=runs, deployed={}))["deploy"] == "none"
@@ -165,6 +173,21 @@ def test_readings_handed_in_are_read_or_the_step_says_that_they_are_not(
     assert session.waiting() == ()
     (folder / f"{SCRIPT}.csv").write_bytes(b"lost")
     assert inputs(session)["data"] == "bad"
+
+
+def test_files_of_which_init_made_others_are_not_offered_again(
+    hostile: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "arm"
+    shutil.copytree(hostile, folder)
+    session = Session(folder, command)
+    for name in ("board.csv", "later one.csv"):
+        session.folder.take(name, b"1", "data")
+    assert session.waiting() == ("board.csv", "later one.csv")
+    for code, waiting in ((3, ("board.csv", "later one.csv")), (0, ("board.csv",))):
+        done = {"command": "loopcal init 'later one.csv' --out .", "code": code}
+        session.folder.noted("ended", "Recognise", done)
+        assert session.waiting() == waiting
 
 
 @pytest.mark.parametrize(

@@ -154,13 +154,17 @@ def space_layout(
 
 
 def _scene(data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Axes to scale around all traces, seen from where every corner of their box is in view.
+    """Axes to scale around all traces."""
+    drawn = np.hstack([np.array([trace[a] for a in "xyz"], dtype=float) for trace in data])
+    return box_view(np.nanmin(drawn, axis=1), np.nanmax(drawn, axis=1))
+
+
+def box_view(low: Array, high: Array) -> dict[str, Any]:
+    """Axes to scale from low to high (3,), seen from where every corner of their box is in view.
 
     A corner c is in view of an eye at distance d along u where |right . c| and |up . c| are at most
     tan(fov / 2) (d - u . c).
     """
-    drawn = np.hstack([np.array([trace[a] for a in "xyz"], dtype=float) for trace in data])
-    low, high = np.nanmin(drawn, axis=1), np.nanmax(drawn, axis=1)
     margin = 0.05 * (float((high - low).max()) or 1.0)
     low, high = low - margin, high + margin
     box = (high - low) / (high - low).max()

@@ -300,7 +300,7 @@ def refuse_outside(path: Path, named: str, place: str) -> None:
             f"the path {named!r} leads out of the folder {inside}",
             code="missing-file",
             place=place,
-            remedy="name a file in the folder, no link to another",
+            remedy="copy the file into the folder and name it there; a link does not do",
         )
 
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.expressions.engine import Stage, engine_for
-from loopcal.mechanisms.chain import Step, product
+from loopcal.mechanisms.chain import Step, frames, product
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.parallel.registry import PARALLEL
-from loopcal.mechanisms.placement import ChainPlacement
+from loopcal.mechanisms.placement import ChainPlacement, rigid
 from loopcal.mechanisms.serial import tool_names
 from loopcal.mechanisms.station import Station, Target
 from loopcal.mechanisms.tree import BASE
@@ -33,11 +33,7 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     described = mechanism.description or {}
     if described.get("type") == "planar-two-link":
         return None if mechanism.families else _planar(values, joints)
-    root = BASE if mechanism.tree is None else mechanism.tree.root
-    # Pixels are no points: a machine before cameras is drawn in its base.
-    seen = (f for f in mechanism.families if f.form != PIXELS and f.against == root)
-    stands = next((f.placement for f in seen if f.placement), None)
-    station = stands.steps if isinstance(stands, Station) else ()
+    station = drawn_in(mechanism)
     kind = described.get("type")
     if kind in PARALLEL:
         machine = PARALLEL[kind]()
@@ -57,6 +53,16 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
         points += [T[:3, 3], T[:3, :3] @ at + T[:3, 3]]
         arms.append(np.array(points))
     return _seen(arms, np.eye(4), 3)
+
+
+def drawn_in(mechanism: Mechanism) -> tuple[Step, ...]:
+    """T_drawn_base as steps: from the frame in which a machine is drawn, that of an instrument
+    beside it, to its base; none where they are one."""
+    root = BASE if mechanism.tree is None else mechanism.tree.root
+    # Pixels are no points: a machine before cameras is drawn in its base.
+    seen = (f for f in mechanism.families if f.form != PIXELS and f.against == root)
+    stands = next((f.placement for f in seen if f.placement), None)
+    return stands.steps if isinstance(stands, Station) else ()
 
 
 def _branches(mechanism: Mechanism) -> list[tuple[tuple[Step, ...], tuple[str, ...]]]:
@@ -82,6 +88,29 @@ def body_poses(mechanism: Mechanism, readings: Mapping[str, Array]) -> Array | N
         return None
     made = mechanism if machine is None else machine
     return made.fk(readings)
+
+
+def tree_poses(mechanism: Mechanism, readings: Mapping[str, Array], body: str) -> Array | None:
+    """T_drawn_body (N, 4, 4) [m] of a body of a tree, or of a machine's only one, at readings (N,).
+
+    NaN where a joint is not read; None where nothing places the body.
+    """
+    values = {p.name: p.nominal for p in mechanism.parameters}
+    count = len(next(iter(readings.values()), ()))
+    T_drawn_base = product(drawn_in(mechanism), {}, values)
+    root = BASE if mechanism.tree is None else mechanism.tree.root
+    if body == root:
+        return np.broadcast_to(T_drawn_base, (count, 4, 4))
+    if mechanism.tree is None or mechanism.chain:
+        placed = body_poses(mechanism, readings)
+        return None if placed is None else T_drawn_base @ placed
+    lost = np.full(count, np.nan)
+    path = mechanism.tree.path(body)
+    joints = {s.joint: readings.get(s.joint, lost) for s in path if s.joint}
+    if not joints:
+        return np.broadcast_to(T_drawn_base @ product(path, {}, values), (count, 4, 4))
+    *_, (R, origin) = frames(path, joints, values)
+    return T_drawn_base @ rigid(R, origin)
 
 
 def skeleton_labels(mechanism: Mechanism) -> tuple[str, ...]:

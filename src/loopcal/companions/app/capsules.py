@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 SIDES = 12
 """Corners of a ring. The rounding is seen, and a scene of software stays quick."""
 THICK = 0.03
-"""Radius over the length of the whole skeleton: as slender as an arm, and links stay apart."""
+"""Radius over the length of the longest limb: as slender as an arm, and links stay apart."""
 COLOUR = "#9db0b8"
 # Latitudes of the rings of the two half spheres; between the middle two lies the cylinder.
 _LATITUDES = np.radians([-90.0, -45.0, 0.0, 0.0, 45.0, 90.0])
@@ -25,11 +25,15 @@ def capsules(points: Array) -> dict[str, Any]:
     Its triangles depend on k alone, so that a machine that moves keeps them: a line of no length,
     or none at all, has a capsule of no size.
     """
-    at = vertices(points)
-    i, j, k = _triangles(len(points) - 1).T.tolist()
+    return body(vertices(points), _triangles(len(points) - 1))
+
+
+def body(corners: Array, faces: NDArray[np.intp]) -> dict[str, Any]:
+    """The trace of a body with these corners (n, 3) [m] and triangles (m, 3)."""
+    i, j, k = faces.T.tolist()
     return {
         **{"type": "mesh3d", "color": COLOUR, "hoverinfo": "skip", "flatshading": False},
-        **dict(zip("xyz", map(numbers, at.T), strict=True)),
+        **dict(zip("xyz", map(numbers, corners.T), strict=True)),
         **{"i": i, "j": j, "k": k},
         "lighting": {"ambient": 0.55, "diffuse": 0.7, "specular": 0.1},
     }
@@ -39,7 +43,7 @@ def vertices(points: Array) -> Array:
     """(n, 3) the corners [m] of its capsules, line by line and ring by ring."""
     begin, end = points[:-1], points[1:]
     lengths = np.nan_to_num(np.linalg.norm(end - begin, axis=1))
-    radius = THICK * lengths.sum()
+    radius = THICK * _longest(lengths, np.isfinite(points).all(axis=1))
     extended = lengths > 1e-9
     axis = np.zeros_like(begin)
     axis[extended] = (end - begin)[extended] / lengths[extended, None]
@@ -60,6 +64,12 @@ def vertices(points: Array) -> Array:
         rings.append(middle[:, None] + (size * np.cos(latitude))[:, None, None] * around)
     corners: Array = np.stack(rings, axis=1).reshape(-1, 3)
     return corners
+
+
+def _longest(lengths: Array, finite: Any) -> float:
+    """Of the runs of lines between rows of NaN."""
+    limb = np.cumsum(~finite)[:-1]
+    return float(np.bincount(limb, lengths).max(initial=0.0))
 
 
 def _triangles(lines: int) -> NDArray[np.intp]:

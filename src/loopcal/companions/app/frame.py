@@ -20,7 +20,9 @@ from loopcal.companions.app.view import Part, Place, View, title
 from loopcal.errors import LoopcalError
 from loopcal.presentation.shown import shortened
 
-SCRIPTS = {f"/{name}.js": f"{name}.js" for name in ("addresses", "fields", "presses", "linked")}
+SCRIPTS = {
+    f"/{name}.js": f"{name}.js" for name in ("addresses", "fields", "presses", "linked", "tables")
+}
 """Programs of the page, by their addresses."""
 VERDICT = ("fit", "diagnose", "deploy")
 """Steps that begin with the verdict."""

@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.companions.app import words
 from loopcal.companions.app.beside import LeftOut
-from loopcal.companions.app.capsules import capsules, vertices
+from loopcal.companions.app.scene import Scene, Sighting, joined, restyled, sightings
 from loopcal.companions.app.sizes import SIZE, errors_by_name
 from loopcal.figures.figure import axis, layout, names, numbers, spots, thinned, upright
+from loopcal.figures.space import arrow_lines, box_view, enlargement
+from loopcal.files.machines.drawn_links import DrawnLinks
 from loopcal.files.result.pose_table import PoseTable
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, seen_outputs
@@ -37,8 +40,16 @@ drawn at its edge: one slip of an encoder would flatten all others."""
 TRANSPARENT = "rgba(0,0,0,0)"
 Framed = tuple[Array, Array]
 """What the axes of a flat figure show: (N,) each."""
+COURSE, WINDOW = 80, 0.05
+"""Points of the curve through errors that change slowly, and the sd of its window over the run."""
+FEWEST = 2.5
+"""Poses within that sd at least: fewer would be followed one by one."""
 SAMPLED = 30
 """Poses whose machine makes the extent of the figure in space."""
+ARROWS_SAID = {
+    **{"xref": "paper", "yref": "paper", "x": 0.0, "y": 1.0, "showarrow": False},
+    **{"xanchor": "left", "yanchor": "top", "font": {"color": "#7b828c", "size": 12}},
+}
 BEHIND = 0.6
 """Opacity of the machine there: points behind it show."""
 ROOM = 0.15
@@ -72,26 +83,21 @@ def joints_of(mechanism: Mechanism) -> list[str]:
 
 
 def machine_figure(
-    mechanism: Mechanism, joints: Mapping[str, float], cloud: Array | None = None
+    scene: Scene, joints: Mapping[str, float], cloud: Array | None = None
 ) -> dict[str, Any] | None:
-    """The machine in one pose; None where it has no known shape; cloud: (N, d) further points."""
-    points = skeleton(mechanism, joints)
-    if points is None or not np.isfinite(points).any():
+    """The machine in one pose; None where nothing of it has a place; cloud: (N, d) further
+    points."""
+    mechanism = scene.mechanism
+    points = scene.skeleton(joints)
+    if points is not None and points.shape[1] == 2:
+        data = [_joints_named(mechanism, points)]
+    else:
+        data = scene.traces(joints)
+        if points is not None:
+            data.insert(0, _joints_named(mechanism, points))
+    if not any(np.isfinite(np.array(trace["x"], dtype=float)).any() for trace in data):
         return None
-    flat = points.shape[1] == 2
-    data = [
-        spots(
-            "lines+markers+text" if flat else "markers+text",
-            points.T,
-            line={"color": REST, "width": 6},
-            marker={"size": 8 if flat else 4, "color": REST},
-            text=names(_joined(skeleton_labels(mechanism), points)),
-            textposition="top center",
-            hoverinfo="text",
-        )
-    ]
-    if not flat:
-        data.append(capsules(points))
+    flat = "z" not in data[0]
     if cloud is not None and len(cloud):
         marker = {"size": 5 if flat else 3, "color": CHOSEN, "opacity": 0.7}
         count = [f"pose {i}" for i in range(1, len(cloud) + 1)]
@@ -99,14 +105,36 @@ def machine_figure(
     if flat:
         more: dict[str, Any] = {"xaxis": axis("x [m]"), "yaxis": axis("y [m]", scaleanchor="x")}
     else:
-        data.append(_room(points))
-        camera = {"eye": {"x": 2.0, "y": 2.0, "z": 1.1}}
-        more = {"scene": _space([f"{k} [m]" for k in "xyz"], camera)}
+        drawn = np.hstack([np.array([trace[k] for k in "xyz"], dtype=float) for trace in data])
+        low, high = np.nanmin(drawn, axis=1), np.nanmax(drawn, axis=1)
+        # An arm in a plane has no extent across it, and the scene would be flat.
+        half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())
+        middle = 0.5 * (low + high)
+        data.append(_room(middle, half))
+        # The axes follow the machine; only the eye stays.
+        away = np.array([*box_view(middle - half, middle + half)["camera"]["eye"].values()])
+        away *= (half.max() ** 3 / half.prod()) ** (1.0 / 3.0)  # as aspectmode "data" scales a box
+        camera = {"eye": dict(zip("xyz", away.tolist(), strict=True))}
+        more = {"scene": _space([f"{k} [m]" for k in "xyz"], {"camera": camera})}
     return {
         "data": data,
         "layout": look(420, showlegend=False, uirevision="machine", **more),
         "config": _SPATIAL,
     }
+
+
+def _joints_named(mechanism: Mechanism, points: Array) -> dict[str, Any]:
+    """The joints of a machine with their names; of one in a plane also its limbs."""
+    flat = points.shape[1] == 2
+    return spots(
+        "lines+markers+text" if flat else "markers+text",
+        points.T,
+        line={"color": REST, "width": 6},
+        marker={"size": 8 if flat else 4, "color": REST},
+        text=names(_joined(skeleton_labels(mechanism), points)),
+        textposition="top center",
+        hoverinfo="text",
+    )
 
 
 def _joined(labels: Sequence[str], points: Array) -> list[str]:
@@ -121,25 +149,20 @@ def _joined(labels: Sequence[str], points: Array) -> list[str]:
     return joined
 
 
-def _room(points: Array) -> dict[str, Any]:
+def _room(middle: Array, half: Array) -> dict[str, Any]:
     """An invisible trace that leaves room in each direction, also about an arm in a plane."""
-    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    # An arm in a plane has no extent across it, and the scene would be flat.
-    half = 0.25 * (high - low).max()
-    corners = 0.5 * (low + high) + half * np.array([[-1.0], [1.0]])
+    corners = middle + half * np.array([[-1.0], [1.0]])
     return spots("markers", corners.T, marker={"size": 1, "opacity": 0.0}, hoverinfo="skip")
 
 
-def moved(mechanism: Mechanism, joints: Mapping[str, float]) -> list[Any]:
+def moved(scene: Scene, joints: Mapping[str, float]) -> list[Any]:
     """What `restyle` makes of the machine's traces to move it to another pose, and which these
     are."""
-    points = skeleton(mechanism, joints)
-    assert points is not None
-    if points.shape[1] == 2:
+    points = scene.skeleton(joints)
+    if points is not None and points.shape[1] == 2:
         return [{k: [numbers(v)] for k, v in zip("xy", points.T, strict=True)}, [0]]
-    body = vertices(points)
-    both = zip("xyz", points.T, body.T, strict=True)
-    return [{k: [numbers(joint), numbers(corner)] for k, joint, corner in both}, [0, 1]]
+    named = [] if points is None else [points]
+    return restyled([*named, *scene.moved(joints)], 0)
 
 
 def end_points(mechanism: Mechanism, poses: Sequence[Mapping[str, float]]) -> Array | None:
@@ -158,7 +181,8 @@ class Errors:
     ids where these rise; drawn: positions of the poses that are drawn; steps: numbers from which on
     something is modelled as moved; selected: positions of the poses that are marked; changed:
     numbers from which on a finding says that something changed, and how it is named; left_out:
-    the poses that the fit does not use.
+    the poses that the fit does not use; links: the shapes of the machine;
+    slow: whether a finding says that errors depend on the order of the poses.
     """
 
     source: Source
@@ -170,6 +194,8 @@ class Errors:
     selected: Sequence[int] = ()
     changed: Mapping[float, str] = field(default_factory=dict)
     left_out: LeftOut | None = None
+    links: DrawnLinks | None = None
+    slow: bool = False
 
     @classmethod
     def of(
@@ -181,6 +207,8 @@ class Errors:
         differences: Mapping[str, Array] | None = None,
         changed: Mapping[float, str] = MappingProxyType({}),
         left_out: LeftOut | None = None,
+        links: DrawnLinks | None = None,
+        slow: bool = False,
     ) -> Errors | None:
         """None for a result without outputs. differences: shown instead of the result's."""
         table, accuracy = source.table, source.document.accuracy
@@ -194,7 +222,7 @@ class Errors:
         if ids_are_numbers(table.poses):
             order = np.array([float(pose) for pose in table.poses])
         at = tuple(steps)
-        return cls(source, shown, units, order, kept, at, selected, changed, left_out)
+        return cls(source, shown, units, order, kept, at, selected, changed, left_out, links, slow)
 
     @property
     def size(self) -> Array:
@@ -232,6 +260,8 @@ class Errors:
         changed = {at: name for at, name in self.changed.items() if low < at <= high}
         if changed:
             data.append(self._level(sorted({*changed, *self.steps}), values))
+        if self.slow:
+            data.append(self._course(values))
         data += self._aside(None, what, low, high)
         # Between the last pose ahead of a change and the first one behind it.
         lines = [upright(at - 0.5, CHOSEN, 1) for at in sorted({*self.steps, *changed})]
@@ -268,6 +298,25 @@ class Errors:
             **{"type": "scatter", "mode": "lines", "line": line, "hoverinfo": "skip"},
             **{"x": x, "y": y},
         }
+
+    def _course(self, values: Array) -> dict[str, Any]:
+        """A smooth curve through the errors of the poses drawn: a warm-up as an eye takes it.
+
+        Lines fitted about each place, neighbours by weight (Cleveland 1979).
+        """
+        kept = self.drawn[np.isfinite(values[self.drawn])]
+        at, value = self.numbers[kept], values[kept]
+        span = float(np.ptp(at)) if len(at) else 0.0
+        x = np.linspace(at.min(), at.max(), COURSE) if span > 0.0 else np.zeros(0)
+        sd = max(WINDOW, FEWEST / len(self.drawn)) * span
+        y = np.empty_like(x)
+        for i, place in enumerate(x):
+            w = np.exp(-0.5 * np.square((at - place) / sd))
+            middle = w @ at / w.sum()
+            slope = w @ ((at - middle) * value) / max(w @ np.square(at - middle), 1e-300)
+            y[i] = w @ value / w.sum() + slope * (place - middle)
+        line = {"color": CHOSEN, "width": 2}
+        return spots("lines", np.array([x, y]), line=line, hoverinfo="skip", name="course")
 
     def _aside(
         self, joint: str | None, what: str, low: float = -np.inf, high: float = np.inf
@@ -340,35 +389,72 @@ class Errors:
         assert mechanism is not None
         return {**mechanism.quantities, **mechanism.known}.get(name, "1")
 
-    def in_space(self) -> dict[str, Any] | None:
-        """Measured points coloured by the size of the error."""
+    def in_space(self, what: str = SIZE) -> dict[str, Any] | None:
+        """Measured points coloured by the size of the error, and arrows to the computed ones."""
         at, solid = self._at, self.solid
         if at is None:
             return None
         trace = self._points(*at)
+        size = self.shown[what]
+        sizes = np.abs(size[self.drawn])
+        # One lost pose would give all others one colour.
+        usual = ABOVE * float(np.nanpercentile(sizes, 95)) if np.isfinite(sizes).any() else 0.0
         trace["marker"] |= {
-            "color": numbers(self.size[self.drawn]),
+            "color": numbers(sizes),
             "colorscale": "Viridis",
-            "size": 4 if solid else 7,
-            "colorbar": {"title": {"text": f"[{self.unit}]"}, "thickness": 12},
+            "cmin": 0.0,
+            "cmax": min(float(np.nanmax(sizes, initial=0.0)), usual) or 1.0,
+            "size": 3 if solid else 7,
+            "colorbar": {"title": {"text": f"[{self.units[what]}]"}, "thickness": 12},
         }
         if not solid:
             trace["unselected"] = {"marker": {"opacity": 0.35}}
             trace.pop("selected")
         titles = [f"{k} [m]" for k in "xyz"[: len(at)]]
-        data, body = [trace, self._ring(trace)], self._body(self.posed)
+        data = [trace, self._ring(trace)]
+        said = []
         if solid:
-            more: dict[str, Any] = {"scene": _space(titles)}
-            if body is not None:
-                data.append(capsules(body) | {"opacity": BEHIND})
-                self._hold(more["scene"], at)
+            arrows, times = self._arrows(what)
+            data += [arrows, *({**t, "opacity": BEHIND} for t in self._scene_traces())]
+            said = [{**ARROWS_SAID, "text": words.ARROWS.format(times=times)}] if times else []
+            more: dict[str, Any] = {"scene": _space(titles, self._hold(at))}
         else:
             more = {f"{k}axis": axis(t) for k, t in zip("xy", titles, strict=True)} | _BRUSHED
         return {
             "data": data,
-            "layout": look(420, showlegend=False, uirevision="space", **more),
+            "layout": look(420, showlegend=False, uirevision="space", annotations=said, **more),
             "config": _SPATIAL,
         }
+
+    def _arrows(self, what: str) -> tuple[dict[str, Any], str]:
+        """The trace of the arrows from measured to computed points, of the instrument shown or of
+        all; and how many times they are enlarged, empty without any."""
+        some = [s for s in self._sightings if what == s.instrument] or self._sightings
+        nothing = np.zeros((3, 0))
+        at = np.hstack([nothing, *(s.at[:, self.drawn] for s in some)])
+        along = np.hstack([nothing, *(s.along[:, self.drawn] for s in some)])
+        whole = np.isfinite((at + along).sum(axis=0))
+        look = {"line": {"color": CHOSEN, "width": 2}, "hoverinfo": "skip", "opacity": 0.8}
+        if not whole.any():
+            return spots("lines", np.full((3, 1), np.nan), **look), ""
+        at, along = at[:, whole], along[:, whole]
+        times = enlargement(at, np.linalg.norm(along, axis=0))
+        lines = arrow_lines(at, times * along)
+        return spots("lines", lines, **look), f"{times:,.0f}" if times >= 1 else f"{times:.3g}"
+
+    def _scene_traces(self) -> list[dict[str, Any]]:
+        return [] if self._scene is None else self._scene.traces(self._readings(self.posed))
+
+    @cached_property
+    def _scene(self) -> Scene | None:
+        mechanism = self.source.mechanism
+        return None if mechanism is None else Scene(mechanism, self.links)
+
+    def _readings(self, position: int) -> dict[str, float]:
+        """What is read in one pose."""
+        table = self.source.table
+        every = {**table.readings, **table.pose_constants}
+        return {q: float(v[position]) for q, v in every.items() if np.isfinite(v[position])}
 
     @property
     def posed(self) -> int:
@@ -378,32 +464,20 @@ class Errors:
     def posing(self) -> list[Any] | None:
         """What `restyle` makes of the figure in space to draw the machine in that pose; None where
         none is drawn."""
-        body = self._body(self.posed) if self.solid else None
-        if body is None:
+        if self._scene is None or not self.solid:
             return None
-        return [{k: [numbers(v)] for k, v in zip("xyz", vertices(body).T, strict=True)}, [2]]
+        moved_traces = self._scene.moved(self._readings(self.posed))
+        return restyled(moved_traces, 3) if moved_traces else None
 
-    def _body(self, position: int) -> Array | None:
-        """(k, 3) the skeleton of the machine in one pose [m], where it has a known shape."""
-        mechanism, readings = self.source.mechanism, self.source.table.readings
-        if mechanism is None:
-            return None
-        joints = {q: float(v[position]) for q, v in readings.items() if np.isfinite(v[position])}
-        try:
-            points = skeleton(mechanism, joints)
-        except KeyError:
-            return None  # a joint that was not read in this pose
-        return points if points is not None and points.shape[1] == 3 else None
-
-    def _hold(self, scene: dict[str, Any], at: Array) -> None:
-        """State the ranges of the axes, so that the scene stays where the machine moves."""
+    def _hold(self, at: Array) -> dict[str, Any]:
+        """Axes and eye by all that is drawn, so that the scene stays where the machine moves."""
         some = np.linspace(0, len(self.size) - 1, SAMPLED).astype(int)
-        bodies = [body for i in set(some.tolist()) if (body := self._body(i)) is not None]
+        bodies = []
+        if self._scene is not None:
+            for i in dict.fromkeys(some.tolist()):
+                bodies += self._scene.moved(self._readings(i))
         everything = np.vstack([at.T, *bodies])
-        low, high = np.nanmin(everything, axis=0), np.nanmax(everything, axis=0)
-        beside = 0.05 * float((high - low).max())
-        for k, begin, end in zip("xyz", low, high, strict=True):
-            scene[f"{k}axis"]["range"] = [float(begin) - beside, float(end) + beside]
+        return box_view(np.nanmin(everything, axis=0), np.nanmax(everything, axis=0))
 
     def _ring(self, trace: Mapping[str, Any]) -> dict[str, Any]:
         """The trace that rings the selected poses in space."""
@@ -422,8 +496,20 @@ class Errors:
         return float(np.sqrt(np.nanmean(np.square(self.size[list(positions)]))))
 
     @cached_property
+    def _sightings(self) -> tuple[Sighting, ...]:
+        """Where each instrument read what, of a machine in space."""
+        source, table = self.source, self.source.table
+        if source.mechanism is None:
+            return ()
+        every = {**table.pose_constants, **table.readings}
+        return sightings(source.mechanism, every, table.differences_after)
+
+    @cached_property
     def _at(self) -> Array | None:
         """(d, N) where the poses were measured [m]; None where nothing says so."""
+        at = joined(self._sightings, len(self.size))
+        if at is not None:
+            return at
         table = self.source.table
         seen = seen_points(self.source, table.differences_after)
         if seen is not None:
@@ -481,13 +567,16 @@ def names_apart(changed: Mapping[float, str], room: float) -> list[tuple[float, 
     return kept
 
 
-def _space(titles: Sequence[str], camera: Any = None) -> dict[str, Any]:
-    """Axes of a figure in space, on either ground."""
+def _space(titles: Sequence[str], view: Mapping[str, Any]) -> dict[str, Any]:
+    """Axes of a figure in space, on either ground; view: what `box_view` says of them."""
     lines = {
         "gridcolor": _SOLID,
         "zerolinecolor": _SOLID,
         "color": "#7b828c",
         "backgroundcolor": TRANSPARENT,
     }
-    axes = {f"{k}axis": {"title": {"text": t}, **lines} for k, t in zip("xyz", titles, strict=True)}
-    return {"aspectmode": "data", **axes, **({} if camera is None else {"camera": camera})}
+    axes = {
+        f"{k}axis": {**view.get(f"{k}axis", {}), "title": {"text": t}, **lines}
+        for k, t in zip("xyz", titles, strict=True)
+    }
+    return {"aspectmode": "data", **view, **axes}

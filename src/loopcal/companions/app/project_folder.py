@@ -19,6 +19,7 @@ from typing import Any, BinaryIO
 
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files.atomic import write_atomic
+from loopcal.files.machines.meshes import READERS as MESHES
 from loopcal.files.outputs import leads_into
 from loopcal.files.result.deployed import FOLDER as NOTES
 from loopcal.files.result.deployed import corrected_of, made_of
@@ -30,8 +31,9 @@ PROJECT = "project.toml"
 RESULT = "result.json"
 PLAN_DOCUMENT = "plan.json"
 RECORD = "record.html"
-TAKEN = {*READERS, *(".urdf", ".xml", ".toml", ".conf", ".yaml", ".yml")}
-"""Endings of the files that are taken in: readings, robots, projects and what an export patches.
+TAKEN = {*READERS, *MESHES, *(".urdf", ".xml", ".toml", ".conf", ".yaml", ".yml", ".json")}
+"""Endings of the files that are taken in: readings, robots, meshes, projects and what an export
+patches.
 Nothing else is of use, and Python beside them could be run by other programs."""
 _APPENDING = threading.Lock()
 

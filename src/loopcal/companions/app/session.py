@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import shlex
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -23,6 +24,7 @@ from loopcal.companions.app.worker import Action, Command, Run, Worker
 from loopcal.companions.robot.programs.registry import BY_ENDING as PROGRAMS
 from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
+from loopcal.files.machines.drawn_links import DrawnLinks, read_links
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.machines.urdf import NO_URDF, branches
 from loopcal.files.project.data_table import DataTable
@@ -39,6 +41,7 @@ from loopcal.statistics.changes import COLUMN, ids_are_numbers
 from loopcal.statistics.continued import Ending
 from loopcal.workflow.projects import Refit
 
+INIT = "loopcal init "
 LOOKS_EVERY = 0.4
 """Seconds between looks at the folder, for what other programs change."""
 
@@ -107,6 +110,7 @@ class Session:
         self._whole: Cached[Dataset] = Cached()
         self._deployed: Cached[dict[str, bool]] = Cached()
         self._project: Cached[Project | None] = Cached()
+        self._links: Cached[DrawnLinks | None] = Cached()
         self._shown: tuple[Source, Refit | None, Source] | None = None
         self._reading, self._changed = Lock(), Event()
 
@@ -250,6 +254,18 @@ class Session:
 
         return self._project.read((text, str(failed)), read)
 
+    def links(self) -> DrawnLinks | None:
+        """What the links of the robot look like, where the folder has the meshes of its URDF."""
+        project = self.project()
+        stated = {} if project is None else project.inputs.get("mechanism") or {}
+        file = stated.get("file")
+        path = self.folder.path / str(file)
+        if not isinstance(file, str) or path.suffix.lower() not in (".urdf", ".xml"):
+            return None
+        base = stated.get("base", stated.get("root"))
+        at = file, base, tuple(self.folder.listed())
+        return self._links.read(at, lambda: read_links(path, base))
+
     def objection(self) -> str | None:
         """Why the project cannot be read; None where it can, or is not there."""
         self.project()
@@ -312,6 +328,7 @@ class Session:
             unread=self.unread() if project is not None else "",
             waiting=self.waiting(),
             warned=tuple(map(str, loaded.warnings)) if loaded is not None else (),
+            unreadable=self._source.objection,
         )
 
     def read_by(self, command: str) -> str:
@@ -343,9 +360,20 @@ class Session:
         project = self.project()
         if project is None or project.data is None:
             return ()
-        unread = {file.name for file in self.folder.listed()} - set(_files(project.data))
+        # Of some files `loopcal init` makes others, as of corners and boards.
+        read = {*_files(project.data), *self._recognised()}
+        unread = {file.name for file in self.folder.listed()} - read
         names = [name for name in self.folder.handed_in("data") if name in unread]
         return tuple(name for name in names if name.lower().endswith(tuple(READERS)))
+
+    def _recognised(self) -> set[str]:
+        """The words of each `loopcal init` that has made a project, among them the files read."""
+        lines = [
+            str(entry.record.get("command", ""))
+            for entry in self.folder.log().entries
+            if entry.kind == "ended" and entry.record.get("code") == 0
+        ]
+        return {word for line in lines if line.startswith(INIT) for word in shlex.split(line)}
 
     def left_aside(self, name: str) -> None:
         """Do not ask again what becomes of a file of readings."""
@@ -387,12 +415,20 @@ class Session:
         project, loaded = self.project(), self.readings()
         if project is None or loaded is None or project.data is None:
             return None if loaded is None else loaded.dataset
-        if not project.data.exclude:
-            return loaded.dataset
-        whole = replace(project, data=replace(project.data, exclude=()))
-        return self._whole.read(self._readings_at(), lambda: load_sample(whole).dataset)
+        stated = project.inputs.get("data", {})
+        kept = {**project.inputs, "data": {k: v for k, v in stated.items() if k != "exclude"}}
+        at = json.dumps(_that_count(kept), sort_keys=True, default=str), self._readings_at()[1]
 
-    def _readings_at(self) -> object:
+        def whole() -> Dataset:
+            # Before any pose is left out, it is what is read already.
+            if not data.exclude:
+                return loaded.dataset
+            return load_sample(replace(project, data=replace(data, exclude=()))).dataset
+
+        data = project.data
+        return self._whole.read(at, whole)
+
+    def _readings_at(self) -> tuple[str | None, tuple[int | None, ...]]:
         """Another value whenever the readings may have changed."""
         project, times = self.project(), self._times()
         files = () if project is None or project.data is None else _files(project.data)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import time
 from typing import Any
 
@@ -12,8 +13,11 @@ from loopcal.companions.app import words
 from loopcal.companions.app.session import Session
 from loopcal.companions.app.view import Part, Place, command, text_block
 from loopcal.companions.app.worker import Run
+from loopcal.errors import LoopcalError
 from loopcal.presentation.shown import shortened
 
+RUN_HERE = ("init", "check", "plan", "calibrate", "verify", "export", "correct")
+"""Commands that a step runs too."""
 SAID = 1_500
 """Characters of what a failed run said that are shown at once; the end of it."""
 
@@ -68,6 +72,23 @@ class ShownRun:
             said = run.text[max(run.text.rfind("loopcal: "), 0) :][-SAID:]
             with ui.expansion(shortened(said)).classes("why said"):
                 text_block(said)
+            self._next(run, next_command(said))
+
+    def _next(self, run: Run, line: list[str] | None) -> None:
+        """The command that mends what was wrong, to be run by a press."""
+        if line is None:
+            return
+        action = self.session.action(run.action.what, line)
+
+        def start() -> None:
+            try:
+                self.session.start(action)
+            except LoopcalError as error:
+                ui.notify(error.text, type="negative")
+
+        with ui.row().classes("items-center w-full q-gutter-sm"):
+            ui.button(words.RUN_NEXT, on_click=start).props("unelevated")
+            command(action.command).classes("text-caption")
 
     def follow(self) -> None:
         """Show the progress alone."""
@@ -94,6 +115,22 @@ def _end(run: Run) -> None:
             text_block(run.text)
             ui.button(words.CLOSE, on_click=output.close)
         ui.button(words.OUTPUT, on_click=output.open).props("flat")
+
+
+def next_command(said: str) -> list[str] | None:
+    """The words behind `loopcal` of the next command that a message names; None where the app
+    does not run it.
+
+    >>> next_command("loopcal: no\n  Next command:\n    loopcal init a.csv --infer-units")
+    ['init', 'a.csv', '--infer-units']
+    """
+    _, named, rest = said.partition("Next command:\n")
+    lines = rest.strip().splitlines()
+    try:
+        program, *line = shlex.split(lines[0]) if named and lines else [""]
+    except ValueError:  # a quotation that is not closed
+        return None
+    return line if program == "loopcal" and line and line[0] in RUN_HERE else None
 
 
 def seconds_left(progress: str, passed: float) -> int | None:

@@ -22,12 +22,18 @@ def errors_by_name(
     source: Source, differences: Mapping[str, Array], unit: str
 ) -> tuple[dict[str, Array], dict[str, str]]:
     """Name -> (N,) errors, and their units: the size of all, that of each instrument where there
-    are several or where it turns too, and each output but the corners of images.
+    are several or where it turns too, and each output but the corners of images and lone gaps.
 
     unit: of the size [SI].
     """
     instruments = by_instrument(source, differences) or ()
-    corners = {q for one in instruments if one.seen.points > 1 for q in one.seen.position}
+    # Corners of images are too many, and a gap is the distance of its instrument already.
+    counted = {
+        q
+        for one in instruments
+        for q in one.seen.position
+        if one.seen.points > 1 or (len(instruments) > 1 and len(one.seen.position) == 1)
+    }
     si = {SIZE: unit}
     shown = {SIZE: pose_distances(source, differences)}
     for one in instruments:
@@ -40,7 +46,7 @@ def errors_by_name(
             si[turn], shown[turn] = "rad", one.angle
     quantities = {} if source.document.mechanism is None else source.document.mechanism.quantities
     for name, values in differences.items():
-        if quantities.get(name) == unit and name not in corners:
+        if quantities.get(name) == unit and name not in counted:
             si.setdefault(name, unit)
             shown.setdefault(name, values)
     scaled = {name: values / factor(si[name]) for name, values in shown.items()}

@@ -38,6 +38,8 @@ class State:
     """Files of readings handed in that the project does not read."""
     warned: tuple[str, ...] = ()
     """What looks odd about the readings."""
+    unreadable: str = ""
+    """Why the result on the disk cannot be read."""
 
 
 Light = Callable[[State], tuple[str, str]]
@@ -60,7 +62,9 @@ def made(what: str) -> Light:
     def lit(state: State) -> tuple[str, str]:
         if not state.project:
             return "none", f"no project yet: give {what}"
-        return ("bad", state.objection) if state.objection else ("good", "stated in the project")
+        if state.objection:  # the step shows the remedy below
+            return "bad", state.objection.partition("\n")[0]
+        return "good", "stated in the project"
 
     return lit
 
@@ -111,10 +115,17 @@ def checked(state: State) -> tuple[str, str]:
     return GRADES[str(verdict)], f"what the poses can determine: {verdict}"
 
 
+def uncalibrated(state: State) -> tuple[str, str]:
+    """Of a step that shows the result, where there is none."""
+    if state.unreadable:
+        return "bad", "the result cannot be read"
+    return "none", "not calibrated yet"
+
+
 def fit(state: State) -> tuple[str, str]:
     """The verdict on the result."""
     if state.document is None:
-        return "none", "not calibrated yet"
+        return uncalibrated(state)
     verdict = state.document.verdict
     if verdict is None:
         return "care", "the result states no verdict: fit again"
@@ -137,7 +148,7 @@ def deploy(state: State) -> tuple[str, str]:
 def diagnose(state: State) -> tuple[str, str]:
     """Whether the result is sound."""
     if state.document is None or state.document.verdict is None:
-        return "none", "not calibrated yet"
+        return uncalibrated(state)
     sound = state.document.verdict.sound
     return {True: "good", None: "care", False: "bad"}[sound.passed], sound.words
 
@@ -145,7 +156,7 @@ def diagnose(state: State) -> tuple[str, str]:
 def validate(state: State) -> tuple[str, str]:
     """Whether the result is valid and better than the drawing."""
     if state.document is None or state.document.verdict is None:
-        return "none", "not calibrated yet"
+        return uncalibrated(state)
     asked = [state.document.verdict.valid, state.document.verdict.better]
     worst = min(asked, key=lambda answer: {False: 0, None: 1, True: 2}[answer.passed])
     return {True: "good", None: "care", False: "bad"}[worst.passed], worst.words

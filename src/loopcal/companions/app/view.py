@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,8 +17,10 @@ from loopcal.companions.app.addresses import Address
 from loopcal.companions.app.pictures import GRID
 from loopcal.companions.app.session import Session
 from loopcal.errors import LoopcalError
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import NONE, with_unit
 
+NUMBER = re.compile(r"[+-]?[\d,]+(\.\d*)?(e[+-]?\d+)?( .{1,4})?")
+"""A number as tables write it, with a unit or not."""
 WHOLE = 100
 """Rows of a table that is shown without turning its pages."""
 MOST_LINES = 400
@@ -235,7 +238,10 @@ def text_block(text: str) -> None:
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], **more: Any) -> Any:
     """A table of texts; more: of `ui.table`."""
     made = [
-        {"name": str(i), "label": name, "field": str(i), "align": "left", "sortable": True}
+        {
+            **{"name": str(i), "label": name, "field": str(i), "sortable": True},
+            "align": "right" if i > 0 and _numbers(row[i] for row in rows) else "left",
+        }
         for i, name in enumerate(columns)
     ]
     content = [
@@ -245,6 +251,12 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], **more: Any) ->
     made_table = ui.table(columns=made, rows=content, row_key="row", **settled)
     hidden = "" if len(rows) > (settled["pagination"] or len(rows)) else "hide-pagination"
     return made_table.props(f"dense flat {hidden}").classes("w-full")
+
+
+def _numbers(cells: Iterable[str]) -> bool:
+    """Whether a column holds numbers, which line up at their last digit."""
+    written = [cell for cell in cells if cell not in ("", "-", NONE)]
+    return bool(written) and all(NUMBER.fullmatch(cell) for cell in written)
 
 
 def command(line: str) -> Any:

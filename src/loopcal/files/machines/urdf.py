@@ -19,7 +19,7 @@ from loopcal.errors import InputError, listed, nearest, unknown_name
 from loopcal.files.machines.safe_xml import at, children, local, read_xml
 from loopcal.files.toml.reader import shown
 from loopcal.mechanisms.bodies import Hanging, tree_machine
-from loopcal.mechanisms.chain import AxisFrame, fixed_frame, product, refuse_long_chain
+from loopcal.mechanisms.chain import AxisFrame, Step, fixed_frame, product, refuse_long_chain
 from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.origins import KINDS, LinkJoint, Mimic, joint_chain
@@ -35,7 +35,7 @@ def read_urdf(path: str | Path, base: str, tip: str) -> tuple[LinkJoint, ...]:
     Raises InputError with file and line if the file is not a URDF, if a link does not exist, if the
     tip is not below the base, or if a joint cannot be calibrated.
     """
-    robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
+    robot = UrdfRobot.read(path)
     chain = robot.chain(base, tip)
     return tuple(robot.joint(element) for element in chain)
 
@@ -47,7 +47,7 @@ def read_tree(
 
     root: a link, by default the one on which all others hang. Raises InputError as `read_urdf`.
     """
-    robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
+    robot = UrdfRobot.read(path)
     if root is None:
         tops = dict.fromkeys(robot.top(leaf) for leaf in leaves if leaf in robot.links)
         root = next(iter(tops), next(iter(robot.links)))
@@ -96,7 +96,7 @@ def branches(path: str | Path) -> tuple[Branch, ...]:
 
     Raises InputError with file and line if the file is not a URDF.
     """
-    robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
+    robot = UrdfRobot.read(path)
     roots = [link for link in robot.links if link not in robot.above]
     parents = {robot._link(element, "parent") for element in robot.joints.values()}
     below: dict[str, list[str]] = {}
@@ -161,7 +161,7 @@ def read_inertials(path: str | Path) -> dict[str, Inertial]:
 
     Raises InputError with file and line if the file is not a URDF, or a number is none.
     """
-    robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
+    robot = UrdfRobot.read(path)
     inertials = {}
     for name, element in robot.joints.items():
         link = robot.links[robot._link(element, "child")]
@@ -178,11 +178,11 @@ def read_masses(path: str | Path, base: str, tip: str) -> tuple[Load, ...]:
 
     Raises InputError as `read_urdf` does.
     """
-    robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
+    robot = UrdfRobot.read(path)
     return _masses(robot, base, robot.chain(base, tip))
 
 
-def _masses(robot: _Robot, base: str, chain: Iterable[Any]) -> tuple[Load, ...]:
+def _masses(robot: UrdfRobot, base: str, chain: Iterable[Any]) -> tuple[Load, ...]:
     moved = {element.get("name"): robot.joint(element) for element in chain}
     moving = [joint.reads[0] for joint in moved.values() if joint.reads]
     if len({*moving}) < len(moving):
@@ -219,17 +219,17 @@ def joint_elements(root: Any, file: str) -> dict[str, Callable[[], tuple[Any, Li
 
     Raises InputError, also as a joint is read, as `read_urdf` does.
     """
-    robot = _Robot.of(root, file)
+    robot = UrdfRobot.of(root, file)
     # Read on demand: joints off the chain may be of a kind that cannot be calibrated.
     return {name: partial(_read_joint, robot, element) for name, element in robot.joints.items()}
 
 
-def _read_joint(robot: _Robot, element: Any) -> tuple[Any, LinkJoint]:
+def _read_joint(robot: UrdfRobot, element: Any) -> tuple[Any, LinkJoint]:
     return element, robot.joint(element)
 
 
 @dataclass(frozen=True)
-class _Robot:
+class UrdfRobot:
     """Links and joints (XML elements) by name; above: the joints above each link."""
 
     file: str
@@ -238,7 +238,7 @@ class _Robot:
     above: Mapping[str, tuple[Any, ...]]
 
     @classmethod
-    def of(cls, root: Any, file: str) -> _Robot:
+    def of(cls, root: Any, file: str) -> UrdfRobot:
         for element in root.iter():
             if isinstance(element.tag, str) and "xacro" in element.tag.partition("}")[0]:
                 _refuse(element, file, "this is xacro, a program that makes a URDF", _EXPAND)
@@ -250,6 +250,33 @@ class _Robot:
             child = robot._link(element, "child")
             above[child] = (*above.get(child, ()), element)
         return cls(file, links, joints, above)
+
+    @classmethod
+    def read(cls, path: str | Path) -> UrdfRobot:
+        """Those of a file. Raises InputError with file and line if it is not a URDF."""
+        return cls.of(read_xml(path, "robot", NO_URDF), shown(path))
+
+    def moving(self) -> tuple[tuple[tuple[str, str, tuple[Step, ...]], ...], dict[str, float]]:
+        """Parent, child and steps of each joint, parents first, and the values of their parameters
+        by the drawing. Joints that float or slide in a plane stand still."""
+        below: dict[str, list[Any]] = {}
+        for element in self.joints.values():
+            below.setdefault(self._link(element, "parent"), []).append(element)
+        waiting = [link for link in self.links if link not in self.above][:1]
+        chain: list[tuple[str, str, tuple[Step, ...]]] = []
+        nominal: dict[str, float] = {}
+        for parent in waiting:  # it grows: each link adds those that hang on it
+            for element in below.get(parent, ()):
+                link = self._link(element, "child")
+                if element.get("type") in KINDS:
+                    joint = self.joint(element)
+                    nominal |= {p.name: p.nominal for p in joint.origin}
+                    steps = tuple(joint.steps())
+                else:
+                    steps = tuple(fixed_frame(*self._placed(element)))
+                chain.append((parent, link, steps))
+                waiting.append(link)
+        return tuple(chain), nominal
 
     def _refuse_circle(self, base: str) -> None:
         """Raise InputError if the links above the base form a cycle: a URDF is a tree."""

@@ -268,19 +268,32 @@ def _eye_in_hand(body: Frame, station: Station, mount: Sequence[Step], p: Values
 class CameraEntry:
     """A camera and the board it sees, with their calibrated or nominal values [SI].
 
-    T_eye, T_board: (4, 4) of their places as `camera` defines them.
+    T_eye, T_board: (4, 4) of their places as `camera` defines them; instrument: what reads them;
+    on: the base, the body, or a body of a tree.
     """
 
     name: str
     board: Board
-    on_body: bool
+    on: str
     intrinsics: Intrinsics
     T_eye: NDArray[np.float64]
     T_board: NDArray[np.float64]
+    instrument: str = ""
+
+    @property
+    def on_body(self) -> bool:
+        """Whether it moves with the machine, or with a body of a tree."""
+        return self.on != "base"
 
 
 def cameras_of(mechanism: Mechanism) -> tuple[CameraEntry, ...]:
     """The cameras on the base or the body of a mechanism that can be described, by instrument."""
+    # Places of the others are those of bodies of a tree.
+    return tuple(one for one in all_cameras(mechanism) if one.on in ("base", "body"))
+
+
+def all_cameras(mechanism: Mechanism) -> tuple[CameraEntry, ...]:
+    """The same, with those on bodies of a tree."""
     values = {p.name: p.nominal for p in mechanism.parameters}
     usual = {name: one.default for name, one in signature(camera).parameters.items()}
     entries = []
@@ -288,8 +301,6 @@ def cameras_of(mechanism: Mechanism) -> tuple[CameraEntry, ...]:
         if described["type"] != "camera":
             continue
         stated = {**usual, **described}
-        if stated["on"] not in ("base", "body"):
-            continue  # of a tree: its places are those of other bodies
         eye, lens = stated["eye"] or stated["name"], stated["lens"]
         intrinsic = {key: values[f"{eye}_{key}"] for key in (*FRAME, *LENSES[lens])}
         points = {
@@ -302,10 +313,11 @@ def cameras_of(mechanism: Mechanism) -> tuple[CameraEntry, ...]:
             CameraEntry(
                 eye,
                 Board(stated["board"], points),
-                stated["on"] == "body",
+                stated["on"],
                 Intrinsics.of(lens, intrinsic),
                 T_eye,
                 T_board,
+                stated["name"],
             )
         )
     return tuple(entries)

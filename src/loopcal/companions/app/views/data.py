@@ -12,6 +12,7 @@ from loopcal.companions.app import words
 from loopcal.companions.app.cells import bad_cells, columns
 from loopcal.companions.app.controls import folded, offer, text, uploader
 from loopcal.companions.app.pictures import joints_of, machine_figure, moved
+from loopcal.companions.app.scene import Scene
 from loopcal.companions.app.view import View, heading, plot, table
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
@@ -21,6 +22,10 @@ from loopcal.mechanisms.outputs import Seen, seen_outputs
 from loopcal.presentation.shown import in_unit, unit_shown
 
 ENDS = tuple(BY_ENDING)
+LENSES = (".json", ".yaml", ".yml")
+"""Endings of the files that state cameras and boards."""
+WRITTEN = ("readings.csv", "corners.csv")
+"""Files that `loopcal init` may write beside the project."""
 UNITS = {"rad": ("rad", "deg", "mrad"), "m": ("m", "mm", "cm", "um", "in"), "1": ("1",)}
 POSE = """<q-td :props="props"><q-btn flat dense no-caps :label="props.value"
   @click="$parent.$emit('chosen', props.row)"></q-btn></q-td>"""
@@ -49,13 +54,14 @@ def show(view: View) -> None:
         ui.label(unread).classes("bad printed")
         _bad(view, project)
     loaded = view.session.readings()
+    scene = Scene(project.mechanism, view.session.links())
     with ui.element("div").classes("beside"):
         with ui.column().classes("figures"):
-            drawn_robot = None if loaded is None else _robot(project, loaded.dataset)
+            drawn_robot = None if loaded is None else _robot(scene, project, loaded.dataset)
         with ui.column().classes("acts"):
             _columns(view, project)
     if loaded is not None:
-        _rows(view, project, loaded, drawn_robot)
+        _rows(view, project, loaded, drawn_robot, scene)
 
 
 def _waiting(view: View, project: Project) -> None:
@@ -77,7 +83,7 @@ def _waiting(view: View, project: Project) -> None:
 
 def _recognise(view: View) -> None:
     kind, value = view.session.robot()
-    files = [name for name in view.files(ENDS) if name != value]
+    files = [name for name in view.files((*ENDS, *LENSES)) if name != value]
     if not files:
         ui.label(words.NO_READINGS)
         return
@@ -89,24 +95,24 @@ def _recognise(view: View) -> None:
     for name in files:
         chosen = view.kept.setdefault(f"read.{name}", True)
         ui.checkbox(name, value=chosen, on_change=partial(keep, name))
-    if not (kind and value):
+    robot = [f"--{kind}", str(value)] if kind and value else []
+    if not robot:
         ui.label(words.ROBOT_FIRST).classes("care")
-        return
-
     links = [("base", words.BASE_LINK), ("tip", words.TIP_LINK)]
     options = [*(links if kind == "urdf" else []), ("sheet", words.PART_OF_FILE)]
     with folded(view, "read.stated", words.STATE_IT), ui.row():
         for option, label in options:
             text(view, f"read.{option}", label)
 
-    # One to plan from: a copy of it is kept.
-    replaced = [] if view.session.project() is None else ["--force"]
+    # One to plan from, or readings named as the project's are: a copy of them is kept.
+    replaces = view.session.project() is not None or {*WRITTEN} & {*files}
+    replaced = ["--force"] if replaces else []
 
     def line() -> list[str]:
         names = [name for name in files if view.kept[f"read.{name}"]]
         stated = [(option, str(view.kept[f"read.{option}"] or "").strip()) for option, _ in options]
         more = [part for option, said in stated if said for part in (f"--{option}", said)]
-        return ["init", *names, f"--{kind}", str(value), *more, "--out", ".", *replaced]
+        return ["init", *names, *robot, *more, "--out", ".", *replaced]
 
     offer(view, words.RECOGNISE, line, what=words.RECOGNISE_READINGS)
 
@@ -158,10 +164,9 @@ def _column(view: View, quantity: str, unit: str, entry: dict[str, Any], labels:
     box.props(f'dense aria-label="unit of {quantity}"')
 
 
-def _robot(project: Project, data: Dataset) -> Any:
+def _robot(scene: Scene, project: Project, data: Dataset) -> Any:
     """The machine in the first pose."""
-    mechanism = project.mechanism
-    drawn = machine_figure(mechanism, _pose(project, data, 0)) if len(data) else None
+    drawn = machine_figure(scene, _pose(project, data, 0)) if len(data) else None
     if drawn is None:
         return None
     return plot(drawn, words.ROBOT_IN_ROW)
@@ -172,7 +177,7 @@ def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
     return {j: float(data[j][index]) if j in data.readings else 0.0 for j in joints}
 
 
-def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any) -> None:
+def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any, scene: Scene) -> None:
     data, mechanism = loaded.dataset, project.mechanism
     units = {**mechanism.quantities, **mechanism.pose_constants}
     images = [one for one in seen_outputs(mechanism) if one.points > 1]
@@ -200,7 +205,7 @@ def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any) ->
     def chosen(event: Any) -> None:
         if drawn_robot is not None:
             pose = _pose(project, data, int(event.args["index"]))
-            drawn_robot.run_plot_method("restyle", *moved(mechanism, pose))
+            drawn_robot.run_plot_method("restyle", *moved(scene, pose))
 
     made = ui.table(
         columns=head,

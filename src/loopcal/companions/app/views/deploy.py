@@ -32,7 +32,7 @@ def show(view: View) -> None:
     """The step."""
     source = view.session.source()
     if source is None:
-        ui.label(view.session.unreadable() or words.NO_RESULT)
+        ui.label(view.session.unreadable() or words.NO_RESULT).classes("printed-lines")
         return
     headline(view, source.document)
     _export(view)

@@ -18,6 +18,8 @@ from loopcal.companions.app.views.fit import fit_line
 from loopcal.companions.app.views.linked import OVER_POSES, Linked, offer_selection
 
 IN_SPACE = "error in space"
+SLOW = "serial-dependence"
+"""Code of the finding that errors depend on the order of the poses."""
 
 
 def show(view: View) -> None:
@@ -25,7 +27,9 @@ def show(view: View) -> None:
     errors = errors_of(view)
     if errors is None:
         none = view.session.unreadable() or words.NO_RESULT
-        ui.label(none if view.session.source() is None else words.NO_OUTPUTS)
+        ui.label(none if view.session.source() is None else words.NO_OUTPUTS).classes(
+            "printed-lines"
+        )
         return
     linked = Linked(view, errors)
     session = view.session
@@ -97,6 +101,9 @@ def errors_of(view: View) -> Errors | None:
             if before is not None or at not in stated
         },
         left_out=None if data is None else left_out(source, data),
+        links=session.links(),
+        slow=any(p.shape == "ramp" for p in points)
+        or any(f.code == SLOW for f in judged.document.findings),
     )
 
 
@@ -134,7 +141,7 @@ def _elsewhere(linked: Linked) -> None:
         ways = {False: words.DRAG_TURNS, True: words.DRAG_SELECTS}
         turn = ui.toggle(ways, value=False).props(f'no-caps aria-label="{words.DRAG}"')
         turn.on_value_change(lambda e: ui.run_javascript(f"linked.framing({str(e.value).lower()})"))
-    linked.plot(lambda e: e.in_space(), IN_SPACE)
+    linked.plot(lambda e: e.in_space(linked.what), IN_SPACE)
     linked.later.append(partial(linked.pose, IN_SPACE))
 
     def of(name: str) -> Framed:

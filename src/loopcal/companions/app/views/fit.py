@@ -34,7 +34,7 @@ def show(view: View) -> None:
     _tolerance(view)
     source = view.session.source()
     if source is None:
-        ui.label(view.session.unreadable() or words.NO_RESULT)
+        ui.label(view.session.unreadable() or words.NO_RESULT).classes("printed-lines")
     else:
         stale(view)
         document = source.document

@@ -25,6 +25,7 @@ from loopcal.companions.app.controls import (
 )
 from loopcal.companions.app.pictures import end_points, joints_of, machine_figure, moved
 from loopcal.companions.app.project_folder import PLAN_DOCUMENT
+from loopcal.companions.app.scene import Scene
 from loopcal.companions.app.view import View, heading, plot, table
 from loopcal.companions.robot.programs.registry import WRITTEN
 from loopcal.files.project.project_file import Project
@@ -197,7 +198,8 @@ def _drawn(view: View, project: Project, poses: Sequence[dict[str, float]]) -> N
     if not poses:
         return
     first = min(int(view.kept.get("plan.pose", 1)), len(poses))
-    drawn = machine_figure(mechanism, poses[first - 1], end_points(mechanism, poses))
+    scene = Scene(mechanism, view.session.links())
+    drawn = machine_figure(scene, poses[first - 1], end_points(mechanism, poses))
     if drawn is None:
         return
     ui.label(words.PLANNED).classes("text-body2")
@@ -209,7 +211,7 @@ def _drawn(view: View, project: Project, poses: Sequence[dict[str, float]]) -> N
             number = int(event.value)
             view.keep("plan.pose", number)
             pose_label.set_text(f"pose {number}")
-            drawn_robot.run_plot_method("restyle", *moved(mechanism, poses[number - 1]))
+            drawn_robot.run_plot_method("restyle", *moved(scene, poses[number - 1]))
 
         slider = ui.slider(min=1, max=len(poses), step=1, value=first, on_change=at)
         slider.props('aria-label="planned pose"').classes("col")

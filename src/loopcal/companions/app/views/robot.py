@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +13,10 @@ from nicegui import ui
 from loopcal.companions.app import words
 from loopcal.companions.app.controls import uploader
 from loopcal.companions.app.pictures import joints_of, machine_figure, moved
+from loopcal.companions.app.scene import Scene
 from loopcal.companions.app.session import read_robot
-from loopcal.companions.app.view import View, heading, plot, table
+from loopcal.companions.app.view import View, plot, table
+from loopcal.files.machines.meshes import READERS
 from loopcal.files.machines.registry import drawn
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.registry import TEXT
@@ -21,6 +25,9 @@ from loopcal.presentation.shown import in_unit, unit_shown
 
 KINDS = {"urdf": "URDF", "dh": words.DH_TABLE, "machine": words.TYPE}
 PARAMETER_HEAD = ("parameter", "nominal", "unit", "role")
+MESHES = tuple(READERS)
+NAMED = 4
+"""Meshes that are named."""
 ENDS = {"urdf": (".urdf", ".xml"), "dh": (*TEXT.endings, ".xlsx")}
 
 
@@ -54,8 +61,15 @@ def _choose(view: View) -> None:
     if shown == "machine":
         options = list(drawn())
     else:
-        chosen = partial(view.session.choose_robot, shown)
-        check = partial(read_robot, shown)
+
+        def chosen(name: str) -> None:
+            if not name.lower().endswith(MESHES):  # they come along with a URDF
+                view.session.choose_robot(shown, name)
+
+        def check(path: Path) -> None:
+            if path.suffix.lower() not in MESHES:
+                read_robot(shown, path)
+
         uploader(view, words.DROP_ROBOT.format(kind=KINDS[shown]), chosen, check)
         options = view.files(ENDS[shown])
     selected = value if kind == shown and value in options else None
@@ -71,7 +85,8 @@ def _machine(view: View, project: Project) -> None:
     joints: dict[str, float] = view.kept.setdefault(f"robot.{view.project_name()}", {})
     for name in joints_of(mechanism):
         joints.setdefault(name, 0.0)
-    figure = machine_figure(mechanism, joints)
+    scene = Scene(mechanism, view.session.links())
+    figure = machine_figure(scene, joints)
     if figure is not None:
         with ui.element("div").classes("beside"):
             with ui.column().classes("figures"):
@@ -80,18 +95,27 @@ def _machine(view: View, project: Project) -> None:
 
                 def move(name: str, value: float) -> None:
                     joints[name] = value
-                    drawn_robot.run_plot_method("restyle", *moved(mechanism, joints))
+                    drawn_robot.run_plot_method("restyle", *moved(scene, joints))
 
                 for name in joints_of(mechanism):
                     unit = mechanism.quantities.get(name, "rad")
                     _slider(name, unit, joints[name], partial(move, name))
-    parameters = [*mechanism.parameters]
-    heading(f"{len(parameters)} parameters")
-    table(PARAMETER_HEAD, [_row(p) for p in parameters if not p.fixed])
-    fixed = [_row(p) for p in parameters if p.fixed]
-    if fixed:
-        with ui.expansion(words.FIXED.format(count=len(fixed))).classes("w-full why"):
-            table(PARAMETER_HEAD, fixed)
+    if scene.links is not None and scene.links.absent:
+        _absent(view, scene.links.absent)
+    every = ((False, words.FREE), (True, words.FIXED))
+    for fixed, said in every:
+        some = [_row(p) for p in mechanism.parameters if p.fixed == fixed]
+        if some:
+            with ui.expansion(said.format(count=len(some))).classes("w-full why"):
+                table(PARAMETER_HEAD, some)
+
+
+def _absent(view: View, meshes: Sequence[str]) -> None:
+    """Meshes that the URDF names and the folder does not have."""
+    some = dict.fromkeys(meshes)
+    listed = ", ".join([*some][:NAMED]) + (" ..." if len(some) > NAMED else "")
+    ui.label(words.NO_MESHES.format(meshes=listed)).classes("text-body2")
+    uploader(view, words.DROP_MESHES)
 
 
 def _row(p: Parameter) -> list[str]:

@@ -11,6 +11,7 @@ from loopcal.companions.app import words
 from loopcal.companions.app.controls import choice, offer, printed, uploader
 from loopcal.companions.app.pictures import machine_figure, moved
 from loopcal.companions.app.predicting import Map, Probe, map_figure
+from loopcal.companions.app.scene import Scene
 from loopcal.companions.app.view import View, figure, heading, plot
 from loopcal.files.tables.registry import BY_ENDING
 from loopcal.presentation.shown import in_unit, unit_shown
@@ -25,7 +26,7 @@ def show(view: View) -> None:
     """The step."""
     source = view.session.source()
     if source is None:
-        ui.label(view.session.unreadable() or words.NO_RESULT)
+        ui.label(view.session.unreadable() or words.NO_RESULT).classes("printed-lines")
         return
     with ui.grid(columns="auto 1fr auto").classes("w-full items-center"):
         for bar in top.accuracy_bars(source.document):
@@ -69,7 +70,8 @@ class _Pose:
 
     def __init__(self, view: View, source: Source, probe: Probe) -> None:
         assert source.mechanism is not None
-        self.mechanism, self.probe = source.mechanism, probe
+        self.scene = Scene(source.mechanism, view.session.links())
+        self.probe = probe
         self.asked: dict[str, float] = view.kept.setdefault("validate.joints", {})
         asked = [(n, self.asked[n], span) for n, span in probe.spans.items() if n in self.asked]
         within = {n: min(max(v, low), high) for n, v, (low, high) in asked}
@@ -80,14 +82,14 @@ class _Pose:
         heading(words.PREDICT_ONE_POSE)
         with ui.element("div").classes("beside"):
             with ui.column().classes("figures"):
-                drawn = machine_figure(self.mechanism, self.joints)
+                drawn = machine_figure(self.scene, self.joints)
                 self.plot = None if drawn is None else plot(drawn, words.ROBOT_DRAWN)
             with ui.column().classes("acts"):
                 self.outputs = ui.column()
                 with ui.grid(columns="auto 1fr 5.5rem").classes("w-full items-center"):
                     for name, (low, high) in probe.spans.items():
                         self._slider(name, low, high)
-        self.show()
+        self.predict()
 
     def _slider(self, name: str, low: float, high: float) -> None:
         ui.label(name)
@@ -111,7 +113,14 @@ class _Pose:
         self.show()
 
     def show(self) -> None:
-        """Predict the pose as it stands."""
+        """Predict the pose as it stands, and move the machine there."""
+        self.predict()
+        if self.plot is not None:
+            moving = moved(self.scene, self.joints)
+            self.plot.run_plot_method("restyle", *moving)
+
+    def predict(self) -> None:
+        """State what is predicted at this pose."""
         for name, label in self.words.items():
             unit = self.probe.units[name]
             label.set_text(f"{in_unit(self.joints[name], unit):z.2f} {unit_shown(unit)}")
@@ -120,9 +129,6 @@ class _Pose:
         with self.outputs:
             for line in self.probe.words(joints):
                 ui.label(line).classes("text-subtitle1")
-        if self.plot is not None:
-            moving = moved(self.mechanism, self.joints)
-            self.plot.run_plot_method("restyle", *moving)
 
 
 def _region(view: View, source: Source, probe: Probe, region_map: Map) -> None:
