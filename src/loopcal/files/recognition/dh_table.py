@@ -12,13 +12,9 @@ from typing import Any
 import numpy as np
 
 from loopcal.errors import InputError
-<<<<<<< HEAD
-from loopcal.files.recognition.headers import Heading, below_titles, heading, meanings, words
-from loopcal.files.recognition.robot_lists import listed_robot, without_robot
-=======
 from loopcal.files.recognition.framed import framed_table
 from loopcal.files.recognition.headers import Heading, heading, meanings, words
->>>>>>> first
+from loopcal.files.recognition.robot_lists import listed_robot, without_robot
 from loopcal.files.tables.cells import is_missing
 from loopcal.units import unit
 
@@ -89,16 +85,11 @@ def read_dh(path: str | Path) -> DhTable:
 
     Raises InputError for a missing column, a row that is no joint, and units that nothing shows.
     """
-<<<<<<< HEAD
     path, robot = without_robot(path)
     table, passed = listed_robot(path, robot) or (
-        below_titles(path, None, len(_LENGTHS_AND_TWIST))[0],
+        framed_table(path, None, len(_LENGTHS_AND_TWIST))[0],
         (),
     )
-=======
-    path = Path(path)
-    table, _ = framed_table(path, None, len(_LENGTHS_AND_TWIST))
->>>>>>> first
     if not table.names:
         raise InputError(
             "the table of the robot has no header",
