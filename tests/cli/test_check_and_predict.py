@@ -172,6 +172,6 @@ def test_check_says_why_parameters_of_a_urdf_are_fixed(
     assert reason in document["remarks"]
     fixed = [p["name"] for p in document["parameters"] if p["fixed"]]
     assert len(document["remarks"]) == len(fixed) == 24
-    told = run("calibrate", "arm/project.toml").out
+    told = run("calibrate", "arm/project.toml", "--full").out
     assert "24 remarks on the mechanism, such as why a parameter is fixed" in told
     assert reason in (tmp_path / "arm/project-result/mechanism.toml").read_text()

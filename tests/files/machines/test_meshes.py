@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.files.machines import meshes
 from loopcal.files.machines.drawn_links import read_links
 from loopcal.files.machines.meshes import box, mesh_file, read_mesh, simplified
 from tests.mechanisms.test_branches import JOINTS, dual_arm
@@ -81,6 +82,34 @@ def test_what_is_no_mesh_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"v 1 2\nf 1 2 9\nvertex nan 0 0")
     with refused("wrong-file-type"):
         read_mesh(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        (b'<instance_geometry url="#g"/>', b'<instance_geometry url="#g"/>' * 9, "too many"),
+        (b"<vcount>3 3", b"<vcount>3 999999999", "polygons"),
+        (b"<vcount>3 3", b"<vcount>-3 9", "polygons"),
+    ],
+)
+def test_a_small_file_does_not_make_a_large_mesh(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: bytes, new: bytes, why: str
+) -> None:
+    monkeypatch.setattr(meshes, "MOST_TRIANGLES", 100)
+    (tmp_path / "d.dae").write_bytes(_dae(BOX).replace(old, new))
+    with refused("wrong-file-type", why):
+        read_mesh(tmp_path / "d.dae")
+
+
+def test_a_shape_without_a_size_is_left_out(tmp_path: Path) -> None:
+    links = (
+        '<link name="a"><visual><geometry><cylinder/></geometry></visual></link><link name="b"/>'
+    )
+    joint = '<joint name="j" type="revolute"><parent link="a"/><child link="b"/></joint>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r">{links}{joint}</robot>', "utf-8")
+    drawn = read_links(tmp_path / "r.urdf")
+    assert drawn is not None
+    assert drawn.absent == ("the shape of a",)
 
 
 def test_the_longest_end_of_a_path_is_taken_and_none_outside_the_folder(tmp_path: Path) -> None:

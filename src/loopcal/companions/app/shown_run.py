@@ -118,7 +118,7 @@ def _end(run: Run) -> None:
 
 
 def next_command(said: str) -> list[str] | None:
-    """The words behind `loopcal` of the next command that a message names; None where the app
+    r"""The words behind `loopcal` of the next command that a message names; None where the app
     does not run it.
 
     >>> next_command("loopcal: no\n  Next command:\n    loopcal init a.csv --infer-units")

@@ -73,6 +73,9 @@ def read_links(path: Path, base: str | None = None) -> DrawnLinks | None:
             except InputError as error:
                 absent.append(error.text)
                 continue
+            except (TypeError, ValueError):  # a size that is absent or no number
+                absent.append(f"the shape of {link}")
+                continue
             if triangles is not None:
                 T = robot.origin(visual)
                 shapes.setdefault(link, []).append(triangles @ T[:3, :3].T + T[:3, 3])

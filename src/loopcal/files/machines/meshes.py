@@ -35,7 +35,7 @@ def read_mesh(path: str | Path) -> Triangles:
         raise _no_mesh(path, "its ending is not .stl, .obj or .dae")
     try:
         triangles = np.asarray(reader(path), dtype=float).reshape(-1, 3, 3)
-    except (ValueError, IndexError, KeyError) as error:
+    except (ValueError, IndexError, KeyError, TypeError, AttributeError) as error:
         raise _no_mesh(path, str(error)) from None
     if not 0 < len(triangles) <= MOST_TRIANGLES:
         raise _no_mesh(path, f"it has {len(triangles):,} triangles")
@@ -134,6 +134,9 @@ def _nodes(parent: Any, every: Mapping[str, Any], T: Array, pieces: list[Array])
             geometry = every.get(str(instance.get("url")).removeprefix("#"))
             for triangles in [] if geometry is None else _geometry(geometry, every):
                 pieces.append(triangles @ placed[:3, :3].T + placed[:3, 3])
+                # A few nodes may name one large geometry any number of times.
+                if sum(map(len, pieces)) > MOST_TRIANGLES:
+                    raise ValueError("its scene has too many triangles")
         _nodes(node, every, placed, pieces)
 
 
@@ -191,6 +194,8 @@ def _fans(part: Any, kind: str, index: Any) -> Any:
     if kind == "polylist":
         (stated,) = children(part, "vcount")
         counts = [int(n) for n in (stated.text or "").split()]
+        if sum(counts) != len(index) or min(counts, default=0) < 0:
+            raise ValueError("its polygons are not as large as stated")
     ends = np.cumsum(counts)
     fans = [
         (index[end - n], index[i], index[i + 1])

@@ -241,7 +241,7 @@ def _without_blanks(
     for i, values in columns.items():
         size = np.abs(np.nan_to_num(values))
         others = size[size < size.max(initial=0.0)]
-        if others.size and size.max() > _BEYOND * others.max() > 0.0:
+        if others.size and size.max() / _BEYOND > others.max() > 0.0:
             blank = size == size.max()
             made[i] = np.where(blank, np.nan, values)
             said.setdefault(float(values[blank][0]), []).append(names[i] or f"column {i + 1}")
