@@ -483,3 +483,13 @@ def test_an_unreadable_folder_for_real(folder: Path, run: Run) -> None:
     assert done.code == 3
     assert "no permission to write here" in done.err
     assert list(locked.iterdir()) == []
+
+
+@pytest.mark.parametrize("folder", [".", "/"])
+def test_a_folder_without_name_or_result_is_no_fault(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    said = run("report", folder)
+    assert said.code == 3
+    assert "no result in this folder" in said.err

@@ -122,7 +122,7 @@ def _refuse_elsewhere(path: Path) -> None:
     patterns = [f"*/{RESULT}", f"*/*/{RESULT}"] if is_readings else [f"*/{RESULT}"]
     below = Path() if is_readings else place if is_folder else place.parent
     folders = [str(one.parent) for pattern in patterns for one in below.glob(pattern)]
-    of_project = str(place.with_name(f"{place.stem}-result"))
+    of_project = str(place.parent / f"{place.stem}-result")
     folders = [of_project] if of_project in folders else folders
     error = InputError(
         "there is no result in this folder" if is_folder else "this is a file, not a result",
