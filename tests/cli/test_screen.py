@@ -37,3 +37,11 @@ def test_a_short_result_is_shown_as_it_is() -> None:
 def test_a_verdict_is_whole() -> None:
     text = "\n\n".join([TITLE, verdict(60), *rest(30)])
     assert verdict(60) in screen(text)
+
+
+def test_of_many_instruments_the_accuracy_of_all_together_is_kept() -> None:
+    table = "accuracy   mean\nnominal    1.0" + "\n  touch    2.0" * 20 + "\ncalibrated 0.1"
+    shown = screen("\n\n".join([TITLE, verdict(25), table, *rest(30)]))
+    assert ACCURACY in shown.split("\n\n")
+    assert "(not shown: accuracy of each instrument, " in shown
+    assert shown.count("\n") + 1 <= SCREEN

@@ -83,6 +83,9 @@ def screen(text: str, following: int = 0) -> str:
     parts[_JUDGED:] = sorted(parts[_JUDGED:], key=lambda part: _name(part) not in _NEEDED)
     for part in parts:
         lines = part.split("\n")
+        if len(lines) + 1 > room and _name(part) in _NEEDED:  # those of instruments are indented
+            lines = [line for line in lines if not line.startswith("  ")]
+            left.append(f"{_name(part)} of each instrument")
         if len(lines) + 1 > room and len(kept) >= _JUDGED:
             left.append(_name(part))
             continue
