@@ -114,7 +114,7 @@ def read_arrays(path: str | Path, layout: Layout = RECOGNISED, *, wanted: object
         )
     only = np.atleast_1d(next(iter(numbers.values())))
     count = rows_of(numbers) if len(numbers) > 1 else len(only)
-    refuse_rivals(numbers, count, path.name, "save what belongs together in a file of its own")
+    refuse_rivals(numbers, count, path.name, "save only arrays with equally many rows in one file")
     return by_columns(numbers, path.name, None, sha256_of(path), count)
 
 
