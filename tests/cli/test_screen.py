@@ -39,6 +39,12 @@ def test_a_verdict_is_whole() -> None:
     assert verdict(60) in screen(text)
 
 
+def test_a_verdict_longer_than_a_screen_hides_no_accuracy() -> None:
+    shown = screen("\n\n".join([TITLE, verdict(45), rest(3)[0], ACCURACY]))
+    assert shown.split("\n\n")[:3] == [TITLE, verdict(45), ACCURACY]
+    assert shown.endswith(", warnings; all: --full)")
+
+
 def test_of_many_instruments_the_accuracy_of_all_together_is_kept() -> None:
     table = "accuracy   mean\nnominal    1.0" + "\n  touch    2.0" * 20 + "\ncalibrated 0.1"
     shown = screen("\n\n".join([TITLE, verdict(25), table, *rest(30)]))

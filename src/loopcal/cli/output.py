@@ -50,7 +50,7 @@ _ABOVE = ContextVar("above", default=0)
 _JUDGED = 2
 """Parts of a result that are always shown: what it is, and its verdict."""
 _NEEDED = ("accuracy",)
-"""Parts that come right after these, ahead of causes and warnings."""
+"""Parts that come right after these, fit or not, ahead of causes and warnings."""
 
 # Chosen, not derived.
 _ROWS = 10
@@ -86,7 +86,8 @@ def screen(text: str, following: int = 0) -> str:
         if len(lines) + 1 > room and _name(part) in _NEEDED:  # those of instruments are indented
             lines = [line for line in lines if not line.startswith("  ")]
             left.append(f"{_name(part)} of each instrument")
-        if len(lines) + 1 > room and len(kept) >= _JUDGED:
+        fits = len(lines) + 1 <= room or len(kept) < _JUDGED or _name(part) in _NEEDED
+        if not fits:
             left.append(_name(part))
             continue
         if kept and "  " in lines[0] and len(lines) > SCREEN:  # a verdict is whole, however long

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import loopcal as lc
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.mechanisms.chain import MOTIONS
@@ -84,6 +85,16 @@ def test_any_serial_arm_survives(arm):
     again = read_again(arm)
     assert_same(again, arm)
     assert mechanism_to_toml(again) == mechanism_to_toml(arm)
+
+
+def expanding(arm: Mechanism) -> Mechanism:
+    return lc.with_effects(arm, [lc.effects.Thermal()])
+
+
+@settings(max_examples=30)
+@given(known_better(arms()).map(expanding))
+def test_lengths_that_expand_survive_whatever_they_are(arm):
+    assert_same(read_again(arm), arm)
 
 
 READY = [

@@ -17,6 +17,9 @@ from tests.refusals import refused
 
 NOISE = 5e-5
 REFLECTORS = np.array([[0.02, -0.07, -0.35], [-0.1, 0.06, -0.3]])
+MOUNTED = dict(zip(["x6B", "y6B", "z6B"], REFLECTORS[0].tolist(), strict=True))
+DRAWN = {"x4": motoman_ma1400().parameters["x4"].nominal + 2e-4}
+"""What a user's own file states [m]."""
 ANCHOR, ZERO = np.array([1.4, 0.9, -0.8]), 0.25
 
 
@@ -88,6 +91,29 @@ def test_one_point_is_that_of_the_type(tmp_path: Path, flange: dict[str, np.ndar
     columns = angles(flange) | dict(zip("xyz", seen(points(flange)[0], 1).T, strict=True))
     lc.init(columns, machine="motoman-ma1400", out=tmp_path / "o")
     assert "x6B" in (tmp_path / "o" / "project.toml").read_text("utf-8")
+    assert left(tmp_path / "o") < 2.0 * NOISE
+
+
+@pytest.mark.parametrize("instrument", ["point", "two points", "wire"])
+def test_a_file_of_the_type_states_what_the_drawing_does_not(
+    tmp_path: Path, flange: dict[str, np.ndarray], instrument: str
+) -> None:
+    file = tmp_path / "arm.toml"
+    drawn = "\n".join(f"{n} = {{ value = {v!r} }}" for n, v in {**DRAWN, **MOUNTED}.items())
+    file.write_text(f'schema = 1\ntype = "motoman-ma1400"\n[parameters]\n{drawn}\n')
+    columns = angles(flange)
+    for i, its in enumerate(points(flange)[: 1 + (instrument == "two points")], 1):
+        columns |= dict(zip([f"x{i}", f"y{i}", f"z{i}"], seen(its, i).T, strict=True))
+    if instrument == "wire":
+        noise = NOISE * np.random.default_rng(3).standard_normal(80)
+        wire = np.linalg.norm(points(flange)[0] - ANCHOR, axis=1) - ZERO + noise
+        columns = angles(flange) | {"L": wire}
+    made = lc.init(columns, machine=str(file), out=tmp_path / "o")
+    nominal = {p.name: p.nominal for p in made.mechanism.parameters}
+    assert {n: nominal[n] for n in DRAWN} == pytest.approx(DRAWN)
+    if instrument == "point":
+        assert {n: nominal[n] for n in MOUNTED} == pytest.approx(MOUNTED)
+        assert "a guess, found by placing" not in made.text
     assert left(tmp_path / "o") < 2.0 * NOISE
 
 

@@ -299,10 +299,10 @@ def typed_robot(named: str) -> Robot:
         return _closed(table, mechanism)
     driven = tuple(mechanism.joints)
     row = machine_type(kind)
-    if row.joints is None or table != {"type": kind}:
+    if row.joints is None:
         return Robot(table, len(driven), driven)
     point = tool_names(row.joints())
-    apart = _apart(mechanism, row.listed(), point)
+    apart = _apart(mechanism, {**table, "joint": row.listed()}, point)
     return Robot(table, len(driven), driven, point=point, apart=apart)
 
 
@@ -352,10 +352,20 @@ def _closed(table: Mapping[str, Any], mechanism: Mechanism) -> Robot:
     return Robot(table, len(driven), driven, unread=unread)
 
 
-def _apart(
-    mechanism: Mechanism, joints: Sequence[Mapping[str, Any]], point: Sequence[str]
-) -> Robot:
+def _apart(mechanism: Mechanism, stated: Mapping[str, Any], point: Sequence[str]) -> Robot:
     """The joints of an arm as a machine of the type "serial", which any instrument may see."""
-    table = {"type": "serial", "name": mechanism.name, "fix_redundant": True, "joint": joints}
-    lengths = {p.name: p.nominal for p in mechanism.parameters if p.nominal and p.name not in point}
-    return Robot(table, len(joints), tuple(j["name"] for j in joints), lengths=lengths)
+    parameters = {n: v for n, v in stated.get("parameters", {}).items() if n not in point}
+    table = {
+        "name": mechanism.name,
+        "fix_redundant": True,
+        **stated,
+        "type": "serial",
+        "parameters": parameters,
+    }
+    lengths = {
+        p.name: p.nominal
+        for p in mechanism.parameters
+        if p.nominal and p.name not in {*point, *parameters}
+    }
+    joints = tuple(joint["name"] for joint in table["joint"])
+    return Robot(table, len(joints), joints, lengths=lengths)

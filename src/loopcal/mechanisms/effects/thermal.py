@@ -76,7 +76,7 @@ class Thermal:
         warmer = x[self.column] - to_si(self.reference, self.unit)
         if not self.changing:
             grown = 1.0 + p[f"{self.name}_expansion"] * warmer
-            lengths = [q for q in mechanism.parameters if q.dimension == "length" and q.nominal]
+            lengths = [q for q in mechanism.parameters if q.dimension == "length"]
             return {q.name: p[q.name] * grown for q in lengths}
         names = [parameter.name for parameter in meant(mechanism, self.changing)]
         return {name: p[name] + p[f"{name}_thermal"] * warmer for name in names}

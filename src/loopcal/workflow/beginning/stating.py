@@ -131,7 +131,9 @@ def stated(
     if point_of_robot:
         table = dict(robot.table)
         axes = zip(robot.point, "xyz", strict=True)
-        parameters = {name: parameters[f"tool_{axis}"] for name, axis in axes}
+        drawn = robot.table.get("parameters", {})
+        guesses_of_tool = {name: parameters[f"tool_{axis}"] for name, axis in axes}
+        parameters = {n: v for n, v in guesses_of_tool.items() if n not in drawn}
     else:
         apart = robot.apart or robot
         table = {**apart.table, "instrument": looking}
@@ -156,7 +158,7 @@ def stated(
     remarks = {
         "mechanism": robot.remarks,
         "mechanism.parameters": ()
-        if still
+        if still or not parameters
         else (
             f"{', '.join(parameters)}: a guess, found by placing the nominal machine on the "
             f"readings; what is mounted is known to {with_unit(NEAR, 'm')} only (sd). Where a "
