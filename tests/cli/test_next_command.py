@@ -56,6 +56,10 @@ NEXT = {
     "a project for a result": (f"report {P}", f"report {R}"),
     "no result": ("report", f"report {R}"),
     "no readings": (f"predict {R}", f"predict {R} readings.csv"),
+    "a table without the joints": (
+        f"predict {R} table.csv --out points.csv",
+        f"predict {R} readings.csv --out points.csv",
+    ),
     "no format": (f"export {R}", f"export {R} --to dh"),
     "no output": (f"simulate {P}", f"simulate {P} --out simulated.csv"),
     "readings for a project": (

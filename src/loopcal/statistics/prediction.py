@@ -183,7 +183,11 @@ class Prediction:
     def words(self) -> str:
         """What was predicted, how sure it is, and the alarm."""
         finite = np.isfinite(np.array(list(self.outputs.values())))
-        lines = [f"{int(finite.any(axis=0).sum())} of {len(self.poses)} poses predicted"]
+        predicted = int(finite.any(axis=0).sum())
+        lost = (
+            "" if predicted == len(self.poses) else ": the others lack a reading, or do not close"
+        )
+        lines = [f"{predicted} of {len(self.poses)} poses predicted{lost}"]
         further = "what the fit leaves" if self.by_residuals else "readings"
         parts = [("parameters", self.from_parameters), (further, self.from_readings)]
         for name, covariance in parts:
