@@ -177,6 +177,26 @@ def test_what_cannot_be_corrected_is_refused_whole(sagging: lc.Result) -> None:
         lc.correct(result, {"phi2": [0.1], "phi3": [1.0]})
 
 
+def test_a_temperature_is_stated_and_not_in_degrees_taken_as_kelvin() -> None:
+    arm = lc.with_effects(loops.drawing(loops.ARMS["six-axis"]), [lc.effects.Thermal()])
+    nominal = {p.name: p.nominal for p in arm.parameters} | {"thermal_expansion": 12e-6}
+    warm = arm.with_nominal(nominal)
+    tool = tool_of(warm, nominal)
+    at = {"temperature": 303.15}
+    q = np.array([*targets(3).values()]).T
+    grown = arms_of(warm, nominal, tool, at=at).machine(q)[:, :3, 3]
+    drawn = arms_of(warm, nominal, tool, at={"temperature": 293.15}).machine(q)[:, :3, 3]
+    assert np.linalg.norm(grown - drawn, axis=1) == pytest.approx(
+        120e-6 * np.linalg.norm(drawn, axis=1), rel=0.2
+    )
+    with refused("missing-reading", "temperature") as caught:
+        arms_of(warm, nominal, tool)
+    assert caught.value.options == ("--at", "temperature=22 degC")
+    with refused("implausible-unit", "30 K") as caught:
+        arms_of(warm, nominal, tool, at={"temperature": 30.0})
+    assert caught.value.options == ("--at", "temperature=30 degC")
+
+
 def test_an_arm_whose_own_parameters_place_it_is_based_where_its_drawing_fits_best() -> None:
     arm = lc.motoman_ma1400()
     names = [f"theta_{i}" for i in range(1, 7)]

@@ -94,6 +94,11 @@ def refuse_implausible(dataset: Dataset, quantities: Mapping[str, str]) -> None:
             _stop_if_cold(dataset, quantity, si)
 
 
+def cold_as_kelvin(value: float, si: str | None) -> bool:
+    """Whether a temperature [K] is colder than any workshop, so that it looks like degC."""
+    return si == "K" and bool(value < _COLDEST)
+
+
 def check_units(dataset: Dataset, quantities: Mapping[str, str]) -> None:
     """Raise InputError where a stated unit has another dimension than the mechanism's."""
     for quantity, expected in quantities.items():
@@ -181,7 +186,7 @@ def _stop_if_far(dataset: Dataset, quantity: str, si: str) -> None:
 def _stop_if_cold(dataset: Dataset, quantity: str, si: str) -> None:
     """Raise InputError for temperatures in K that look like degC: their zero would be 273 K off."""
     values = dataset.readings[quantity]
-    if si != "K" or _stated(dataset, quantity, si) != "K" or not np.nanmax(values) < _COLDEST:
+    if _stated(dataset, quantity, si) != "K" or not cold_as_kelvin(np.nanmax(values), si):
         return
     index = int(np.nanargmax(values))
     raise InputError(

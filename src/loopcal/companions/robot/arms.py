@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.companions.robot.rigid import Tool, crossing
-from loopcal.errors import InputError, listed
+from loopcal.errors import Code, InputError, listed
 from loopcal.estimation.problem.alignment import align
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.expressions.tape import Tape
@@ -30,6 +30,7 @@ from loopcal.expressions.trace import trace
 from loopcal.expressions.vectors import vector
 from loopcal.files.machines.further_points import with_points
 from loopcal.lazy import cached_property
+from loopcal.measurements.checks import cold_as_kelvin
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.limits import Limit, joint_limits
@@ -46,6 +47,8 @@ _TOOL = "body_tool"
 _PLACES = 60
 _REACH = {"rad": 1.0, "m": 0.1}
 """Around home, readings at which a base is sought."""
+_USUAL = {"K": (22.0, "degC")}
+"""Unit of a constant -> a value that a workshop has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,16 +151,24 @@ def _constants(mechanism: Mechanism, tape: Tape, at: Mapping[str, float]) -> dic
     used = frozenset().union(*tape.depends_on())
     unknown = [name for name in at if name not in mechanism.pose_constants]
     missing = [n for n in names if n not in stated and n in used]
-    if unknown or missing:
+    units = mechanism.pose_constants
+    cold = [n for n, value in at.items() if cold_as_kelvin(value, units.get(n))]
+    if unknown or missing or cold:
         words = (
             f"there is no constant {unknown[0]!r}"
             if unknown
             else f"the result depends on {listed(missing)}, which no target states"
+            if missing
+            else f"{cold[0]!r} is {at[cold[0]]:g} K: this looks like degC"
         )
-        raise InputError(
-            words,
-            code="unknown-name" if unknown else "missing-reading",
-            remedy=f"state {listed(missing or [*mechanism.pose_constants])} with --at NAME=VALUE",
+        code: Code = (
+            "unknown-name" if unknown else "missing-reading" if missing else "implausible-unit"
+        )
+        again = missing or cold or [*mechanism.pose_constants]
+        usual = {n: _USUAL.get(units[n], (1.0, units[n])) for n in again}
+        values = [f"{n}={at.get(n, value):g} {unit}" for n, (value, unit) in usual.items()]
+        raise InputError(words, code=code, remedy=f"state {listed(again)} with a unit").offering(
+            *(part for value in values for part in ("--at", value))
         )
     return {name: stated.get(name, 0.0) for name in names}
 
