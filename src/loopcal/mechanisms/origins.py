@@ -25,8 +25,8 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, nearest
 from loopcal.keys import Key
 from loopcal.mechanisms.chain import (
@@ -190,9 +190,6 @@ def joint_chain(
         masses=tuple(masses),
         description=description or stated,
     )
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

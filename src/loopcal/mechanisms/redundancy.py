@@ -28,8 +28,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.mechanisms.limits import listed_joints, stated_limits
@@ -37,7 +37,6 @@ from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.parameters import BEYOND
 from loopcal.mechanisms.station import Station
 
-Array = NDArray[np.float64]
 ALIKE = 5e-5
 """Remainders below count as none. Of robots' URDFs with parameters of their axes, the largest that
 must be none is 5e-6 (right angles written as 1.5708). The smallest that is some is 4e-4 (axes 0.4

@@ -13,12 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.mechanisms.chain import Step, matrix, product
 from loopcal.mechanisms.placement import rigid, yaw_pitch_roll
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.estimation.accuracy import Apart, by_pose, deviations, main_distances
@@ -21,7 +21,6 @@ from loopcal.report.images import image_figures
 from loopcal.report.sighted import seen
 from loopcal.report.source import Source
 
-Array = NDArray[np.float64]
 _OVER_POSES = ("residuals", "drift")
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.instruments.camera import CameraEntry, all_cameras
 from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
@@ -17,7 +17,6 @@ from loopcal.mechanisms.skeleton import drawn_in, tree_poses
 from loopcal.mechanisms.station import Station
 from loopcal.report.source import Source
 
-Array = NDArray[np.float64]
 Readings = Mapping[str, Array]
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.app import words
 from loopcal.companions.app.beside import LeftOut
 from loopcal.companions.app.scene import Scene, restyled
@@ -28,7 +29,6 @@ from loopcal.report.sighted import Sighting, seen, sightings
 from loopcal.report.source import Source
 from loopcal.statistics.changes import ids_are_numbers
 
-Array = NDArray[np.float64]
 MOST = 2_000
 """Points of one figure; of more the largest and a sample of the rest."""
 CHOSEN, REST, DIM = "#d55e00", "#0072b2", "rgba(0,114,178,0.35)"

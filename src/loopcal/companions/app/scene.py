@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.app.capsules import body, capsules, vertices
 from loopcal.figures.figure import names, numbers, spots
 from loopcal.files.machines.drawn_links import DrawnLinks
@@ -19,7 +19,6 @@ from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.skeleton import drawn_in, skeleton
 from loopcal.report.sighted import Readings, body_pose, camera_places, centres
 
-Array = NDArray[np.float64]
 SIGHT = 0.15
 """Length of a camera's pyramid over its distance from the board."""
 INK = {"camera": "#0072b2", "board": "#b5340a", "touch": "#d55e00", "body": "#7b828c"}

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.performance.instrument import MeasuringErrors
 from loopcal.companions.performance.intervals import Estimate, length_interval
 from loopcal.errors import InputError
 
-Array = NDArray[np.float64]
 COLLINEAR = 1e-6
 """Poses within this share of their extent of one line determine no frame."""
 _IN_PLANE = [0, 1, 5]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.companions.performance.intervals import Estimate
 from loopcal.companions.performance.parts import ConditionPerformance
 from loopcal.companions.performance.summary import (
@@ -23,7 +24,6 @@ from loopcal.figures.figure import (
     BEFORE,
     COLOURS,
     COLUMNS,
-    Array,
     Bars,
     Figure,
     axis,

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.performance.accuracy import (
     FittedBase,
     Group,
@@ -50,7 +51,6 @@ from loopcal.measurements.attained import AttainedPoses
 from loopcal.small_samples import t_quantile
 from loopcal.statistics.repeats import CLEAR, FEWEST, slow_p_value
 
-Array = NDArray[np.float64]
 AXES = ("x", "y", "z")
 # ISO 9283 measures five poses, P1 to P5.
 EVERY_PAIR = 5

@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.rigid import Tool, crossing
 from loopcal.errors import InputError, listed
 from loopcal.estimation.problem.alignment import align
@@ -39,7 +39,6 @@ from loopcal.mechanisms.serial import places_itself
 from loopcal.mechanisms.station import Station, pose_of
 from loopcal.mechanisms.structure.structured import EFFECT
 
-Array = NDArray[np.float64]
 _BODY = {"body_o": (0.0, 0.0, 0.0), "body_x": (1.0, 0.0, 0.0), "body_y": (0.0, 1.0, 0.0)}
 _TOOL = "body_tool"
 # Random readings around home: many times the six freedoms of a base.

@@ -10,14 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.placement import rigid
 from loopcal.mechanisms.station import pose_of
-
-Array = NDArray[np.float64]
 
 
 def turned(w: Array) -> Array:

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.cameras.twists import nearest_rotation, rigid, rotation, rotation_vector
 
-Array = NDArray[np.float64]
 Method = Callable[[Array, Array, Array], list[tuple[Array, Array]]]
 """Rotations (R_X, R_Y) from A, C (n, 4, 4) and weights (n,)."""
 _SHORT = 1e-4

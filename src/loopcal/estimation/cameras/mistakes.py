@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.cameras.board_pose import BoardPoses
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
@@ -28,7 +28,6 @@ from loopcal.estimation.cameras.placing import Reading, closed_forms, placed, vi
 from loopcal.estimation.cameras.twists import inverse
 from loopcal.mechanisms.cameras.board import Board
 
-Array = NDArray[np.float64]
 CLEAR = 0.6
 """Twenty images of two residuals each: log likelihood ratio 40 ln(1 / 0.6) = 20."""
 THINNED = (60, 12)

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
 from loopcal.estimation.cameras.placing import Reading, view_poses
 from loopcal.estimation.cameras.scene import TURN, Scene, ahead
 from loopcal.estimation.cameras.twists import rotation_vector
 
-Array = NDArray[np.float64]
 FLAT = np.radians(10.0)
 """Tilt below which a board is as good as parallel to the image: cos 10 deg = 0.985."""
 ONE_DISTANCE = 0.05

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.mechanisms.cameras.lens import Intrinsics, project
 
-Array = NDArray[np.float64]
 _STEP = 1e-6
 """Central differences of smooth functions of order 1: errors of 1e-12 and of 1e-10 by rounding."""
 

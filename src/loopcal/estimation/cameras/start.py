@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.cameras.board_pose import BoardPoses, facing
 from loopcal.estimation.cameras.corners import Corners
@@ -26,7 +27,6 @@ from loopcal.estimation.cameras.scene import REDESCENDING, Adjusted, adjusted
 from loopcal.estimation.cameras.twists import inverse
 from loopcal.mechanisms.cameras.lens import Intrinsics
 
-Array = NDArray[np.float64]
 PER_VIEW = 24
 """Corners per view that the adjustment of a start takes."""
 FITS = 3.0

@@ -7,9 +7,8 @@ update T <- (exp([w]), t) T of the iterations here, exact in its rotation.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from loopcal.arrays import Array
 
 
 def skew(v: Array) -> Array:

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.cameras.corners import split_name
 from loopcal.files.cameras.document import Part, is_transform, read_document, transform
@@ -26,7 +26,6 @@ from loopcal.files.recognition.meanings import meanings
 from loopcal.files.recognition.sources import sources_of
 from loopcal.units import unit
 
-Array = NDArray[np.float64]
 _LISTED = 10_000
 """Files of poses that one file lists."""
 

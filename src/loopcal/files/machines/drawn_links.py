@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.machines.meshes import box, mesh_file, read_mesh, simplified
 from loopcal.files.machines.safe_xml import children
@@ -18,7 +19,6 @@ from loopcal.files.machines.urdf import UrdfRobot
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.placement import inverse
 
-Array = NDArray[np.float64]
 MOST_DRAWN = 3_000
 """Triangles of a whole robot: as many turn without a graphics processor."""
 FEWEST = 40

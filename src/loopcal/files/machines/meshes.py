@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.machines.safe_xml import read_xml
 from loopcal.files.tables.raw import bytes_of
 from loopcal.files.toml.reader import shown
 
-Array = NDArray[np.float64]
 Triangles = NDArray[np.float64]
 """(n, 3, 3) corners of triangles [m]."""
 MOST_TRIANGLES, MOST_BYTES = 2_000_000, 100_000_000

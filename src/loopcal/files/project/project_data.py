@@ -10,8 +10,8 @@ from shlex import quote
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, placed
 from loopcal.files.outputs import expanded
 from loopcal.files.project.data_table import (
@@ -32,8 +32,6 @@ from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.outputs import measured_points
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,8 +34,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.companions.robot.exports.tables import frames_csv
 from loopcal.companions.robot.exports.urdf import decimal
@@ -184,7 +184,6 @@ FORMATS = (
 )
 
 
-Array = NDArray[np.float64]
 QUARTER = 1.570796327
 """The right angle of the controller's tables."""
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
