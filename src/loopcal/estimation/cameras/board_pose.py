@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.estimation.cameras.corners import Corners, Views
 from loopcal.estimation.cameras.homography import homographies, robust_weights, spread
-from loopcal.estimation.cameras.twists import inverse, moved, nearest_rotation, rigid, skew
+from loopcal.estimation.cameras.twists import moved
+from loopcal.mechanisms.placement import inverse, rigid
+from loopcal.mechanisms.rotations import nearest_rotation, skew
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ from loopcal.estimation.cameras.orders import (
     renumbered,
 )
 from loopcal.estimation.cameras.placing import Reading, closed_forms, placed, view_poses
-from loopcal.estimation.cameras.twists import inverse
 from loopcal.mechanisms.cameras.board import Board
+from loopcal.mechanisms.placement import inverse
 
 CLEAR = 0.6
 """Twenty images of two residuals each: log likelihood ratio 40 ln(1 / 0.6) = 20."""

@@ -11,7 +11,7 @@ from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
 from loopcal.estimation.cameras.placing import Reading, view_poses
 from loopcal.estimation.cameras.scene import TURN, Scene, ahead
-from loopcal.estimation.cameras.twists import rotation_vector
+from loopcal.mechanisms.rotations import nearest_rotation, rotation_vector
 
 FLAT = np.radians(10.0)
 """Tilt below which a board is as good as parallel to the image: cos 10 deg = 0.985."""
@@ -38,9 +38,7 @@ def motion_facts(reading: Reading, scene: Scene, *, stated: bool) -> list[Fact]:
 def _turns(T: Array, reading: Reading) -> Iterator[Fact]:
     """No rotation, one axis, pure turns about a point."""
     R = T[:, :3, :3]
-    middle = np.mean(R, axis=0)
-    U, _, Vt = np.linalg.svd(middle)
-    mean = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    mean = nearest_rotation(np.mean(R, axis=0))
     turns = rotation_vector(np.swapaxes(mean[None], 1, 2) @ R)
     angle = np.linalg.norm(turns, axis=1)
     spread = 2.0 * float(np.degrees(angle.max()))

@@ -19,8 +19,9 @@ from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.hand_eye import HandEye, consensus
 from loopcal.estimation.cameras.pixels import rays
 from loopcal.estimation.cameras.scene import Adjusted, Scene, adjusted, groups, lost_directions
-from loopcal.estimation.cameras.twists import inverse, mean_motion
+from loopcal.estimation.cameras.twists import mean_motion
 from loopcal.mechanisms.cameras.lens import Intrinsics
+from loopcal.mechanisms.placement import inverse
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ from loopcal.estimation.cameras.motions import most_alike, motion_facts
 from loopcal.estimation.cameras.placing import Reading, placed, usable_part, view_poses
 from loopcal.estimation.cameras.scale import scale_facts
 from loopcal.estimation.cameras.scene import REDESCENDING, Adjusted, adjusted
-from loopcal.estimation.cameras.twists import inverse
 from loopcal.mechanisms.cameras.lens import Intrinsics
+from loopcal.mechanisms.placement import inverse
 
 PER_VIEW = 24
 """Corners per view that the adjustment of a start takes."""
