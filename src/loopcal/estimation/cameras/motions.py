@@ -10,7 +10,7 @@ from loopcal.arrays import Array
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
 from loopcal.estimation.cameras.placing import Reading, view_poses
-from loopcal.estimation.cameras.scene import TURN, Scene, ahead
+from loopcal.estimation.cameras.scene import TURN, Scene
 from loopcal.mechanisms.rotations import nearest_rotation, rotation_vector
 
 FLAT = np.radians(10.0)
@@ -147,12 +147,6 @@ def _coverage(corners: Corners, camera: str, size: tuple[int, int] | None) -> It
             "The distortion elsewhere is extrapolated: take images with the board there.",
             {"share": share, "camera": camera},
         )
-
-
-def farthest_ray(corners: Corners, scene: Scene) -> float:
-    """Largest r = |(X, Y)| / Z of all corners, to hold beside `lens.turning_radius`."""
-    P = ahead(scene.in_camera(corners))
-    return float(np.linalg.norm(P[:, :2] / P[:, 2:], axis=1).max(initial=0.0))
 
 
 # What the turns of a hand mean, by how far the board turns from image to image.

@@ -25,7 +25,6 @@ from loopcal.estimation.cameras.placing import Reading, placed, usable_part, vie
 from loopcal.estimation.cameras.scale import scale_facts
 from loopcal.estimation.cameras.scene import REDESCENDING, Adjusted, adjusted
 from loopcal.mechanisms.cameras.lens import Intrinsics
-from loopcal.mechanisms.placement import inverse
 
 PER_VIEW = 24
 """Corners per view that the adjustment of a start takes."""
@@ -40,7 +39,8 @@ class CameraStart:
     """Where everything stands, and what was found out about the files.
 
     corners, T_base_flange: as corrected; the arrays per corner and view follow these corners.
-    held: the board is on the flange; None without a robot. T_camera_board: (V, 4, 4) of each view
+    held: the board is on the flange; None without a robot. X, Y: (cameras, 4, 4) and (boards, 4, 4)
+    of C_i = X A_i Y (`hand_eye`). T_camera_board: (V, 4, 4) of each view
     in the order of `corners.views`; branches: (V, 2, 4, 4) both poses that the view alone allows,
     chosen: (V,) which of them is nearer. residuals: (N, 2) [px].
     """
@@ -59,49 +59,9 @@ class CameraStart:
     facts: tuple[Fact, ...]
 
     @property
-    def T_camera_base(self) -> dict[str, Array]:
-        """By camera, of a board on the flange; else empty."""
-        return self._by_camera(self.X) if self.held is True else {}
-
-    @property
-    def T_flange_camera(self) -> dict[str, Array]:
-        """By camera, of a camera on the flange; else empty."""
-        return self._by_camera(inverse(self.X)) if self.held is False else {}
-
-    @property
-    def T_flange_board(self) -> dict[str, Array]:
-        """By board, of a board on the flange; else empty."""
-        return self._by_board() if self.held is True else {}
-
-    @property
-    def T_base_board(self) -> dict[str, Array]:
-        """By board, of a camera on the flange; else empty."""
-        return self._by_board() if self.held is False else {}
-
-    @property
-    def rigs(self) -> dict[str, Array]:
-        """T_c_c1 by camera: each camera's frame from that of the first."""
-        return self._by_camera(self.X @ inverse(self.X[0]))
-
-    @property
     def rms(self) -> float:
         """Rms [px] of the residuals' lengths over all corners, wrong ones included."""
         return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
-
-    @property
-    def rms_by_image(self) -> dict[str, float]:
-        """The same for each image with corners."""
-        square, image = np.sum(self.residuals**2, axis=1), self.corners.image
-        return {
-            self.corners.poses[i]: float(np.sqrt(np.mean(square[image == i])))
-            for i in np.unique(image)
-        }
-
-    def _by_camera(self, T: Array) -> dict[str, Array]:
-        return dict(zip(self.corners.cameras, T, strict=True))
-
-    def _by_board(self) -> dict[str, Array]:
-        return {board.name: T for board, T in zip(self.corners.boards, self.Y, strict=True)}
 
 
 def start(
