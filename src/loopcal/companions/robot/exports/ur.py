@@ -223,22 +223,6 @@ class UrTable:
             )
         )
 
-    @property
-    def steps(self) -> tuple[Step, ...]:
-        """The arm as elementary steps; its joints are called by the links of `LINKS`."""
-        return tuple(
-            step
-            for link, theta, d, a, alpha in zip(
-                LINKS, self.theta, self.d, self.a, self.alpha, strict=True
-            )
-            for step in (
-                Step("rz", joint=link, constant=theta),
-                Step("tz", constant=d),
-                Step("tx", constant=a),
-                Step("rx", constant=alpha),
-            )
-        )
-
 
 def drawing(model: str) -> UrTable:
     """The table of a model as drawn."""
@@ -259,13 +243,6 @@ class UrOrigins:
     origins: Mapping[str, Array]
     base: Array
     tool: Array
-
-    def pose(self, readings: Sequence[float]) -> Array:
-        """T_base_tip (4, 4) at six readings [rad]."""
-        T = self.base
-        for L, q in zip(self.origins.values(), readings, strict=True):
-            T = T @ L @ product([Step("rz", constant=float(q))], {}, {})
-        return T @ self.tool
 
 
 def ur_origins(chain: RestChain) -> UrOrigins:
