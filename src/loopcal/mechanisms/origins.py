@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -156,14 +156,13 @@ def joint_chain(
     *,
     axes: bool = False,
     name: str = "robot",
-    description: Mapping[str, Any] | None = None,
     masses: Sequence[Load] = (),
 ) -> Machine:
     """The machine of a chain of joints from the base to the tip.
 
     axes: whether the joints' axes have parameters too, NAME_axis_rx and so on; the origins alone
-    hold every geometry that a robot of these kinds of joints can have. description: the file that
-    it was read from, for messages; masses: known ones of its links.
+    hold every geometry that a robot of these kinds of joints can have. masses: known ones of its
+    links.
 
     Raises InputError for a chain in which nothing moves, or two joints of one name.
     """
@@ -188,7 +187,7 @@ def joint_chain(
         lambda x, p: ChainFrame(steps, x, p),
         tree=Tree.chain(steps),
         masses=tuple(masses),
-        description=description or stated,
+        description=stated,
     )
 
 

@@ -21,6 +21,8 @@ from loopcal.mechanisms.placement import inverse
 
 MOST_DRAWN = 3_000
 """Triangles of a whole robot: as many turn without a graphics processor."""
+SIDES = 16
+"""Corners of a cylinder's rings."""
 FEWEST = 40
 """Triangles of a link, however many links there are."""
 
@@ -118,10 +120,10 @@ def _shape(visual: Any, folder: Path, absent: Callable[[str], None]) -> Array | 
     return None
 
 
-def _round(radius: float, length: float, sides: int = 16) -> Array:
+def _round(radius: float, length: float) -> Array:
     """A cylinder about z, its middle at the origin; a sphere is drawn as one."""
-    angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)
-    ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(sides + 1)])
+    angle = np.linspace(0.0, 2.0 * np.pi, SIDES + 1)
+    ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(SIDES + 1)])
     up = np.array([0.0, 0.0, 0.5 * length])
     pieces = []
     for a, b in pairwise(ring):
