@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "loopcal"
 
 # From the ground up. Names on one line do not import each other; imports point downwards only.
 LAYERS = (
-    ("errors", "import_path", "keys", "lazy", "companions"),
+    ("arrays", "errors", "import_path", "keys", "lazy", "companions"),
     ("chi_squared", "expressions", "units"),
     ("presentation", "small_samples"),
     ("execution",),

@@ -9,12 +9,13 @@ import pytest
 
 import loopcal as lc
 from loopcal.companions.app.pictures import machine_figure, moved
-from loopcal.companions.app.scene import Scene, camera_places, joined, sightings
+from loopcal.companions.app.scene import Scene
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.mechanisms.cameras.lens import project
 from loopcal.mechanisms.instruments.camera import all_cameras
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.skeleton import tree_poses
+from loopcal.report.sighted import camera_places, joined, sightings
 from tests.mechanisms.test_branches import JOINTS, dual_arm
 from tests.mechanisms.test_camera import hands, pixels, readings
 from tests.mechanisms.test_camera import mechanism as camera_of
@@ -95,9 +96,9 @@ def test_arrows_lead_where_the_machine_computes_what_was_seen(tmp_path: Path) ->
     expected = np.einsum("nij,nj->ni", eye[:, :, :2], seen)
     miss = np.linalg.norm(image.along.T - expected, axis=1) / np.linalg.norm(shift, axis=1)
     assert miss.max() < 0.03  # the lens is not linear over the shift
-    at = joined([*every.values()], 6)
-    assert at is not None
-    assert np.isfinite(at).all()
+    whole = joined([*every.values()])
+    assert whole is not None
+    assert np.isfinite(whole.at + whole.along).all()
 
 
 def test_a_scene_moves_and_an_arm_that_is_not_read_is_left_out(tmp_path: Path) -> None:

@@ -13,10 +13,11 @@ from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.companions.robot.arms import arms_of
 from loopcal.companions.robot.inverse import solve
-from loopcal.companions.robot.rigid import between, tool_of, turn_of, turned
+from loopcal.companions.robot.rigid import between, tool_of
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.mechanisms.placement import ChainPlacement, rigid
 from loopcal.mechanisms.planar import motoman_joints
+from loopcal.mechanisms.rotations import rotation_by, rotation_vector
 from loopcal.mechanisms.serial import places_itself, serial_machine
 from tests.refusals import refused
 
@@ -203,7 +204,7 @@ def test_an_arm_whose_own_parameters_place_it_is_based_where_its_drawing_fits_be
     q = lc.random_poses(dict.fromkeys(names, (-0.8, 0.8)), 60, seed=1)
     truth = {p.name: p.nominal for p in arm.parameters}
     assert arm.placement is not None
-    turn = turned(np.array([0.02, -0.03, 0.4]))
+    turn = rotation_by(np.array([0.02, -0.03, 0.4]))
     truth = arm.placement.moved(truth, turn, np.array([0.4, -0.2, 0.3]))  # where it stands
     truth |= {n: truth[n] + 8e-4 for n in ("phix3", "phiz2", "x4", "z3") if n in truth}
     noise = lc.Noise({"theta_*": 2e-5, **dict.fromkeys("xyz", 2e-5)})
@@ -220,7 +221,7 @@ def test_an_arm_whose_own_parameters_place_it_is_based_where_its_drawing_fits_be
     assert reached == pytest.approx(aim, abs=1e-9)
 
 
-def test_a_measured_pose_says_how_the_tool_is_turned() -> None:
+def test_a_measured_pose_says_how_the_tool_is_rotation_by() -> None:
     arm = loops.drawing(loops.ARMS["six-axis"])
     assert arm.description is not None
     seen = lc.assemble(serial_machine(arm.description["joints"]), [lc.instruments.pose("camera")])
@@ -244,7 +245,7 @@ def test_a_measured_pose_says_how_the_tool_is_turned() -> None:
     q = np.array([again[c] for c in ("qx", "qy", "qz", "qw")]).T
     R = Rotation.from_quat(q).as_matrix()
     wanted = done.arms.machine.base @ done.corrected.targets.poses
-    off = np.linalg.norm(turn_of(np.swapaxes(R, 1, 2) @ wanted[:, :3, :3]), axis=1)
+    off = np.linalg.norm(rotation_vector(np.swapaxes(R, 1, 2) @ wanted[:, :3, :3]), axis=1)
     assert (off < 2.0 * reached.radial(3)).all()
 
 
@@ -280,7 +281,7 @@ def test_transitions_seen_by_two_instruments_without_station_find_their_base() -
     """Where the whole machine was seen elsewhere, its controller still has it in its own base."""
     single = mechanism_from_data({"type": "motoman-ma1400"}, "a file")
     drawn = {p.name: p.nominal for p in single.parameters}
-    T = rigid(turned(np.array([0.1, -0.2, 0.7])), np.array([1.0, 2.0, 0.3]))
+    T = rigid(rotation_by(np.array([0.1, -0.2, 0.7])), np.array([1.0, 2.0, 0.3]))
     assert isinstance(single.placement, ChainPlacement)
     placed = single.placement.moved(drawn, T[:3, :3], T[:3, 3])
     joints = [{"name": j.name, "form": j.form, "direction": j.direction} for j in motoman_joints()]

@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from loopcal.companions.robot.rigid import (
-    between,
-    moved,
-    quaternion_of,
-    turn_of,
-    turned,
-)
+from loopcal.companions.robot.rigid import between, moved
 from loopcal.mechanisms.placement import inverse, rigid
+from loopcal.mechanisms.rotations import nearest_rotation, quaternions, rotation_by, rotation_vector
 from loopcal.mechanisms.station import pose_of
 
 RNG = np.random.default_rng(0)
@@ -29,13 +24,25 @@ R = Rotation.from_rotvec(VECTORS).as_matrix()
 
 
 def test_turns_are_those_of_rotation_vectors_and_back() -> None:
-    assert turned(VECTORS) == pytest.approx(R, abs=1e-12)
-    assert turned(turn_of(R)) == pytest.approx(R, abs=1e-12)
-    assert turn_of(R)[:200] == pytest.approx(Rotation.from_matrix(R[:200]).as_rotvec(), abs=1e-9)
+    assert rotation_by(VECTORS) == pytest.approx(R, abs=1e-12)
+    assert rotation_by(rotation_vector(R)) == pytest.approx(R, abs=1e-12)
+    assert rotation_vector(R)[:200] == pytest.approx(
+        Rotation.from_matrix(R[:200]).as_rotvec(), abs=1e-9
+    )
+
+
+def test_the_nearest_rotation_is_no_mirror_image() -> None:
+    near = R + RNG.normal(0.0, 0.1, R.shape)
+    for matrices in (near, near * [1.0, 1.0, -1.0], near[:, :2, :2]):
+        got = nearest_rotation(matrices)
+        assert np.linalg.det(got) == pytest.approx(1.0)
+        # No small turn brings it nearer: got^T M is symmetric.
+        left = np.swapaxes(got, 1, 2) @ matrices
+        assert left == pytest.approx(np.swapaxes(left, 1, 2), abs=1e-12)
 
 
 def test_quaternions_and_turns_by_yaw_pitch_roll_agree_with_scipy() -> None:
-    q = quaternion_of(R)
+    q = quaternions(R)
     assert Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix() == pytest.approx(R, abs=1e-12)
     angles = RNG.uniform(-1.5, 1.5, (50, 3))
     made = Rotation.from_euler("ZYX", angles).as_matrix()

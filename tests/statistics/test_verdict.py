@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 import shlex
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
+from string import Formatter
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ from loopcal.document.findings import (
 )
 from loopcal.document.fit import ChiSquared, ParameterEntry
 from loopcal.document.result_document import CoarseReadings, ResultDocument
-from loopcal.document.verdict import UNASKED, Fact, Row
+from loopcal.document.verdict import UNASKED, Fact, Figure, Finding, Row, Where
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.presentation.shown import WIDTH
 from loopcal.statistics.judged_machine import off_the_drawing
@@ -682,10 +683,20 @@ def test_every_code_is_described() -> None:
     assert described == codes, "docs/explanation/verdict.md has one row for each code"
 
 
+def _example(row: Row) -> Finding:
+    """The finding of a row with made-up numbers and names."""
+    templates = "".join((row.sentence, row.detail, row.remedy or ""))
+    named = [(str(name), form) for _, name, form, _ in Formatter().parse(templates) if name]
+    # In a template numbers have a format and names have none.
+    numbers = {name: Figure(0.0123) for name, form in named if form}
+    place = Where(*(("example",) for _ in fields(Where)))
+    return row.finding(Fact(row.fact, numbers, place, {n: "example" for n, f in named if not f}))
+
+
 def test_every_row_of_the_catalogue_answers_and_advises() -> None:
     """Sentences that end, at most 40 words each; what refuses or stays open says what to do."""
     for row in CATALOGUE.values():
-        made = row.example
+        made = _example(row)
         assert made.words.endswith((".", "example")), row.fact
         assert made.words.startswith(made.title[:-1]), row.fact
         assert all(len(one.split()) <= 40 for one in made.words.split(". ")), row.fact
@@ -711,7 +722,7 @@ def test_a_command_of_a_finding_is_one_of_the_program() -> None:
 
 
 def _fact_of(row: Row) -> Fact:
-    made = row.example
+    made = _example(row)
     texts = re.findall(r"{(\w+)}", row.sentence + row.detail + (row.remedy or ""))
     return Fact(row.fact, made.numbers, made.place, dict.fromkeys(texts, "text"))
 

@@ -18,8 +18,8 @@ from loopcal.companions.robot.export_files import run_export
 from loopcal.companions.robot.inverse import solve
 from loopcal.companions.robot.programs.corrected import MARK
 from loopcal.companions.robot.programs.poses_text import turns_of_pose
-from loopcal.companions.robot.rigid import quaternion_of
 from loopcal.files.outputs import command
+from loopcal.mechanisms.rotations import quaternions
 from tests.refusals import refused
 
 NAMES = [f"q{i}" for i in range(1, 7)]
@@ -60,7 +60,7 @@ def rapid(plain: lc.Correction) -> str:
         lines.append(f"  CONST jointtarget j{i}:=[[{listed(q)}],{rest}];")
         T = plain.corrected.targets.poses[i]
         quadrants = [int(np.floor(q[k] / 90.0)) for k in (0, 3, 5)]
-        where = f"[{listed(1e3 * T[:3, 3])}],[{listed(quaternion_of(T[:3, :3]))}]"
+        where = f"[{listed(1e3 * T[:3, 3])}],[{listed(quaternions(T[:3, :3]))}]"
         cf = ",".join(map(str, [*quadrants, int(q[4] < 0)]))
         lines.append(f"  CONST robtarget p{i}:=[{where},[{cf}],{rest}];")
     return "\r\n".join([*lines, "ENDMODULE", ""])
@@ -151,7 +151,7 @@ def test_a_quadrant_that_changes_is_refused(result: lc.Result, tmp_path: Path) -
     path = tmp_path / "m.mod"
     T = at.corrected.targets.poses[0]
     cf = ",".join(str(int(np.floor(np.degrees(q[0, k]) / 90.0))) for k in (0, 3, 5))
-    where = f"[{listed(1e3 * T[:3, 3])}],[{listed(quaternion_of(T[:3, :3]), 12)}]"
+    where = f"[{listed(1e3 * T[:3, 3])}],[{listed(quaternions(T[:3, :3]), 12)}]"
     path.write_text(f"p:=[{where},[{cf},0],[0,0,0,0,0,0]];")
     done = lc.correct(result, path)
     assert [r and r.reason for r in done.corrected.refused] == ["configuration-changed"]

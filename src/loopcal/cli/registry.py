@@ -21,7 +21,7 @@ COMMANDS = {
     **dict.fromkeys(("new", "demo", "init", "schema"), "commands"),
     "correct": "companions.robot.correct_commands",
     "export": "companions.robot.export_commands",
-    "verify": "verification",
+    "verify": "commands",
     **dict.fromkeys(("update", "history", "fleet"), "companions.life.commands"),
     "performance": "companions.performance.commands",
     "plan": "companions.planning.commands",

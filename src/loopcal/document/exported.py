@@ -9,16 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from loopcal.arrays import Array
 from loopcal.document.accuracy import Distances
 from loopcal.document.fit import ParameterEntry
 from loopcal.mechanisms.origins import CalibratedOrigin
 from loopcal.mechanisms.rest import RestChain
 from loopcal.presentation.shown import size
 
-Array = NDArray[np.float64]
 _NOTHING = 1e-9
 """[m] what is left of two models that are the same."""
 

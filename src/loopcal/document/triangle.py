@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from loopcal.arrays import Array
+
 Rows = tuple[tuple[float, ...], ...]
 
 

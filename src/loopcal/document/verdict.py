@@ -229,18 +229,6 @@ class Row:
         """Its page of the documentation."""
         return f"reference/codes/{self.code}.html"
 
-    @property
-    def example(self) -> Finding:
-        """The finding with made-up numbers and names."""
-        templates = "".join((self.sentence, self.detail, self.remedy or ""))
-        named = [(str(name), form) for _, name, form, _ in Formatter().parse(templates) if name]
-        # In a template numbers have a format and names have none.
-        numbers = {name: Figure(0.0123) for name, form in named if form}
-        place = Where(*(("example",) for _ in fields(Where)))
-        return self.finding(
-            Fact(self.fact, numbers, place, {n: "example" for n, f in named if not f})
-        )
-
     def finding(self, fact: Fact, files: Mapping[str, str] = {}) -> Finding:
         """The finding that a fact leads to; files: for the command."""
         place = {one.name: ", ".join(getattr(fact.place, one.name)) for one in fields(Where)}

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.figures.figure import (
     AFTER,
     BEFORE,
-    Array,
     Figure,
     axis,
     colours,

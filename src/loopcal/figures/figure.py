@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from loopcal.arrays import Array
+
 BEFORE, AFTER = "#8d8f96", "#2b7bd6"
 """Colours before and after a calibration, legible on light and on dark."""
 MARK = "#b3261e"

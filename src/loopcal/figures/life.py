@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.figures.figure import (
     AFTER,
     BEFORE,
     MARK,
-    Array,
     Figure,
     axis,
     colours,

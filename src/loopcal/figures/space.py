@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.figures.figure import Array, Figure, axis, layout, names, spots, thinned
+from loopcal.arrays import Array
+from loopcal.figures.figure import Figure, axis, layout, names, spots, thinned
 from loopcal.presentation.shown import significant
 
 # More hide each other, and a browser turns them slowly.

@@ -79,7 +79,6 @@ def tree_machine(
     root: str,
     name: str = NAME,
     masses: Sequence[Load] = (),
-    description: Mapping[str, Any] | None = None,
 ) -> Machine:
     """The machine of bodies that hang on each other, in any order; instruments name two of them.
 
@@ -129,7 +128,7 @@ def tree_machine(
         frame,
         tree=tree,
         masses=tuple(masses),
-        description=stated if description is None else description,
+        description=stated,
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, listed, unknown_name
 from loopcal.expressions.vectors import dot, rotate, vector
 from loopcal.mechanisms.chain import Step, apply
@@ -142,8 +143,6 @@ def forward_kinematics(
 
 
 # A direction that is known nominally: the normal of a plane, gravity.
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

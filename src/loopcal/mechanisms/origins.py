@@ -22,11 +22,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, nearest
 from loopcal.keys import Key
 from loopcal.mechanisms.chain import (
@@ -156,14 +156,13 @@ def joint_chain(
     *,
     axes: bool = False,
     name: str = "robot",
-    description: Mapping[str, Any] | None = None,
     masses: Sequence[Load] = (),
 ) -> Machine:
     """The machine of a chain of joints from the base to the tip.
 
     axes: whether the joints' axes have parameters too, NAME_axis_rx and so on; the origins alone
-    hold every geometry that a robot of these kinds of joints can have. description: the file that
-    it was read from, for messages; masses: known ones of its links.
+    hold every geometry that a robot of these kinds of joints can have. masses: known ones of its
+    links.
 
     Raises InputError for a chain in which nothing moves, or two joints of one name.
     """
@@ -188,11 +187,8 @@ def joint_chain(
         lambda x, p: ChainFrame(steps, x, p),
         tree=Tree.chain(steps),
         masses=tuple(masses),
-        description=description or stated,
+        description=stated,
     )
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
 from loopcal.mechanisms.station import Station
 
-Array = NDArray[np.float64]
 POLAR = ("spherical", "polar")
 """Forms of readings that are a distance and one or two angles."""
 

@@ -15,14 +15,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import PLANES
 from loopcal.mechanisms.chain import Step, matrix, product
 from loopcal.mechanisms.mechanism import Placement
 
-Array = NDArray[np.float64]
 FLAT = 0.3
 """Sine of the angle between an axis and its plane below which a transition is a poor choice."""
 _NO_JOINTS: Mapping[str, float] = {}

@@ -28,8 +28,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.mechanisms.limits import listed_joints, stated_limits
@@ -37,7 +37,6 @@ from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.parameters import BEYOND
 from loopcal.mechanisms.station import Station
 
-Array = NDArray[np.float64]
 ALIKE = 5e-5
 """Remainders below count as none. Of robots' URDFs with parameters of their axes, the largest that
 must be none is 5e-6 (right angles written as 1.5708). The smallest that is some is 4e-4 (axes 0.4
@@ -147,7 +146,6 @@ def redundant(
     unsure: Sequence[str] = (),
     unmeasured: Sequence[str] = (),
     readings: Mapping[str, Array] | None = None,
-    seed: int = 0,
 ) -> tuple[Redundant, ...]:
     """The free parameters without prior that need not be estimated.
 
@@ -161,9 +159,7 @@ def redundant(
     order = [n for n in dict.fromkeys((*first, *free)) if n in free]
     if not order:
         return ()
-    looked_at = samples(
-        mechanism, ranges=ranges or {}, unsure=unsure, readings=readings or {}, seed=seed
-    )
+    looked_at = samples(mechanism, ranges=ranges or {}, unsure=unsure, readings=readings or {})
     parts = [_columns(mechanism, sample, order, unmeasured) for sample in looked_at]
     units = [mechanism.parameters[name].unit for name in order]
     superfluous = _chosen(order, units, np.concatenate(parts))
@@ -198,9 +194,7 @@ def exchanged(
     no step does the same.
     """
     joints = listed_joints(mechanism)
-    looked_at = samples(
-        mechanism, ranges=stated_limits(joints), unsure=(), readings=readings or {}, seed=0
-    )
+    looked_at = samples(mechanism, ranges=stated_limits(joints), unsure=(), readings=readings or {})
     zeros = [name for name in names if name in mechanism.quantities]
     others = [name for name in names if name not in zeros]
     parts = [_columns(mechanism, s, [*among, *others], unmeasured, zeros) for s in looked_at]
@@ -327,13 +321,12 @@ def samples(
     ranges: Mapping[str, tuple[float, float]],
     unsure: Sequence[str],
     readings: Mapping[str, Array],
-    seed: int,
 ) -> list[Sample]:
     """What to look at: the loops that hold in any pose, and those of each thing that is touched.
 
     ranges, unsure, readings: see `redundancy.redundant`.
     """
-    draw = np.random.default_rng(seed)
+    draw = np.random.default_rng(0)
     tape = mechanism.tape
     # Three times as many equations as parameters: rank is then that of generic poses.
     count = max(60, 3 * len(mechanism.parameters) // len(tape.loops))

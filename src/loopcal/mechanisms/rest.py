@@ -13,12 +13,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.mechanisms.chain import Step, matrix, product
 from loopcal.mechanisms.placement import rigid, yaw_pitch_roll
-
-Array = NDArray[np.float64]
+from loopcal.mechanisms.rotations import quaternions, rotation_by
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,14 +99,11 @@ def rest_chain(steps: Sequence[Step], values: Mapping[str, float]) -> RestChain:
 
 
 def rotation(axis: Sequence[float], angle: float) -> Array:
-    """(3, 3) turn by an angle [rad] about a unit vector (Rodrigues)."""
+    """(3, 3) turn by an angle [rad] about a unit vector."""
     if sorted(map(abs, axis)) == [0.0, 0.0, 1.0]:
         i = int(np.argmax(np.abs(axis)))
         return matrix(Step("r" + "xyz"[i]), float(axis[i]) * angle)[:3, :3]
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turned: Array = np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * (K @ K)
-    return turned
+    return rotation_by(angle * np.array(axis))
 
 
 def onto_z(axis: Array) -> Array:
@@ -146,19 +142,6 @@ _LEVEL = 1e-12
 
 
 def quaternion(R: Array) -> tuple[float, float, float, float]:
-    """Unit quaternion w, x, y, z of a rotation, w >= 0 (Shepperd 1978)."""
-    trace = float(np.trace(R))
-    size = np.array([trace, R[0, 0], R[1, 1], R[2, 2]])
-    i = int(np.argmax(size))
-    q = np.empty(4)
-    if i == 0:
-        q[0] = 1.0 + trace
-        q[1:] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    else:
-        a, b, c = i - 1, i % 3, (i + 1) % 3
-        q[0] = R[c, b] - R[b, c]
-        q[1 + a] = 1.0 + 2.0 * R[a, a] - trace
-        q[1 + b], q[1 + c] = R[b, a] + R[a, b], R[c, a] + R[a, c]
-    q /= math.copysign(float(np.linalg.norm(q)), q[0] if q[0] != 0.0 else 1.0)
-    w, x, y, z = map(float, q)
+    """Unit quaternion w, x, y, z of a rotation, w >= 0."""
+    w, x, y, z = quaternions(R).tolist()
     return (w, x, y, z)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.mechanisms.chain import Step, frames, product
 from loopcal.mechanisms.machine import Machine
@@ -17,7 +17,6 @@ from loopcal.mechanisms.serial import tool_names
 from loopcal.mechanisms.station import Station, Target
 from loopcal.mechanisms.tree import BASE
 
-Array = NDArray[np.float64]
 _MOST, _SETTLED, _OPEN = 50, 1e-10, 0.05
 
 

@@ -21,8 +21,8 @@ from fnmatch import fnmatchcase
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.expressions.rewriting import Named, substituted
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.vectors import vector
@@ -33,7 +33,6 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters
 from loopcal.mechanisms.placement import ChainPlacement, rigid, yaw_pitch_roll
 
-Array = NDArray[np.float64]
 MOTIONS = {3: ("tx", "ty", "tz", "rz", "ry", "rx"), 2: ("tx", "ty", "rz")}
 _PLACES = {"t": "position along", "r": "turn about"}
 _NO_JOINTS: Mapping[str, float] = {}

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.estimation.accuracy import Apart, by_pose, deviations, main_distances
@@ -16,13 +15,12 @@ from loopcal.figures.figure import Figure, colours
 from loopcal.figures.sensors import Change, changes, correlations, drift, normalised
 from loopcal.figures.space import Machine, arrows
 from loopcal.mechanisms.mechanism import PIXELS, Family
-from loopcal.mechanisms.outputs import point_outputs, points
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.presentation.shown import factor, unit_shown
 from loopcal.report.images import image_figures
+from loopcal.report.sighted import seen
 from loopcal.report.source import Source
 
-Array = NDArray[np.float64]
 _OVER_POSES = ("residuals", "drift")
 
 
@@ -88,55 +86,12 @@ def _of_outputs(source: Source) -> list[Figure | None]:
     scale = factor(unit)
     lengths = [distances(source, differences) / scale for differences in (before, after)]
     drawn = [distance_histogram(lengths[0], lengths[1], unit_shown(unit))]
-    seen = {"before": seen_points(source, before), "after": seen_points(source, after)}
-    stages = {name: both.along for name, both in seen.items() if both is not None}
-    if unit == "m" and (last := seen["after"]) is not None:
+    both = {"before": seen(source, before), "after": seen(source, after)}
+    stages = {name: one.along for name, one in both.items() if one is not None}
+    if unit == "m" and (last := both["after"]) is not None:
         machine, poses = _machine(source, last.at), source.table.poses
         drawn.append(arrows(last.at, stages, machine, poses, unit_shown(unit), scale))
     return drawn
-
-
-@dataclass(frozen=True, eq=False)
-class SeenPoints:
-    """Points (d, N) [m] that instruments measured, and computed minus measured ones."""
-
-    at: Array
-    along: Array
-
-    def beside(self, other: SeenPoints) -> SeenPoints:
-        """These, and those of the other in poses without these."""
-        without = ~np.isfinite(self.at + self.along).all(axis=0)
-        return SeenPoints(
-            np.where(without, other.at, self.at), np.where(without, other.along, self.along)
-        )
-
-
-def seen_points(source: Source, differences: Mapping[str, Array]) -> SeenPoints | None:
-    """The points of the first instrument whose place is known, if any is, and of those that stand
-    with it; of a pose that several see, that of the first one."""
-    readings = source.table.readings
-    families = source.mechanism.families if source.mechanism else ()
-    seen: SeenPoints | None = None
-    station: object = None
-    # the machine is drawn where the first instrument sees it whose place is known
-    for family in sorted(families, key=lambda f: f.placement is None):
-        names = point_outputs(source.mechanism, family) if source.mechanism else ()
-        if not names or not all(name in readings and name in differences for name in names):
-            continue
-        at = np.array([readings[name] for name in names])
-        computed = points(family, at + np.array([differences[name] for name in names]))
-        at = points(family, at)
-        if seen is None:
-            seen, station = SeenPoints(at, computed - at), family.placement
-        elif station is not None and family.placement == station:
-            seen = seen.beside(SeenPoints(at, computed - at))
-    if seen is not None:
-        return seen
-    if families or len(differences) not in (2, 3) or not differences.keys() <= readings.keys():
-        return None
-    return SeenPoints(
-        np.array([readings[name] for name in differences]), np.array([*differences.values()])
-    )
 
 
 def _residuals(source: Source, shades: Mapping[str, str]) -> Figure | None:

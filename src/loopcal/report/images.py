@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.cameras.board_pose import board_poses
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.pixels import pixels, rays
@@ -33,7 +34,6 @@ from loopcal.mechanisms.station import Station
 from loopcal.presentation.shown import NONE, Table, significant, size
 from loopcal.report.source import Source
 
-Array = NDArray[np.float64]
 DISTANCES = (0.5, 1.0, 2.0)
 """At which the uncertainty of a projection is drawn [m]."""
 GRID = 41

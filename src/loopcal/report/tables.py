@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.accuracy import Distances
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
@@ -33,8 +33,6 @@ from loopcal.presentation.shown import (
     with_unit,
 )
 from loopcal.report.source import Source
-
-Array = NDArray[np.float64]
 
 
 def accuracy_tables(document: ResultDocument) -> list[Table]:

@@ -20,10 +20,9 @@ from loopcal.estimation.solve.solver import Progress
 from loopcal.execution.executor import Executor
 from loopcal.files.outputs import refuse_foreign
 from loopcal.files.project.fit_table import Validation
-from loopcal.files.project.project_data import LoadedData, load_dataset
+from loopcal.files.project.project_data import LoadedData, load_dataset, validation_arguments
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import ParquetStream, project_stream
-from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.files.result import result_file
 from loopcal.files.result.pose_table import NAME as RESIDUALS
 from loopcal.lazy import cached_property

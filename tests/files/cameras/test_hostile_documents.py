@@ -14,7 +14,7 @@ from loopcal.files.cameras.boards import read_boards
 from loopcal.files.cameras.corners import read_corners
 from loopcal.files.cameras.document import read_document
 from loopcal.files.cameras.intrinsics import read_intrinsics
-from loopcal.files.cameras.places import read_hand_eye, read_places, read_samples
+from loopcal.files.cameras.places import read_places, read_samples
 from tests.files.cameras.test_intrinsics import CAMCHAIN, CAMERA_INFO, STORAGE
 from tests.files.hostile.generated import damaged
 from tests.refusals import refused
@@ -69,7 +69,7 @@ def test_long_numbers_are_numbers_or_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", [CAMERA_INFO, CAMCHAIN, STORAGE])
 def test_damaged_files_are_read_or_refused(content: str, tmp_path: Path) -> None:
-    readers = (read_intrinsics, read_boards, read_corners, read_places, read_samples, read_hand_eye)
+    readers = (read_intrinsics, read_boards, read_corners, read_places, read_samples)
     for i, data in enumerate(damaged(content.encode(), 12, seed=3)):
         path = tmp_path / ("c.yaml" if i % 2 else "c.json")
         path.write_bytes(data)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loopcal.files.cameras.places import read_hand_eye, read_places, read_samples
+from loopcal.files.cameras.places import read_places, read_samples
 from tests.refusals import refused
 
 TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -39,18 +39,6 @@ def test_samples_of_easy_handeye(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_samples(written(tmp_path, text)).tracking[:, 0, 3], (3, 4))
     with refused("mismatched-poses", "2", "1"):
         read_samples(written(tmp_path, text.replace(f"{sample(3)}, ", "")))
-
-
-def test_results_of_easy_handeye_1_and_2(tmp_path: Path) -> None:
-    text = "parameters:\n  eye_on_hand: false\n  robot_base_frame: base\n"
-    text += "transformation: {x: 1, y: 2, z: 3, qx: 0, qy: 0, qz: 0.70710678, qw: 0.70710678}\n"
-    one = read_hand_eye(written(tmp_path, text))
-    assert (one.on_hand, one.names["robot_base_frame"]) == (False, "base")
-    np.testing.assert_allclose(one.T[:3, :3], TURNED, atol=1e-8)
-    text = f"parameters: {{calibration_type: eye_in_hand}}\ntransform: {sample(1)}\n"
-    assert read_hand_eye(written(tmp_path, text)).on_hand
-    with refused("missing-key", "eye_on_hand"):
-        read_hand_eye(written(tmp_path, text.replace("calibration_type", "kind")))
 
 
 def test_poses_of_industrial_calibration_in_files_beside_images(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from loopcal.files.cameras import written
+from loopcal.files.cameras.document import read_document, transform
 from loopcal.files.cameras.intrinsics import read_intrinsics, read_rig
-from loopcal.files.cameras.places import read_hand_eye
 from loopcal.mechanisms.cameras.lens import LENSES, Intrinsics, project
 from tests.mechanisms.test_cameras import camera, points
 from tests.refusals import refused
@@ -75,10 +75,11 @@ def test_a_hand_eye_calibration_is_read_back_the_same(tmp_path: Path) -> None:
     frames = {"robot_base_frame": "arm: base"}
     path = tmp_path / "eye.yaml"
     path.write_text(written.easy_handeye("eye", T, on_hand=True, frames=frames), "utf-8")
-    one = read_hand_eye(path)
-    np.testing.assert_allclose(one.T, T, atol=1e-15)
-    assert one.on_hand
-    assert one.names["robot_base_frame"] == "arm: base"
+    one = read_document(path)
+    np.testing.assert_allclose(transform(one.part("transformation")), T, atol=1e-15)
+    parameters = one.part("parameters")
+    assert parameters.part("eye_on_hand").flag
+    assert parameters.part("robot_base_frame").text == "arm: base"
 
 
 def test_numbers_are_those_of_yaml_1_1() -> None:

@@ -11,8 +11,8 @@ from loopcal.companions.robot.exports.format import ExportOptions
 from loopcal.companions.robot.exports.registry import format_named
 from loopcal.document.exported import Exported
 from loopcal.document.fit import ParameterEntry
+from loopcal.files.cameras.document import read_document, transform
 from loopcal.files.cameras.intrinsics import read_intrinsics, read_rig
-from loopcal.files.cameras.places import read_hand_eye
 from loopcal.files.machines.urdf import read_urdf
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.mechanisms.chain import fixed_frame, product
@@ -97,11 +97,12 @@ def test_opencv_and_ros_get_the_intrinsics(tmp_path: Path) -> None:
 @pytest.mark.parametrize("role", ["placement", "mounting"])
 def test_easy_handeye_gets_the_place_of_the_camera(role: Role, tmp_path: Path) -> None:
     (path,) = files("easy_handeye", machine(role), tmp_path)
-    one = read_hand_eye(path)
-    assert one.on_hand == (role == "mounting") == path.name.endswith("on_hand.yaml")
+    one = read_document(path)
+    on_hand = one.part("parameters").part("eye_on_hand").flag
+    assert on_hand == (role == "mounting") == path.name.endswith("on_hand.yaml")
     # Beside the robot the parameters are the place of the base in the camera.
-    expected = place() if one.on_hand else inverse(place())
-    np.testing.assert_allclose(one.T, expected, atol=1e-14)
+    expected = place() if on_hand else inverse(place())
+    np.testing.assert_allclose(transform(one.part("transformation")), expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("role", ["placement", "mounting"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from loopcal.companions.robot.exports.format import ExportOptions
 from loopcal.companions.robot.exports.ur import (
     LINKS,
     MODELS,
+    UrOrigins,
     UrTable,
     controller_hash,
     drawing,
@@ -23,7 +25,7 @@ from loopcal.companions.robot.exports.ur import (
 )
 from loopcal.document.exported import Exported
 from loopcal.files.machines.urdf import read_urdf
-from loopcal.mechanisms.chain import product
+from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.origins import joint_chain
 from loopcal.mechanisms.rest import RestChain, rest_chain, roll_pitch_yaw
 from tests.reference.robots import CHAINS, urdf_of
@@ -56,6 +58,29 @@ calibration_status = 2
 """A UR10, of calibration_test.cpp of ur_calibration."""
 
 
+def steps_of(table: UrTable) -> tuple[Step, ...]:
+    """The arm of a controller's table as elementary steps; its joints are called by `LINKS`."""
+    rows = zip(LINKS, table.theta, table.d, table.a, table.alpha, strict=True)
+    return tuple(
+        step
+        for link, theta, d, a, alpha in rows
+        for step in (
+            Step("rz", joint=link, constant=theta),
+            Step("tz", constant=d),
+            Step("tx", constant=a),
+            Step("rx", constant=alpha),
+        )
+    )
+
+
+def pose_of(arm: UrOrigins, readings: Sequence[float]) -> np.ndarray:
+    """T_base_tip (4, 4) at six readings [rad]."""
+    T = arm.base
+    for L, q in zip(arm.origins.values(), readings, strict=True):
+        T = T @ L @ product([Step("rz", constant=float(q))], {}, {})
+    return T @ arm.tool
+
+
 def written(tmp_path, text, name="calibration.conf"):
     path = tmp_path / name
     path.write_text(text)
@@ -73,7 +98,7 @@ def test_hashes_are_the_published_ones(model):
 
 @pytest.mark.parametrize("model", MODELS)
 def test_a_drawing_gives_its_own_origins(model):
-    arm = ur_origins(rest_chain(drawing(model).steps, {}))
+    arm = ur_origins(rest_chain(steps_of(drawing(model)), {}))
     assert arm.model == model
     for L, N in zip(arm.origins.values(), nominal_origins(model), strict=True):
         np.testing.assert_allclose(L, N, atol=1e-9)
@@ -89,7 +114,7 @@ def test_the_origins_of_a_ur5e_are_the_published_ones():
         "wrist_2": (0, -0.0997, 0, 1.570796327, 0, 0),
         "wrist_3": (0, 0.0996, 0, math.pi / 2, math.pi, math.pi),
     }
-    arm = ur_origins(rest_chain(drawing("ur5e").steps, {}))
+    arm = ur_origins(rest_chain(steps_of(drawing("ur5e")), {}))
     for link, (x, y, z, *rpy) in published.items():
         L = arm.origins[link]
         np.testing.assert_allclose(L[:3, 3], (x, y, z), atol=1e-9)
@@ -100,14 +125,14 @@ def test_the_origins_of_a_ur5e_are_the_published_ones():
 def test_a_controllers_table_comes_back_from_439_m_with_the_same_kinematics(table, tmp_path):
     if table is None:
         table = read_calibration(written(tmp_path, DELTAS), "ur10")
-    steps = table.steps
+    steps = steps_of(table)
     arm = ur_origins(rest_chain(steps, {}))
     assert arm.model == ("ur10e" if table is DOCUMENTED else "ur10")
     for L, N in zip(arm.origins.values(), nominal_origins(arm.model), strict=True):
         assert np.abs(L[:3, 3] - N[:3, 3]).max() < 0.005
     for q in poses():
         expected = product(steps, dict(zip(LINKS, q, strict=True)), {})
-        np.testing.assert_allclose(arm.pose(q), expected, atol=1e-9)
+        np.testing.assert_allclose(pose_of(arm, q), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["UR5", "UR10"])
@@ -122,7 +147,7 @@ def test_a_calibrated_urdf_keeps_base_and_tool_outside_the_six(name, tmp_path):
     np.testing.assert_allclose(shoulder, nominal_origins(arm.model)[0], atol=1e-12)
     for q in poses(50):
         readings = dict(zip(machine.quantities, q, strict=True))
-        np.testing.assert_allclose(arm.pose(q), chain.pose(readings), atol=1e-12)
+        np.testing.assert_allclose(pose_of(arm, q), chain.pose(readings), atol=1e-12)
     moved = {n: v + (0.3 if n.endswith("fixed_joint_x") else 0.0) for n, v in values.items()}
     again = ur_origins(rest_chain(machine.chain, moved))
     for link in LINKS:
@@ -132,7 +157,7 @@ def test_a_calibrated_urdf_keeps_base_and_tool_outside_the_six(name, tmp_path):
 def test_the_file_holds_the_origins_and_the_controllers_hash(tmp_path):
     conf = written(tmp_path, DELTAS)
     table = read_calibration(conf, "ur10")
-    chain = rest_chain(table.steps, {})
+    chain = rest_chain(steps_of(table), {})
     exported = Exported("arm", chain, (), (), {})
     done = ur(exported, ExportOptions(conf))
     text = done.files["kinematics.yaml"]
@@ -166,13 +191,13 @@ def test_a_file_that_is_no_calibration_is_refused(text, code, tmp_path):
 
 
 def test_another_arm_is_refused():
-    panda = rest_chain(drawing("ur5e").steps[:-8], {})
+    panda = rest_chain(steps_of(drawing("ur5e"))[:-8], {})
     with refused("unsupported", "six turning joints"):
         ur_origins(panda)
     wrong = UrTable(*(tuple(3 * v for v in row) for row in vars(drawing("ur5e")).values()))
     with refused("unsupported", "nearest"):
-        ur_origins(rest_chain(wrong.steps, {}))
-    joints = rest_chain(drawing("ur5e").steps, {}).joints
+        ur_origins(rest_chain(steps_of(wrong), {}))
+    joints = rest_chain(steps_of(drawing("ur5e")), {}).joints
     chain = RestChain((*joints[:2], replaced(joints[2]), *joints[3:]), np.eye(4))
     with refused("unsupported", "signs"):
         ur_origins(chain)

@@ -39,27 +39,35 @@ def _obj(triangles: np.ndarray) -> bytes:
 
 
 def _dae(triangles: np.ndarray) -> bytes:
-    """In millimetres, y up, its node turned about x and moved, as a polylist of triangles."""
-    corners = 1e3 * triangles.reshape(-1, 3)
-    # Its node turns back what y up turns, and moves it by 1 mm.
-    inside = corners - [1.0, 0.0, 0.0]
+    """In millimetres, its node turned about x and moved, as a polylist of triangles.
+
+    Its axis up is not followed, as by RViz (rviz/mesh_loader.cpp, "Don't convert to y-up").
+    """
+    x, y, z = 1e3 * triangles.reshape(-1, 3).T
+    # What a turn by -90 degrees about x and a shift by 1 mm along it bring to the corners.
+    inside = np.column_stack([x - 1.0, -z, y])
     text = " ".join(f"{v}" for v in inside.ravel())
-    index = " ".join(f"{i} 0" for i in range(len(corners)))
+    index = " ".join(f"{i} 0" for i in range(len(inside)))
     count = " ".join(["3"] * len(triangles))
-    inputs = (
-        '<input semantic="VERTEX" source="#v" offset="0"/><input semantic="NORMAL" offset="1"/>'
+    inputs = "".join(
+        f'<input semantic="{kind}" source="#{source}" offset="{i}"/>'
+        for i, (kind, source) in enumerate([("VERTEX", "v"), ("NORMAL", "p")])
     )
     return f"""<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
 <asset><unit meter="0.001"/><up_axis>Y_UP</up_axis></asset>
 <library_geometries><geometry id="g"><mesh>
-<source id="p"><float_array id="a" count="{corners.size}">{text}</float_array></source>
+<source id="p"><float_array id="a" count="{inside.size}">{text}</float_array><technique_common>
+<accessor source="#a" count="{len(inside)}" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor>
+</technique_common></source>
 <vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
 <polylist count="{len(triangles)}">{inputs}<vcount>{count}</vcount><p>{index}</p></polylist>
 </mesh></geometry></library_geometries>
 <library_visual_scenes><visual_scene id="s"><node>
 <rotate>1 0 0 -90</rotate><translate>1 0 0</translate>
 <instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene>
 </COLLADA>""".encode()
 
 
@@ -73,8 +81,28 @@ def _dae(triangles: np.ndarray) -> bytes:
     ],
 )
 def test_each_kind_of_file_holds_the_same_box(tmp_path: Path, name: str, content: bytes) -> None:
+    if name.endswith(".dae"):
+        pytest.importorskip("collada")
     (tmp_path / name).write_bytes(content)
     assert read_mesh(tmp_path / name) == pytest.approx(BOX, abs=1e-7)
+
+
+def test_a_node_of_a_library_is_followed_and_a_lacking_material_hides_nothing(
+    tmp_path: Path,
+) -> None:
+    # As SketchUp writes nodes, and as one foot of a published robot names its materials.
+    pytest.importorskip("collada")
+    (tmp_path / "d.dae").write_bytes(
+        _dae(BOX)
+        .replace(b'<instance_geometry url="#g"/>', b'<instance_node url="#n"/>')
+        .replace(
+            b"<library_visual_scenes>",
+            b'<library_nodes><node id="n"><instance_geometry url="#g"><bind_material>'
+            b'<technique_common><instance_material symbol="a" target="#b"/></technique_common>'
+            b"</bind_material></instance_geometry></node></library_nodes><library_visual_scenes>",
+        )
+    )
+    assert read_mesh(tmp_path / "d.dae") == pytest.approx(BOX, abs=1e-7)
 
 
 @pytest.mark.parametrize("name", ["x.stl", "x.obj", "x.dae", "x.glb"])
@@ -95,6 +123,7 @@ def test_what_is_no_mesh_is_refused(tmp_path: Path, name: str) -> None:
 def test_a_small_file_does_not_make_a_large_mesh(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: bytes, new: bytes, why: str
 ) -> None:
+    pytest.importorskip("collada")
     monkeypatch.setattr(meshes, "MOST_TRIANGLES", 100)
     (tmp_path / "d.dae").write_bytes(_dae(BOX).replace(old, new))
     with refused("wrong-file-type", why):

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from loopcal.errors import InputError
-from loopcal.files.project.project_data import LoadedData, load_dataset
+from loopcal.files.project.project_data import LoadedData, load_dataset, validation_arguments
 from loopcal.files.project.project_file import read_project
-from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.files.tables import delimited
 from loopcal.files.tables.raw import Text, read_text
 from loopcal.workflow.calibration import Request, run_calibration

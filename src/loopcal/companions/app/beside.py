@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.files.result.pose_table import PoseTable
 from loopcal.measurements.dataset import Dataset
@@ -17,7 +17,6 @@ from loopcal.report.drawn import pose_distances
 from loopcal.report.source import Source
 from loopcal.statistics.changes import ids_are_numbers
 
-Array = NDArray[np.float64]
 Named = Mapping[str, Array]
 ALONG_THE_RUN = ("shift", "drift")
 """Types of the effects that take up a change along the run."""

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.figures.figure import numbers
 
-Array = NDArray[np.float64]
 SIDES = 12
 """Corners of a ring. The rounding is seen, and a scene of software stays quick."""
 THICK = 0.03

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.app import words
 from loopcal.companions.app.beside import LeftOut
-from loopcal.companions.app.scene import Scene, Sighting, joined, restyled, sightings
+from loopcal.companions.app.scene import Scene, restyled
 from loopcal.companions.app.sizes import SIZE, errors_by_name
 from loopcal.figures.figure import axis, layout, names, numbers, spots, thinned, upright
 from loopcal.figures.space import arrow_lines, box_view, enlargement
@@ -24,11 +25,10 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, seen_outputs
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.presentation.shown import factor, unit_shown
-from loopcal.report.drawn import seen_points
+from loopcal.report.sighted import Sighting, seen, sightings
 from loopcal.report.source import Source
 from loopcal.statistics.changes import ids_are_numbers
 
-Array = NDArray[np.float64]
 MOST = 2_000
 """Points of one figure; of more the largest and a sample of the rest."""
 CHOSEN, REST, DIM = "#d55e00", "#0072b2", "rgba(0,114,178,0.35)"
@@ -507,17 +507,8 @@ class Errors:
     @cached_property
     def _at(self) -> Array | None:
         """(d, N) where the poses were measured [m]; None where nothing says so."""
-        at = joined(self._sightings, len(self.size))
-        if at is not None:
-            return at
-        table = self.source.table
-        seen = seen_points(self.source, table.differences_after)
-        if seen is not None:
-            return seen.at
-        units = self.source.document.mechanism
-        names = [n for n in table.differences_after if n in table.readings]
-        lengths = [n for n in names if units is not None and units.quantities.get(n) == "m"][:3]
-        return np.array([table.readings[n] for n in lengths]) if len(lengths) > 1 else None
+        one = seen(self.source, self.source.table.differences_after)
+        return None if one is None else one.at
 
     def _flat(
         self, data: list[dict[str, Any]], x: str, what: str, height: int, **more: Any

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.app.pictures import look
 from loopcal.errors import InputError
 from loopcal.figures.figure import axis, names, numbers, spots
@@ -19,7 +19,6 @@ from loopcal.report.source import Source
 from loopcal.statistics.prediction import Prediction, predict
 from loopcal.statistics.predictor import Predictor, predictor_of
 
-Array = NDArray[np.float64]
 PLAIN = {"displaylogo": False, "displayModeBar": False, "scrollZoom": True}
 POSES = 400
 """Random poses of the map."""

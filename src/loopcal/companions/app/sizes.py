@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-from numpy.typing import NDArray
-
+from loopcal.arrays import Array
 from loopcal.presentation.shown import factor, unit_shown
 from loopcal.report.drawn import by_instrument, pose_distances
 from loopcal.report.source import Source
 
-Array = NDArray[np.float64]
 SIZE = "distance"
 """The error of a pose as one number: the length of its differences."""
 TURN = "{instrument}: turn"

@@ -20,11 +20,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.performance.instrument import MeasuringErrors
 from loopcal.companions.performance.intervals import Estimate, length_interval
 from loopcal.errors import InputError
+from loopcal.mechanisms.rotations import nearest_rotation
 
-Array = NDArray[np.float64]
 COLLINEAR = 1e-6
 """Poses within this share of their extent of one line determine no frame."""
 _IN_PLANE = [0, 1, 5]
@@ -139,7 +140,8 @@ def fitted_base(means: Means) -> FittedBase | str:
     if not means.planar and (different < 3 or spread[1] <= COLLINEAR * spread[0]):
         return "the base frame is not fitted: it takes three poses that are not on one line"
     _refuse_scale(P, Q)
-    R = _rotation((weight[:, None] * Q).T @ P, 2 if means.planar else 3)
+    d, R = 2 if means.planar else 3, np.eye(3)
+    R[:d, :d] = nearest_rotation(((weight[:, None] * Q).T @ P)[:d, :d])
     scatter, shared = (R @ C @ R.T for C in (means.scatter, means.shared))
     J = frame_effect(means.commanded, means.planar)
     whole = _after_fit(J, means, scatter, shared)
@@ -149,16 +151,6 @@ def fitted_base(means: Means) -> FittedBase | str:
     turn[-1:, -1:] = whole.frame[-1:, -1:]
     turn = turn if means.planar else whole.frame[3:, 3:]
     return FittedBase(R, asked - R @ centre, P @ R.T - Q, whole.offsets, alone.offsets, turn)
-
-
-def _rotation(H: Array, d: int) -> Array:
-    """The rotation (3, 3) that makes tr(R^T H) largest, in the first d coordinates."""
-    U, _, V = np.linalg.svd(H[:d, :d])
-    # Without it the best orthogonal matrix may be a mirror image (Umeyama 1991).
-    U[:, -1] *= np.linalg.det(U @ V)
-    R = np.eye(3)
-    R[:d, :d] = U @ V
-    return R
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,13 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.measurements.datasheet import Tracker, accuracy_figure, accuracy_unit
 from loopcal.units import unit
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

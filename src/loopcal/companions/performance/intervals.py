@@ -19,12 +19,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import quantile
 from loopcal.small_samples import t_quantile
 
-Array = NDArray[np.float64]
 LEVEL = 0.95
 # At 25 sds the length differs from its component along the vector by 1 / 50 of an sd per freedom.
 FAR = 25.0

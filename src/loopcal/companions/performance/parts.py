@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.performance.accuracy import covariance_of_mean
 from loopcal.companions.performance.intervals import (
     Estimate,
@@ -161,7 +162,6 @@ class ConditionPerformance:
         )
 
 
-Array = NDArray[np.float64]
 CYCLES = 10
 """Cycles of a block where no column names the blocks."""
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.performance.accuracy import (
     FittedBase,
     Group,
@@ -47,10 +48,10 @@ from loopcal.companions.performance.parts import (
 from loopcal.companions.performance.summary import Performance
 from loopcal.errors import InputError, nearest
 from loopcal.measurements.attained import AttainedPoses
+from loopcal.mechanisms.rotations import rotation_vector
 from loopcal.small_samples import t_quantile
 from loopcal.statistics.repeats import CLEAR, FEWEST, slow_p_value
 
-Array = NDArray[np.float64]
 AXES = ("x", "y", "z")
 # ISO 9283 measures five poses, P1 to P5.
 EVERY_PAIR = 5
@@ -210,10 +211,10 @@ class _Part:
         asked = self.all.commanded_turns[group.rows]
         attained = self.all.measured_turns[group.rows]
         n = len(group.rows)
-        turns = _rotation_vectors(attained @ asked.transpose(0, 2, 1))
+        turns = rotation_vector(attained @ asked.transpose(0, 2, 1))
         after = None
         if base is not None:
-            after = _rotation_vectors(base.rotation @ attained @ asked.transpose(0, 2, 1))
+            after = rotation_vector(base.rotation @ attained @ asked.transpose(0, 2, 1))
         frame = (self.errors.frame.angle or 0.0) ** 2
         for k, axis in enumerate(AXES):
             sd = float(turns[:, k].std(ddof=1)) if n > 1 else 0.0
@@ -334,13 +335,6 @@ def _mean(values: Array, common: float) -> Estimate:
     degrees = np.inf if by_scatter == 0.0 else (n - 1.0) * ((by_scatter + common) / by_scatter) ** 2
     reach = t_quantile(LEVEL, float(degrees)) * float(np.sqrt(by_scatter + common))
     return Estimate(value, value - reach, value + reach)
-
-
-def _rotation_vectors(R: Array) -> Array:
-    """Axis times angle (N, 3) [rad] of rotation matrices (N, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(R).as_rotvec(), dtype=np.float64)
 
 
 def _other_frame(means: Means, base: FittedBase) -> bool:

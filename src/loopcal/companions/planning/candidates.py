@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.planning.occasions import (
     blanked,
     blanks,
@@ -38,7 +39,6 @@ from loopcal.mechanisms.station import Station
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate, within_reach
 
-Array = NDArray[np.float64]
 STEP = {"rad": math.radians(0.01), "m": 1e-5}
 """Steps of random readings [SI]."""
 _QUARTER = 0.5 * math.pi

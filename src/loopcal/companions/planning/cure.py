@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.planning.candidates import drawn, ranges_of, typical_sds, with_sds
 from loopcal.companions.planning.information import information, rows_of
 from loopcal.companions.planning.occasions import occasions
@@ -34,7 +34,6 @@ from loopcal.statistics.identifiability import SCHROER
 from loopcal.units import from_si
 from loopcal.workflow.checking import Checked
 
-Array = NDArray[np.float64]
 # Far fewer candidates than the 3000 of a plan: a cure is a hint beside a check.
 MOST, CANDIDATES = 60, 500
 _SHOWN = 10

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.cameras.at_board import sight_of
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, Weighting
@@ -25,7 +26,6 @@ from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.outputs import POLAR, Seen, cartesian_slopes, distance_unit, seen_outputs
 
-Array = NDArray[np.float64]
 # Small beside any information that counts, large beside rounding of sums: inverses exist.
 RIDGE = 1e-7
 """Information of one average candidate times this stands in where nothing else does."""

@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.plan_settings import Span
 from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
 from loopcal.simulation.simulate import moved_to_close
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.planning.candidates import (
     Candidates,
     blank_in,
@@ -85,7 +86,6 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.smooth import vectors_for
 from loopcal.mechanisms.structure.structured import EFFECT, structured
 
-Array = NDArray[np.float64]
 TESTS = 300
 """Poses at which the end point is predicted."""
 # A choice at the nominal machine may suit no other, so draws from the prior are averaged in; 200

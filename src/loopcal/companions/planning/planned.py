@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.planning.information import Information
 from loopcal.companions.planning.search import (
     Criterion,
@@ -24,7 +25,6 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.presentation.shown import SHOWN, columns, significant, with_unit
 from loopcal.units import from_si
 
-Array = NDArray[np.float64]
 CRITERIA = {
     "I": "mean variance of the end point",
     "G": "largest variance of the end point",

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.planning.planned import Plan
 from loopcal.companions.robot.programs.dialect import Stops
 from loopcal.companions.robot.programs.joint_axes import JointAxes
@@ -82,9 +82,6 @@ def program_writer(
         return program_of_stops(path, axes, q, ids, WORDS)
 
     return program
-
-
-Array = NDArray[np.float64]
 
 
 def program_of_stops(

@@ -21,9 +21,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.planning.information import Information
 
-Array = NDArray[np.float64]
 Criterion = Literal["I", "G", "D", "A"]
 Progress = Callable[[int, int], None]
 """Called with how many poses were chosen or tried for exchange, and how many there will be."""

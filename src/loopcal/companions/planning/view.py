@@ -14,7 +14,6 @@ from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
 from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.station import Station
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 TILT = math.radians(60.0)
 """Most that a board is turned away from the camera: detectors lose corners beyond."""

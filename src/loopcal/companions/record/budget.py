@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.mechanisms.model_error import disturbances
@@ -25,7 +26,6 @@ from loopcal.statistics.prediction import Prediction, predict
 from loopcal.statistics.predictor import Predictor, trace_sd
 from loopcal.workflow.saved_result import SavedResult
 
-Array = NDArray[np.float64]
 # erf(sqrt(2)) = 2 Phi(2) - 1.
 SIGMAS_2 = 0.954499736103642
 """Probability of two sds: k = 2 where sds are known."""

@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from loopcal.companions.robot.rigid import Tool, crossing
+from loopcal.arrays import Array
+from loopcal.companions.robot.rigid import Tool
 from loopcal.errors import Code, InputError, listed
 from loopcal.estimation.problem.alignment import align
 from loopcal.expressions.engine import Stage, engine_for
@@ -36,11 +36,11 @@ from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.limits import Limit, joint_limits
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.placement import inverse, rigid
+from loopcal.mechanisms.rotations import skew
 from loopcal.mechanisms.serial import places_itself
 from loopcal.mechanisms.station import Station, pose_of
 from loopcal.mechanisms.structure.structured import EFFECT
 
-Array = NDArray[np.float64]
 _BODY = {"body_o": (0.0, 0.0, 0.0), "body_x": (1.0, 0.0, 0.0), "body_y": (0.0, 1.0, 0.0)}
 _TOOL = "body_tool"
 # Random readings around home: many times the six freedoms of a base.
@@ -301,14 +301,14 @@ def _frame(points: Array) -> tuple[Array, Array]:
     root = np.sqrt(xx * yy - xy * xy)
     scale = root * np.sqrt(xx + yy + 2.0 * root)
     x, y = ((yy + root) * x - xy * y) / scale, ((xx + root) * y - xy * x) / scale
-    z = np.einsum("nij,nj->ni", crossing(x), y)
+    z = np.einsum("nij,nj->ni", skew(x), y)
     return points[:, :3], np.stack([x, y, z], axis=-1)
 
 
 def _twist(R: Array, by: Array, turn: Array) -> Array:
     """(N, 6, n) twists of derivatives (N, 12, n) of the points, turned into the arm's base."""
     dx, dy = (by[:, i : i + 3] - by[:, 3:6] for i in (6, 9))
-    X, Y, Z = (crossing(R[:, :, i]) for i in range(3))
+    X, Y, Z = (skew(R[:, :, i]) for i in range(3))
     # dz = dx x y + x x dy
     w = 0.5 * ((X - Z @ Y) @ dx + (Y + Z @ X) @ dy)
     both: Array = np.concatenate([turn @ by[:, :3], turn @ w], axis=1)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.arms import Arms, arm_joints, arms_of
 from loopcal.companions.robot.corrected import (
     Corrected,
@@ -51,7 +51,6 @@ from loopcal.statistics.predictor import Predictor
 from loopcal.workflow.readings import later_readings
 from loopcal.workflow.resolved import result_of
 
-Array = NDArray[np.float64]
 # 10 nm and 10 nrad: three decades below what an arm repeats.
 _NEAR = 1e-8
 

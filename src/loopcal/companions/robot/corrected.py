@@ -23,6 +23,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import quantile
 from loopcal.companions.robot.arms import Arms
 from loopcal.companions.robot.inverse import least_gain, solve
@@ -34,7 +35,6 @@ from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
 from loopcal.statistics.prediction import predict
 from loopcal.statistics.predictor import Predictor, by_parameters
 
-Array = NDArray[np.float64]
 # Poses on the way to the corrected joints, at which the controller's Jacobian is looked at.
 _BETWEEN = 5
 _BLOCK = 4096

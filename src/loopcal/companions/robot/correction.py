@@ -20,8 +20,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.arms import Arms
 from loopcal.companions.robot.corrected import Corrected, shown
 from loopcal.companions.robot.inverse import solve
@@ -31,7 +31,6 @@ from loopcal.document.plain import plain
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import with_unit
 
-Array = NDArray[np.float64]
 _SHOWN = 10
 _REPEATED = "Inserted targets repeat the speed and zone of their move: an exact stop stops at each."
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.refit import Goal, Refit, SeenPoint, refit, seen_points, separable
 from loopcal.document.accuracy import Distances
 from loopcal.document.exported import Exported, ModelAccuracy, Placed, ZeroOffset
@@ -39,7 +40,6 @@ from loopcal.mechanisms.tree import BODY
 from loopcal.small_samples import t_quantile
 from loopcal.statistics.predictor import Predictor
 
-Array = NDArray[np.float64]
 # 1200 coordinates are some times the parameters of any arm (record 0080).
 _POSES = 400
 _POINT = "point:"

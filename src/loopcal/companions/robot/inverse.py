@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.arms import ArmPose
 from loopcal.companions.robot.rigid import between
 
-Array = NDArray[np.float64]
 # [m, rad] 0.1 nm: far below any machine, and above what rounding leaves of metres.
 SETTLED = 1e-10
 # Within 0.2 rad the first order is good enough that steps shorten the way; 100 cross any workspace.

@@ -22,15 +22,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.mechanisms.chain import Step, frames
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.outputs import point_outputs, points
 from loopcal.mechanisms.station import Station
 from loopcal.mechanisms.structure.structured import MOUNTED
 
-Array = NDArray[np.float64]
 # s of the criterion, 10 um: against it the 5 mm of w only hold what the region leaves open.
 _NOISE = 1e-5
 # Gauss-Newton from a nominal geometry ends in a few steps; the rest is reserve.

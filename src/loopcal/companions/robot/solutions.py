@@ -14,11 +14,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.arms import Arms
 from loopcal.companions.robot.inverse import solve
 from loopcal.companions.robot.rigid import between
 
-Array = NDArray[np.float64]
 _STARTS, _STEPS = 96, 40
 """Random starts of a pose; steps at most from the joints of a pose nearby."""
 _SEARCHED, _NEAREST = 200, (1, 3)

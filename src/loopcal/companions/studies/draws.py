@@ -14,6 +14,7 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.studies.study_file import Scenario, StudyMethod
 from loopcal.errors import DomainError, InputError, NoTrustworthyResult
 from loopcal.estimation.prediction import predict_outputs, solving
@@ -26,7 +27,6 @@ from loopcal.simulation.simulate import Simulation, simulate
 from loopcal.statistics.case import Case
 from loopcal.statistics.choice import choose
 
-Array = NDArray[np.float64]
 Columns = dict[str, list[str] | NDArray[np.float64]]
 SIGMAS = 1.959963984540054
 """Half width of a 95 % interval in sds."""

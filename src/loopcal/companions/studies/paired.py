@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from loopcal.arrays import Array
+
 # 25 resamples beyond each quantile of 2.5 %; Efron and Tibshirani (1993) use 1000 for intervals.
 RESAMPLES = 1000
 LEVEL = 0.95

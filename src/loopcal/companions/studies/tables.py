@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.studies.draws import SIGMAS, seed_of
 from loopcal.companions.studies.paired import Paired, paired
 from loopcal.companions.studies.study_file import Scenario, Study
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, Sequence[str] | Array]
 END_POINT = "end point"
 TELLING, LOWEST, HIGHEST = 1000, 0.1, 99.9

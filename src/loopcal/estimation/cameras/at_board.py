@@ -16,15 +16,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.accuracy import BoardPlace, PixelSize
 from loopcal.estimation.accuracy import Accuracy
 from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
 
-Array = NDArray[np.float64]
 _MOST = 512
 """Poses in a block: images have many loops."""
 # Chosen, not derived: far above rounding, far below (board's size / distance)^2 / 12.

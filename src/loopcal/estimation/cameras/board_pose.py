@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.cameras.corners import Corners, Views
 from loopcal.estimation.cameras.homography import homographies, robust_weights, spread
-from loopcal.estimation.cameras.twists import inverse, moved, nearest_rotation, rigid, skew
-
-Array = NDArray[np.float64]
+from loopcal.estimation.cameras.twists import moved
+from loopcal.mechanisms.placement import inverse, rigid
+from loopcal.mechanisms.rotations import nearest_rotation, skew
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.cameras.board import Board
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 

@@ -20,9 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.cameras.twists import nearest_rotation, rigid, rotation, rotation_vector
+from loopcal.arrays import Array
+from loopcal.mechanisms.placement import rigid
+from loopcal.mechanisms.rotations import nearest_rotation, rotation_by, rotation_vector
 
-Array = NDArray[np.float64]
 Method = Callable[[Array, Array, Array], list[tuple[Array, Array]]]
 """Rotations (R_X, R_Y) from A, C (n, 4, 4) and weights (n,)."""
 _SHORT = 1e-4
@@ -126,7 +127,7 @@ def about_one_axis(A: Array, R_X: Array, R_Y: Array) -> list[tuple[Array, Array]
     if size[1] > ONE_AXIS**2 * size[2]:
         return []
     R_0, angles = A[0, :3, :3], np.arange(1, 8) * np.pi / 4.0
-    about = rotation(angles[:, None] * axes[:, 2])
+    about = rotation_by(angles[:, None] * axes[:, 2])
     return [(R_X @ R_0 @ R.T @ R_0.T, R @ R_Y) for R in about]
 
 

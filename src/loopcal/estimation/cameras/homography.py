@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.cameras.corners import Views
 
-Array = NDArray[np.float64]
 _ROUNDS = 8
 """Reweighting steps: with 10 % wrong corners the weights settle after five to seven."""
 

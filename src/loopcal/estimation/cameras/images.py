@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
@@ -13,7 +12,6 @@ from loopcal.estimation.cameras.orders import image_orders, renumbered
 from loopcal.estimation.cameras.placing import Reading
 from loopcal.estimation.cameras.scene import Adjusted, Scene
 
-Array = NDArray[np.float64]
 FAR = 5.0
 """Lengths of plane normal errors exceed k medians with probability 2^-(k^2): here 3e-8."""
 NEAR = 3.0

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.cameras.board_pose import BoardPoses
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
@@ -25,10 +25,9 @@ from loopcal.estimation.cameras.orders import (
     renumbered,
 )
 from loopcal.estimation.cameras.placing import Reading, closed_forms, placed, view_poses
-from loopcal.estimation.cameras.twists import inverse
 from loopcal.mechanisms.cameras.board import Board
+from loopcal.mechanisms.placement import inverse
 
-Array = NDArray[np.float64]
 CLEAR = 0.6
 """Twenty images of two residuals each: log likelihood ratio 40 ln(1 / 0.6) = 20."""
 THINNED = (60, 12)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
-from loopcal.estimation.cameras.placing import Reading
-from loopcal.estimation.cameras.scene import TURN, Scene, ahead
-from loopcal.estimation.cameras.twists import rotation_vector
+from loopcal.estimation.cameras.placing import Reading, view_poses
+from loopcal.estimation.cameras.scene import TURN, Scene
+from loopcal.mechanisms.rotations import nearest_rotation, rotation_vector
 
-Array = NDArray[np.float64]
 FLAT = np.radians(10.0)
 """Tilt below which a board is as good as parallel to the image: cos 10 deg = 0.985."""
 ONE_DISTANCE = 0.05
@@ -39,9 +38,7 @@ def motion_facts(reading: Reading, scene: Scene, *, stated: bool) -> list[Fact]:
 def _turns(T: Array, reading: Reading) -> Iterator[Fact]:
     """No rotation, one axis, pure turns about a point."""
     R = T[:, :3, :3]
-    middle = np.mean(R, axis=0)
-    U, _, Vt = np.linalg.svd(middle)
-    mean = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    mean = nearest_rotation(np.mean(R, axis=0))
     turns = rotation_vector(np.swapaxes(mean[None], 1, 2) @ R)
     angle = np.linalg.norm(turns, axis=1)
     spread = 2.0 * float(np.degrees(angle.max()))
@@ -152,7 +149,37 @@ def _coverage(corners: Corners, camera: str, size: tuple[int, int] | None) -> It
         )
 
 
-def farthest_ray(corners: Corners, scene: Scene) -> float:
-    """Largest r = |(X, Y)| / Z of all corners, to hold beside `lens.turning_radius`."""
-    P = ahead(scene.in_camera(corners))
-    return float(np.linalg.norm(P[:, :2] / P[:, 2:], axis=1).max(initial=0.0))
+# What the turns of a hand mean, by how far the board turns from image to image.
+#
+#     C_i = X A_i Y    turns by the same angle as A_i from one image to another,
+#
+# wherever camera and board stand, so no placement is needed to compare.
+
+
+_VIEWS = 60
+
+
+def most_alike(ways: Mapping[str, Array], reading: Reading) -> tuple[str, float]:
+    """Which of the poses (n, 4, 4) turn as the board does, by their names, and the median
+    difference [rad]; of views that allow two poses of the board the nearer counts."""
+    few = reading.thinned(_VIEWS, 24)
+    poses, views = view_poses(few), few.corners.views
+    usable = np.flatnonzero(poses.usable)
+    one, other = np.array([(i, j) for i in usable for j in usable if i < j]).reshape(-1, 2).T
+    same = (views.camera[one] == views.camera[other]) & (views.board[one] == views.board[other])
+    one, other = one[same], other[same]
+    R = poses.T_camera_board[:, :, :3, :3]
+    seen = [_angles(R[one, a], R[other, b]) for a in (0, 1) for b in (0, 1)]
+    sizes = {}
+    for name, T in ways.items():
+        hand = T[views.image, :3, :3]
+        away = np.abs(np.array(seen) - _angles(hand[one], hand[other])).min(axis=0, initial=np.inf)
+        sizes[name] = float(np.median(away)) if away.size else 0.0
+    best = min(sizes, key=lambda name: sizes[name])
+    return best, sizes[best]
+
+
+def _angles(R: Array, S: Array) -> Array:
+    """(n,) [rad] between rotations."""
+    cosine = (np.einsum("nij,nij->n", R, S) - 1.0) / 2.0
+    return np.asarray(np.arccos(np.clip(np.nan_to_num(cosine, nan=1.0), -1.0, 1.0)))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.mechanisms.cameras.lens import Intrinsics, project
 
-Array = NDArray[np.float64]
+_ITERATIONS = 12
 _STEP = 1e-6
 """Central differences of smooth functions of order 1: errors of 1e-12 and of 1e-10 by rounding."""
 
@@ -42,7 +42,7 @@ def by_value(lens: str, P: Array, values: Mapping[str, float], names: Sequence[s
     return np.stack(columns, axis=2) if columns else np.zeros((len(P), 2, 0))
 
 
-def rays(intrinsics: Intrinsics, uv: Array, *, iterations: int = 12) -> Array:
+def rays(intrinsics: Intrinsics, uv: Array) -> Array:
     """(N, 2): X/Z and Y/Z whose pixels are uv, by Newton's method.
 
     Where the lens turns back before a pixel, the last iterate stands: a corner there is an
@@ -58,7 +58,7 @@ def rays(intrinsics: Intrinsics, uv: Array, *, iterations: int = 12) -> Array:
         angle = np.linalg.norm(x, axis=1, keepdims=True)
         x = x * np.tan(np.minimum(angle, 1.4)) / np.maximum(angle, 1e-12)
     most = 2.0 * np.abs(x).max(initial=1.0)
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         P = np.column_stack([x, np.ones(len(x))])
         J = by_point(intrinsics.lens, P, values)[:, :, :2]
         J = J + 1e-12 * intrinsics.fx * np.eye(2)

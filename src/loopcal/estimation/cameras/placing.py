@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.cameras.board_pose import BoardPoses, board_poses
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.hand_eye import HandEye, consensus
 from loopcal.estimation.cameras.pixels import rays
 from loopcal.estimation.cameras.scene import Adjusted, Scene, adjusted, groups, lost_directions
-from loopcal.estimation.cameras.twists import inverse, mean_motion
+from loopcal.estimation.cameras.twists import mean_motion
 from loopcal.mechanisms.cameras.lens import Intrinsics
-
-Array = NDArray[np.float64]
+from loopcal.mechanisms.placement import inverse
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.cameras.corners import Corners, Views
 from loopcal.estimation.cameras.pixels import by_point, by_value, pixels
-from loopcal.estimation.cameras.twists import adjoint, moved, skew
+from loopcal.estimation.cameras.twists import adjoint, moved
 from loopcal.mechanisms.cameras.lens import Intrinsics
+from loopcal.mechanisms.rotations import skew
 
-Array = NDArray[np.float64]
 PRIOR_DISTORTION = 1.0
 """Prior sd of a coefficient in a start: lenses have |k1| below 1, and a narrow view shows none."""
 TURN = 0.0175

@@ -6,28 +6,26 @@ closed form, adjust it by a soft loss with the robot held, and name what the ima
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.cameras.board_pose import BoardPoses, facing
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
-from loopcal.estimation.cameras.focal import guessed
+from loopcal.estimation.cameras.homography import focal_length, homographies, spread
 from loopcal.estimation.cameras.images import explained
 from loopcal.estimation.cameras.mistakes import CLEAR, corrected, image_misfit
-from loopcal.estimation.cameras.motions import motion_facts
+from loopcal.estimation.cameras.motions import most_alike, motion_facts
 from loopcal.estimation.cameras.placing import Reading, placed, usable_part, view_poses
 from loopcal.estimation.cameras.scale import scale_facts
 from loopcal.estimation.cameras.scene import REDESCENDING, Adjusted, adjusted
-from loopcal.estimation.cameras.turning import most_alike
-from loopcal.estimation.cameras.twists import inverse
 from loopcal.mechanisms.cameras.lens import Intrinsics
 
-Array = NDArray[np.float64]
 PER_VIEW = 24
 """Corners per view that the adjustment of a start takes."""
 FITS = 3.0
@@ -41,7 +39,8 @@ class CameraStart:
     """Where everything stands, and what was found out about the files.
 
     corners, T_base_flange: as corrected; the arrays per corner and view follow these corners.
-    held: the board is on the flange; None without a robot. T_camera_board: (V, 4, 4) of each view
+    held: the board is on the flange; None without a robot. X, Y: (cameras, 4, 4) and (boards, 4, 4)
+    of C_i = X A_i Y (`hand_eye`). T_camera_board: (V, 4, 4) of each view
     in the order of `corners.views`; branches: (V, 2, 4, 4) both poses that the view alone allows,
     chosen: (V,) which of them is nearer. residuals: (N, 2) [px].
     """
@@ -60,49 +59,9 @@ class CameraStart:
     facts: tuple[Fact, ...]
 
     @property
-    def T_camera_base(self) -> dict[str, Array]:
-        """By camera, of a board on the flange; else empty."""
-        return self._by_camera(self.X) if self.held is True else {}
-
-    @property
-    def T_flange_camera(self) -> dict[str, Array]:
-        """By camera, of a camera on the flange; else empty."""
-        return self._by_camera(inverse(self.X)) if self.held is False else {}
-
-    @property
-    def T_flange_board(self) -> dict[str, Array]:
-        """By board, of a board on the flange; else empty."""
-        return self._by_board() if self.held is True else {}
-
-    @property
-    def T_base_board(self) -> dict[str, Array]:
-        """By board, of a camera on the flange; else empty."""
-        return self._by_board() if self.held is False else {}
-
-    @property
-    def rigs(self) -> dict[str, Array]:
-        """T_c_c1 by camera: each camera's frame from that of the first."""
-        return self._by_camera(self.X @ inverse(self.X[0]))
-
-    @property
     def rms(self) -> float:
         """Rms [px] of the residuals' lengths over all corners, wrong ones included."""
         return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
-
-    @property
-    def rms_by_image(self) -> dict[str, float]:
-        """The same for each image with corners."""
-        square, image = np.sum(self.residuals**2, axis=1), self.corners.image
-        return {
-            self.corners.poses[i]: float(np.sqrt(np.mean(square[image == i])))
-            for i in np.unique(image)
-        }
-
-    def _by_camera(self, T: Array) -> dict[str, Array]:
-        return dict(zip(self.corners.cameras, T, strict=True))
-
-    def _by_board(self) -> dict[str, Array]:
-        return {board.name: T for board, T in zip(self.corners.boards, self.Y, strict=True)}
 
 
 def start(
@@ -269,3 +228,65 @@ def _start_of(reading: Reading, result: Adjusted, facts: Sequence[Fact]) -> Came
         result.residuals,
         tuple(facts),
     )
+
+
+# A lens without stated intrinsics: its focal length, from tilted boards or fields of view.
+
+
+FIELDS = (60.0, 35.0, 90.0, 20.0)
+"""Horizontal fields of view [deg] to try: the adjustment converges from a factor of two in f."""
+WIDE = (100.0, 140.0, 180.0)
+"""The same for a fisheye."""
+
+
+def guessed(
+    corners: Corners, camera: int, size: tuple[int, int] | None, lens: str = "brown5"
+) -> list[Intrinsics]:
+    """Lenses to start from, the most plausible first: square pixels, no distortion.
+
+    From homographies where three boards are tilted and the lens is no fisheye, then by fields of
+    view. Of two that adjust alike the first stands.
+    """
+    mine = corners.seen(camera=camera)
+    mine = replace(mine, camera=np.zeros_like(mine.camera), cameras=(corners.cameras[camera],))
+    centre, width = frame(mine, size)
+    lenses = [
+        Intrinsics(lens, f, f, float(centre[0]), float(centre[1]), (), size)
+        for f in _focal_lengths(mine, centre, width, lens)
+    ]
+    return sorted(lenses, key=lambda one: _misfit(mine, one))
+
+
+def frame(corners: Corners, size: tuple[int, int] | None) -> tuple[Array, float]:
+    """Middle (2,) and width [px] of an image; without its size, of what the corners cover."""
+    if size is not None:
+        return (np.array(size, dtype=float) - 1.0) / 2.0, float(size[0])
+    low, high = corners.uv.min(axis=0), corners.uv.max(axis=0)
+    return (low + high) / 2.0, float(max(high - low))
+
+
+def _focal_lengths(corners: Corners, centre: Array, width: float, lens: str) -> Iterator[float]:
+    if lens == "fisheye":
+        yield from (width / np.radians(field) for field in WIDE)
+        return
+    flat = np.array([board.planar for board in corners.boards])[corners.board]
+    if flat.any():
+        some = Reading(corners.where(flat), None, ()).thinned(60, 40).corners
+        xy, views = some.xyz[:, :2], some.views
+        H, _ = homographies(views, xy, some.uv)
+        f = focal_length(H[spread(views, xy)], centre)
+        if f is not None and 0.2 * width < f < 20.0 * width:
+            yield f
+    yield from (0.5 * width / np.tan(np.radians(field / 2.0)) for field in FIELDS)
+
+
+def _misfit(corners: Corners, lens: Intrinsics) -> float:
+    """Core rms [px] with a free pose per image after f and k1 were adjusted."""
+    reading = Reading(corners, None, (lens,)).thinned(20, 12)
+    adjusted = placed(reading, view_poses(reading), ("f", "k1"), iterations=6)
+    return np.inf if adjusted is None else core_of(adjusted)
+
+
+def core_of(adjusted: Adjusted) -> float:
+    """Core rms in steps of 2 %: lenses that differ by less are equally good."""
+    return float(np.round(np.log(max(adjusted.core, 1e-6)) / 0.02))

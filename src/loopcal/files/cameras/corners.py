@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.document import Part, read_document
@@ -26,7 +26,6 @@ from loopcal.files.tables.raw import bytes_of
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.table import Table
 
-Array = NDArray[np.float64]
 _FIRST_PIXEL = re.compile(rb"cent(?:re|er) of (?:the )?first pixel *[=:(] *(0\.5|0\.0|0)\b")
 _HEAD = 4096
 """Bytes of a file in which the comments above its header stand."""

@@ -14,11 +14,10 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 
-Array = NDArray[np.float64]
 Points = dict[str, tuple[float, ...]]
 """By id u and v [px], and the sd [px] where the finder knows it."""
 _MOST_PIXELS = 200_000_000

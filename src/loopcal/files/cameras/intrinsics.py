@@ -20,13 +20,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.cameras.document import Part, read_document, transform
 from loopcal.mechanisms.cameras.lens import LENSES, Intrinsics
 
-Array = NDArray[np.float64]
 _DEPTH = 4
 """Mappings within mappings in which cameras are looked for."""
 _BROWN = {0: "pinhole", 4: "brown5", 5: "brown5", 8: "brown8", 12: "brown12", 14: "brown12"}

@@ -2,7 +2,6 @@
 
 easy_handeye samples      samples: robot and tracking, each translation and rotation; or
                           hand_world_samples and camera_marker_samples, each transforms
-easy_handeye result       parameters, and transformation or transform
 industrial_calibration    x, y, z, qx, qy, qz, qw; several in a list, in a mapping, or in files
                           that `data` lists beside their images
 a table of poses          pose, x, y, z and a quaternion, a matrix or turns, units in the header,
@@ -16,8 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.cameras.corners import split_name
 from loopcal.files.cameras.document import Part, is_transform, read_document, transform
@@ -26,7 +25,6 @@ from loopcal.files.recognition.meanings import meanings
 from loopcal.files.recognition.sources import sources_of
 from loopcal.units import unit
 
-Array = NDArray[np.float64]
 _LISTED = 10_000
 """Files of poses that one file lists."""
 
@@ -55,19 +53,6 @@ class Samples:
     robot: Array
     tracking: Array
     file: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class HandEye:
-    """A hand-eye calibration as easy_handeye keeps it.
-
-    T: place (4, 4) [m] of the camera in the flange's frame, or in the base's where it stands
-    beside the robot; on_hand: which of both; names: of the frames and others, as in the file.
-    """
-
-    T: Array
-    on_hand: bool
-    names: dict[str, str]
 
 
 def read_places(path: str | Path) -> PlaceTable:
@@ -174,17 +159,3 @@ def read_samples(path: str | Path) -> Samples:
             remedy="keep the samples of both together",
         )
     return Samples(np.array(robot), np.array(tracking), document.place)
-
-
-def read_hand_eye(path: str | Path) -> HandEye:
-    """A calibration of easy_handeye, of ROS 1 or 2. Raises InputError for another file."""
-    document = read_document(path)
-    T = transform(document.part("transformation", "transform"))
-    parameters = document.get("parameters") or Part({}, document.place)
-    kind = parameters.get("calibration_type")
-    on_hand = parameters.get("eye_on_hand", "eye_in_hand")
-    if kind is None and on_hand is None:
-        parameters.part("eye_on_hand", "calibration_type")
-    where = kind.text == "eye_in_hand" if kind is not None else bool(on_hand and on_hand.flag)
-    names = {key: one.text for key, one in parameters.items()}
-    return HandEye(T, where, names)

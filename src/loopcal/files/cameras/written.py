@@ -10,13 +10,12 @@ import math
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.mechanisms.rest import quaternion
 
-Array = NDArray[np.float64]
 _ROS = {
     "pinhole": ("plumb_bob", 5),
     "brown5": ("plumb_bob", 5),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.machines.meshes import box, mesh_file, read_mesh, simplified
 from loopcal.files.machines.safe_xml import children
@@ -18,9 +19,10 @@ from loopcal.files.machines.urdf import UrdfRobot
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.placement import inverse
 
-Array = NDArray[np.float64]
 MOST_DRAWN = 3_000
 """Triangles of a whole robot: as many turn without a graphics processor."""
+SIDES = 16
+"""Corners of a cylinder's rings."""
 FEWEST = 40
 """Triangles of a link, however many links there are."""
 
@@ -118,10 +120,10 @@ def _shape(visual: Any, folder: Path, absent: Callable[[str], None]) -> Array | 
     return None
 
 
-def _round(radius: float, length: float, sides: int = 16) -> Array:
+def _round(radius: float, length: float) -> Array:
     """A cylinder about z, its middle at the origin; a sphere is drawn as one."""
-    angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)
-    ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(sides + 1)])
+    angle = np.linspace(0.0, 2.0 * np.pi, SIDES + 1)
+    ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(SIDES + 1)])
     up = np.array([0.0, 0.0, 0.5 * length])
     pieces = []
     for a, b in pairwise(ring):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -10,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
-from loopcal.files.machines.safe_xml import children, local, read_xml
+from loopcal.files.machines.safe_xml import read_xml
 from loopcal.files.tables.raw import bytes_of
 from loopcal.files.toml.reader import shown
 
-Array = NDArray[np.float64]
 Triangles = NDArray[np.float64]
 """(n, 3, 3) corners of triangles [m]."""
 MOST_TRIANGLES, MOST_BYTES = 2_000_000, 100_000_000
@@ -100,113 +101,53 @@ def _obj(path: str | Path) -> Any:
 
 
 def _dae(path: str | Path) -> Any:
-    """The geometries of the scene, each where its nodes put it."""
+    """The geometries of the scene, each where its nodes put it.
+
+    Which axis is up is not followed: RViz and Gazebo draw the meshes of a URDF as they are.
+    """
     root = read_xml(path, "COLLADA", "export the link as STL")
-    every = {e.get("id"): e for e in root.iter() if isinstance(e.tag, str) and e.get("id")}
-    scale, turn = 1.0, np.eye(4)
-    for asset in children(root, "asset"):
-        for unit in children(asset, "unit"):
-            scale = float(unit.get("meter", 1.0))
-        for up in children(asset, "up_axis"):
-            turn = _UP.get((up.text or "").strip(), turn)
-    pieces: list[Array] = []
-    for scene in _inside(root, "visual_scene"):
-        _nodes(scene, every, turn, pieces)
-    if not pieces:  # geometries that no scene places
-        pieces = [t for g in _inside(root, "geometry") for t in _geometry(g, every)]
-    return scale * np.concatenate(pieces) if pieces else []
+    try:
+        from collada import Collada
+        from collada.common import DaeBrokenRefError, DaeError, DaeUnsupportedError
+        from lxml import etree
+    except ImportError:
+        raise InputError(
+            "COLLADA is read by pycollada, which is not installed",
+            code="missing-dependency",
+            place=shown(path),
+            remedy="pip install 'loopcal[app]'",
+        ).then("pip install 'loopcal[app]'") from None
+    # A node whose material is lacking would be left out, and materials are not drawn.
+    for element in [*root.iter("{*}bind_material", "{*}library_effects", "{*}library_images")]:
+        element.getparent().remove(element)
+    try:
+        file = Collada(
+            BytesIO(etree.tostring(root)), ignore=[DaeBrokenRefError, DaeUnsupportedError]
+        )
+    except DaeError as error:
+        raise ValueError(str(error)) from None
+    scene = [] if file.scene is None else list(file.scene.objects("geometry"))
+    pieces, count = [], 0
+    for geometry in scene or [one.bind(np.eye(4), {}) for one in file.geometries]:
+        for part in geometry.primitives():
+            triangles = _fans(part)
+            # A few nodes may name one large geometry any number of times.
+            count += len(triangles)
+            if count > MOST_TRIANGLES:
+                raise ValueError("its scene has too many triangles")
+            pieces.append(triangles)
+    return float(file.assetInfo.unitmeter or 1.0) * np.concatenate(pieces) if pieces else []
 
 
-_UP = {
-    "Y_UP": np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]),
-    "X_UP": np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
-}
-
-
-def _inside(root: Any, tag: str) -> list[Any]:
-    return [e for e in root.iter() if isinstance(e.tag, str) and local(e) == tag]
-
-
-def _nodes(parent: Any, every: Mapping[str, Any], T: Array, pieces: list[Array]) -> None:
-    for node in children(parent, "node"):
-        placed = T @ _transform(node)
-        for instance in children(node, "instance_geometry"):
-            geometry = every.get(str(instance.get("url")).removeprefix("#"))
-            for triangles in [] if geometry is None else _geometry(geometry, every):
-                pieces.append(triangles @ placed[:3, :3].T + placed[:3, 3])
-                # A few nodes may name one large geometry any number of times.
-                if sum(map(len, pieces)) > MOST_TRIANGLES:
-                    raise ValueError("its scene has too many triangles")
-        _nodes(node, every, placed, pieces)
-
-
-def _transform(node: Any) -> Array:
-    """The product of a node's transforms, in the order in which they stand."""
-    T = np.eye(4)
-    for element in node:
-        kind = local(element) if isinstance(element.tag, str) else ""
-        values = _floats(element) if kind in ("matrix", "translate", "scale", "rotate") else []
-        if kind == "matrix":
-            T = T @ np.array(values).reshape(4, 4)
-        elif kind == "translate":
-            T = T @ np.block([[np.eye(3), np.array([values]).T], [np.zeros((1, 3)), 1.0]])
-        elif kind == "scale":
-            T = T @ np.diag([*values, 1.0])
-        elif kind == "rotate":
-            T = T @ _about(np.array(values[:3]), np.radians(values[3]))
-    return T
-
-
-def _about(axis: Array, angle: float) -> Array:
-    """Rodrigues' formula as (4, 4)."""
-    x, y, z = axis / np.linalg.norm(axis)
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    T = np.eye(4)
-    T[:3, :3] += np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K
-    return T
-
-
-def _geometry(geometry: Any, every: Mapping[str, Any]) -> list[Array]:
-    pieces = []
-    for kind in ("triangles", "polylist", "polygons"):
-        for part in _inside(geometry, kind):
-            inputs = {i.get("semantic"): i for i in children(part, "input")}
-            vertices = every[inputs["VERTEX"].get("source").removeprefix("#")]
-            (position,) = (
-                i for i in children(vertices, "input") if i.get("semantic") == "POSITION"
-            )
-            source = every[position.get("source").removeprefix("#")]
-            (values,) = children(source, "float_array")
-            corners = np.array(_floats(values)).reshape(-1, 3)
-            stride = 1 + max(int(i.get("offset", 0)) for i in children(part, "input"))
-            first = int(inputs["VERTEX"].get("offset", 0))
-            for p in children(part, "p"):
-                index = np.array((p.text or "").split(), dtype=int)[first::stride]
-                pieces.append(corners[_fans(part, kind, index)])
-    return pieces
-
-
-def _fans(part: Any, kind: str, index: Any) -> Any:
-    """(n, 3) corners of triangles, of polygons as fans."""
-    if kind == "triangles":
-        return index.reshape(-1, 3)
-    counts = [len(index)]
-    if kind == "polylist":
-        (stated,) = children(part, "vcount")
-        counts = [int(n) for n in (stated.text or "").split()]
-        if sum(counts) != len(index) or min(counts, default=0) < 0:
+def _fans(part: Any) -> Array:
+    """Triangles of a part of a geometry, polygons as fans; none of lines."""
+    if hasattr(part, "triangleset"):
+        counts = part.original.vcounts
+        if counts.sum() != len(part.vertex_index) or counts.min(initial=0) < 0:
             raise ValueError("its polygons are not as large as stated")
-    ends = np.cumsum(counts)
-    fans = [
-        (index[end - n], index[i], index[i + 1])
-        for n, end in zip(counts, ends.tolist(), strict=True)
-        for i in range(end - n + 1, end - 1)
-    ]
-    return np.array(fans, dtype=int).reshape(-1, 3)
-
-
-def _floats(element: Any) -> list[float]:
-    return [float(v) for v in (element.text or "").split()]
+        part = part.triangleset()
+    none: Array = np.zeros((0, 3, 3))
+    return part.vertex[part.vertex_index] if hasattr(part, "ntriangles") else none
 
 
 READERS: Mapping[str, Callable[[str | Path], Any]] = {".stl": _stl, ".obj": _obj, ".dae": _dae}

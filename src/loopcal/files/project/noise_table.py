@@ -9,8 +9,8 @@ from itertools import chain
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, placed
 from loopcal.files.machines.parameter_entries import in_si
 from loopcal.files.toml.place import Place
@@ -25,9 +25,6 @@ from loopcal.measurements.datasheet import (
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.units import unit
-
-Array = NDArray[np.float64]
-
 
 NOISE = Key(
     "By quantity, glob, the joined names of all outputs, or several of these with commas; later "

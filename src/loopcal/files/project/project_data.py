@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, placed
 from loopcal.files.outputs import expanded
 from loopcal.files.project.data_table import (
@@ -20,6 +22,7 @@ from loopcal.files.project.data_table import (
     named_columns,
     refuse_unread,
 )
+from loopcal.files.project.fit_table import Validation
 from loopcal.files.project.noise_table import CovarianceColumns
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.columns import Column
@@ -29,8 +32,6 @@ from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.outputs import measured_points
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,3 +214,65 @@ def _covariance(block: CovarianceColumns, values: Array, dataset: Dataset) -> Ar
     with placed(block.place):
         Noise({block.quantities: matrices})
     return matrices
+
+
+# The readings that a project's validation needs: other files, and the column of groups.
+
+
+def validation_arguments(
+    project: Project, asked: Validation, poses: Sequence[str]
+) -> dict[str, Any]:
+    """What `validate` needs of a validation: the choice, other readings and groups, read.
+
+    poses: ids of the poses that are validated, in their order.
+
+    Raises InputError where a file cannot be read.
+    """
+    arguments: dict[str, Any] = {
+        "folds": asked.folds or 0,
+        "blocks": asked.blocks,
+        "hold_out": asked.hold_out,
+    }
+    if asked.file is not None:
+        other = _other(project, asked.file)
+        arguments |= {"other": other.dataset, "other_noise": other.noise}
+    if asked.group is not None:
+        arguments["groups"] = _groups(project, asked.group, poses)
+        # Groups alone are stations or sessions, each with a placement of the instrument.
+        arguments["place_anew"] = not any((asked.folds, asked.hold_out, asked.file))
+    return {**arguments, "seed": asked.seed}
+
+
+def _other(project: Project, file: str) -> LoadedData:
+    """The readings of another file, in the columns and units of the project's own."""
+    assert project.data is not None
+    columns = {q: c for part in project.data.parts for q, c in part.columns.items()}
+    other = replace(project.data, file=file, columns=columns, exclude=(), every=1, join=())
+    return load_dataset(replace(project, data=other))
+
+
+def _groups(project: Project, column: str | int, poses: Sequence[str]) -> tuple[float, ...]:
+    """The group of each pose: equal numbers in a column of the project's file.
+
+    Of several files the first that has the column; its groups follow the ids of the poses.
+    """
+    spec = project.data
+    assert spec is not None
+    place = Place(project.name).at("data")
+    asked = {"group": Column(column)}
+    if not spec.join:
+        path = expanded(spec.file, project.folder, place.at("file"))
+        return tuple(read_dataset(path, asked, **spec.options)["group"].tolist())
+    for part in spec.parts:
+        path = expanded(part.file, project.folder, place.at("file"))
+        source = read_once(path, **part.keywords)
+        if isinstance(column, int) or column in column_labels(source):
+            read = read_dataset(source, asked, pose=part.pose, **part.keywords)
+            groups = dict(zip(read.poses, read["group"].tolist(), strict=True))
+            return tuple(groups.get(pose, math.nan) for pose in poses)
+    raise InputError(
+        f"no file of readings has the column {column!r}",
+        code="missing-column",
+        place=str(Place(project.name).at("fit", "validation", "group")),
+        remedy="name a column of numbers in one of the files",
+    )

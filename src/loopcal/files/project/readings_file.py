@@ -6,16 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.project.data_table import DataTable, FileTable
 from loopcal.files.tables.table import ROW
 from loopcal.files.tables.writer import Column, table_bytes
 from loopcal.measurements.dataset import Dataset
 from loopcal.units import difference_from_si, from_si
-
-Array = NDArray[np.float64]
 
 
 def readings_tables(

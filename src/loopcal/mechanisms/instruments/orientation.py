@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import dot, rotate, vector
 from loopcal.mechanisms.frame import Values, Vector
 
-Array = NDArray[np.float64]
 FORMS = {"quaternion": ("qw", "qx", "qy", "qz"), "rotation-vector": ("rvx", "rvy", "rvz")}
 """Forms of one kind only, with the names of their numbers where none are given."""
 _AXES = ("rx", "ry", "rz")

@@ -32,8 +32,8 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.expressions.engine import engine_for
 from loopcal.expressions.trace import trace
 from loopcal.expressions.vectors import cross, dot, norm, rotate, vector
@@ -42,7 +42,6 @@ from loopcal.mechanisms.effects.gravity import ACCELERATION, Load, end_of
 from loopcal.mechanisms.frame import ChainFrame, Direction, Values, Vector
 from loopcal.mechanisms.structure.smooth import Smooth
 
-Array = NDArray[np.float64]
 BASE = "base"
 GRAVITY = "gravity"
 TOOL = "tool"

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.start import CameraStart
-from loopcal.estimation.cameras.twists import inverse
 from loopcal.files.cameras.folder import Files, folders_of_images, of_images, read_files
 from loopcal.files.recognition.fields import Source
 from loopcal.files.recognition.observations import Observation
 from loopcal.files.recognition.sources import sources_of
 from loopcal.mechanisms.cameras.lens import Intrinsics
+from loopcal.mechanisms.placement import inverse
 from loopcal.workflow.beginning.from_images import by_camera, named, understood
 from loopcal.workflow.beginning.images_hand import Hand
 from loopcal.workflow.beginning.images_project import ImagesProject, word

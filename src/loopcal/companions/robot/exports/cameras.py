@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.document.exported import Exported
 from loopcal.errors import InputError, listed
@@ -23,8 +23,6 @@ from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.origins import CalibratedOrigin, LinkJoint
 from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.station import Station
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

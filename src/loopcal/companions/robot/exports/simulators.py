@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.companions.robot.exports.urdf import decimal
 from loopcal.document.exported import Exported
@@ -22,7 +22,6 @@ from loopcal.errors import listed
 from loopcal.files.machines.urdf import MOMENTS, Inertial, read_inertials
 from loopcal.mechanisms.rest import RestChain, RestJoint, quaternion
 
-Array = NDArray[np.float64]
 BOUND = 1e-6
 """[kg, kg m^2] least mass and inertia of bodies of which none is known."""
 MASSES = "the URDF calibrated, for masses"

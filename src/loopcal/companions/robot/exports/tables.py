@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.companions.robot.exports.urdf import decimal
 from loopcal.companions.robot.programs.program import written
@@ -33,8 +33,6 @@ from loopcal.document.exported import Exported, Placed
 from loopcal.errors import unknown_name
 from loopcal.measurements.poses import cell_text
 from loopcal.mechanisms.rest import RestChain, RestJoint, quaternion, roll_pitch_yaw
-
-Array = NDArray[np.float64]
 
 
 def csv_text(rows: Iterable[Sequence[str]]) -> str:

@@ -34,8 +34,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.companions.robot.exports.tables import frames_csv
 from loopcal.companions.robot.exports.urdf import decimal
@@ -184,7 +184,6 @@ FORMATS = (
 )
 
 
-Array = NDArray[np.float64]
 QUARTER = 1.570796327
 """The right angle of the controller's tables."""
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
@@ -224,22 +223,6 @@ class UrTable:
             )
         )
 
-    @property
-    def steps(self) -> tuple[Step, ...]:
-        """The arm as elementary steps; its joints are called by the links of `LINKS`."""
-        return tuple(
-            step
-            for link, theta, d, a, alpha in zip(
-                LINKS, self.theta, self.d, self.a, self.alpha, strict=True
-            )
-            for step in (
-                Step("rz", joint=link, constant=theta),
-                Step("tz", constant=d),
-                Step("tx", constant=a),
-                Step("rx", constant=alpha),
-            )
-        )
-
 
 def drawing(model: str) -> UrTable:
     """The table of a model as drawn."""
@@ -260,13 +243,6 @@ class UrOrigins:
     origins: Mapping[str, Array]
     base: Array
     tool: Array
-
-    def pose(self, readings: Sequence[float]) -> Array:
-        """T_base_tip (4, 4) at six readings [rad]."""
-        T = self.base
-        for L, q in zip(self.origins.values(), readings, strict=True):
-            T = T @ L @ product([Step("rz", constant=float(q))], {}, {})
-        return T @ self.tool
 
 
 def ur_origins(chain: RestChain) -> UrOrigins:

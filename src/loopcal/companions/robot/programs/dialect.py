@@ -6,13 +6,10 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from loopcal.arrays import Array
 from loopcal.companions.robot.programs.joint_axes import JointAxes
 from loopcal.companions.robot.programs.program import Program, written
 
-Array = NDArray[np.float64]
 WAIT = 3.0
 """Seconds at each pose."""
 

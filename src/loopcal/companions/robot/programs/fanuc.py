@@ -12,6 +12,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.programs.copying import NOT_ALONE, NOT_NEXT, literal
 from loopcal.companions.robot.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.companions.robot.programs.joint_axes import JointAxes
@@ -30,7 +31,6 @@ from loopcal.companions.robot.programs.program import (
     whole,
 )
 
-Array = NDArray[np.float64]
 _POSITION = re.compile(r"^[ \t]*P\[\s*(\d+)\s*(?::[^\]\r\n]*)?\]\s*\{([^{}]*)\}", re.MULTILINE)
 _BEGUN = re.compile(r"^[ \t]*P\[\s*(\d+)\s*(?::[^\]\r\n]*)?\]\s*\{", re.MULTILINE)
 _FIELD = re.compile(rf"\b([XYZWPR]|J[1-9])\s*=\s*({NUMBER.pattern})\s*(mm|deg)\b")

@@ -7,12 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.tables.columns import Column
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.programs.copying import movable
 from loopcal.companions.robot.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.companions.robot.programs.joint_axes import JointAxes
@@ -28,7 +29,6 @@ from loopcal.companions.robot.programs.program import (
     within,
 )
 
-Array = NDArray[np.float64]
 _ASIDE = re.compile(r'"[^"\r\n]*"|;[^\r\n]*')
 _BRACES = re.compile(r"\{([^{}\r\n]*)\}")
 _PART = re.compile(rf"\s*(\w+)\s+({NUMBER.pattern}|[BHbh]?'[^']*')\s*")

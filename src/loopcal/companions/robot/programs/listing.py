@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.programs.joint_axes import JointAxes
 from loopcal.companions.robot.programs.poses_text import pose_of_turns, turns_of_pose
 from loopcal.companions.robot.programs.program import (
@@ -26,8 +26,6 @@ from loopcal.companions.robot.programs.program import (
     Span,
     written,
 )
-
-Array = NDArray[np.float64]
 
 
 class Listing:

@@ -6,14 +6,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.mechanisms.placement import rigid, yaw_pitch_roll
 from loopcal.mechanisms.rest import quaternion
 from loopcal.mechanisms.station import pose_of
-
-Array = NDArray[np.float64]
 
 
 def pose_of_turns(numbers: Sequence[float]) -> Array:

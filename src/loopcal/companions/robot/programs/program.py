@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.programs.joint_axes import JointAxes
 from loopcal.errors import InputError, short
 
-Array = NDArray[np.float64]
 NUMBER = re.compile(r"[+-]?(?:\d++\.?\d*+|\.\d++)(?:[eE][+-]?\d++)?", re.ASCII)
 LARGEST = 16_000_000
 """Bytes of a program, at most: a larger file is no program."""

@@ -15,6 +15,7 @@ from bisect import bisect_left
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.programs.copying import NOT_ALONE, movable
 from loopcal.companions.robot.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.companions.robot.programs.joint_axes import JointAxes
@@ -31,7 +32,6 @@ from loopcal.companions.robot.programs.program import (
 )
 from loopcal.errors import InputError
 
-Array = NDArray[np.float64]
 _ASIDE = re.compile(r'"(?:[^"\r\n]|"")*"|![^\r\n]*')
 
 

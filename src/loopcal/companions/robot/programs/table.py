@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.robot.programs.dialect import ProgramDialect
 from loopcal.companions.robot.programs.joint_axes import JointAxes
 from loopcal.companions.robot.programs.poses_text import (
@@ -36,7 +36,6 @@ from loopcal.files.tables.dialect import WHITESPACE, Dialect, Row, recognise
 from loopcal.files.tables.reader import Layout
 from loopcal.units import unit
 
-Array = NDArray[np.float64]
 _TURNS = ("tcp_x", "tcp_y", "tcp_z", "tcp_rz", "tcp_ry", "tcp_rx")
 _QUATERNION = (*_TURNS[:3], "tcp_qw", "tcp_qx", "tcp_qy", "tcp_qz")
 _FINE = 1e-9
