@@ -10,6 +10,7 @@ from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.measurements.noise import MODEL
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.structure.smooth import DISCREPANCY
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.statistics.case import Begin, Case, Entrant, without_terms
 from loopcal.statistics.validation import Outcome, unread
@@ -95,10 +96,13 @@ def _with_fewer_terms(case: Case, one: Judged, whole: FitResult, least: float) -
 
 
 def _by_sensors(one: Judged, whole: FitResult) -> Entrant | None:
-    """The candidate whose sensors make all noise; None where the machine's own error was stated, or
-    gains more than an instrument that is as far off its stated sd as that is known."""
+    """The candidate whose sensors make all noise; None where the machine's own error was stated,
+    gains more than an instrument that is as far off its stated sd as that is known, or is what a
+    smooth discrepancy leaves."""
     case = one.entrant.case
     if case.noise is None or case.fit.method.exact or MODEL in case.noise.entries:
+        return None
+    if any(term.name == DISCREPANCY for term in case.mechanism.terms):
         return None
     gains = [n.likelihood_ratio for n in whole.noise if n.role == "disturbance" and n.sd > 0.0]
     if not gains or gains[0] is None or gains[0] > _ONE_SD:
