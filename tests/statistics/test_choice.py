@@ -145,6 +145,26 @@ def test_what_another_beats_by_the_rule_of_the_verdict_is_never_taken(
         assert not beats(risks[one.name], risks[found.name], plan)
 
 
+@pytest.mark.parametrize(("exact", "taken"), [(0.99, "uncertain"), (0.7, "exact")])
+def test_exact_readings_are_taken_only_where_they_predict_much_better(
+    exact: float, taken: str
+) -> None:
+    """exact: rms of exact readings beside that of uncertain ones, the same at every pose."""
+    rng, data = np.random.default_rng(1), noisy()
+    squares = lc.Fit(method="least-squares", model_error="structured")
+    loops = lc.Fit(method="implicit-loop", model_error="structured")
+    errors = np.abs(rng.standard_normal((2, 200)))
+    parts = [np.flatnonzero(np.arange(200) % 5 == i) for i in range(5)]
+    plan: Any = SimpleNamespace(groups=np.arange(200), blocked=SimpleNamespace(indices=parts))
+    judged = [
+        Judged(Entrant(name, Case(ARM.truth, data, None, fit), structured=True), None)
+        for name, fit in (("exact", squares), ("uncertain", loops))
+    ]
+    uneven = 1.0 + 0.05 * rng.standard_normal((2, 200))
+    risks = {"exact": np.square(exact * uneven * errors), "uncertain": np.square(errors)}
+    assert _taken(judged, risks, plan).name == taken
+
+
 def test_a_gain_counts_clusters_not_poses() -> None:
     """Errors shared by a cluster: its standard error is that of as many values as clusters."""
     rng = np.random.default_rng(0)

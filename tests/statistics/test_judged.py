@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 
 import loopcal as lc
 from analyses.gauntlet_truth import Arm
-from analyses.gauntlet_worlds import Rng, World
+from analyses.gauntlet_worlds import Event, Rng, Run, World, nothing
+from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.statistics.case import Case, entrants, without_terms
 from loopcal.statistics.judged import Judged, fitted, lean
@@ -79,3 +81,26 @@ def test_any_term_can_leave_alone(absent: str) -> None:
     assert {t.name for t in made.terms} == names(full) - {absent}
     left = {n for t in full.entrant.case.mechanism.terms if t.name == absent for n in t.parameters}
     assert left.isdisjoint(made.parameters.names)
+
+
+def loose(run: Run, rng: Rng) -> None:
+    run.target += 3e-4 * rng.standard_normal(run.target.shape)
+
+
+@pytest.mark.parametrize(("event", "stays"), [(nothing, False), (loose, True)])
+def test_a_white_error_leaves_that_the_instrument_explains(event: Event, stays: bool) -> None:
+    """Noise twice as large as stated is the instrument's, 0.3 mm at the tool the machine's."""
+    case, full = judged(World(poses=60, event=event, learnt=True, stated=0.5))
+    assert full.whole is not None
+    assert machine_error(full.whole) > 0.0
+    assert lean(case, full, -math.inf) is full  # beside a smooth discrepancy it is what that leaves
+    fewer = lean(case, full, 10.0)
+    assert fewer.whole is not None
+    assert (machine_error(fewer.whole) > 0.0) is stays
+    # later fits of the same candidate have none either
+    again = fewer.entrant.case.calibrated(np.arange(50))
+    assert (machine_error(again) > 0.0) is stays
+
+
+def machine_error(whole: FitResult) -> float:
+    return next(entry.sd for entry in whole.noise if entry.role == "disturbance")

@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.estimation.document_parts import covariance_entry
 from loopcal.files.result.result_file import read_result, write_result
+from loopcal.small_samples import LearntCovariance
+from loopcal.statistics.calibrated import stored_covariance
 from loopcal.statistics.predictor import Predictor, predictor, predictor_of
 from tests.refusals import refused
 
@@ -55,6 +58,20 @@ def test_files_predict_as_the_result_does(noise: lc.Noise, tmp_path: Path) -> No
     np.testing.assert_allclose(a.covariance, b.covariance, rtol=1e-12)
     np.testing.assert_allclose(a.freedom, b.freedom, rtol=1e-4)
     np.testing.assert_allclose(a.region(), b.region(), rtol=1e-4)
+
+
+def test_files_are_as_sure_where_parameters_make_up_for_each_other() -> None:
+    """Two unsure by 0.2 m, as tool and place along the slide of a SCARA, their sum by 10 um."""
+    common, single = np.array([[1.0, -1.0], [-1.0, 1.0]]) / 3.0, np.eye(2)
+    plain = 0.2**2 * common + 1e-5**2 * single
+    slopes = np.array([0.7 * 0.2**2 * common + 0.5 * 1e-5**2 * single])
+    learnt = LearntCovariance(plain, plain, slopes)
+    entry = covariance_entry(("place", "tool"), learnt, plain, frozenset())
+    stored = stored_covariance(entry, None)
+    together = np.array([[1.0, 1.0]])
+    # 2 / 0.5^2 by Satterthwaite
+    assert learnt.through(together).freedom == pytest.approx([8.0], rel=1e-6)
+    assert stored.through(together).freedom == pytest.approx([8.0], rel=1e-6)
 
 
 def test_a_group_with_unlike_sds_keeps_the_noise_of_each() -> None:

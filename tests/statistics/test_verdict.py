@@ -28,7 +28,7 @@ from loopcal.document.change_points import (
     InstrumentDependence,
     Likeness,
 )
-from loopcal.document.choice import Candidate, Chosen, TermEntry
+from loopcal.document.choice import Candidate, Chosen, TermEntry, TermPart
 from loopcal.document.findings import (
     ColumnFault,
     ConflictEntry,
@@ -596,11 +596,21 @@ def test_a_drift_that_ordered_poses_cannot_tell_from_the_machine_leaves_the_answ
     at = replace(entry.region.by[0], sd_at_poses=1e-4)
     document = changed(document, "prediction.region.by", (at,))
     drift = replace(document.parameters[0], name="xP_drift", role="effect", owner="run_drift")
-    for sd, code in ((6e-5, "drift-or-machine"), (4e-5, "sound")):
-        own = (*document.parameters, replace(drift, unit=at.unit, sd=sd))
+    # Each coordinate moves by 1/sqrt(12) of its drift, rms over the run: three by half of it.
+    for sd, code in ((1.1e-4, "drift-or-machine"), (0.9e-4, "sound")):
+        own = (*document.parameters, *3 * (replace(drift, unit=at.unit, sd=sd),))
         found = verdict_of(replace(document, parameters=own)).sound
         assert found.code == code
         assert found.passed is (None if code != "sound" else True)
+
+
+def test_a_drift_that_ordered_poses_tell_from_the_machine_is_told_as_a_change() -> None:
+    part = TermPart(("base_z",), "m", 2e-4, 2e-5, None, "base_z drifts by 0.2 mm over the run")
+    term = replace(SAG, name="run_drift", unit="m", parts=(part,))
+    for gain, code in ((40.0, "drift-modelled"), (2.0, "sound")):
+        found = verdict_of(changed(clean(), "terms", (replace(term, gain=gain),))).sound
+        assert found.code == code
+        assert ("base_z drifts by 0.2 mm" in found.words) is (code != "sound")
 
 
 def test_a_ramp_in_an_order_that_the_joints_tell_leaves_the_answer_open() -> None:

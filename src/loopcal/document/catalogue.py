@@ -134,10 +134,16 @@ _ROWS = (
         detail="{details} {hold}",
     ),
     _sound_open(
+        "drift-modelled",
+        "The fit models a drift of the instrument along the run.",
+        "Check what happened during the run, or measure again.",
+        _REPORT,
+        detail="{details}. Predictions hold for the middle of the run.",
+    ),
+    _sound_open(
         "changes-small",
         "Something moved a little along the run{what}.",
-        "Predictions hold as stated. To be sure, add the effects that change_points of result.json "
-        "lists.",
+        "Predictions hold as stated. To be sure, add the effects that change_points lists.",
         _REPORT,
         detail="{details} That moves the end point by {predicted_sds:2} of its predicted sd.",
     ),
@@ -159,8 +165,7 @@ _ROWS = (
         "observations-conflict",
         "{instrument} contradicts the other observations by {apart:2} rms: its readings miss by "
         "{beside:2} beside them, by {alone:2} by themselves (p = {p_value:p}).",
-        "Check what it assumes: which body it is of, a radius, a flat plane. Then calibrate "
-        "without it, and compare.",
+        "Check what it assumes: a body, a radius, a plane. Then calibrate without it, and compare.",
         _REPORT,
     ),
     _sound_open(
@@ -189,15 +194,14 @@ _ROWS = (
     _sound_open(
         "drift-or-machine",
         "Drift or machine: the joints show the order of the poses, and a drift of the instrument "
-        "over the run is uncertain by {sd:2} (sd), beside a stated sd of {stated:2}.",
+        "is uncertain by {sd:2} (sd, rms over the run), beside a stated sd of {stated:2}.",
         "Measure some poses again at the end, or all in random order.",
         "loopcal plan {project}",
         detail="The stated sds allow for it.",
     ),
     _sound_open(
         "order-by-joints",
-        "The joints predict {r_squared:0%} of the pose order: a drift of the instrument would look "
-        "like an error of the machine.",
+        "The joints predict {r_squared:0%} of the pose order: a drift looks like a machine error.",
         "Measure the poses in random order, or repeat some at start, middle and end.",
         "loopcal plan {project}",
     ),

@@ -76,17 +76,10 @@ def covariance_entry(
         lower_unwidened = lower(unwidened)
     if not len(covariance.slopes):
         return CovarianceEntry(names, "SI", matrix, unwidened=lower_unwidened)
-    slopes = tuple(map(lower, _short(covariance.slopes)))
+    slopes = tuple(map(lower, covariance.slopes))
     return CovarianceEntry(
         names, "SI", matrix, lower(covariance.plain), slopes, unwidened=lower_unwidened
     )
-
-
-def _short(values: Array) -> Array:
-    """To six digits: they say how sure variances are."""
-    size = np.abs(values)
-    power = 10.0 ** (5.0 - np.floor(np.log10(np.where(size > 0.0, size, 1.0))))
-    return np.asarray(np.round(values * power) / power)
 
 
 def shares(corrections: Mapping[str, Array], sds: Mapping[str, Array]) -> dict[str, float]:

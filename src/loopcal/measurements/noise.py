@@ -103,6 +103,12 @@ class Noise:
         more.estimate = {**self.estimate, key: "group"}
         return more
 
+    def with_exact(self, key: str) -> Noise:
+        """The same noise with nothing of one further error."""
+        more = copy(self)
+        more.entries = {**self.entries, key: _checked_entry(key, 0.0)}
+        return more
+
     def take(self, index: NDArray[np.intp]) -> Noise:
         """The noise of the poses at these positions."""
         return self._with_poses(lambda key: self.entries[key][index])

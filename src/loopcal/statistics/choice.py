@@ -7,11 +7,13 @@ parts: poses at random, and regions of the joint space. The risk of a candidate 
 squared distance there, averaged over both ways to leave the pose out; without outputs it is minus
 twice the log density of its loops.
 
-Of structured candidates those terms leave whose gain is not positive. The one of least risk is
-taken, but one that takes no sensor as exact where that is within one paired standard error of it,
-and with only its certain terms where these are. It is taken, or without one the first method,
-unless another is significantly better: lower in both, by more than the 97.5 % point of Student's t
-times the standard error of the mean difference. Errors in one region are not independent, so
+Of structured candidates those terms leave whose gain is not positive, and the white error of the
+machine that the instrument explains as well. The one of least risk is preferred, of those that take
+no sensor as exact where there are any: exact readings make the noise of the instrument an error of
+the machine. It keeps its certain terms alone where these predict within one paired standard error.
+It is taken, or without one the first method, unless another is significantly better: lower in both,
+by more than the 97.5 % point of Student's t times the standard error of the mean difference.
+Errors in one region are not independent, so
 regions are the units of the second; the units of the first are poses. Against a structured
 candidate both must be significant, because poses of a narrow set cannot show what its prior is good
 for elsewhere; between plain methods one is enough. What another candidate beats by the rule of the
@@ -457,13 +459,8 @@ def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> 
         return mean_risk(risks[one.name])
 
     structured = [one for one in judged if one.entrant.structured]
-    preferred = min(structured, key=score) if structured else judged[0]
-    # exact readings are taken only where they predict better
     uncertain = [one for one in structured if not one.entrant.case.fit.method.exact]
-    as_good = [
-        one for one in uncertain if predicts_as_well(risks[one.name], risks[preferred.name], plan)
-    ]
-    preferred = min(as_good, key=score, default=preferred)
+    preferred = min(uncertain or structured, key=score) if structured else judged[0]
     enough = all if structured else any
     better = [
         one

@@ -8,10 +8,16 @@ from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.noise.term_parts import idle
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress as Iterated
+from loopcal.measurements.noise import MODEL
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.structure.smooth import DISCREPANCY
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.statistics.case import Begin, Case, Entrant, without_terms
 from loopcal.statistics.validation import Outcome, unread
+
+# docs/decisions/0142.
+_ONE_SD = 1.0
+"""By so much -2 log of the likelihood rises where a stated sd is off by one sd of its logarithm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +67,14 @@ def fitted(
 
 
 def lean(case: Case, one: Judged, least: float = 0.0) -> Judged:
-    """The candidate without the terms whose gain is at most so much; itself if there are none.
+    """The candidate without the terms whose gain is at most so much, and without the white error of
+    the machine that the stated sds of sensors explain as well; itself if there are none.
 
     Dimensions of the drawing stay: without a term they would be exact. Where one term leaves,
     others may gain less or more, so this goes on until all that are left gain more.
     """
     while one.entrant.structured and one.whole is not None and not one.failed:
-        learnt = one.whole.estimate.variances.terms if one.whole.estimate else None
-        if learnt is None:
-            break
-        drawn = {name for name, _, _ in GEOMETRY_TERMS.values()}
-        fewer = without_terms(case, one.entrant, idle(learnt, least, keep=drawn))
+        fewer = _with_fewer_terms(case, one, one.whole, least) or _by_sensors(one, one.whole)
         if fewer is None:
             break
         begin = Begin.of(one.whole, fewer.case.mechanism)
@@ -82,6 +85,29 @@ def lean(case: Case, one: Judged, least: float = 0.0) -> Judged:
             break
         one = replace(again, entrant=replace(fewer, case=replace(fewer.case, trusted=True)))
     return one
+
+
+def _with_fewer_terms(case: Case, one: Judged, whole: FitResult, least: float) -> Entrant | None:
+    learnt = whole.estimate.variances.terms if whole.estimate else None
+    if learnt is None:
+        return None
+    drawn = {name for name, _, _ in GEOMETRY_TERMS.values()}
+    return without_terms(case, one.entrant, idle(learnt, least, keep=drawn))
+
+
+def _by_sensors(one: Judged, whole: FitResult) -> Entrant | None:
+    """The candidate whose sensors make all noise; None where the machine's own error was stated,
+    gains more than an instrument that is as far off its stated sd as that is known, or is what a
+    smooth discrepancy leaves."""
+    case = one.entrant.case
+    if case.noise is None or case.fit.method.exact or MODEL in case.noise.entries:
+        return None
+    if any(term.name == DISCREPANCY for term in case.mechanism.terms):
+        return None
+    gains = [n.likelihood_ratio for n in whole.noise if n.role == "disturbance" and n.sd > 0.0]
+    if not gains or gains[0] is None or gains[0] > _ONE_SD:
+        return None
+    return replace(one.entrant, case=replace(case, noise=case.noise.with_exact(MODEL)))
 
 
 def _begun_with(mechanism: Mechanism, whole: FitResult) -> Mechanism:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,7 +25,7 @@ SIZE = 3e-3
 """Relative sd of a size that only priors determine from which on its bias counts."""
 # As the changes that may move the end point: record 0054.
 UNSURE = 0.5
-"""Stated sds by which a drift along ordered poses may be uncertain."""
+"""Stated sds by which a drift along ordered poses may move what it moves, rms over the run."""
 # Chosen, not derived: one good data set of a hundred; `analyses.gauntlet` counts all codes.
 _CHANCE = 0.01
 """Share of good data sets with a pose so far off; the search for outliers names more."""
@@ -190,7 +191,8 @@ def drift_or_machine(document: ResultDocument) -> Fact | None:
     region = document.region
     for by in () if region is None else region.by:
         drifts = [p for p in document.parameters if (p.owner, p.unit) == (RUN_DRIFT, by.unit)]
-        sd = max((p.sd or 0.0 for p in drifts), default=0.0)
+        # From -1/2 to 1/2 of it over the run: 1/sqrt(12) of it rms, in each of three coordinates.
+        sd = max((p.sd or 0.0 for p in drifts), default=0.0) * math.sqrt(min(len(drifts), 3) / 12.0)
         if sd > UNSURE * by.sd_at_poses:
             numbers = {"sd": Figure(sd, by.unit), "stated": Figure(by.sd_at_poses, by.unit)}
             return fact("drift-or-machine", numbers=numbers)

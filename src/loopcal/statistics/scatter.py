@@ -40,9 +40,8 @@ class Scatter:
     freedom: float
 
     def added_to(self, entry: CovarianceEntry) -> CovarianceEntry:
-        """The covariance of a document with this, to six digits."""
-        rows = tuple(tuple(float(f"{v:.6g}") for v in row) for row in lower(self.matrix))
-        return replace(entry, scatter=rows, scatter_freedom=self.freedom)
+        """The covariance of a document with this."""
+        return replace(entry, scatter=lower(self.matrix), scatter_freedom=self.freedom)
 
     @classmethod
     def of(cls, entry: CovarianceEntry) -> Scatter | None:

@@ -16,6 +16,7 @@ from loopcal.document.choice import DECISIVE, TermEntry
 from loopcal.document.findings import ConflictEntry, HalvesEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
+from loopcal.mechanisms.effects.effect import RUN_DRIFT, RUN_DRIFT_TURNS
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.presentation.shown import percent
 from loopcal.small_samples import t_quantile
@@ -88,9 +89,13 @@ def _beside(document: ResultDocument, point: ChangePoint) -> float:
 def _modelled_changes(document: ResultDocument) -> Fact | None:
     points = () if document.change_points is None else document.change_points.found
     points = tuple(point for point in points if point.modelled)
-    if not points:
+    if points:
+        return along_the_run("changes-modelled", points, changes=len(points))
+    drifts = [t for t in document.terms if t.name in (RUN_DRIFT, RUN_DRIFT_TURNS) and t.sentences]
+    if not drifts:
         return None
-    return along_the_run("changes-modelled", points, changes=len(points))
+    details = "; ".join(words for term in drifts for words in term.sentences)
+    return fact("drift-modelled", details=details)
 
 
 def along_the_run(code: str, points: Sequence[ChangePoint], **numbers: float) -> Fact:

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 # Two sds are a factor of 9 either way: what separates figures of data sheets from sensors in use.
 # Chosen, not derived.
 SPREAD = math.log(3.0)
-"""Beside a learnt error of the machine, the sd of the logarithm of a learnt over its stated sd."""
+"""Beside an error of the machine, the sd of the logarithm of a learnt over its stated sd."""
 
 
 def with_model(mechanism: Mechanism, data: Dataset, noise: Noise) -> tuple[Mechanism, Dataset]:
@@ -64,7 +64,7 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
         _check_start(problem, position)
     # Only their sum shows where both are white at one target: what is stated of a sensor tells how
     # much of it is the machine's.
-    spread = SPREAD if MODEL in noise.estimate else math.inf
+    spread = SPREAD if MODEL in noise.entries else math.inf
     learnt_components = [
         Component(
             label,
@@ -110,12 +110,9 @@ def entries(
     """
     learnt = estimate.components if estimate else ()
     owner = {i: j for j, component in enumerate(learnt) for i in component.quantities}
-    images = {
-        q: -1 - number
-        for number, family in enumerate(problem.mechanism.families)
-        if family.form == PIXELS
-        for q in family.readings
-    }
+    alike = [f.readings for f in problem.mechanism.families if f.form == PIXELS]
+    alike.append(problem.mechanism.disturbances)
+    together = {q: -1 - number for number, names in enumerate(alike) for q in names}
     quantities = problem.mechanism.tape.quantities
     groups: dict[tuple[int, float], list[str]] = {}
     named_entries: list[tuple[NoiseEntry, list[str]]] = []
@@ -132,8 +129,8 @@ def entries(
             role="disturbance" if quantity in problem.mechanism.disturbances else "reading",
         )
         names = [quantity]
-        if i not in owner and quantity in images:
-            group = groups.setdefault((images[quantity], sd), names)
+        if i not in owner and quantity in together:
+            group = groups.setdefault((together[quantity], sd), names)
             if group is not names:
                 group.append(quantity)
                 continue
