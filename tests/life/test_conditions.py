@@ -53,6 +53,28 @@ def test_an_unchanged_machine_has_no_drift_of_conditions() -> None:
     assert drift_of_conditions(day).shape == (len(calibrated.mechanism.parameters), 0)
 
 
+@pytest.mark.parametrize("warms", [True, False])
+def test_a_machine_that_warms_up_along_a_run_is_named_with_its_size(warms: bool) -> None:
+    made, first = days(0)
+    read = {q: v[:40] for q, v in made.fresh.readings.items()}
+    noise = np.random.default_rng(5).normal(0.0, 2e-5, (3, 40))
+    share = np.linspace(0.0, 1.0, 40)
+    true = dict(zip("xyz", made.fresh.true[:40].T, strict=True))
+    stands = {one.name: one.value for one in lc.verify(first, read | true).placed}
+    for (q, at), row in zip(true.items(), noise, strict=True):
+        base = stands[f"base_{q}"]
+        read[q] = base + (1.0 + 2e-4 * warms * share) * (at - base) + row
+    check = lc.verify(first, read)
+    assert check.verdict["consistent"].passed is not warms
+    points = check.shifts.found
+    assert [one.moved for one in points] == ["expansion"] * warms
+    if warms:
+        (change,) = points[0].changes.values()
+        assert change.size == pytest.approx(2e-4, rel=0.2)
+        assert "the scale of the machine drifted" in check.verdict["consistent"].words
+        assert "ppm" in check.verdict["consistent"].words
+
+
 @pytest.mark.parametrize("draw", [0, 1, 2])
 def test_a_machine_that_grew_is_followed_with_honest_sds(draw: int) -> None:
     made, first = days(draw)
