@@ -42,7 +42,8 @@ _NONE = 1e-4
 """A scale in unit steps: so little is no change."""
 _BEGINS = (1e-2, 1e-1)
 """Scales at which a search begins, for there may be more than one end."""
-# Chosen, not derived: a drift that did not happen costs little, for its learnt size is small.
+# Chosen, not derived, and uncritical: with a drift in every case the true errors of updates after
+# no change, a zero, a bend and warmth (six machines drawn anew) change by 1 % at most on average.
 _UNLIKELY = 0.05
 """p-value of an unchanged machine below which it drifts."""
 # A factor of e in the sd: chosen, not derived.
@@ -71,7 +72,7 @@ def _scales(linear: Linearised, groups: Sequence[Array]) -> Array:
     """(g,) of the groups of columns; zeros where the readings show none of them."""
     g, parts = len(groups), [linear.F, linear.A, *groups]
     rows = np.hstack([*parts, linear.e[:, None]])
-    sums = Sums(np.linalg.qr(rows, mode="r"), True, len(rows))
+    sums = Sums(np.asarray(np.linalg.qr(rows, mode="r")), True, len(rows))
     sizes = [part.shape[1] for part in parts]
     prior_sd = np.repeat([np.inf, *np.ones(g + 1)], sizes)
     owner = np.repeat(np.arange(-2, g).clip(-1), sizes)
