@@ -93,6 +93,8 @@ def _is_it(change: dict[str, Any], planted: dict[str, Any]) -> bool:
     """Whether a change has the planted one's name, or is not distinguishable from it, and size."""
     names = {change["name"], *change.get("alike", ())}
     share = (change.get("value") or 0.0) / planted["size"]
+    if planted["kind"] == "bend":  # a URDF turns the axes of a link by the offset of its joint
+        share = abs(share)
     same = change["name"] in planted["parameters"]
     return bool(names & {*planted["parameters"]}) and (not same or 0.5 <= share <= 2.0)
 

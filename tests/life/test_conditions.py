@@ -10,7 +10,7 @@ from scipy.linalg import null_space
 
 import loopcal as lc
 from analyses.followed import Days, rigidly
-from loopcal.companions.life.conditions import RestrictedLikelihood, drift_of_conditions
+from loopcal.companions.life.conditions import drift_of_conditions
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
 
@@ -26,31 +26,33 @@ def grown(readings: dict[str, np.ndarray], growth: float) -> dict[str, np.ndarra
     return {q: (1.0 + growth) * v if q in "xyz" else v for q, v in readings.items()}
 
 
-def test_the_likelihood_is_that_of_dense_matrices() -> None:
-    rng = np.random.default_rng(1)
-    F, A, B, C = (rng.standard_normal((30, k)) for k in (4, 5, 3, 2))
-    e = rng.standard_normal(30)
-    columns = np.column_stack([A, B, C, e])
-    columns -= F @ np.linalg.lstsq(F, columns, rcond=None)[0]
-    owner = np.repeat([0, 1, 2], [5, 3, 2])
-    likelihood = RestrictedLikelihood(columns.T @ columns, owner, 26)
-    K, values = null_space(F.T), []
-    logs = [np.array(v) for v in ([0.0, 0.0, 0.0], [0.3, -1.0, 0.7])]
-    for sd, s, t in np.exp(logs):
-        V = K.T @ (sd**2 * np.eye(30) + A @ A.T + s**2 * B @ B.T + t**2 * C @ C.T) @ K
-        values.append(np.linalg.slogdet(V)[1] + (K.T @ e) @ np.linalg.solve(V, K.T @ e))
-    assert [likelihood(one)[0] for one in logs] == pytest.approx(values, rel=1e-10)
-    for one in logs:
-        steps = 1e-6 * np.eye(3)
-        slopes = [(likelihood(one + s)[0] - likelihood(one - s)[0]) / 2e-6 for s in steps]
-        assert likelihood(one)[1] == pytest.approx(slopes, rel=1e-6, abs=1e-6)
-
-
 def test_an_unchanged_machine_has_no_drift_of_conditions() -> None:
     made, first = days(0)
     calibrated = Calibrated.of(first, "").stationed
     day = Day.of(calibrated, lc.Dataset.from_arrays(made.later.readings), made.later.noise)
     assert drift_of_conditions(day).shape == (len(calibrated.mechanism.parameters), 0)
+
+
+@pytest.mark.parametrize("warms", [True, False])
+def test_a_machine_that_warms_up_along_a_run_is_named_with_its_size(warms: bool) -> None:
+    made, first = days(0)
+    read = {q: v[:40] for q, v in made.fresh.readings.items()}
+    noise = np.random.default_rng(5).normal(0.0, 2e-5, (3, 40))
+    share = np.linspace(0.0, 1.0, 40)
+    true = dict(zip("xyz", made.fresh.true[:40].T, strict=True))
+    stands = {one.name: one.value for one in lc.verify(first, read | true).placed}
+    for (q, at), row in zip(true.items(), noise, strict=True):
+        base = stands[f"base_{q}"]
+        read[q] = base + (1.0 + 2e-4 * warms * share) * (at - base) + row
+    check = lc.verify(first, read)
+    assert check.verdict["consistent"].passed is not warms
+    points = check.shifts.found
+    assert [one.moved for one in points] == ["expansion"] * warms
+    if warms:
+        (change,) = points[0].changes.values()
+        assert change.size == pytest.approx(2e-4, rel=0.2)
+        assert "the scale of the machine drifted" in check.verdict["consistent"].words
+        assert "ppm" in check.verdict["consistent"].words
 
 
 @pytest.mark.parametrize("draw", [0, 1, 2])
@@ -87,3 +89,25 @@ def test_learnt_sds_of_outputs_count_where_an_update_learnt_them() -> None:
     learnt = next(entry.sd for entry in updated.noise if "x" in entry.quantities)
     predicted = lc.predict(updated, made.fresh.readings)
     assert (np.diagonal(predicted.covariance, axis1=1, axis2=2) > learnt**2).all()
+
+
+def test_the_scales_are_the_likeliest_of_dense_matrices() -> None:
+    """Of a machine that grew; by the likelihood of what the placement leaves, on a grid."""
+    made, first = days(0)
+    calibrated = Calibrated.of(first, "").stationed
+    data = lc.Dataset.from_arrays(grown(made.later.readings, 5e-4))
+    day = Day.of(calibrated, data, made.later.noise)
+    linear, steps = day.linearised(), drift_of_conditions(day)
+    J = linear.placement.J / np.sqrt(linear.factor)
+    K = null_space(linear.F.T)
+
+    def criterion(sd: float, factor: float) -> float:
+        grown_by = K.T @ np.hstack([linear.A, factor * J @ steps])
+        V = sd**2 * np.eye(K.shape[1]) + grown_by @ grown_by.T
+        e = K.T @ linear.e
+        return float(np.linalg.slogdet(V)[1] + e @ np.linalg.solve(V, e))
+
+    assert steps.size
+    at = min(criterion(sd, 1.0) for sd in np.linspace(1.0, 2.0, 21))
+    for factor in (0.5, 0.8, 1.25, 2.0):
+        assert at < min(criterion(sd, factor) for sd in np.linspace(1.0, 2.0, 21)) + 0.05

@@ -14,6 +14,9 @@ from analyses.followed import ALLOWED, LATER, ZERO, Days, moved
 from analyses.gauntlet_worlds import World
 from loopcal.companions.life.drift import Drifting
 from loopcal.estimation.prediction import predict_outputs
+from loopcal.mechanisms.instruments.point import point
+from loopcal.mechanisms.machine import assemble
+from loopcal.mechanisms.origins import LinkJoint, Mimic, joint_chain
 from loopcal.mechanisms.redundancy import exchanged
 from loopcal.statistics.calibrated import Calibrated
 from tests.command_line import run_here as run
@@ -132,3 +135,31 @@ def test_the_zero_of_every_joint_can_drift() -> None:
     assert len([name for name in stated if name[:2] in days.joints]) >= len(days.joints)
     assert drifting.columns(stated).shape == (len(known.mechanism.parameters), len(stated))
     assert len(days.later.readings["q1"]) == LATER
+
+
+def test_the_zero_of_a_joint_that_others_follow_is_followed_with_theirs() -> None:
+    """A palletiser keeps its forearm level by a rod: its elbow turns back with the shoulder."""
+    level = Mimic("q2", -1.0)
+    joints = [
+        LinkJoint("q1", "revolute", (0.0, 0.0, 0.8), axis=(0.0, 0.0, 1.0)),
+        LinkJoint("q2", "revolute", (0.3, 0.0, 0.0), axis=(0.0, 1.0, 0.0)),
+        LinkJoint("elbow", "revolute", (0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0), mimic=level),
+        LinkJoint("q3", "revolute", (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0)),
+        LinkJoint("q4", "revolute", (1.1, 0.0, 0.0), axis=(1.0, 0.0, 0.0)),
+        LinkJoint("flange", "fixed", (0.1, 0.0, 0.0)),
+    ]
+    made = assemble(joint_chain(joints), [point(readings=("x", "y", "z"))])
+    arm = lc.fix_redundant(made.with_nominal({"tool_x": 0.1, "tool_z": 0.05, "tool_y": 0.05}))
+    box = {"q1": (-2.0, 2.0), "q2": (-0.5, 0.8), "q3": (-0.4, 0.6), "q4": (-2.0, 2.0)}
+    noise = lc.Noise({"q?": 2e-5, "x": 2e-5, "y": 2e-5, "z": 2e-5})
+    days = [
+        lc.simulate(arm, lc.random_poses(box, count, seed=count), noise=noise, seed=count).dataset
+        for count in (60, 15)
+    ]
+    first = lc.calibrate(arm, days[0], noise=noise, method="implicit-loop")
+    later = {q: days[1][q] for q in days[1].readings}
+    updated = lc.update(first, moved(later, "q2", 1e-3))
+    assert any("the zero of q2 anew" in words for words in updated.warnings)
+    assert not any("mixes both machines" in words for words in updated.warnings)
+    change = {n: updated.value[n] - first.value[n] for n in ("q2_ry", "elbow_ry")}
+    assert change == pytest.approx({"q2_ry": 1e-3, "elbow_ry": -1e-3}, abs=2e-4)

@@ -258,6 +258,8 @@ def test_the_budget_adds_up_to_what_predict_and_the_verdict_state(planar: Path) 
     assert scale == pytest.approx(2e-6 * spread)
     assert thermal == pytest.approx(11.5e-6 * 0.5 * spread)
     assert pytest.approx(made.k * at_poses.combined) == at_poses.U
+    each = [t_quantile(0.9544997, f) for f in predicted.freedom.ravel().tolist()]
+    assert min(each) - 1e-6 <= made.k <= np.mean(each) + 1e-6
 
 
 def test_what_is_not_stated_counts_nothing_in_the_budget(planar: Path) -> None:

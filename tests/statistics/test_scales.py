@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from analyses.scales import begun, within
+from analyses.scales import begun, drawn, within
 from loopcal.statistics.ordered_system import OrderedSystem
 from loopcal.statistics.scales import scales
 
@@ -32,3 +32,12 @@ def test_the_scale_of_all_readings_shows_beside_a_drawing_that_is_kept_to() -> N
     for length, shows in ((5e-6, True), (1e-3, False)):
         system = within(two_stations(), length)
         assert (scales(system.fitted())[-1].sd < 1e-4) is shows
+
+
+def test_a_scale_is_in_what_the_sd_of_lengths_was_learnt_from() -> None:
+    """By the sd alone 0.5 % of all lengths are hardly more than three of their sds."""
+    system = within(begun(0, 1), 3e-4)
+    (scaled,), (kept,) = drawn(system, 5e-3, 1), drawn(system, 0.0, 1)
+    assert scaled.size > 3e-3
+    assert scaled.p_value < 1e-3 < kept.p_value
+    assert abs(scaled.size / scaled.sd) < 4.0

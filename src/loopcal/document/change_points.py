@@ -10,14 +10,16 @@ from loopcal.document.bounds import Count, Probability, Size
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import enumerated, percent, significant, with_unit
 
-Moved = Literal["target", "station", "joint", "reading", "load"]
+Moved = Literal["target", "station", "joint", "reading", "load", "expansion"]
 _WORDS = {
-    "target": "the target {names} moved on the body",
-    "station": "the instrument or the machine's base moved ({names})",
-    "joint": "the zero of the joint {names} changed",
-    "reading": "the zero of {names} changed",
-    "load": "the load on the tool changed",
+    "target": ("the target {names}", "moved", "on the body"),
+    "station": ("the instrument or the machine's base", "moved", "({names})"),
+    "joint": ("the zero of the joint {names}", "changed", ""),
+    "reading": ("the zero of {names}", "changed", ""),
+    "load": ("the load on the tool", "changed", ""),
+    "expansion": ("{names}", "changed", "as when it warms up"),
 }
+"""Of what moved: what it is, the verb of a step, and what follows."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,11 @@ class ChangePoint:
     @property
     def what(self) -> str:
         """When it changed, and what."""
-        text = f"{when([self])} {_WORDS[self.moved].format(names=', '.join(self.names))}"
+        subject, verb, more = _WORDS[self.moved]
+        verb = "drifted" if self.shape == "ramp" else verb
+        names = ", ".join(self.names)
+        subject, more = subject.format(names=names), more.format(names=names)
+        text = " ".join(part for part in (when([self]), subject, verb, more) if part)
         return f"{text} (or else {'; '.join(self.alternatives)})" if self.alternatives else text
 
     @property
@@ -80,8 +86,13 @@ class ChangePoint:
         # Parts within their noise would read as moves; all are shown only where none is clear.
         clear = {n: c for n, c in self.changes.items() if abs(c.size) >= 3.0 * c.sd}
         moved = (clear or self.changes).items()
-        sizes = ", ".join(f"{name} by {with_unit(c.size, c.unit)}" for name, c in moved)
+        sizes = ", ".join(f"{name} by {self._by(c)}" for name, c in moved)
         return f"{sizes}, p = {self.p_value:.2g}"
+
+    def _by(self, change: Change) -> str:
+        if self.moved == "expansion":
+            return f"{significant(1e6 * change.size, 3)} ppm"
+        return with_unit(change.size, change.unit)
 
     def __str__(self) -> str:
         return f"{self.what}: {self.sizes}"

@@ -18,7 +18,12 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Linearised, components_of
-from loopcal.statistics.possible_changes import changed_share, unit_of
+from loopcal.statistics.possible_changes import (
+    ALONG_ANOTHER_DAY,
+    changed_share,
+    possible,
+    unit_of,
+)
 from loopcal.statistics.replacing import Replaced, freed, replaced
 from loopcal.statistics.run_order import told_by_joints
 
@@ -110,11 +115,11 @@ class Day:
         number = np.empty(len(self.problem.poses))
         number[pose_order(self.problem)] = np.arange(1.0, len(number) + 1.0)
         row = number[placement.row_poses][:, None]
+        causes = {one.titles: one for one in possible(self.problem, ALONG_ANOTHER_DAY)}
         columns = []
         for point in self.moved:
-            names = sorted(point.names, key=lambda n: n not in self.problem.mechanism.quantities)
             share = changed_share(row, point.number, point.until)
-            columns.append(share * placement.columns(names))
+            columns.append(share * causes[point.names].columns(placement.columns))
         return np.hstack(columns)
 
     def without(self, poses: NDArray[np.intp]) -> Day:

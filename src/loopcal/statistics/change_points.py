@@ -35,6 +35,7 @@ from loopcal.statistics.estimated import log_tail
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
 from loopcal.statistics.possible_changes import (
     ALONG_A_RUN,
+    Cause,
     Possible,
     changed_share,
     possible,
@@ -59,8 +60,9 @@ UNREMARKABLE = 1e-3
 # Six cosines, R^2 of 0.5 and e^10 below: record 0051.
 _WAVES, _EDGE = 6, 1e-3
 """A step is kept if its edge stands out of so many slow cosines over the run at this level."""
-_INSTRUMENT = ("station", "reading")
-"""A drift is modelled where it is one of an instrument, in an order that the joints do not tell."""
+_DRIFTING = ("station", "reading", "expansion")
+"""A drift is told apart where it is one of an instrument, or of the whole machine, in an order that
+the joints do not tell."""
 _RARE = 10.0
 """By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
 the last joint does the same, and does it more often."""
@@ -184,10 +186,15 @@ def apart(point: ChangePoint, points: Sequence[ChangePoint]) -> bool:
 class Search:
     """Forward selection of steps, each placed anew when another joins."""
 
-    def __init__(self, system: OrderedSystem, level: float = NOT_SEARCHED.level) -> None:
+    def __init__(
+        self,
+        system: OrderedSystem,
+        level: float = NOT_SEARCHED.level,
+        causes: Sequence[Cause] = ALONG_A_RUN,
+    ) -> None:
         self.problem, self.level, self.system = system.problem, level, system
-        changes = possible(self.problem, ALONG_A_RUN)
-        self.candidates = [_Candidate(one, self.system.columns(one.names)) for one in changes]
+        changes = possible(self.problem, causes)
+        self.candidates = [_Candidate(one, one.columns(system.columns)) for one in changes]
         steps = len(self.system.E) * sum(one.steps for one in changes)
         ramps = sum(one.ramps for one in changes)
         # Half of the level for steps, half for ramps; each shared by all of its tests (Bonferroni).
@@ -260,7 +267,7 @@ class Search:
         smooth = self._smooth(fit, steps, cosines) if cosines > _WAVES else []
         clear = [step for step in steps if step.ramp or step not in smooth]
         if followed < FOLLOWED:
-            return [s for s in clear if not s.ramp or s.candidate.change.kind in _INSTRUMENT]
+            return [s for s in clear if not s.ramp or s.candidate.change.kind in _DRIFTING]
         return [step for step in clear if not step.ramp]
 
     def _joints(self) -> Array:
@@ -287,7 +294,7 @@ class Search:
             if (c.change.ramps if step.ramp else c.change.steps)
             and not {*c.change.names} & {*change.names}
         ]
-        sizes = zip(change.names, estimated.size.tolist(), estimated.sds.tolist(), strict=True)
+        sizes = zip(change.titles, estimated.size.tolist(), estimated.sds.tolist(), strict=True)
         poses, order = self.problem.poses, self.system.order
         return ChangePoint(
             "ramp" if step.ramp else "step",
@@ -295,11 +302,14 @@ class Search:
             poses[order[step.at - 1 if step.until is None else step.until]],
             step.at + 1,
             cast(Moved, change.kind),
-            {name: Change(size, sd, unit_of(self.problem, name)) for name, size, sd in sizes},
+            {
+                name: Change(size, sd, "1" if change.parts else unit_of(self.problem, name))
+                for name, size, sd in sizes
+            },
             estimated.before(spare),
             min(1.0, math.exp(estimated.log_p(spare)) * self.tests[step.ramp]),
             tuple(
-                ", ".join(c.change.names)
+                ", ".join(c.change.titles)
                 for c in others
                 if rest.step(replace(step, candidate=c).columns).log_p() - estimated.log_p()
                 < _ALIKE
@@ -344,6 +354,6 @@ class Search:
 
 def _without(fit: Fitted, steps: Sequence[_Step], step: _Step) -> Fitted:
     """A fit with these steps, without one of them."""
-    sizes = [len(one.candidate.change.names) for one in steps]
+    sizes = [one.candidate.columns.shape[2] for one in steps]
     at = steps.index(step)
     return fit.without(fit.further - sum(sizes[at:]), sizes[at])

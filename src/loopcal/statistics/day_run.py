@@ -25,6 +25,7 @@ from loopcal.statistics.change_points import NOT_SEARCHED, Search, Shifts, searc
 from loopcal.statistics.change_tests import Explained
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem
+from loopcal.statistics.possible_changes import ALONG_ANOTHER_DAY
 from loopcal.statistics.replacing import ASTRAY
 
 Array = NDArray[np.float64]
@@ -59,7 +60,8 @@ def searched(explained: Explained) -> Run:
     linear = explained.linear
     if not searchable(len(linear.placement.problem.poses)):
         return Run()
-    shifts, fit = Search(_system(linear, explained.columns)).run()
+    system = _system(linear, explained.columns)
+    shifts, fit = Search(system, causes=ALONG_ANOTHER_DAY).run()
     return Run(shifts, _outliers(linear, fit))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,20 @@ class Possible:
         if self.parts:
             return tuple(dict(part) for part in self.parts)
         return tuple({name: 1.0} for name in self.names)
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """What each of its parts is called."""
+        return (self.label,) if len(self.parts) == 1 else self.names
+
+    def columns(self, of: Callable[[Sequence[str]], Array]) -> Array:
+        """(..., d) of its parts, by those of its names."""
+        each = of(self.names)
+        if not self.parts:
+            return each
+        return np.asarray(
+            each @ np.array([[d.get(n, 0.0) for d in self.directions] for n in self.names])
+        )
 
     @property
     def most(self) -> float:
@@ -258,7 +272,15 @@ def _expansion(problem: Problem) -> Iterator[Possible]:
         yield Possible("expansion", names, parts=(part,), label="the scale of the machine")
 
 
+def _warming(problem: Problem) -> Iterator[Possible]:
+    """The machine grows all along a run; at once it does not."""
+    for one in _expansion(problem):
+        yield replace(one, steps=False)
+
+
 ALONG_A_RUN: tuple[Cause, ...] = (_targets, _stations, _joints, _readings, _loads)
+ALONG_ANOTHER_DAY: tuple[Cause, ...] = (*ALONG_A_RUN, _warming)
+"""Of a machine that is held: a fit of the run itself takes warming up by its own terms."""
 BETWEEN_DAYS: tuple[Cause, ...] = (
     *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion),
 )

@@ -7,7 +7,13 @@ whitened equations, sum_q p_q C_q of its readings q, stands beside those of all 
 
 e the equations, H with the priors of the parameters. Stations are compared with the first. A scale
 of all of them is that of the machine's lengths, and shows only beside the sds by which these keep
-to the drawing; where those are learnt from k lengths, (s / sd)^2 is F(1, k - 1), else chi-squared.
+to the drawing. With z = s / sd, z^2 is chi-squared where these are stated. Where they are learnt
+from k lengths, the scale is in what they were learnt from, as in a regression of the errors of
+lengths on the lengths: z^2 / k is the share of squares that it explains, and
+(k - 1) z^2 / (k - z^2) is F(1, k - 1).
+
+The column stands at the readings, whose noise, 1 in each of m whitened equations, is in the column
+too. It draws s towards 1 by m sd^2, which is less than sd only where sd < 1 / m.
 """
 
 from __future__ import annotations
@@ -27,9 +33,9 @@ from loopcal.statistics.ordered_system import Fitted, OrderedSystem
 Array = NDArray[np.float64]
 _FORMS = {"point": 3, "pose": 3, "spherical": 1, "polar": 1}
 """What reads lengths from where it stands, and how many of its readings are lengths."""
-# The columns stand at the readings, whose noise is 1e-4 of them at most, 1e-8 in the square.
-_ABSORBED = 1e-6
-"""A scale that all else takes up but for this share is not determined."""
+# Far above rounding, 1e-16 times the condition of the products. Chosen, not derived.
+_ABSORBED = 1e-10
+"""Of the square of a column, what is left beside all else, below which it is rounding."""
 
 
 def scales(fit: Fitted) -> tuple[ScaleEntry, ...]:
@@ -99,5 +105,10 @@ def _entry(
     if not found.rank:
         return None
     (size,), (sd,) = found.size.tolist(), found.sds.tolist()
-    p_value = f_tail(found.before(fit.spare), 1, freedom)
+    if sd > 1.0 / fit.system.equations.sum():
+        return None
+    square = found.before(fit.spare)
+    if math.isfinite(freedom):
+        square *= freedom / max(freedom + 1.0 - square, 1e-300)
+    p_value = f_tail(square, 1, freedom)
     return ScaleEntry(tuple(names), size, sd, p_value, abs(size) * spread)

@@ -12,6 +12,8 @@ from analyses.small_samples import CASES, Drawn, counted
 from loopcal.estimation.noise.kenward_roger import learnt_parameters
 from loopcal.estimation.noise.linear_model import mixed_fit, projected, whitened
 from loopcal.estimation.noise.variance_components import estimate_ratios
+from loopcal.measurements.noise import MODEL
+from loopcal.mechanisms.model_error import with_model_error
 
 ARM = lc.planar_two_link()
 BOX = {"phi2": (0.0, 1.6), "phi3": (0.0, 1.6)}
@@ -176,3 +178,18 @@ def test_the_score_alone_is_that_beside_the_information() -> None:
     assert alone.criterion == beside.criterion
     size = np.sqrt(np.diag(beside.information))
     np.testing.assert_allclose(alone.score / size, beside.score / size, atol=1e-9)
+
+
+def test_no_variance_is_unsure_by_more_than_itself() -> None:
+    """Instrument and model noise of the same readings: only their sum is seen."""
+    machine = with_model_error(ARM)
+    at = lc.random_poses(BOX, 12, seed=3)
+    readings = lc.simulate(ARM, at, noise=lc.Noise(SDS), seed=4).dataset
+    noise = lc.Noise(SDS | {MODEL: 5e-4}, estimate={"?P": "group", MODEL: "group"})
+    result = lc.calibrate(machine, readings, noise=noise, start="nominal", method="implicit-loop")
+    estimate = result.estimate
+    assert estimate is not None
+    found, ratios = learnt_parameters(estimate), estimate.sensor_estimate.ratios
+    shares = np.abs(found.errors[ratios > 0.0] / ratios[ratios > 0.0, None])
+    assert shares.max() == pytest.approx(1.0)
+    assert lc.predict(result, at).freedom.min() > 1.5

@@ -13,6 +13,7 @@ change adds q^2 v v^T to the covariance of the machine.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -192,9 +193,12 @@ class Drifting:
 
     @cached_property
     def _zeros(self) -> Mapping[str, str]:
-        """Of each driven joint its estimated zero; the joint itself where it has none."""
+        """Of each driven joint its estimated zero; the joint itself where it has none, or where
+        others follow it, whose zeros move as well."""
         mechanism = self.calibrated.mechanism
         zeros = {p.owner: p.name for p in mechanism.parameters if p.role == "zero" and not p.fixed}
+        moved = Counter(step.joint for step in mechanism.tree.steps) if mechanism.tree else {}
+        zeros = {joint: name for joint, name in zeros.items() if moved.get(joint, 1) == 1}
         return {joint: zeros.get(joint, joint) for joint in driven_joints(mechanism)}
 
     @cached_property

@@ -177,8 +177,7 @@ def _budget(
         ),
     ]
     outside = math.hypot(*(one.sd or 0.0 for one in parts if not one.inside))
-    freedom = prediction.freedom[:, list(group.rows)]
-    k = t_quantile(SIGMAS_2, float(freedom.min()))
+    k = t_quantile(SIGMAS_2, _freedom(prediction, group, usable))
     places = [_place("measured poses", "loopcal predict", stated, outside, k)]
     if valid is not None and valid.sd is not None:
         places.append(_place("working region", "the answer 'valid'", valid.sd, outside, k))
@@ -203,6 +202,16 @@ def _of_length(
 def _rms(covariance: Array, group: OutputGroup, poses: NDArray[np.bool_]) -> float:
     """Over these poses."""
     return float(np.sqrt(np.square(trace_sd(covariance, group)[poses]).mean()))
+
+
+def _freedom(prediction: Prediction, group: OutputGroup, poses: NDArray[np.bool_]) -> float:
+    """Degrees of freedom of the mean variance over these poses, whose errors all go together: sds
+    v sqrt(2 / nu) of variances v (Satterthwaite 1946) then add up."""
+    rows = list(group.rows)
+    freedom = prediction.freedom[poses][:, rows]
+    variance = np.einsum("nii->ni", prediction.covariance)[poses][:, rows]
+    unsure = float((variance / np.sqrt(freedom)).sum())
+    return (float(variance.sum()) / unsure) ** 2 if unsure > 0.0 else math.inf
 
 
 def _distance(predictor: Predictor, prediction: Prediction, group: OutputGroup) -> float | None:

@@ -257,6 +257,10 @@ def _errors(sensors: _Sensors, first: Array, terms: Sequence[_Term]) -> Array:
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale) + np.diag(flattest))
     root = vectors / np.sqrt(np.maximum(values, _RIDGE))
     errors: Array = np.where(shown, 1.0 / scale, 0.0)[:, None] * root
+    # No variance is below zero: what two share goes no further than to where one of them vanishes.
+    present = sensors.ratios > 0.0
+    shares = np.abs(errors[:c][present] / sensors.ratios[present, None])
+    errors /= np.maximum(shares.max(axis=0, initial=0.0), 1.0)
     return errors
 
 
