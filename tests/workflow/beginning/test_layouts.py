@@ -70,6 +70,12 @@ def joint_readings(made: lc.InitialProject) -> np.ndarray:
         "PolyWorks: a row per coordinate",
         "a sheet with a title, merged headers and units below",
         "pandas: index and two levels of columns",
+        "Staubli: command and feedback of each joint in turn",
+        "Doosan: actual and target positions, tool position, alphabetical",
+        "FARO CAM2: quoted names, no header, blanks",
+        "KUKA RSI: a line of XML per pose",
+        "units within the cells: 12.345°, 1234.5 mm",
+        "a sheet with a column per pose",
     ],
 )
 def test_what_was_measured_is_read(tmp_path: Path, name: str) -> None:
@@ -80,9 +86,27 @@ def test_what_was_measured_is_read(tmp_path: Path, name: str) -> None:
     assert fit.rms < 3e-3
 
 
-def test_a_length_beside_two_angles_is_a_tracker(tmp_path: Path) -> None:
-    _, made = begun("Distance, Azimut, Élévation", tmp_path)
+@pytest.mark.parametrize(
+    "name",
+    ["Distance, Azimut, Élévation", "a total station: Hz and V in degrees, minutes, seconds"],
+)
+def test_a_length_beside_two_angles_is_a_tracker(tmp_path: Path, name: str) -> None:
+    _, made = begun(name, tmp_path)
     assert list(made.fits) == ["tracker"]
+
+
+def test_an_angle_that_is_no_number_is_no_text_to_pass_over(tmp_path: Path) -> None:
+    world = World("six", 2)
+    described(world, tmp_path)
+    seen = {"Hz": ["12-30-45"] * POSES, "V": ["80-10-10"] * POSES, "D [m]": world.points[:, 0]}
+    written(tmp_path / "a.csv", {**joints(world), **seen})
+    with refused("invalid-number", "row 2, column 'Hz'", "12-30-45"):
+        lc.init(tmp_path / "a.csv", dh=tmp_path / "dh.csv")
+
+
+def test_coordinates_in_a_file_of_their_own_are_no_turn(tmp_path: Path) -> None:
+    _, made = begun("Epson: a .pts of computed points beside joints and a tracker", tmp_path)
+    assert list(made.fits) == ["point"]
 
 
 @pytest.mark.parametrize(

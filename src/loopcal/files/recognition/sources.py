@@ -33,6 +33,7 @@ from loopcal.files.recognition.headers import (
 )
 from loopcal.files.recognition.lists import listed_columns
 from loopcal.files.recognition.shots import MOST_TARGETS, pooled, widened
+from loopcal.files.recognition.turned_over import turned_over
 from loopcal.files.tables import bag
 from loopcal.files.tables.recording import Recording
 from loopcal.files.tables.registry import reader_of
@@ -44,6 +45,8 @@ from loopcal.measurements.tables import as_numbers, column, column_names
 
 _IDS = frozenset(words("columns", "pose"))
 _TARGETS = frozenset(words("columns", "target"))
+_ANGLES = frozenset(words("columns", "azimuth") + words("columns", "elevation"))
+_NUMBER_FIRST = re.compile(r"[-+]?\d")
 _NAMES = 2
 """Columns that a header between other rows names at least."""
 _CLEARLY = 3
@@ -134,7 +137,7 @@ def _of_recording(
 
 def _of_file(path: Path, number: int, sheet: str | None) -> tuple[Source, ...]:
     if sheet is not None or reader_of(path).part != "sheet":
-        table, title = framed_table(path, sheet, _NAMES)
+        table, title = _framed(path, sheet)
         return (_of_table(path, table, title, number, sheet),)
     sheets = _sheets(path)
     which = ", ".join(f"{short(str(one.sheet))!r} ({len(one.rows)} rows)" for one, _ in sheets[:10])
@@ -157,6 +160,13 @@ def _of_file(path: Path, number: int, sheet: str | None) -> tuple[Source, ...]:
         remark = f"{path.name} has several sheets: {which}; {read}. {taken[0].remark}".strip()
         taken[0] = replace(taken[0], remark=remark)
     return tuple(taken)
+
+
+def _framed(path: Path, part: str | int | None) -> tuple[Table, str]:
+    """The table of a file with a row per pose, and what to say of the rows around it."""
+    table, title = framed_table(path, part, _NAMES)
+    table, turned = turned_over(table)
+    return table, f"{title} {turned}".strip()
 
 
 def _complements(sheet: Source, taken: Sequence[Source]) -> bool:
@@ -229,6 +239,16 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
         remark = (
             f"{remark} Columns of text in {table.name} take no part: {', '.join(idle)}.".strip()
         )
+    for i in texts:
+        cell = next(filter(None, labels[i]), "")
+        if i not in used and _stem(headings, i) in _ANGLES and _NUMBER_FIRST.match(cell):
+            raise InputError(
+                f"{short(cell)!r} is not a number",
+                code="invalid-number",
+                place=table.place(labels[i].index(cell), i),
+                remedy="write the angle as a decimal number with its unit in the header, or as "
+                "12°30'45\"; if it is no reading, give the column another name",
+            )
     source = Source(place, sheet, fields, ids, named, header, path.name, remark)
     return _with_ids(source, {_stem(headings, i): labels[i] for i in texts if i not in values})
 
@@ -297,7 +317,7 @@ def _sheets(path: Path) -> list[tuple[Table, str]]:
     first: InputError | None = None
     for number in count(1):
         try:
-            table, title = framed_table(path, number, _NAMES)
+            table, title = _framed(path, number)
         except InputError as error:
             # there is no sheet of this number, or the fault is that of the file, not of a sheet
             if error.code == "unknown-name" or (first and str(error) == str(first)):

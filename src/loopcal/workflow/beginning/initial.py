@@ -226,6 +226,16 @@ def init(
     Raises InputError where something remains open, with what is possible, and where files are in
     the way.
     """
+    for name, file in (("urdf", urdf), ("dh", dh), ("machine", machine)):
+        if not isinstance(file, str | Path | None):
+            raise InputError(
+                f"{name} is a {type(file).__name__}, and the path of a file is needed",
+                code="invalid-value",
+                remedy="write the table with units in its header, such as a [mm], alpha [deg], "
+                "d [mm], theta [deg]: table.to_csv('dh.csv'), then dh='dh.csv'"
+                if name == "dh"
+                else f"name the file, such as {name}='robot.urdf'",
+            )
     robot = RobotFile(urdf, dh, machine, **options)
     # A list of paths is these files.
     listed = [list(one) if _are_paths(one) else [one] for one in readings]
