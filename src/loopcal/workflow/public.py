@@ -58,7 +58,18 @@ Output = TypeVar("Output")
 Described = TypeVar("Described", bound=Callable[..., Any])
 _FIT = frozenset(Fit.__dataclass_fields__)
 _ROBOT = frozenset(
-    ("urdf", "dh", "machine", "base", "tip", "sheet", "joints", "leave_out", "infer_units")
+    (
+        "urdf",
+        "dh",
+        "machine",
+        "base",
+        "tip",
+        "sheet",
+        "joints",
+        "leave_out",
+        "exclude",
+        "infer_units",
+    )
 )
 """Arguments of `init` that describe a robot."""
 _MEASURED = frozenset(("points", "poses", "positions", "measured", "measurements", "tracker", "q"))
