@@ -123,7 +123,7 @@ def _filled(parts: Sequence[str], words: Sequence[str]) -> list[str]:
 def _placed(error: LoopcalError, words: Sequence[str]) -> list[str]:
     """The same command with a file of this folder for one that is absent or of another kind."""
     place = (error.place or "").removesuffix(f"/{_RESULT}").partition(": ")[0]
-    if error.code not in _OTHER_FILE or place not in words[1:]:
+    if error.code not in _OTHER_FILE or place not in words[1:] or place.startswith("-"):
         return []
     at = len(words) - 1 - words[::-1].index(place)
     others = [w for w in words[1:] if w != place and w.endswith(_TABLES) and not _is_dh(w)]

@@ -327,3 +327,18 @@ def test_words_beside_the_readings(tmp_path: Path) -> None:
     (tmp_path / "loopcal-words.toml").write_text('[words]\n"fok" = 1\n', "utf-8")
     with refused("invalid-value", "loopcal-words.toml"):
         lc.init(path, dh=tmp_path / "dh.csv")
+
+
+def test_a_unit_that_is_none_is_named_and_the_next_command_works(tmp_path: Path) -> None:
+    world = World("six", 2)
+    described(world, tmp_path)
+    columns = {**joints(world, "J{} [deg]"), **xyz("{} [mm]", world.points)}
+    columns["J1 [furlong]"] = columns.pop("J1 [deg]")
+    written(tmp_path / "a.csv", {name: columns[name] for name in sorted(columns)})
+    code, said = begin(["a.csv", "--urdf", "robot.urdf"], tmp_path)
+    assert code == 3
+    assert "'furlong' in the header 'J1 [furlong]' is no known unit" in said
+    command = next_command(said)
+    assert command is not None
+    assert "--joints" in command
+    assert begin(command[1:], tmp_path)[0] == 0

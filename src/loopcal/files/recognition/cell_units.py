@@ -41,9 +41,10 @@ def with_units_in_names(table: Table) -> tuple[Table, str]:
 
 def _numbers(cells: Sequence[object], decimal: str, name: str) -> tuple[list[object], str] | None:
     """The numbers of cells with one unit, and the unit; None for others."""
-    present = [str(cell).strip() for cell in cells if not is_missing(cell)]
-    if not present or all(is_number(cell, decimal) for cell in present[:1]):
+    first = next((cell for cell in cells if not is_missing(cell)), None)
+    if first is None or is_number(first, decimal):
         return None
+    present = [str(cell).strip() for cell in cells if not is_missing(cell)]
     # 10:15:30 is a time of day; with a ° it is an angle, whatever stands between its parts
     if all(_ARC.fullmatch(cell) for cell in present) and ("°" in present[0] or "'" in present[0]):
         return [_degrees(str(cell)) if not is_missing(cell) else None for cell in cells], "deg"

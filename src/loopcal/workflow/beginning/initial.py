@@ -438,7 +438,9 @@ def _robot(robot: RobotFile, fields: Fields, folder: Path, signs: Sequence[int])
         ).offering(*([] if named else ["ROBOT"]))
     if robot.urdf is not None:
         path = Path(robot.urdf)
-        return urdf_robot(path, relative(path, folder), fields.fields, robot.base, robot.tip)
+        count = len(robot.joints.split(",")) if robot.joints else 0
+        links = (robot.base, robot.tip)
+        return urdf_robot(path, relative(path, folder), fields.fields, *links, count)
     if robot.base is not None or robot.tip is not None:
         raise UsageError("base and tip are links of a URDF", remedy="remove them, or name --urdf")
     if robot.dh is not None:

@@ -437,8 +437,8 @@ def _nothing(case: Case) -> Explanation:
             f"{names_of(still)} {verb} the same value in every row, although the machine moves",
             "correct the file, or name the column that has the readings",
         )
-    if odd := odd_units(case.fields.fields):
-        return Explanation(best.share, "unknown-unit", *odd)
+    if odd := _odd_units(best.share, case.fields.fields):
+        return odd
     remedy = (
         "check the robot (URDF, Denavit-Hartenberg table and its convention), the signs and zeros "
         "of the joints, and that joints and instrument are of the same poses"
@@ -457,15 +457,19 @@ def _nothing(case: Case) -> Explanation:
     )
 
 
-def odd_units(fields: Sequence[Field]) -> tuple[str, str] | None:
-    """Words and remedy where a header has in brackets what is no unit, and others like it have."""
+def _odd_units(share: float, fields: Sequence[Field]) -> Explanation | None:
+    """Where a header has in brackets what is no unit, and others like it have one."""
     for f in fields:
         match = None if f.unit else _BRACKETS.fullmatch(f.label)
-        alike = [o for o in fields if o.unit and match and o.label.startswith(match["name"][:1])]
-        if match and alike:
-            return (
+        alike = [o for o in fields if match and o.label.startswith(match["name"][:1])]
+        stated = [o.label for o in alike if o.unit]
+        if match and stated:
+            return Explanation(
+                share,
+                "unknown-unit",
                 f"{match['unit']!r} in the header {f.label!r} is no known unit",
-                f"write the unit as in {alike[0].label!r}",
+                f"write the unit as in {stated[0]!r}, or let it be inferred by --joints",
+                ("--joints", ",".join(o.label for o in alike)),
             )
     return None
 
