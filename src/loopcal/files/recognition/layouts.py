@@ -28,6 +28,7 @@ _POLAR = [words("columns", name) for name in ("range", "azimuth", "elevation")]
 _TURN_WORDS = frozenset(words("columns", "turn"))
 _TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"))
 _UNMEASURED = frozenset(words("columns", "unmeasured"))
+_NO_PLACES = _UNMEASURED.union(words("columns", "temperature"), words("columns", "payload"))
 _CELL = re.compile(r"^(?P<word>[a-z_]*?)_?(?P<row>[0-4])_?(?P<column>[0-4])$")
 FEWEST = 5
 """Rows that place an instrument."""
@@ -184,7 +185,9 @@ def _with_joints(
     if seen:
         return (_layout(joints, seen, fields, how), *_trackers(joints, seen, rest, fields, how))
     free = [f for f in rest if not f.is_time]
-    for some in (free, moving(free)):
+    # Only the last may stand still: a coordinate that does would be mistaken for what follows it.
+    move = moving(free)
+    for some in (free, move) if move == tuple(free[: len(move)]) else (free,):
         in_order = tuple(_layout(joints, (one,), fields, how) for one in _read_in_order(some))
         if in_order:
             return in_order
@@ -288,7 +291,7 @@ def _numbered(fields: Sequence[Field]) -> tuple[Seen, ...]:
     return tuple(
         one
         for word, members in families_of(fields)
-        if not _UNMEASURED & {*word.split("_")}
+        if not _NO_PLACES & {*word.split("_")}
         for one in [*_read_in_order(members)][:1]
     )
 
