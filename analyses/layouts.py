@@ -1,4 +1,4 @@
-"""105 layouts of real files through `loopcal init`: right, refused, or silently wrong.
+"""129 layouts of real files through `loopcal init`: right, refused, or silently wrong.
 
 Robots and readings are simulated here in plain NumPy. A layout is right if the machine that its
 project calibrates predicts fresh poses within 1.1 of that calibrated from a plain file of the same
@@ -1363,6 +1363,360 @@ def _(w: World, p: Path) -> Case:
         decimal=",",
         encoding="utf-8-sig",
     )
+
+
+# Written before any look at the readers, which were right on 16 of them and silently wrong on 2
+
+
+@layout("Denso: No, J1 ... J8, Comment")
+def _(w: World, p: Path) -> Case:
+    zero = ["0"] * POSES
+    robot = {
+        "No": [str(i) for i in range(POSES)],
+        **joints(w),
+        "J7": zero,
+        "J8": zero,
+        "Comment": [""] * POSES,
+    }
+    points = {"No": robot["No"], **xyz("{}", w.points, "XYZ")}
+    return Case([written(p / "Var_J.csv", robot), written(p / "tracker.csv", points)])
+
+
+@layout("Mitsubishi: J1=(...) of a .prg")
+def _(w: World, p: Path) -> Case:
+    form = "J{i}=(%+.5f,%+.5f,%+.5f,%+.5f,%+.5f,%+.5f,+0.00,+0.00)\n"
+    head = (
+        "".join(f"{10 * (i + 1)} Mov J{i + 1}\n" for i in range(POSES))
+        + f"{10 * (POSES + 1)} End\n"
+    )
+    return Case([repeated(p / "CAL.prg", form, w.shown(w.read), head), tracker(w, p)])
+
+
+@layout("Staubli: command and feedback of each joint in turn")
+def _(w: World, p: Path) -> Case:
+    cmd, fbk = w.shown(w.command), w.shown(w.read)
+    cols: dict[str, Any] = {"time[s]": 0.004 * np.arange(POSES)}
+    for i in range(6):
+        cols[f"JPOS_CMD[{i}]"] = cmd[:, i]
+        cols[f"JPOS_FBK[{i}]"] = fbk[:, i]
+    return plain(p, cols, xyz("M{}", w.points), sep=";")
+
+
+@layout("Doosan: actual and target positions, tool position, alphabetical")
+def _(w: World, p: Path) -> Case:
+    abc = Rotation.from_matrix(w.tcp_turns).as_euler("ZYZ", degrees=True)
+    cols = {
+        **of((f"actual_joint_position[{i}]" for i in range(6)), w.shown(w.read)),
+        **of((f"actual_joint_torque[{i}]" for i in range(6)), w.rng.normal(0, 20, w.q.shape)),
+        **of((f"actual_tool_position[{i}]" for i in range(6)), np.hstack([1e3 * w.tcp, abc])),
+        **of((f"target_joint_position[{i}]" for i in range(6)), w.shown(w.command)),
+        **of((f"tracker[{i}]" for i in range(3)), 1e3 * w.points),
+    }
+    return plain(p, cols)
+
+
+@layout("Techman: lists in braces beside the controller's flange")
+def _(w: World, p: Path) -> Case:
+    def cells(values: Array) -> list[str]:
+        return ['"{' + ",".join(f"{v:.5f}" for v in row) + '}"' for row in values]
+
+    abc = Rotation.from_matrix(w.tcp_turns).as_euler("xyz", degrees=True)
+    return plain(
+        p,
+        {
+            "Time": [f"14:{i // 60:02d}:{i % 60:02d}" for i in range(POSES)],
+            "Joint_Angle": cells(w.shown(w.read)),
+            "Coord_Base_Flange": cells(np.hstack([1e3 * w.tcp, abc])),
+            "Tracker_Point": cells(1e3 * w.points),
+        },
+    )
+
+
+@layout("Epson: Agl(1) ... Agl(4)", "scara")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"PointNo": [str(i) for i in range(POSES)]},
+        joints(w, "Agl({})"),
+        xyz("Meas{}", w.points, "XYZ"),
+        sep="\t",
+    )
+
+
+@layout("Epson: a .pts of computed points beside joints and a tracker", "scara")
+def _(w: World, p: Path) -> Case:
+    form = 'Point%d {\n\tnNumber=%d\n\tsLabel="P%d"\n\trX=%.3f\n\trY=%.3f\n\trZ=%.3f\n\trU=0.0\n}'
+    lines = ["[Points]", f"NumberOfPoints={POSES}"]
+    lines += [form % (i + 1, i, i, *v) for i, v in enumerate(1e3 * w.tcp)]
+    (p / "robot1.pts").write_text("\n".join(lines) + "\n")
+    return Case(
+        [
+            written(p / "joints.csv", {"Punto": [f"P{i}" for i in range(POSES)], **joints(w)}),
+            written(
+                p / "tracker.csv", {"Punto": [f"P{i}" for i in range(POSES)], **xyz("{}", w.points)}
+            ),
+            "robot1.pts",
+        ]
+    )
+
+
+@layout("Leica AT960: std of each, environment; robot in Spanish")
+def _(w: World, p: Path) -> Case:
+    n = [f"Punto_{i + 1}" for i in range(POSES)]
+    robot = {"Punto": n, **joints(w, "Eje {} (grados)"), "Velocidad (%)": ["20"] * POSES}
+    leica = {
+        "Point ID": n,
+        **xyz("{} [mm]", w.points, "XYZ"),
+        **{f"Std {a} [mm]": np.full(POSES, 0.03) for a in "XYZ"},
+        "Std Total [mm]": np.full(POSES, 0.052),
+        "Timestamp": [f"2026-11-{1 + i // 24:02d} {i % 24:02d}:00:00" for i in range(POSES)],
+        "Temperature [°C]": np.full(POSES, 20.3),
+        "Pressure [hPa]": np.full(POSES, 1013.2),
+        "Humidity [%]": np.full(POSES, 44.0),
+    }
+    return Case(
+        [
+            written(p / "robot.csv", robot, sep=";", decimal=","),
+            written(p / "AT960.csv", leica, sep=";"),
+        ]
+    )
+
+
+@layout("Italian: Giunto, Misurato beside Teorico", "ur")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"Punto": ids(w)},
+        joints(w, "Giunto {} [gradi]"),
+        xyz("{} Teorico [mm]", w.commanded, "XYZ"),
+        xyz("{} Misurato [mm]", w.points, "XYZ"),
+        sep=";",
+        decimal=",",
+        encoding="cp1252",
+    )
+
+
+@layout("FARO CAM2: quoted names, no header, blanks")
+def _(w: World, p: Path) -> Case:
+    lines = [
+        f'"Point {i + 1}"   {x:.4f}  {y:.4f}  {z:.4f}  0.012'
+        for i, (x, y, z) in enumerate(1e3 * w.points)
+    ]
+    (p / "faro.txt").write_text("\n".join(lines) + "\n")
+    return Case(
+        [
+            written(
+                p / "robot.csv",
+                {"Name": [f"Point {i + 1}" for i in range(POSES)], **joints(w, "Axis{}")},
+            ),
+            "faro.txt",
+        ]
+    )
+
+
+@layout("Creaform VXtrack: Tx Ty Tz Rx Ry Rz", "ur")
+def _(w: World, p: Path) -> Case:
+    rot = Rotation.from_matrix(w.turns).as_euler("xyz", degrees=True)
+    case = plain(
+        p,
+        {"Frame": [str(i) for i in range(POSES)]},
+        joints(w, "J{} (deg)"),
+        xyz("T{} (mm)", w.points),
+        of(("Rx (deg)", "Ry (deg)", "Rz (deg)"), rot),
+    )
+    case.stated = xyz("{} [mm]", w.points) | of(
+        ("qw", "qx", "qy", "qz"), Rotation.from_matrix(w.turns).as_quat()[:, [3, 0, 1, 2]]
+    )
+    return case
+
+
+@layout("Vicon: Trajectories, two markers", "iiwa")
+def _(w: World, p: Path) -> Case:
+    lines = [
+        "Trajectories",
+        "100",
+        ",,tool:m1,,,tool:m2,,",
+        "Frame,Sub Frame,X,Y,Z,X,Y,Z",
+        ",,mm,mm,mm,mm,mm,mm",
+    ]
+    lines += [
+        f"{i + 1},0," + ",".join(f"{1e3 * v:.4f}" for v in (*a, *b))
+        for i, (a, b) in enumerate(zip(w.points, w.second, strict=True))
+    ]
+    (p / "vicon.csv").write_text("\n".join(lines) + "\n")
+    case = Case([written(p / "joints.csv", joints(w, "joint_a{}")), "vicon.csv"])
+    case.stated = xyz("{}1 [mm]", w.points) | xyz("{}2 [mm]", w.second)
+    return case
+
+
+@layout("Portuguese: Junta, Posição medida, cp1252")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"Ponto": [str(i + 1) for i in range(POSES)]},
+        joints(w, "Junta {} (graus)"),
+        xyz("Posição medida {} (mm)", w.points, "XYZ"),
+        {"Observação": ["ok"] * POSES},
+        sep=";",
+        decimal=",",
+        encoding="cp1252",
+    )
+
+
+@layout("Korean: CP949, 1축 ..., 측정 X")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"번호": [str(i + 1) for i in range(POSES)]},
+        joints(w, "{}축 각도(도)"),
+        xyz("측정 {}(mm)", w.points, "XYZ"),
+        encoding="cp949",
+    )
+
+
+@layout("Japanese: 第1軸 ..., 計測値X beside 指令値X")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"ポイント番号": [str(i + 1) for i in range(POSES)]},
+        joints(w, "第{}軸角度[度]"),
+        xyz("指令値{}[mm]", w.commanded, "XYZ"),
+        xyz("計測値{}[mm]", w.points, "XYZ"),
+        encoding="shift_jis",
+    )
+
+
+@layout("Chinese: 1轴, 理论X beside 实测X")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"点号": ids(w)},
+        joints(w, "{}轴角度(度)"),
+        xyz("理论{}(mm)", w.commanded, "XYZ"),
+        xyz("实测{}(mm)", w.points, "XYZ"),
+        encoding="gb18030",
+    )
+
+
+@layout("Polish: Oś 1 [°], X zmierzone beside X nominalne")
+def _(w: World, p: Path) -> Case:
+    return plain(
+        p,
+        {"Lp.": [str(i + 1) for i in range(POSES)]},
+        joints(w, "Oś {} [°]"),
+        xyz("{} nominalne [mm]", w.commanded, "XYZ"),
+        xyz("{} zmierzone [mm]", w.points, "XYZ"),
+        sep=";",
+        decimal=",",
+        encoding="cp1250",
+    )
+
+
+@layout("Kawasaki: .JOINTS of an .as file")
+def _(w: World, p: Path) -> Case:
+    form = "#p{i} %.5f %.5f %.5f %.5f %.5f %.5f\n"
+    head = (
+        ".PROGRAM calib()\n"
+        + "".join(f"  JMOVE #p{i + 1}\n" for i in range(POSES))
+        + ".END\n.JOINTS\n"
+    )
+    return Case([repeated(p / "calib.as", form, w.shown(w.read), head, ".END\n"), tracker(w, p)])
+
+
+@layout("KUKA RSI: a line of XML per pose")
+def _(w: World, p: Path) -> Case:
+    abc = Rotation.from_matrix(w.tcp_turns).as_euler("ZYX", degrees=True)
+    lines = []
+    for i in range(POSES):
+        a = " ".join(f'A{k + 1}="{v:.6f}"' for k, v in enumerate(w.shown(w.read)[i]))
+        s = " ".join(f'A{k + 1}="{v:.6f}"' for k, v in enumerate(w.shown(w.command)[i]))
+        r = " ".join(
+            f'{n}="{v:.4f}"' for n, v in zip("XYZABC", (*1e3 * w.tcp[i], *abc[i]), strict=True)
+        )
+        lines.append(
+            f'<Rob Type="KUKA"><RIst {r}/><AIPos {a}/><ASPos {s}/>'
+            f"<IPOC>{4208163634 + 4 * i}</IPOC></Rob>"
+        )
+    (p / "rsi.xml").write_text("\n".join(lines) + "\n")
+    return Case(["rsi.xml", tracker(w, p)])
+
+
+@layout("Franka: q and O_T_EE of each line of JSON", "panda")
+def _(w: World, p: Path) -> Case:
+    lines = []
+    for i in range(POSES):
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = w.tcp_turns[i], w.tcp[i]
+        lines.append(
+            json.dumps(
+                {
+                    "time": 0.001 * i,
+                    "q": w.read[i].round(9).tolist(),
+                    "q_d": w.command[i].round(9).tolist(),
+                    "dq": [0.0] * 7,
+                    "O_T_EE": T.T.ravel().round(9).tolist(),
+                    "tau_J": w.rng.normal(0, 5, 7).round(4).tolist(),
+                }
+            )
+        )
+    (p / "states.jsonl").write_text("\n".join(lines) + "\n")
+    return Case(["states.jsonl", written(p / "tracker.csv", xyz("{} [mm]", w.points))])
+
+
+@layout("URScript: movej of a .script", "ur")
+def _(w: World, p: Path) -> Case:
+    form = "  movej([%.8f, %.8f, %.8f, %.8f, %.8f, %.8f], a=1.4, v=0.5)\n  sleep(2)\n"
+    name = repeated(
+        p / "calib.script",
+        form,
+        w.read,
+        "def calib():\n  set_tcp(p[0,0,0.15,0,0,0])\n",
+        "end\ncalib()\n",
+    )
+    return Case([name, written(p / "tracker.csv", xyz("{} [mm]", w.points))])
+
+
+@layout("units within the cells: 12.345°, 1234.5 mm")
+def _(w: World, p: Path) -> Case:
+    cells: dict[str, Any] = {
+        f"J{k + 1}": [f"{v:.5f}°" for v in w.shown(w.read)[:, k]] for k in range(6)
+    }
+    cells |= {a: [f"{1e3 * v:.4f} mm" for v in w.points[:, k]] for k, a in enumerate("XYZ")}
+    return plain(p, {"Pose": ids(w)}, cells, sep="\t")
+
+
+@layout("a total station: Hz and V in degrees, minutes, seconds")
+def _(w: World, p: Path) -> Case:
+    r, a, e = polar(w.points).T
+
+    def dms(v: Array) -> list[str]:
+        s = np.round(np.mod(v, 360.0) * 36000).astype(int)
+        return [f"{x // 36000}°{x // 600 % 60:02d}'{x % 600 / 10:04.1f}\"" for x in s]
+
+    n = [str(i + 1) for i in range(POSES)]
+    files = [
+        written(p / "robot.csv", {"Pt": n, **joints(w, "A{} (deg)")}, sep=";"),
+        written(
+            p / "ts.csv", {"Pt": n, "Hz": dms(a), "V": dms(90 - e), "Sd [m]": r / 1e3}, sep=";"
+        ),
+    ]
+    return Case(files, stated={"range [mm]": r, "azimuth [deg]": a, "elevation [deg]": e})
+
+
+@layout("a sheet with a column per pose")
+def _(w: World, p: Path) -> Case:
+    import xlsxwriter
+
+    book = xlsxwriter.Workbook(str(p / "data.xlsx"))
+    sheet = book.add_worksheet("Messung")
+    sheet.write_row(0, 0, ["Pose", *(f"P{i + 1}" for i in range(POSES))])
+    names = [*(f"J{k + 1} [°]" for k in range(6)), *(f"{a} [mm]" for a in "XYZ")]
+    for k, (n, v) in enumerate(
+        zip(names, np.hstack([w.shown(w.read), 1e3 * w.points]).T, strict=True)
+    ):
+        sheet.write_row(k + 1, 0, [n, *v.tolist()])
+    book.close()
+    return Case(["data.xlsx"])
 
 
 # The robot's description

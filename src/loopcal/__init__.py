@@ -416,7 +416,7 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     frame = sys._getframe()
-    while frame.f_back and frame.f_globals["__name__"] in (__name__, "inspect"):
+    while frame.f_back and frame.f_globals.get("__name__") in (__name__, "inspect"):
         frame = frame.f_back
     # pydoc would print every class in full, 6000 lines; without names it prints the text above.
-    return [] if frame.f_globals["__name__"] == "pydoc" else sorted(__all__)
+    return [] if frame.f_globals.get("__name__") == "pydoc" else sorted(__all__)

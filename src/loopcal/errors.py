@@ -311,8 +311,13 @@ def _as_meant(words: Sequence[str], argument: str = "", *others: str) -> list[st
 
 
 def _with_options(words: Sequence[str], options: Sequence[str]) -> list[str]:
-    """Words of a command line with these options, in place of others of the same name."""
+    """Words of a command line with these options, in place of others of the same name.
+
+    Poses to leave out are added to those that are named.
+    """
     names = [option for option in options if option.startswith("--")]
+    if names == ["--exclude"] and names[0] in words[:-1]:
+        options = [names[0], f"{words[[*words].index(names[0]) + 1]},{options[-1]}"]
     kept = [
         w for i, w in enumerate(words) if not {w.partition("=")[0], *words[i - 1 : i]} & {*names}
     ]

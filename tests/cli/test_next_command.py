@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+import loopcal as lc
+from analyses.layouts import World, described, ids, joints, written, xyz
+from loopcal.cli.registry import COMMANDS
+from tests.refusals import refused
 
 from .conftest import Run
 
@@ -67,6 +73,8 @@ NEXT = {
         "init readings.csv other.csv --urdf robot.urdf",
     ),
     "no robot": ("init readings.csv --out new", "init readings.csv --out new --urdf robot.urdf"),
+    "nothing at all": ("init", "init other.csv readings.csv --urdf robot.urdf"),
+    "a stray picture": ("init readings.csv arm.png", "init readings.csv --urdf robot.urdf"),
     "a folder without tables": (
         "init empty --urdf robot.urdf",
         "init other.csv readings.csv --urdf robot.urdf",
@@ -85,6 +93,7 @@ NEXT = {
 def test_an_error_ends_with_the_next_command(name: str, folder: Path, run: Run) -> None:
     typed, command = NEXT[name]
     (folder / "empty").mkdir()
+    (folder / "arm.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     (folder / "robot.urdf").write_text("<robot/>", "utf-8")
     shutil.copy(folder / "readings.csv", folder / "other.csv")
     (folder / "table.csv").write_text("a [mm],d [mm],alpha [deg],theta [deg]\n1,2,90,0\n", "utf-8")
@@ -105,3 +114,47 @@ def test_an_empty_folder_begins_with_the_demonstration(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert run("calibrate").err.endswith("Next command:\n    loopcal demo\n")
+
+
+def test_poses_that_cannot_be_used_are_left_out_by_the_next_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    world = World("six", 1)
+    described(world, tmp_path)
+    columns: dict[str, Any] = {"pose": ids(world), **joints(world), **xyz("{}", world.points)}
+    columns["J2"] = [f"{v:.5f}" for v in columns["J2"]]
+    columns["J2"][3] = "lost"
+    for axis in "xyz":
+        columns[axis][[6, 9]] = 0.0
+    written(tmp_path / "data.csv", columns)
+    said = run("init", "data.csv", "--dh", "dh.csv").err
+    assert said.endswith("Next command:\n    loopcal init data.csv --dh dh.csv --exclude P004\n")
+    said = run("init", "data.csv", "--dh", "dh.csv", "--exclude", "P004").err
+    assert said.endswith("loopcal init data.csv --dh dh.csv --exclude P004,P007,P010\n")
+    done = run("init", "data.csv", "--dh", "dh.csv", "--exclude", "P004,P007,P010")
+    assert done.code == 0
+    assert "Left out of data.csv: P004, P007, P010." in done.out
+    assert (
+        "'P0044' is no pose"
+        in run("init", "data.csv", "--dh", "dh.csv", "--exclude", "P004,P007,P010,P0044").err
+    )
+    with refused("unknown-name", "'Q1' is no pose"):
+        lc.init({"q": world.read, "p": world.points}, dh="dh.csv", exclude="Q1")
+    assert (
+        len(lc.init({"q": world.read, "p": world.points}, dh="dh.csv", exclude="2").dataset) == 35
+    )
+
+
+def test_without_arguments_every_command_is_listed_and_the_first_is_the_next(run: Run) -> None:
+    said = run()
+    assert said.code == 2
+    assert all(f"\n  {name} " in said.err for name in COMMANDS)
+    assert said.err.endswith("Next command:\n    loopcal demo\n")
+
+
+def test_a_result_that_is_not_there_yet_is_calibrated_first(folder: Path, run: Run) -> None:
+    shutil.rmtree(folder / R)
+    assert run("export", R, "--to", "dh").err.endswith(
+        f"Next command:\n    loopcal calibrate {P}\n"
+    )

@@ -414,6 +414,10 @@ def init(
         str | None,
         option("COLUMNS", "Columns that take no part, such as '*_soll,v*' [default: none]."),
     ] = None,
+    exclude: Annotated[
+        str | None,
+        option("POSES", "Poses that take no part, by id or row: P004,P012 [default: none]."),
+    ] = None,
     observe: Annotated[
         list[str] | None,
         option(
@@ -434,7 +438,9 @@ def init(
     from loopcal.workflow.beginning.robot_file import RobotFile
 
     looking = tuple(observe or ())
-    robot = RobotFile(urdf, dh, machine, base, tip, joints, leave_out, looking, infer_units)
+    robot = RobotFile(
+        urdf, dh, machine, base, tip, joints, leave_out, looking, infer_units, exclude
+    )
     done = initial_project(files or (), robot, out=out, sheet=sheet, ask=ask_on_terminal())
     if not run:
         print_out(str(done))

@@ -41,14 +41,19 @@ def fill_in(error: LoopcalError, words: Sequence[str]) -> None:
     if not _typeable(words):
         error.again = False
         return
+    if [*words] == ["init"] and _tables(words):
+        error.options = ("READINGS", "ROBOT")
     error.options = tuple(_filled(error.options, words))
     error.next_command(words)
     if not error.again:
+        if words[0] == "init" and not {*_ROBOT} & {*split(error.command)}:
+            error.command = f"{error.command} {_robot(words)}".strip()
         return
     error.again = False
     begins, *rest = split(error.follows) or [""]
     follows = [begins, *_filled(rest, words)]
-    for mended in (follows, _placed(error, words), _whole_day(error, words)):
+    every = (follows, _placed(error, words), _whole_day(error, words), _before(error, words))
+    for mended in every:
         if len(mended) > 1:
             error.command = join(mended)
             return
@@ -67,7 +72,9 @@ def after_usage(error: Any, words: Sequence[str]) -> str:
     kind = type(error).__name__
     if not command:
         meant = closest(words[0], [*COMMANDS]) if words and not words[0].startswith("-") else None
-        return join(["loopcal", *([meant, *words[1:]] if meant else ["--help"])])
+        return join(
+            ["loopcal", *([meant, *words[1:]] if meant else ["--help"] if words else ["demo"])]
+        )
     mended: list[str] | None = None
     if kind == "NoSuchOption":
         name, names = error.option_name, sorted(getattr(error, "possibilities", None) or ())
@@ -116,9 +123,13 @@ def _filled(parts: Sequence[str], words: Sequence[str]) -> list[str]:
 def _placed(error: LoopcalError, words: Sequence[str]) -> list[str]:
     """The same command with a file of this folder for one that is absent or of another kind."""
     place = (error.place or "").removesuffix(f"/{_RESULT}").partition(": ")[0]
-    if error.code not in _OTHER_FILE or place not in words[1:]:
+    if error.code not in _OTHER_FILE or place not in words[1:] or place.startswith("-"):
         return []
     at = len(words) - 1 - words[::-1].index(place)
+    others = [w for w in words[1:] if w != place and w.endswith(_TABLES) and not _is_dh(w)]
+    if words[0] == "init" and others and words[at - 1] not in _ROBOT:
+        robot = [] if {*_ROBOT} & {*words} else split(_robot(words))
+        return ["loopcal", *words[:at], *words[at + 1 :], *robot]  # the others have readings
     ahead, behind = ["loopcal", *words[:at]], list(words[at + 1 :])
     if ahead[-1] == "--urdf" and _is_dh(place):
         return [*ahead[:-1], "--dh", place, *behind]
@@ -128,9 +139,19 @@ def _placed(error: LoopcalError, words: Sequence[str]) -> list[str]:
     takes = "PROJECT" if words[0] in _OF_PROJECTS else "RESULT" if words[0] in _OF_RESULTS else ""
     takes = "READINGS" if words[0] == "init" else takes
     names = _files(takes, [w for w in words if w != place or takes == "PROJECT"])
+    if words[0] == "init" and names and not {*_ROBOT} & {*words}:
+        behind += split(_robot(words))
     if {*names} & {place, *behind}:  # a file that is named already is none instead
         return []
     return [*ahead, *names, *behind] if at == 1 and names else []
+
+
+def _before(error: LoopcalError, words: Sequence[str]) -> list[str]:
+    """The calibration that a command of results needs, where the folder has none."""
+    if words[0] not in _OF_RESULTS or not str(error.place).endswith(_RESULT):
+        return []
+    projects = _newest(_is_project)[:1]
+    return ["loopcal", "calibrate", *projects] if projects else []
 
 
 def _whole_day(error: LoopcalError, words: Sequence[str]) -> list[str]:
@@ -263,7 +284,22 @@ def _tables(words: Sequence[str]) -> list[str]:
             paths = [os.path.relpath(result.parent.parent / name) for name in names]
             return paths if all(Path(path).is_file() for path in paths) else []
     tables = [path for path in _entries() if path.suffix in _TABLES and path.parent == Path()]
-    return [str(path) for path in tables if not _is_dh(path)][:4]
+    tables = [path for path in tables if not _is_dh(path)]
+    whole = [path for path in tables if _is_whole(path)] if len(tables) > 2 else []
+    return [str(path) for path in whole[:1] or tables][:4]
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a table has columns of joints and of an instrument."""
+    from loopcal.files.recognition.joint_sets import usual_joints
+    from loopcal.files.recognition.layouts import instruments
+    from loopcal.files.recognition.sources import sources_of
+
+    with suppress(InputError):
+        fields = [f for source in sources_of(path, 0) for f in source.fields]
+        joints = usual_joints(fields)
+        return len(joints) > 1 and bool(instruments([f for f in fields if f not in joints]))
+    return False
 
 
 def _is_dh(path: str | Path) -> bool:

@@ -15,10 +15,9 @@ if TYPE_CHECKING:
     from loopcal.workflow.keeping import Keeper
 
 COMMANDS = {
-    **dict.fromkeys(("calibrate", "check", "predict", "compare", "report", "noise"), "commands"),
-    "simulate": "commands",
+    **dict.fromkeys(("demo", "init", "calibrate", "check", "predict", "compare"), "commands"),
+    **dict.fromkeys(("report", "noise", "new", "simulate", "schema"), "commands"),
     "study": "companions.studies.commands",
-    **dict.fromkeys(("new", "demo", "init", "schema"), "commands"),
     "correct": "companions.robot.correct_commands",
     "export": "companions.robot.export_commands",
     "verify": "commands",

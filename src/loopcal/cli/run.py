@@ -59,7 +59,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except TyperException as error:  # arguments that do not parse
         shown = io.StringIO()
         error.show(file=shown)  # type: ignore[attr-defined]
-        print_error(short(shown.getvalue().rstrip("\n"), LONGEST_TEXT))
+        print_error(shown.getvalue().rstrip("\n"))
         print_error(f"  Next command:\n    {after_usage(error, asked)}")
         return error.exit_code
     except (KeyboardInterrupt, Abort):

@@ -67,6 +67,13 @@ INSTEAD: Mapping[str, str] = {
         "result.params; result.export('dh'), or 'urdf'; or result.mechanism",
     ),
     **dict.fromkeys(("uncertainty", "std"), "result.sd, or lc.intervals(result)"),
+    **dict.fromkeys(
+        ("interval", "intervals", "confidence_interval", "ci"),
+        "result.conf_int(), or lc.intervals(result)",
+    ),
+    **dict.fromkeys(("sample", "samples"), "result.x and result.covariance, and draw from them"),
+    **dict.fromkeys(("data", "dataset", "readings"), "result.poses, or what was given to it"),
+    **dict.fromkeys(("load", "from_file"), "lc.load(folder)"),
     **dict.fromkeys(("accuracy", "improvement"), "result.document.accuracy, or result.rms"),
     **dict.fromkeys(("chi2", "chisq"), "result.chi_squared.value"),
     **dict.fromkeys(("corr", "correlation", "correlations"), "result.plot.correlations()"),

@@ -59,9 +59,10 @@ def guarded(function: str, arguments: Mapping[str, Any], size: int) -> bytes:
     kind = getattr(errors, error_fields.pop("kind"), None)
     if kind is None:
         raise Stopped(error_fields["message"])
-    options, meant = (tuple(error_fields.pop(key, ())) for key in ("options", "meant"))
-    error = kind(**error_fields)
-    error.options, error.meant = options, meant
+    stated = {key: error_fields.pop(key) for key in ("message", "code", "place", "remedy")}
+    error = kind(stated.pop("message"), **stated)
+    for name, value in error_fields.items():  # what follows from it, where something does
+        setattr(error, name, tuple(value) if isinstance(value, list) else value)
     raise error
 
 

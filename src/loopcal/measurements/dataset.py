@@ -26,21 +26,25 @@ class Dataset:
     """Readings of N poses, SI; arrays are float64, contiguous and read-only.
 
     Raises InputError when lengths differ, a reading is infinite or implausibly large, an sd is
-    negative or missing, or no pose is left. Make one with `from_arrays` or
-    `read_dataset`.
+    negative or missing, or no pose is left. Make one with `from_arrays`, of which Dataset(table) is
+    the same, or `read_dataset`.
     """
 
     readings: Mapping[str, Array]
     """Quantity -> (N,) [SI]; NaN: not measured in that pose."""
-    units: Mapping[str, str]
+    units: Mapping[str, str] = field(default_factory=dict)
     """Quantity -> SI unit, for those whose unit was stated; the others are taken as SI."""
-    poses: tuple[str, ...]
+    poses: tuple[str, ...] = ()
     """Id of each pose, as text; "1" to "N" where none were given."""
     sds: Mapping[str, Array] = field(default_factory=dict)
     """Quantity -> (N,) sd [SI] of each reading, for those that came with their own."""
     source: Source = field(default_factory=Source)
 
     def __post_init__(self) -> None:
+        if not self.poses:  # of a table or arrays, as `from_arrays` takes them
+            made = Dataset.from_arrays(self.readings, units=self.units or None)
+            for name in ("readings", "units", "poses", "source"):
+                object.__setattr__(self, name, getattr(made, name))
         object.__setattr__(self, "readings", {q: _kept(v) for q, v in self.readings.items()})
         object.__setattr__(self, "sds", {q: _kept(v) for q, v in self.sds.items()})
         if self.source.rows is not None:

@@ -29,6 +29,14 @@ MODEL = "model"
 ESTIMATES = ("each", "group")
 
 
+def _no_mapping(noise: object) -> InputError:
+    return InputError(
+        f"the noise is {type(noise).__name__} {noise!s:.40}",
+        code="invalid-value",
+        remedy='give Noise({"theta_*": 1e-4}), or a dict of sds by quantity',
+    )
+
+
 class Noise:
     """What is stated about the sensors: sd [SI] by quantity, glob or group; later entries win.
 
@@ -54,6 +62,8 @@ class Noise:
     """
 
     def __init__(self, entries: Entries, *, estimate: Estimates | None = None) -> None:
+        if not isinstance(entries, Mapping):
+            raise _no_mapping(entries)
         self.entries: dict[str | tuple[str, ...], Any] = {}  # of arrays and trackers
         for key, value in entries.items():
             _check_key(key)
@@ -78,12 +88,6 @@ class Noise:
         """
         if noise is None or isinstance(noise, Noise):
             return noise
-        if not isinstance(noise, Mapping):
-            raise InputError(
-                f"the noise is {type(noise).__name__} {noise!r:.40}",
-                code="invalid-value",
-                remedy='give Noise({"theta_*": 1e-4}), or a dict of sds by quantity',
-            )
         return cls(noise)
 
     def begun_at(self, factors: Mapping[str, float]) -> Noise:

@@ -12,7 +12,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
-from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,7 @@ ENDS = ("", "_b")
 _INSTEAD = {
     **dict.fromkeys(("joints", "joint_names", "names", "q", "qlim"), "robot.quantities"),
     **dict.fromkeys(("links", "dh", "params", "offsets"), "robot.parameters"),
-    **dict.fromkeys(("dof", "n_joints", "n", "ndof"), "len(robot.quantities)"),
+    **dict.fromkeys(("dof", "n_joints", "n", "ndof"), "len(robot)"),
     **dict.fromkeys(("fit", "identify"), "lc.calibrate(readings, urdf='robot.urdf')"),
     **dict.fromkeys(
         ("plot", "show", "to_urdf", "save", "export"),
@@ -133,6 +133,18 @@ class Machine:
     def forward_kinematics(self, q: Any) -> NDArray[np.float64]:
         """The same as `fk`."""
         return self.fk(q)
+
+    __call__ = fk
+
+    def __len__(self) -> int:
+        """Of `quantities`."""
+        return len(self.quantities)
+
+    def __getitem__(self, key: object) -> NoReturn:
+        raise TypeError(
+            f"a Machine has no part {key!r}: use robot.quantities for its joints, "
+            "robot.parameters for its constants, or robot.fk(q)"
+        )
 
     if not TYPE_CHECKING:
 

@@ -39,6 +39,12 @@ class Prior:
         *,
         estimate: Mapping[str, str] | None = None,
     ) -> None:
+        if not isinstance(sds, Mapping):
+            raise InputError(
+                f"the prior is {type(sds).__name__} {sds!s:.40}",
+                code="invalid-value",
+                remedy='give Prior({"*": 0.001}), or a dict of sds by parameter',
+            )
         self.sds: dict[str, float] = {}
         for key, stated in sds.items():
             value, factor = (
@@ -68,12 +74,6 @@ class Prior:
         """
         if prior is None or isinstance(prior, Prior):
             return prior
-        if not isinstance(prior, Mapping):
-            raise InputError(
-                f"the prior is {type(prior).__name__} {prior!r:.40}",
-                code="invalid-value",
-                remedy='give Prior({"l?": 0.001}), or a dict of sds by parameter',
-            )
         return cls(prior)
 
     def __repr__(self) -> str:

@@ -43,7 +43,7 @@ def simulate(
     mechanism: Mechanism,
     readings: Mapping[str, ArrayLike] | Dataset | Any,
     *,
-    noise: NoiseLike,
+    noise: NoiseLike | None = None,
     seed: int,
     truth: Mapping[str, float] | None = None,
     start: Mapping[str, ArrayLike] | None = None,

@@ -58,9 +58,22 @@ Output = TypeVar("Output")
 Described = TypeVar("Described", bound=Callable[..., Any])
 _FIT = frozenset(Fit.__dataclass_fields__)
 _ROBOT = frozenset(
-    ("urdf", "dh", "machine", "base", "tip", "sheet", "joints", "leave_out", "infer_units")
+    (
+        "urdf",
+        "dh",
+        "machine",
+        "base",
+        "tip",
+        "sheet",
+        "joints",
+        "leave_out",
+        "exclude",
+        "infer_units",
+    )
 )
 """Arguments of `init` that describe a robot."""
+_MEASURED = frozenset(("points", "poses", "positions", "measured", "measurements", "tracker", "q"))
+_URDF = re.compile(r".*\.urdf$", re.IGNORECASE)
 _ON_MACHINE = """
     mechanism may also be a Project, what `init` returns, or the path of a project or mechanism
     file; data may be the path of a file. Without data those of the project are read; its noise and
@@ -93,8 +106,15 @@ def _on_machine(
         **options: Any,
     ) -> Any:
         robot = {key: options.pop(key) for key in _ROBOT & options.keys()}
+        readings = [one for one in (mechanism, data, *more) if one is not None]
+        urdfs = [r for r in readings if isinstance(r, str | Path) and _URDF.fullmatch(str(r))]
+        if len(urdfs) == 1 and not {"urdf", "dh", "machine"} & robot.keys():
+            robot["urdf"] = urdfs[0]
+            readings = [r for r in readings if r is not urdfs[0]]
         if robot:
-            readings = (one for one in (mechanism, data, *more) if one is not None)
+            if by_name := _MEASURED & options.keys():
+                words = f"{min(by_name)}= is no argument: give readings without names, as in"
+                raise TypeError(f"{words} lc.calibrate(joints, points, urdf='robot.urdf')")
             mechanism, data, more = init(*readings, **robot), None, ()
         if whole and data is None and not options:
             project = described(mechanism)

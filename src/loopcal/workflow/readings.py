@@ -21,9 +21,10 @@ from loopcal.measurements.tables import column_names
 from loopcal.mechanisms.frame import joint_rows
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.parameters import matching
-from loopcal.units import to_si
+from loopcal.units import to_si, unit
 
-Units = Mapping[str, str] | None
+Units = Mapping[str, str] | str | None
+"""Of columns or globs; one for all that is an angle or all that is a length."""
 Files = str | Path | Sequence[str | Path]
 """A file of readings, or several of one measurement."""
 _NEAR = 0.05
@@ -50,8 +51,11 @@ def readings(data: Any, mechanism: Mechanism, units: Units = None) -> Dataset:
     from_file = isinstance(data, str | Path)
     source = read_once(data) if from_file else data
     names = column_labels(source) if from_file else column_names(data)
+    if isinstance(units, str):
+        alike = unit(units).si
+        units = {name: units for name in names if units_of.get(name) == alike}
     stated_units = {
-        name: unit for key, unit in (units or {}).items() for name in matching(key, names, "column")
+        name: of for key, of in (units or {}).items() for name in matching(key, names, "column")
     }
     # A machine may have a quantity of this name.
     pose = POSE if POSE in names and POSE not in units_of else None
@@ -132,25 +136,23 @@ def _refuse_doubtful(
     if poses is None or not angles or len(units) != 1 or not units < {"rad", "deg"}:
         return
 
-    def among(unit: str) -> bool:
+    def among(of: str) -> bool:
         return all(
-            np.nanmin(poses[q]) - _NEAR <= to_si(low, unit)
-            and to_si(high, unit) <= np.nanmax(poses[q]) + _NEAR
+            np.nanmin(poses[q]) - _NEAR <= to_si(low, of)
+            and to_si(high, of) <= np.nanmax(poses[q]) + _NEAR
             for q, v in angles.items()
             for low, high in [(float(np.nanmin(v)), float(np.nanmax(v)))]
         )
 
-    (unit,) = units
-    other = "deg" if unit == "rad" else "rad"
-    if not among(other) or (unit == "rad" and among("rad")):
+    (taken,) = units
+    other = "deg" if taken == "rad" else "rad"
+    if not among(other) or (taken == "rad" and among("rad")):
         return
-    alike = {q.rstrip("0123456789") for q in angles}
-    glob = f"{alike.pop()}*" if len(alike) == 1 else "*"
     raise InputError(
-        f"the joints of an array without units are read in {unit}, as those of the first file; in "
-        f"{other} they lie among the calibrated poses" + (" too" if among(unit) else ""),
+        f"the joints of an array without units are read in {taken}, as those of the first file; in "
+        f"{other} they lie among the calibrated poses" + (" too" if among(taken) else ""),
         code="implausible-unit",
-        remedy=f"state their unit: units={{{glob!r}: {other!r}}} or units={{{glob!r}: {unit!r}}}",
+        remedy=f"state their unit: units={other!r} or units={taken!r}",
     )
 
 

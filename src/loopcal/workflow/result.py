@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from loopcal.companions import called
 from loopcal.document.plain import finite_only
 from loopcal.document.result_document import ResultDocument, WrittenResult
+from loopcal.errors import Instead
 from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.result import FitResult
 from loopcal.files.outputs import one_command
@@ -37,6 +38,8 @@ class Result(FitResult, Views):
     follows from these and is computed when it is first asked for. Document and verdict take as
     long as the search for outliers, change points and other optima.
     """
+
+    load = from_file = Instead("lc.load(folder)")
 
     @classmethod
     def of(cls, fit: FitResult, **parts: Any) -> Result:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import ItemsView, Iterator, KeysView, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -205,7 +205,10 @@ class Views:
 
     def to_dict(self) -> dict[str, Any]:
         """The content of result.json as plain data."""
-        content: dict[str, Any] = plain(self.document)
+        from loopcal.files.versions import version
+
+        made_by = self.document.loopcal or version()  # empty until it is written
+        content: dict[str, Any] = plain(replace(self.document, loopcal=made_by))
         return content
 
     def _repr_html_(self) -> str:

@@ -18,7 +18,7 @@ def process() -> bytes:
 
 
 def refused() -> bytes:
-    raise InputError("no sheet", place="a.xlsx", remedy="name one")
+    raise InputError("no sheet", place="a.xlsx", remedy="name one").then("pip install it")
 
 
 def failed() -> bytes:

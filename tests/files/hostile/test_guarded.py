@@ -36,10 +36,11 @@ def test_the_child_stays_warm_and_is_another_process() -> None:
     assert int(first) != os.getpid()
 
 
-def test_an_error_with_place_and_remedy_comes_back_as_it_was() -> None:
+def test_an_error_with_place_remedy_and_command_comes_back_as_it_was() -> None:
     with pytest.raises(InputError) as caught:
         guarded(f"{READING}:refused", {}, 0)
     assert str(caught.value) == "a.xlsx: no sheet\n  What to do: name one"
+    assert caught.value.follows == "pip install it"
 
 
 @pytest.mark.parametrize("name", ["failed", "panicked", "aborted", "touched_nothing"])

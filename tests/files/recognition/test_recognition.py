@@ -15,7 +15,7 @@ from loopcal.files.recognition.dh_table import chain_rows, read_dh
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.headers import heading
 from loopcal.files.recognition.joint_sets import usual_joints
-from loopcal.files.recognition.layouts import instruments
+from loopcal.files.recognition.layouts import instruments, layouts
 from loopcal.files.recognition.robots import dh_robot
 from loopcal.mechanisms.frame import ChainFrame
 from tests.refusals import refused
@@ -68,6 +68,29 @@ def test_joints_are_known_by_their_usual_names(names: str) -> None:
     columns = fields(f"time x y z {names}")
     found = usual_joints(columns)
     assert sorted(f.position for f in found) == list(range(4, 4 + len(names.split())))
+
+
+@pytest.mark.parametrize(
+    ("names", "still", "position"),
+    [
+        ("one two three four", 5, (2, 3, 4)),  # an sd behind the point
+        ("tracker[0] tracker[1] tracker[2] temp[0] temp[1] temp[2]", None, (2, 3, 4)),
+        ("one two three four", 4, None),  # the third coordinate may be the one that stands still
+    ],
+)
+def test_a_point_without_x_y_and_z_is_known_by_order_or_number(
+    names: str, still: int | None, position: tuple[int, ...] | None
+) -> None:
+    columns = fields(f"J1 J2 {names}")
+    if still is not None:
+        columns[still].values[:] = 0.01
+    if position is None:
+        with refused("missing-column", "no column of an instrument is recognised"):
+            layouts(columns, 2)
+        return
+    (layout,) = layouts(columns, 2)
+    assert [f.position for f in layout.joints] == [0, 1]
+    assert tuple(f.position for s in layout.seen for f in s.position) == position
 
 
 def test_an_external_axis_that_stands_still_is_no_joint() -> None:

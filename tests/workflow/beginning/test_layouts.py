@@ -70,6 +70,12 @@ def joint_readings(made: lc.InitialProject) -> np.ndarray:
         "PolyWorks: a row per coordinate",
         "a sheet with a title, merged headers and units below",
         "pandas: index and two levels of columns",
+        "Staubli: command and feedback of each joint in turn",
+        "Doosan: actual and target positions, tool position, alphabetical",
+        "FARO CAM2: quoted names, no header, blanks",
+        "KUKA RSI: a line of XML per pose",
+        "units within the cells: 12.345°, 1234.5 mm",
+        "a sheet with a column per pose",
     ],
 )
 def test_what_was_measured_is_read(tmp_path: Path, name: str) -> None:
@@ -80,9 +86,27 @@ def test_what_was_measured_is_read(tmp_path: Path, name: str) -> None:
     assert fit.rms < 3e-3
 
 
-def test_a_length_beside_two_angles_is_a_tracker(tmp_path: Path) -> None:
-    _, made = begun("Distance, Azimut, Élévation", tmp_path)
+@pytest.mark.parametrize(
+    "name",
+    ["Distance, Azimut, Élévation", "a total station: Hz and V in degrees, minutes, seconds"],
+)
+def test_a_length_beside_two_angles_is_a_tracker(tmp_path: Path, name: str) -> None:
+    _, made = begun(name, tmp_path)
     assert list(made.fits) == ["tracker"]
+
+
+def test_an_angle_that_is_no_number_is_no_text_to_pass_over(tmp_path: Path) -> None:
+    world = World("six", 2)
+    described(world, tmp_path)
+    seen = {"Hz": ["12-30-45"] * POSES, "V": ["80-10-10"] * POSES, "D [m]": world.points[:, 0]}
+    written(tmp_path / "a.csv", {**joints(world), **seen})
+    with refused("invalid-number", "row 2, column 'Hz'", "12-30-45"):
+        lc.init(tmp_path / "a.csv", dh=tmp_path / "dh.csv")
+
+
+def test_coordinates_in_a_file_of_their_own_are_no_turn(tmp_path: Path) -> None:
+    _, made = begun("Epson: a .pts of computed points beside joints and a tracker", tmp_path)
+    assert list(made.fits) == ["point"]
 
 
 @pytest.mark.parametrize(
@@ -303,3 +327,18 @@ def test_words_beside_the_readings(tmp_path: Path) -> None:
     (tmp_path / "loopcal-words.toml").write_text('[words]\n"fok" = 1\n', "utf-8")
     with refused("invalid-value", "loopcal-words.toml"):
         lc.init(path, dh=tmp_path / "dh.csv")
+
+
+def test_a_unit_that_is_none_is_named_and_the_next_command_works(tmp_path: Path) -> None:
+    world = World("six", 2)
+    described(world, tmp_path)
+    columns = {**joints(world, "J{} [deg]"), **xyz("{} [mm]", world.points)}
+    columns["J1 [furlong]"] = columns.pop("J1 [deg]")
+    written(tmp_path / "a.csv", {name: columns[name] for name in sorted(columns)})
+    code, said = begin(["a.csv", "--urdf", "robot.urdf"], tmp_path)
+    assert code == 3
+    assert "'furlong' in the header 'J1 [furlong]' is no known unit" in said
+    command = next_command(said)
+    assert command is not None
+    assert "--joints" in command
+    assert begin(command[1:], tmp_path)[0] == 0

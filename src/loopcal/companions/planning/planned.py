@@ -103,6 +103,9 @@ class Plan:
     serves: tuple[tuple[str, ...], ...] = ()
     idle: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<Plan: {self.count} poses, criterion {self.criterion}>"
+
     @property
     def count(self) -> int:
         """How many poses were chosen; repeats are none of them."""

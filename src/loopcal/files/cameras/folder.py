@@ -83,6 +83,10 @@ def tables_of(entries: Sequence[Any]) -> list[Any]:
     return opened
 
 
+_OF_BOARD = 6
+"""Columns of a table of a board's points at most: a table with joints has more."""
+
+
 def are_images(entries: Sequence[Any], fewest: int = 1) -> bool:
     """Whether one of the files holds corners of boards, or so many are images.
 
@@ -130,7 +134,8 @@ def _kind(path: Path) -> str:
     pixels = pixels or ("z" not in stems and not stems.isdisjoint(_IMAGES))
     if pixels and is_corners(names):
         return "corners"
-    if {"x", "y", "point"} <= stems or {"x", "y", "id"} <= stems:
+    few = len(names) <= _OF_BOARD
+    if few and ({"x", "y", "point"} <= stems or {"x", "y", "id"} <= stems):
         return "board"
     return "poses"
 

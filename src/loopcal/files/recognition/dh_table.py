@@ -71,8 +71,8 @@ class DhTable:
 
 
 def is_dh(path: str | Path) -> bool:
-    """Whether a text file is a table of Denavit-Hartenberg parameters."""
-    if without_robot(path)[0].suffix.lower() not in (".csv", ".tsv", ".txt"):
+    """Whether a text file or workbook is a table of Denavit-Hartenberg parameters."""
+    if without_robot(path)[0].suffix.lower() not in (".csv", ".tsv", ".txt", ".xlsx"):
         return False
     try:
         return read_dh(path).moving > 0

@@ -96,7 +96,7 @@ class Source:
     file that was asked for; ids: one per row, None where no column holds them; pose: that column's
     name or number; fields: its columns of numbers; names: its header; label: how messages call it
     without a path; remark: what was decided in reading it; recording: by time, of which it has the
-    poses at rest.
+    poses at rest; left_out: poses that take no part, as the user stated.
     """
 
     path: Path | None
@@ -108,6 +108,7 @@ class Source:
     label: str = ""
     remark: str = ""
     recording: Recording | None = None
+    left_out: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from loopcal.errors import InputError
+from loopcal.files.recognition.cell_units import with_units_in_names
 from loopcal.files.recognition.headers import heading
 from loopcal.files.recognition.records import are_records, has_numbers, records_table
 from loopcal.files.tables.cells import is_missing, is_number
@@ -76,6 +77,9 @@ def framed_table(path: Path, part: str | int | None, fewest: int) -> tuple[Table
         if among_lines is None:
             raise
         return among_lines
+    table, remark = with_units_in_names(table)
+    if remark:
+        return table, remark
     if not _suspect(table):
         return table, ""
     if reader_of(path) is TEXT:

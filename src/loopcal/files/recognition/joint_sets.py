@@ -56,7 +56,7 @@ def usual_joints(fields: Sequence[Field]) -> tuple[Field, ...]:
     for arm in _ARMS:
         for columns in affixed_joints(fields, arm):
             return moving(columns)
-    named = [members for word, members in _families(fields) if _is_joint_word(word)]
+    named = [members for word, members in families_of(fields) if _is_joint_word(word)]
     return max(named, key=len, default=())
 
 
@@ -79,10 +79,10 @@ def joint_sets(fields: Sequence[Field], count: int, names: Sequence[str]) -> lis
             for some in (columns, moving(columns))
             if len(some) == count
         ]
-    families = list(_families(fields))
+    families = list(families_of(fields))
     for likely in (True, False):
-        for word, members in families:
-            if _is_joint_word(word) == likely and not (sets and not likely):
+        for word, members in families if likely or not sets else ():
+            if _is_joint_word(word) == likely:
                 sets += [(some, how) for some in (members, moving(members)) if len(some) == count]
     if not sets:
         named = [members for word, members in families if _is_joint_word(word)]
@@ -106,7 +106,7 @@ def _with_further(
         yield (*members, *some)
 
 
-def _families(fields: Sequence[Field]) -> Iterator[tuple[str, tuple[Field, ...]]]:
+def families_of(fields: Sequence[Field]) -> Iterator[tuple[str, tuple[Field, ...]]]:
     """Columns that differ in one number, in its order, with the word ahead of it.
 
     Four columns of unit length are a quaternion, whatever they are called.

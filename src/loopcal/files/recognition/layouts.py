@@ -16,6 +16,7 @@ from loopcal.files.recognition.headers import sd_of, words
 from loopcal.files.recognition.joint_sets import (
     NUMBERED,
     UNIT_NORM,
+    families_of,
     joint_sets,
     quaternions,
     unit_norm,
@@ -24,9 +25,10 @@ from loopcal.files.recognition.joint_sets import (
 
 _LENGTH_WORDS = frozenset(words("columns", "length"))
 _POLAR = [words("columns", name) for name in ("range", "azimuth", "elevation")]
-_TURN_WORDS = words("columns", "turn")
-_TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"), ("rz", "ry", "rx"))
+_TURN_WORDS = frozenset(words("columns", "turn"))
+_TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"))
 _UNMEASURED = frozenset(words("columns", "unmeasured"))
+_NO_PLACES = _UNMEASURED.union(words("columns", "temperature"), words("columns", "payload"))
 _CELL = re.compile(r"^(?P<word>[a-z_]*?)_?(?P<row>[0-4])_?(?P<column>[0-4])$")
 FEWEST = 5
 """Rows that place an instrument."""
@@ -182,12 +184,16 @@ def _with_joints(
     seen = instruments(rest)
     if seen:
         return (_layout(joints, seen, fields, how), *_trackers(joints, seen, rest, fields, how))
-    in_order = tuple(
-        _layout(joints, (instrument,), fields, how)
-        for instrument in _read_in_order([f for f in rest if not f.is_time])
-    )
-    if in_order:
-        return in_order
+    free = [f for f in rest if not f.is_time]
+    # Only the last may stand still: a coordinate that does would be mistaken for what follows it.
+    move = moving(free)
+    for some in (free, move) if move == tuple(free[: len(move)]) else (free,):
+        in_order = tuple(_layout(joints, (one,), fields, how) for one in _read_in_order(some))
+        if in_order:
+            return in_order
+    numbered = _numbered(free)
+    if numbered:
+        return (_layout(joints, numbered, fields, how),)
     raise InputError(
         f"no column of an instrument is recognised among {unnamed(rest)}"
         if rest
@@ -280,6 +286,16 @@ def _read_in_order(fields: Sequence[Field]) -> Iterator[Seen]:
                     yield from _of_rows(whole[:3])
 
 
+def _numbered(fields: Sequence[Field]) -> tuple[Seen, ...]:
+    """The instruments whose columns differ in one number, as tracker[0] to tracker[2]."""
+    return tuple(
+        one
+        for word, members in families_of(fields)
+        if not _NO_PLACES & {*word.split("_")}
+        for one in [*_read_in_order(members)][:1]
+    )
+
+
 def _of_rows(rows: Sequence[tuple[Field, ...]]) -> Iterator[Seen]:
     """Three rows of a matrix with the position in their fourth column."""
     matrix = tuple(cell for row in rows for cell in row[:3])
@@ -328,9 +344,11 @@ def _orientation(
     for quaternion in quaternions(fields):
         return quaternion, "quaternion", ()
     triples = dict(_triples(fields))
-    for word in _TURN_WORDS:
-        if word in triples and len(triples) > 1:
-            return triples[word], "turns", ()
+    for word, turned in triples.items():
+        # x, y and z of a file of their own are a point, also as rX, rY and rZ
+        beside = any(t[0].table == turned[0].table for t in triples.values() if t is not turned)
+        if word in _TURN_WORDS and beside:
+            return turned, "turns", ()
     for names in _TURNS:
         if set(names) <= set(by_stem):
             return tuple(by_stem[n] for n in names), "turns", ()

@@ -42,6 +42,11 @@ _NAMES = re.compile(rf"\[({_WORD}(?:,{_WORD}){{1,60}})\]")
 """A list of words, such as the names of joints in a message of ROS."""
 _BLOCK = re.compile(r":[ \t]{0,9}((?:\n[ \t]{0,20}-[ \t][^\n:]{1,80})+)")
 """A list of YAML with an item per line."""
+_TAG = re.compile(
+    r"<(?P<element>[A-Za-z]\w{0,40})(?P<rest>(?:\s{1,9}[A-Za-z][\w:]{0,40}=\"[^\"<>]{0,200}\"){2,60})"
+)
+"""An element of XML with its attributes: several elements may have attributes of one name."""
+_ATTRIBUTE = re.compile(r"(?<=\s)([A-Za-z][\w:]{0,40})(?==)")
 _MATRIX = frozenset({(3, 3, 3), (4, 4, 4), (4, 4, 4, 4), (3, 3, 3, 3)})
 
 
@@ -76,6 +81,7 @@ def has_numbers(text: Text) -> bool:
 def records_table(text: Text) -> tuple[Table, str] | None:
     """A row each time that the form repeats, and what to say of it; None without such a form."""
     content = _BLOCK.sub(_in_brackets, text.data.decode("utf-8"))
+    content = _told_apart(content)
     groups = _groups(_runs(content))
     if not groups:
         return None
@@ -134,6 +140,20 @@ def _in_brackets(match: re.Match[str]) -> str:
     """A list of YAML with an item per line as one in brackets."""
     items = [item.strip() for item in re.split(r"\n[ \t]*-[ \t]", match[1])[1:]]
     return f": [{', '.join(items)}]"
+
+
+def _told_apart(content: str) -> str:
+    """XML in which several elements have attributes of one name: with theirs ahead of it."""
+    tags = [*_TAG.finditer(content)]
+    pairs = {(m["element"], name) for m in tags for name in _ATTRIBUTE.findall(m["rest"])}
+    if len({name for _, name in pairs}) == len(pairs):
+        return content
+
+    def named(m: re.Match[str]) -> str:
+        prefixed = _ATTRIBUTE.sub(lambda name: f"{m['element']}_{name[1]}", m["rest"])
+        return f"<{m['element']}{prefixed}"
+
+    return _TAG.sub(named, content)
 
 
 def _groups(runs: Sequence[_Run]) -> dict[str, list[_Run]]:

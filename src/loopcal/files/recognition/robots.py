@@ -52,9 +52,15 @@ class Robot:
 
 
 def urdf_robot(
-    path: Path, relative: str, fields: Sequence[Field], base: str | None, tip: str | None
+    path: Path,
+    relative: str,
+    fields: Sequence[Field],
+    base: str | None,
+    tip: str | None,
+    count: int = 0,
 ) -> Robot:
-    """The chain of a URDF that has the joints of the columns; relative: its path in the project.
+    """The chain of a URDF that has the joints of the columns; relative: its path in the project;
+    count: of columns that are stated as joints.
 
     Raises InputError listing the chains where base and tip are not stated and several fit.
     """
@@ -75,7 +81,7 @@ def urdf_robot(
         affixed = ((b.joints, c) for b in every for c in affixed_joints(fields, b.joints))
         names, fields_of = max(affixed, key=lambda one: len(one[0]), default=((), ()))
         columns = dict(zip(names, fields_of, strict=True))
-    usual = len(usual_joints(fields)) if not columns else 0
+    usual = max(count, len(usual_joints(fields))) if not columns else 0
     if columns:
         fitting = [b for b in every if {*b.joints} == {*columns}] or _of_moving(every, columns)
         why = "its moving joints are the columns' names"

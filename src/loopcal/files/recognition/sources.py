@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, short
+from loopcal.errors import InputError, short, unknown_name
 from loopcal.files.recognition.fields import (
     STATIONS,
     TIMES,
@@ -33,7 +33,9 @@ from loopcal.files.recognition.headers import (
 )
 from loopcal.files.recognition.lists import listed_columns
 from loopcal.files.recognition.shots import MOST_TARGETS, pooled, widened
+from loopcal.files.recognition.turned_over import turned_over
 from loopcal.files.tables import bag
+from loopcal.files.tables.cells import is_missing, is_number
 from loopcal.files.tables.recording import Recording
 from loopcal.files.tables.registry import reader_of
 from loopcal.files.tables.table import Table
@@ -44,6 +46,10 @@ from loopcal.measurements.tables import as_numbers, column, column_names
 
 _IDS = frozenset(words("columns", "pose"))
 _TARGETS = frozenset(words("columns", "target"))
+_ANGLES = frozenset(words("columns", "azimuth") + words("columns", "elevation"))
+_NUMBER_FIRST = re.compile(r"[-+]?\d")
+_FEW = 10
+"""Rows at most that a command to leave them out names."""
 _NAMES = 2
 """Columns that a header between other rows names at least."""
 _CLEARLY = 3
@@ -55,11 +61,14 @@ _NUMBER_LAST = re.compile(r"(?:.*_)?(?P<word>[a-z]+)_?(?P<number>\d{1,3})")
 _WHOLE = re.compile(r"[+-]?\d+")
 
 
-def sources_of(data: Any, number: int, sheet: str | None = None) -> tuple[Source, ...]:
+def sources_of(
+    data: Any, number: int, sheet: str | None = None, without: Collection[str] = ()
+) -> tuple[Source, ...]:
     """The tables of a file by its path, or of a Dataset, dict of arrays or DataFrame.
 
     number: of the first; several are sheets of a workbook that complement each other. sheet: of
-    workbooks, or the variable of MATLAB files. Raises InputError for a table without a column of
+    workbooks, or the variable of MATLAB files. without: ids of poses that take no part, or their
+    numbers. Raises InputError for a table without a column of
     numbers, and for a workbook of which several sheets may hold the readings.
     """
     if isinstance(data, str | Path) and reader_of(data) is bag.READER:
@@ -67,8 +76,32 @@ def sources_of(data: Any, number: int, sheet: str | None = None) -> tuple[Source
     if isinstance(data, Recording):
         return (_of_recording(data, number),)
     if isinstance(data, str | Path):
-        return _of_file(Path(data), number, sheet if reader_of(data).part else None)
-    return (_in_memory(data, number),)
+        return _of_file(Path(data), number, sheet if reader_of(data).part else None, without)
+    return (_without_poses(_in_memory(data, number), without),)
+
+
+def refuse_unknown(names: Collection[str], sources: Sequence[Source]) -> None:
+    """Raise InputError for a pose to leave out that none of the tables had."""
+    gone = {name for source in sources for name in source.left_out}
+    left = [ids for source in sources for ids in _names(source.ids, len(source))]
+    for name in names:
+        if name not in gone:
+            raise unknown_name(f"{name!r} is no pose", name, left, "--exclude")
+
+
+def _names(ids: Sequence[str] | None, count: int) -> Sequence[str]:
+    return ids or [str(i + 1) for i in range(count)]
+
+
+def _without_poses(source: Source, names: Collection[str]) -> Source:
+    every = _names(source.ids, len(source))
+    rows = np.array([name not in names for name in every])
+    if rows.all():
+        return source
+    fields = tuple(replace(f, values=f.values[rows]) for f in source.fields)
+    kept = tuple(name for name in every if name not in names)
+    gone = tuple(name for name in every if name in names)
+    return replace(source, fields=fields, ids=source.ids and kept, left_out=gone)
 
 
 def _in_memory(data: Any, number: int) -> Source:
@@ -132,17 +165,19 @@ def _of_recording(
     )
 
 
-def _of_file(path: Path, number: int, sheet: str | None) -> tuple[Source, ...]:
+def _of_file(
+    path: Path, number: int, sheet: str | None, without: Collection[str] = ()
+) -> tuple[Source, ...]:
     if sheet is not None or reader_of(path).part != "sheet":
-        table, title = framed_table(path, sheet, _NAMES)
-        return (_of_table(path, table, title, number, sheet),)
+        table, title = _framed(path, sheet)
+        return (_of_table(path, table, title, number, sheet, without),)
     sheets = _sheets(path)
     which = ", ".join(f"{short(str(one.sheet))!r} ({len(one.rows)} rows)" for one, _ in sheets[:10])
-    candidates = [_of_table(path, *one, number, None) for one in sheets]
+    candidates = [_of_table(path, *one, number, None, without) for one in sheets]
     taken, left = [candidates[0]], list[int]()
     for i, one in enumerate(candidates[1:], 1):
         if _complements(one, taken):
-            taken.append(_of_table(path, *sheets[i], number + len(taken), None))
+            taken.append(_of_table(path, *sheets[i], number + len(taken), None, without))
         else:
             left.append(i)
     if left and _numbers(sheets[0][0]) < _CLEARLY * _numbers(sheets[left[0]][0]):
@@ -159,6 +194,13 @@ def _of_file(path: Path, number: int, sheet: str | None) -> tuple[Source, ...]:
     return tuple(taken)
 
 
+def _framed(path: Path, part: str | int | None) -> tuple[Table, str]:
+    """The table of a file with a row per pose, and what to say of the rows around it."""
+    table, title = framed_table(path, part, _NAMES)
+    table, turned = turned_over(table)
+    return table, f"{title} {turned}".strip()
+
+
 def _complements(sheet: Source, taken: Sequence[Source]) -> bool:
     """Whether a sheet has other columns of the same poses: the same ids, or as many rows."""
     stems = {f.stem for f in sheet.fields}
@@ -171,7 +213,14 @@ def _complements(sheet: Source, taken: Sequence[Source]) -> bool:
     return len(first) == len(sheet)
 
 
-def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | None) -> Source:
+def _of_table(
+    path: Path,
+    table: Table,
+    remark: str,
+    number: int,
+    sheet: str | None,
+    without: Collection[str] = (),
+) -> Source:
     titled = bool(remark)
     numeric = table.numeric()
     names = [table.names[i] if i < len(table.names) else "" for i in range(_width(table))]
@@ -193,8 +242,17 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
         last = "The last row" if rows == 1 else f"The last {rows} rows"
         summary = f"{last} of {table.name}: a summary of the others, left out."
         remark = f"{remark} {summary}".strip()
+    row_names = _names(None if pose is None else cells[pose], count)
+    left_out = tuple(row_names[k] for k in every if row_names[k] in without)
+    if left_out:
+        every = every[[row_names[k] not in without for k in every]]
+        remark = f"{remark} Left out of {table.name}: {', '.join(left_out)}.".strip()
     labels = {i: tuple(column_cells[k] for k in every) for i, column_cells in cells.items()}
-    values = {i: table.numbers(i, every) for i in numeric if i != pose}
+    try:
+        values = {i: table.numbers(i, every) for i in numeric if i != pose}
+    except InputError as error:
+        bad = [row_names[k] for k in _no_numbers_in(table, numeric, every)]
+        raise error.offering("--exclude", ",".join(bad)) if bad else error from None
     values, blanks = _without_blanks(values, names)
     remark = f"{remark} {blanks}".strip()
     values |= {i: np.empty(0) for i in texts if _stem(headings, i) in STATIONS | TOOLS}
@@ -229,8 +287,34 @@ def _of_table(path: Path, table: Table, remark: str, number: int, sheet: str | N
         remark = (
             f"{remark} Columns of text in {table.name} take no part: {', '.join(idle)}.".strip()
         )
-    source = Source(place, sheet, fields, ids, named, header, path.name, remark)
+    for i in texts:
+        cell = next(filter(None, labels[i]), "")
+        if i not in used and _stem(headings, i) in _ANGLES and _NUMBER_FIRST.match(cell):
+            raise InputError(
+                f"{short(cell)!r} is not a number",
+                code="invalid-number",
+                place=table.place(labels[i].index(cell), i),
+                remedy="write the angle as a decimal number with its unit in the header, or as "
+                "12°30'45\"; if it is no reading, give the column another name",
+            )
+    source = Source(place, sheet, fields, ids, named, header, path.name, remark, left_out=left_out)
     return _with_ids(source, {_stem(headings, i): labels[i] for i in texts if i not in values})
+
+
+def _no_numbers_in(
+    table: Table, columns: Sequence[int], rows: Sequence[int] | NDArray[np.intp]
+) -> list[int]:
+    """Rows with a cell that is neither a number nor missing; none where there are many."""
+    bad = [
+        int(k)
+        for k in rows
+        if any(
+            not is_number(c, table.decimal) and not is_missing(c)
+            for i in columns
+            for c in [table.columns[i][int(k)]]
+        )
+    ]
+    return bad if len(bad) <= _FEW else []
 
 
 def _without_blanks(
@@ -297,7 +381,7 @@ def _sheets(path: Path) -> list[tuple[Table, str]]:
     first: InputError | None = None
     for number in count(1):
         try:
-            table, title = framed_table(path, number, _NAMES)
+            table, title = _framed(path, number)
         except InputError as error:
             # there is no sheet of this number, or the fault is that of the file, not of a sheet
             if error.code == "unknown-name" or (first and str(error) == str(first)):

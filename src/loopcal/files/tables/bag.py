@@ -24,6 +24,7 @@ from loopcal.files.tables.recording import Recording, Series, packed, unpacked
 from loopcal.files.tables.table import Table, positions_of
 
 Array = NDArray[np.float64]
+_TABLES = frozenset((".csv", ".tsv", ".txt", ".xlsx", ".parquet", ".mat", ".json"))
 _JOINTS = "sensor_msgs/msg/JointState"
 _AXES = ("x [m]", "y [m]", "z [m]", "qw", "qx", "qy", "qz")
 
@@ -79,6 +80,13 @@ def read_bag(path: str | Path, topic: str | None = None) -> Recording:
     """
     path = Path(path)
     path = path if path.is_dir() else existing_file(path)
+    if path.suffix.lower() in _TABLES:
+        raise InputError(
+            "this is a table, and no ROS bag",
+            code="wrong-file-type",
+            place=path.name,
+            remedy="read it with lc.read_dataset, or give it to lc.calibrate and lc.init as it is",
+        )
     arguments = {"path": str(path.absolute()), "topic": topic}
     return unpacked(from_child(f"{__name__}:_packed_bag", arguments, path, "ROS bag"))
 

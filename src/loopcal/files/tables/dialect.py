@@ -30,6 +30,8 @@ SAMPLE_ROWS = 100
 _FEWEST = 3
 """Columns whose names a comment may hold: a comment of a few words names fewer."""
 _RUN = re.compile(r"[ \t]+")
+_UNIT_BEHIND = re.compile(r"(?<=\d)\s{0,3}(?:[^\W\d_]{1,4}|°)$")
+"""Of a number with its unit: a cell of a number too, where the delimiter is sought."""
 _BEFORE_UNIT = re.compile(r"\s+(?=[\[(])")
 
 
@@ -178,7 +180,9 @@ def _try(rows: list[Row], delimiter: str, decimal: str) -> _Trial:
     lengths = [len(row) for row in body]
     width = max(set(lengths), key=lambda n: (lengths.count(n), n == len(cells[0]), n))
     even = [row for row in body if len(row) == width]
-    good = sum(is_missing(c) or is_number(c, decimal) for row in even for c in row)
+    good = sum(
+        is_missing(c) or is_number(_UNIT_BEHIND.sub("", c), decimal) for row in even for c in row
+    )
     return _Trial(
         delimiter,
         decimal,

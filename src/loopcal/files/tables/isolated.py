@@ -16,6 +16,11 @@ from loopcal.files.tables.raw import existing_file
 from loopcal.files.tables.reader import Layout, Reader
 from loopcal.files.tables.table import Table
 
+_RECOVERED = {
+    "ROS bag": "recover it: mcap recover FILE -o NEW, ros2 bag reindex FOLDER, rosbag reindex FILE"
+}
+"""Kind of file -> what to do where it is damaged, beside writing it again."""
+
 
 def read_isolated(
     reader: Reader, path: str | Path, layout: Layout, *, wanted: Collection[str | int] | None
@@ -44,7 +49,7 @@ def from_child(function: str, arguments: dict[str, Any], path: Path, kind: str) 
             f"this {kind} file cannot be read ({why})",
             code="wrong-file-type",
             place=path.name,
-            remedy="write the file again, or save its table as CSV",
+            remedy=_RECOVERED.get(kind, "write the file again, or save its table as CSV"),
         ) from None
 
 

@@ -254,7 +254,7 @@ def _refuse_other_kinds(head: bytes, name: str) -> None:
                 f"this is not text but {kind}",
                 code="wrong-file-type",
                 place=name,
-                remedy="rename it to its usual extension, or save it as CSV",
+                remedy="rename it to its usual extension, save it as CSV, or leave it out",
             )
 
 

@@ -42,7 +42,7 @@ from loopcal.files.recognition.robots import (
     typed_robot,
     urdf_robot,
 )
-from loopcal.files.recognition.sources import sources_of
+from loopcal.files.recognition.sources import refuse_unknown, sources_of
 from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset, refuse_lost
 from loopcal.measurements.dataset import Dataset
@@ -220,12 +220,22 @@ def init(
     the one with by far the most numbers; force: whether a project that was changed is replaced,
     of which a backup is kept. joints: the columns of the joints in the machine's order,
     as "J1,-J2,J3+J2,J4*0.001" where they count
-    otherwise; leave_out: columns that take no part, as "*_soll,v*"; infer_units: take none from
-    headers.
+    otherwise; leave_out: columns that take no part, as "*_soll,v*"; exclude: poses that take none,
+    as "P004,P012"; infer_units: take none from headers.
 
     Raises InputError where something remains open, with what is possible, and where files are in
     the way.
     """
+    for name, file in (("urdf", urdf), ("dh", dh), ("machine", machine)):
+        if not isinstance(file, str | Path | None):
+            raise InputError(
+                f"{name} is a {type(file).__name__}, and the path of a file is needed",
+                code="invalid-value",
+                remedy="write the table with units in its header, such as a [mm], alpha [deg], "
+                "d [mm], theta [deg]: table.to_csv('dh.csv'), then dh='dh.csv'"
+                if name == "dh"
+                else f"name the file, such as {name}='robot.urdf'",
+            )
     robot = RobotFile(urdf, dh, machine, **options)
     # A list of paths is these files.
     listed = [list(one) if _are_paths(one) else [one] for one in readings]
@@ -273,7 +283,8 @@ def initial_project(
         )
     sources: list[Source] = []
     for entry in readings:
-        sources += sources_of(entry, len(sources), sheet)
+        sources += sources_of(entry, len(sources), sheet, robot.excluded)
+    refuse_unknown(robot.excluded, sources)
     sources, by_time = at_rest(sources, joints_of(robot.urdf))
     every = _joined(sources, robot, folder)
     fields = used(every, robot)
@@ -427,7 +438,9 @@ def _robot(robot: RobotFile, fields: Fields, folder: Path, signs: Sequence[int])
         ).offering(*([] if named else ["ROBOT"]))
     if robot.urdf is not None:
         path = Path(robot.urdf)
-        return urdf_robot(path, relative(path, folder), fields.fields, robot.base, robot.tip)
+        count = len(robot.joints.split(",")) if robot.joints else 0
+        links = (robot.base, robot.tip)
+        return urdf_robot(path, relative(path, folder), fields.fields, *links, count)
     if robot.base is not None or robot.tip is not None:
         raise UsageError("base and tip are links of a URDF", remedy="remove them, or name --urdf")
     if robot.dh is not None:
@@ -532,7 +545,11 @@ def _refuse_zeros(some: Sequence[Layout], fields: Fields) -> None:
             lost = np.all([f.values == 0.0 for f in seen.position], axis=0)
             if not lost.all() and len(readings) == 3:
                 dataset = Dataset.from_arrays(readings, poses=fields.poses)
-                refuse_lost(dataset, list(readings), lost, "or remove these rows")
+                gone = ",".join(dataset.poses[i] for i in np.flatnonzero(lost))
+                try:
+                    refuse_lost(dataset, list(readings), lost, "or leave these poses out")
+                except InputError as error:
+                    raise error.offering("--exclude", gone) from None
 
 
 def _odd(project: Project, dataset: Dataset) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ joint. The option --joints then states the columns as they have to be read.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations, islice, pairwise
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import Code, InputError
 from loopcal.estimation.mounted import Bodies
-from loopcal.files.recognition.fields import names_of
+from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import Layout, Seen
 from loopcal.files.recognition.meanings import LENGTHS, Meaning
@@ -41,6 +42,7 @@ ONE_POSE = 5e-3
 """A body that moves less than this [m] stands in one pose."""
 _LIKELIEST = 4
 """Ways to read the columns that are tried with joints counted in another way."""
+_BRACKETS = re.compile(r"(?P<name>[^\[(]+)[\[(](?P<unit>[^\])]+)[\])]")
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 _SHIFTS = (1, -1, 2, -2, 3, -3)
 _FEW = 40
@@ -435,6 +437,8 @@ def _nothing(case: Case) -> Explanation:
             f"{names_of(still)} {verb} the same value in every row, although the machine moves",
             "correct the file, or name the column that has the readings",
         )
+    if odd := _odd_units(best.share, case.fields.fields):
+        return odd
     remedy = (
         "check the robot (URDF, Denavit-Hartenberg table and its convention), the signs and zeros "
         "of the joints, and that joints and instrument are of the same poses"
@@ -451,6 +455,23 @@ def _nothing(case: Case) -> Explanation:
         f"it misses them by {_percent(best.share)} of their spread",
         remedy,
     )
+
+
+def _odd_units(share: float, fields: Sequence[Field]) -> Explanation | None:
+    """Where a header has in brackets what is no unit, and others like it have one."""
+    for f in fields:
+        match = None if f.unit else _BRACKETS.fullmatch(f.label)
+        alike = [o for o in fields if match and o.label.startswith(match["name"][:1])]
+        stated = [o.label for o in alike if o.unit]
+        if match and stated:
+            return Explanation(
+                share,
+                "unknown-unit",
+                f"{match['unit']!r} in the header {f.label!r} is no known unit",
+                f"write the unit as in {stated[0]!r}, or let it be inferred by --joints",
+                ("--joints", ",".join(o.label for o in alike)),
+            )
+    return None
 
 
 def _moved_too(case: Case) -> Iterator[Explanation]:

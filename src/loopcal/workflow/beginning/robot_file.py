@@ -20,7 +20,8 @@ class RobotFile:
 
     base, tip: links of the URDF; joints: the columns of its joints, or expressions of them, divided
     by commas; leave_out: names of columns that take no part, with * for any letters; infer_units:
-    whether units are taken from no header.
+    whether units are taken from no header; exclude: ids of poses that take no part, or their
+    numbers from 1.
     """
 
     urdf: str | Path | None = None
@@ -32,6 +33,12 @@ class RobotFile:
     leave_out: str | None = None
     observe: Sequence[str] = ()
     infer_units: bool = False
+    exclude: str | None = None
+
+    @property
+    def excluded(self) -> tuple[str, ...]:
+        """The ids of `exclude`."""
+        return tuple(filter(None, (part.strip() for part in (self.exclude or "").split(","))))
 
 
 class InitOptions(TypedDict, total=False):
@@ -43,6 +50,7 @@ class InitOptions(TypedDict, total=False):
     leave_out: str | None
     observe: Sequence[str]
     infer_units: bool
+    exclude: str | None
 
 
 def among(readings: Sequence[Any], robot: RobotFile) -> tuple[RobotFile, Sequence[Any]]:

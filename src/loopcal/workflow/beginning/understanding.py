@@ -48,8 +48,11 @@ def undetermined(machine: Machine, layouts: Sequence[Layout]) -> InputError:
         for name, joint in zip(machine.joints, joints, strict=False)
         if np.isfinite(joint.values).any() and not np.nanmax(joint.values) > np.nanmin(joint.values)
     ]
+    follows = ""
     if poses < 5:
-        words, remedy = f"{poses} poses are too few", "measure at least 5 poses"
+        words = f"{poses} poses are too few"
+        remedy = "measure at least 5 poses, better 30; a project without readings plans them"
+        follows = "loopcal init ROBOT --out planned"
     elif still:
         words = f"{listed(still)} stands still in all {poses} poses"
         remedy = "move it, or name a --base or --tip that leaves it out"
@@ -63,7 +66,7 @@ def undetermined(machine: Machine, layouts: Sequence[Layout]) -> InputError:
         f"the readings determine no place of the instrument: {words}",
         code="too-few-poses",
         remedy=remedy,
-    )
+    ).then(follows)
 
 
 def understood(
