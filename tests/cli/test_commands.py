@@ -292,7 +292,7 @@ def test_no_heavy_library_is_loaded_without_need(folder: Path) -> None:
         "aside += 'estimation.stream.merit mechanisms.effects.registry files.machines.chains '\n"
         "aside += 'estimation.solve.newton mechanisms.effects.drift '\n"
         "aside += 'measurements.joining document.notebook_html '\n"
-        "aside += 'files.project.new_project files.machines.serial files.machines.motoman '\n"
+        "aside += 'files.project.new_project files.machines.serial '\n"
         "aside += 'mechanisms.parallel.registry files.machines.declared_function'\n"
         "heavy = {'scipy', 'jinja2', 'html', 'multiprocessing', 'concurrent.futures.process'}\n"
         "heavy |= {f'loopcal.{name}' for name in aside.split()}\n"

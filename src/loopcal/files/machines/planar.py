@@ -1,4 +1,4 @@
-"""The planar two-link arm in mechanism files."""
+"""Arms that are given by their names in mechanism files: the planar two-link, and the MA1400."""
 
 from __future__ import annotations
 
@@ -6,11 +6,18 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from loopcal.files.machines.attached import Instruments
-from loopcal.files.machines.machine_type import MachineTable, MachineType, looked_at
+from loopcal.files.machines.machine_type import ArmTable, MachineTable, MachineType, looked_at
 from loopcal.files.toml.place import Place, Scope
+from loopcal.files.toml.tables import built
 from loopcal.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.planar import NAME, planar_machine, planar_two_link
+from loopcal.mechanisms.planar import (
+    NAME,
+    motoman_joints,
+    motoman_ma1400,
+    planar_machine,
+    planar_two_link,
+)
 
 
 @dataclass(frozen=True)
@@ -31,4 +38,13 @@ def planar(stated: PlanarTable, _: Any, scope: Scope, place: Place) -> Mechanism
     return looked_at(planar_machine(name=stated.name), stated.instrument, scope, place)
 
 
-TYPES = {"planar-two-link": MachineType(planar_two_link, PlanarTable, planar)}
+def motoman(_: ArmTable, entry: Any, scope: Scope, place: Place) -> Mechanism:
+    """The arm of a table of the type "motoman-ma1400"."""
+    made: Mechanism = built(motoman_ma1400, entry, scope, place)
+    return made
+
+
+TYPES = {
+    "planar-two-link": MachineType(planar_two_link, PlanarTable, planar),
+    "motoman-ma1400": MachineType(motoman_ma1400, ArmTable, motoman, motoman_joints),
+}

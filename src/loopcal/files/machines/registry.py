@@ -14,7 +14,7 @@ _HOME = {
     "urdf": "chains",
     "exponentials": "chains",
     "tree": "trees",
-    "motoman-ma1400": "motoman",
+    "motoman-ma1400": "planar",
 }
 """By type, the module here whose `TYPES` holds it; all others are parallel machines."""
 
