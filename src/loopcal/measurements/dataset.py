@@ -41,7 +41,8 @@ class Dataset:
     source: Source = field(default_factory=Source)
 
     def __post_init__(self) -> None:
-        if not self.poses:  # of a table or arrays, as `from_arrays` takes them
+        empty = isinstance(self.readings, Mapping) and not any(map(np.size, self.readings.values()))
+        if not self.poses and not empty:  # of a table or arrays, as `from_arrays` takes them
             made = Dataset.from_arrays(self.readings, units=self.units or None)
             for name in ("readings", "units", "poses", "source"):
                 object.__setattr__(self, name, getattr(made, name))
