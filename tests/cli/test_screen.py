@@ -51,3 +51,10 @@ def test_of_many_instruments_the_accuracy_of_all_together_is_kept() -> None:
     assert ACCURACY in shown.split("\n\n")
     assert "(not shown: accuracy of each instrument, " in shown
     assert shown.count("\n") + 1 <= SCREEN
+
+
+def test_a_table_below_a_few_lines_fits_with_them() -> None:
+    table = "\n".join(["sd after  1", *(f"row_{i}  {i}" for i in range(37))])
+    shown = screen(f"{TITLE}\n\n{table}", 2)
+    assert len(shown.splitlines()) + 2 <= 40
+    assert "more rows of sd after; all: --full)" in shown

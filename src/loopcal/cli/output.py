@@ -73,7 +73,7 @@ def screen(text: str, following: int = 0) -> str:
 
     The verdict comes first, then the accuracy, then the other parts in their order. One that does
     not fit any more is left out, and named by its first words in the last line; of a table that
-    alone is longer than a screen the first rows are kept. following: lines printed below it.
+    is as long as a screen the first rows are kept. following: lines printed below it.
     """
     room = SCREEN - _ABOVE.get() - following
     if text.count("\n") < room:
@@ -90,8 +90,8 @@ def screen(text: str, following: int = 0) -> str:
         if not fits:
             left.append(_name(part))
             continue
-        if kept and "  " in lines[0] and len(lines) > SCREEN:  # a verdict is whole, however long
-            rows = max(room, _ROWS)
+        if kept and "  " in lines[0] and len(lines) + 1 > room:  # a verdict is whole, however long
+            rows = max(room - 1, _ROWS)
             left.append(f"{len(lines) - rows} more rows of {_name(part)}")
             lines = lines[:rows]
         kept.append("\n".join(lines))
