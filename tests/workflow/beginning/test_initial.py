@@ -580,6 +580,19 @@ def test_what_does_not_fit_is_explained(tmp_path: Path, arm: Any) -> None:
         lc.init(of(columns, [*NAMES, "x", "y", "z"]), dh=path)
 
 
+@pytest.mark.parametrize("each", [1, 3])
+def test_rows_in_another_unit_are_named(tmp_path: Path, arm: Any, each: int) -> None:
+    """A second file, or every third pose, was exported in inches."""
+    joints, points = arm
+    rows = np.arange(len(points)) % 3 == 0 if each == 3 else np.arange(len(points)) >= 20
+    points = 1e3 * np.where(rows[:, None], points / 25.4, points)
+    names = [f"{c} [mm]" for c in "xyz"]
+    path = table(tmp_path / "m.csv", of(np.degrees(joints), NAMES) | of(points, names))
+    first = f"rows 21 to {len(points)} of" if each == 1 else "(the first is 1) of"
+    with refused("wrong-unit", first, "in inches", "others are in mm"):
+        lc.init(path, dh=dh(tmp_path))
+
+
 def test_zeros_of_a_lost_reflector_are_refused(tmp_path: Path, arm: Any) -> None:
     joints, points = arm
     lost = points.copy()

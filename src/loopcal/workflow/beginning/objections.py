@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, combinations, islice, pairwise
+from itertools import chain, combinations, islice, pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,11 @@ _MIRROR = np.array([-1.0, 1.0, 1.0])
 _SHIFTS = (1, -1, 2, -2, 3, -3)
 _FEW = 40
 """Poses that one coordinate is tried on."""
+# Chosen, not derived: units differ by a factor of 2.54 and more, as the distances of points may.
+_APART = 0.3
+"""The logarithm by which rows in another unit are nearer or farther than the others."""
+_GAPS = 3
+"""So many gaps are tried: poses near the instrument leave others."""
 # Twelve points are 36 equations for the nine numbers of station and target.
 _BLOCK, _TOGETHER = 12, 0.05
 """So many consecutive poses are fitted alone; they then belong together if they leave this."""
@@ -115,6 +120,7 @@ def objection(case: Case) -> Explanation | None:
     explanations: list[Explanation] = []
     tried = (  # the quickest first; each begins when it is its turn
         _shifted_too(case),
+        _rows_in_other_units(case),
         _moved_too(case),
         _coordinates(case),
         _reversed(case, 1),
@@ -225,6 +231,51 @@ def _coordinates(case: Case) -> Iterator[Explanation]:
                         f"{_percent(share)} of their spread",
                         "convert the column, or state the unit of each in its header",
                     )
+
+
+def _rows_in_other_units(case: Case) -> Iterator[Explanation]:
+    """Rows nearer than the others, or farther, by so much that they may be in another unit."""
+    for way in case.ways:
+        for meaning in way.seen:
+            if meaning.position.ndim < 2 or meaning.seen.kind == "spherical":
+                continue
+            names = names_of(meaning.seen.position)
+            for near, other in product(_nearer(meaning.position), LENGTHS):
+                factor = unit(other).factor / unit(meaning.length).factor
+                rows = near if factor > 1.0 else ~near
+                share = _scaled(way, meaning, np.where(rows, factor, 1.0)[:, None])
+                yield Explanation(
+                    share,
+                    "wrong-unit",
+                    f"{_which(rows)} of {names} {_written(other)}, and the others "
+                    f"{_written(meaning.length)}: so the nominal machine misses the readings by "
+                    f"{_percent(share)} of their spread, as read by {_percent(way.share)}",
+                    "convert these rows",
+                )
+
+
+def _nearer(points: Array) -> Iterator[NDArray[np.bool_]]:
+    """(N,) which points are nearer than the others, with the widest gap first."""
+    away = np.linalg.norm(points, axis=1)
+    order = np.argsort(away)  # what is not read is last, and no gap beside it is wide
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gaps = np.nan_to_num(np.diff(np.log(away[order])), posinf=0.0)
+    for at in np.argsort(-gaps)[:_GAPS].tolist():
+        if gaps[at] >= _APART:
+            yield away <= away[order[at]]
+
+
+def _written(length: str) -> str:
+    return "are in inches" if length == "in" else f"are in {length}"
+
+
+def _which(rows: NDArray[np.bool_]) -> str:
+    """Rows from 1, in words."""
+    numbers = np.flatnonzero(rows) + 1
+    first, last = int(numbers[0]), int(numbers[-1])
+    if last - first + 1 == len(numbers):
+        return f"rows {first} to {last}" if last > first else f"row {first}"
+    return f"{len(numbers)} of {len(rows)} rows (the first is {first})"
 
 
 def _mirrored(case: Case, way: Understood) -> Explanation | None:
