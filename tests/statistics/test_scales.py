@@ -6,6 +6,7 @@ from functools import cache
 
 from analyses.scales import begun, drawn, within
 from loopcal.statistics.ordered_system import OrderedSystem
+from loopcal.statistics.possible_changes import BETWEEN_DAYS, possible
 from loopcal.statistics.scales import scales
 
 PLANTED = 1e-4
@@ -32,6 +33,11 @@ def test_the_scale_of_all_readings_shows_beside_a_drawing_that_is_kept_to() -> N
     for length, shows in ((5e-6, True), (1e-3, False)):
         system = within(two_stations(), length)
         assert (scales(system.fitted())[-1].sd < 1e-4) is shows
+
+
+def test_a_target_that_two_stations_see_is_one_tool() -> None:
+    causes = possible(two_stations().problem, BETWEEN_DAYS)
+    assert [one.name for one in causes if one.kind == "mounting"] == ["tool"]
 
 
 def test_a_scale_is_in_what_the_sd_of_lengths_was_learnt_from() -> None:

@@ -135,7 +135,7 @@ def _mounted(problem: Problem) -> Iterator[tuple[str, ...]]:
         mounted = mechanism.parameters.of_role("mounting")
         seen = [tuple(n for n in f.mounted if n in mounted) for f in mechanism.families]
         groups = (*seen, tuple(n for n in mounted if not any(n in names for names in seen)))
-    for names in groups:
+    for names in dict.fromkeys(groups):  # two stations see one target
         if estimated := tuple(n for n in names if n in problem.names):
             yield estimated
 
