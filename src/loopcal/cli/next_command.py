@@ -126,8 +126,8 @@ def _placed(error: LoopcalError, words: Sequence[str]) -> list[str]:
     if error.code not in _OTHER_FILE or place not in words[1:] or place.startswith("-"):
         return []
     at = len(words) - 1 - words[::-1].index(place)
-    others = [w for w in words[1:] if w != place and w.endswith(_TABLES) and not _is_dh(w)]
-    if words[0] == "init" and others and words[at - 1] not in _ROBOT:
+    others = [w for w in words[1:] if w != place and _is_table(w)] if words[0] == "init" else []
+    if others and words[at - 1] not in _ROBOT:
         robot = [] if {*_ROBOT} & {*words} else split(_robot(words))
         return ["loopcal", *words[:at], *words[at + 1 :], *robot]  # the others have readings
     ahead, behind = ["loopcal", *words[:at]], list(words[at + 1 :])
@@ -306,6 +306,10 @@ def _is_dh(path: str | Path) -> bool:
     from loopcal.files.recognition.dh_table import is_dh  # only errors ask
 
     return is_dh(path)
+
+
+def _is_table(path: str) -> bool:
+    return path.endswith(_TABLES) and os.path.isfile(path) and not _is_dh(path)
 
 
 def _robot(words: Sequence[str]) -> str:

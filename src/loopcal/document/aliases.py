@@ -72,7 +72,7 @@ INSTEAD: Mapping[str, str] = {
         "result.conf_int(), or lc.intervals(result)",
     ),
     **dict.fromkeys(("sample", "samples"), "result.x and result.covariance, and draw from them"),
-    **dict.fromkeys(("data", "dataset", "readings"), "result.poses, or what was given to it"),
+    **dict.fromkeys(("data", "readings"), "result.dataset"),
     **dict.fromkeys(("load", "from_file"), "lc.load(folder)"),
     **dict.fromkeys(("accuracy", "improvement"), "result.document.accuracy, or result.rms"),
     **dict.fromkeys(("chi2", "chisq"), "result.chi_squared.value"),

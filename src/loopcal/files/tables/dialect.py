@@ -30,8 +30,7 @@ SAMPLE_ROWS = 100
 _FEWEST = 3
 """Columns whose names a comment may hold: a comment of a few words names fewer."""
 _RUN = re.compile(r"[ \t]+")
-_UNIT_BEHIND = re.compile(r"(?<=\d)\s{0,3}(?:[^\W\d_]{1,4}|°)$")
-"""Of a number with its unit: a cell of a number too, where the delimiter is sought."""
+_UNIT_BEHIND = re.compile(r"(?<=\d)\s{0,3}(?P<unit>[^\W\d_]{1,4}|°)$")
 _BEFORE_UNIT = re.compile(r"\s+(?=[\[(])")
 
 
@@ -171,6 +170,18 @@ def spoken(delimiter: str) -> str:
     return _WORDS.get(delimiter, repr(delimiter))
 
 
+def _says_number(cell: str, decimal: str) -> bool:
+    """Whether a cell is a number, with its unit or without, or blank."""
+    if is_missing(cell) or is_number(cell, decimal):
+        return True
+    unit = _UNIT_BEHIND.search(cell)
+    return (
+        unit is not None
+        and not is_missing(unit["unit"])
+        and is_number(cell[: unit.start()], decimal)
+    )
+
+
 def _try(rows: list[Row], delimiter: str, decimal: str) -> _Trial:
     try:
         cells = [_without_last_empty(cut(row.line, delimiter)) for row in rows]
@@ -180,9 +191,7 @@ def _try(rows: list[Row], delimiter: str, decimal: str) -> _Trial:
     lengths = [len(row) for row in body]
     width = max(set(lengths), key=lambda n: (lengths.count(n), n == len(cells[0]), n))
     even = [row for row in body if len(row) == width]
-    good = sum(
-        is_missing(c) or is_number(_UNIT_BEHIND.sub("", c), decimal) for row in even for c in row
-    )
+    good = sum(_says_number(cell, decimal) for row in even for cell in row)
     return _Trial(
         delimiter,
         decimal,
