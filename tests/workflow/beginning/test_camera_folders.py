@@ -151,3 +151,15 @@ def test_a_project_in_the_folder_is_passed_over(tmp_path: Path) -> None:
     made = lc.init(tmp_path, out=tmp_path / "calibration")
     assert made.written
     assert lc.init(tmp_path).words == made.words
+
+
+@pytest.mark.parametrize("on", ["base", "body"])
+def test_where_the_start_puts_what_the_hand_carries_is_no_drawing(tmp_path: Path, on: str) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on=on), T)
+    made = lc.init(tmp_path, out=tmp_path / "calibration")
+    parameters = made.mechanism.parameters
+    carried = [p for p in parameters if p.role == "mounting" and p.unit in ("m", "rad")]
+    assert len(carried) == 6
+    assert {(p.unit, round(p.prior_sd, 3)) for p in carried} == {("m", 0.2), ("rad", 1.0)}
+    assert all(np.isinf(p.prior_sd) for p in parameters if p.role == "placement")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
@@ -14,6 +15,7 @@ from loopcal.errors import listed
 from loopcal.estimation.cameras.start import (
     CameraStart,
 )
+from loopcal.estimation.mounted import NEAR, TURNED
 from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
@@ -155,10 +157,13 @@ class ImagesProject:
         free = self.hand.table.get("read") is False
         held = begun.held is not False
         blind = any(fact.code in ("no-rotation", "parallel-axes") for fact in begun.facts)
+        # what the hand carries is a guess of the start, and no drawing
+        guessed = (1e3 * NEAR, round(math.degrees(TURNED), 1))
+        near = None if free else (_MOUNTED, _TURNED) if blind else guessed
         for c, (camera, eye) in enumerate(self.eyes.items()):
             X = begun.X[c] @ np.linalg.inv(begun.X[0]) if free else begun.X[c]
             place = np.linalg.inv(X) if self.on_body else X
-            stated |= _six(eye, place, fixed=free and c == 0, mounted=blind and not held)
+            stated |= _six(eye, place, free and c == 0, None if held else near)
             lens = begun.intrinsics[camera]
             for key, value in lens.values.items():
                 entry: dict[str, Any] = {"value": float(value)}
@@ -176,9 +181,7 @@ class ImagesProject:
             if free:
                 Y = np.linalg.inv(begun.Y[0]) @ Y
             place = np.linalg.inv(Y) if self.on_body else Y
-            stated |= _six(
-                self.boards[board.name], place, fixed=free and b == 0, mounted=blind and held
-            )
+            stated |= _six(self.boards[board.name], place, free and b == 0, near if held else None)
             if free and board.planar and len(board.points) > _FEWEST:
                 # nothing but the board says how large anything is
                 stated[f"{self.boards[board.name]}_scale"] = {"value": 0.0, "fixed": True}
@@ -256,18 +259,18 @@ class ImagesProject:
         return table_bytes(columns, ".csv")
 
 
-def _six(owner: str, T: Array, *, fixed: bool, mounted: bool) -> dict[str, Any]:
-    """The six parameters of a place; mounted: as far as what is mounted usually is."""
+def _six(
+    owner: str, T: Array, fixed: bool, near: tuple[float, float] | None = None
+) -> dict[str, Any]:
+    """The six parameters of a place; near: how well it is known, as sds [mm, deg]."""
     turns = yaw_pitch_roll(T[:3, :3])
-    entries = [
-        (axis, 1e3 * float(v), "mm", _MOUNTED) for axis, v in zip("xyz", T[:3, 3], strict=True)
-    ]
+    entries = [(axis, 1e3 * float(v), "mm", 0) for axis, v in zip("xyz", T[:3, 3], strict=True)]
     entries += [
-        (name, float(from_si(np.array(v), "deg")), "deg", _TURNED)
+        (name, float(from_si(np.array(v), "deg")), "deg", 1)
         for name, v in zip(("rz", "ry", "rx"), turns, strict=True)
     ]
     further = {"fixed": True} if fixed else {}
     return {
-        f"{owner}_{name}": {"value": value, "unit": of, **({"sd": sd} if mounted else further)}
-        for name, value, of, sd in entries
+        f"{owner}_{name}": {"value": value, "unit": of, **({"sd": near[k]} if near else further)}
+        for name, value, of, k in entries
     }
