@@ -42,7 +42,7 @@ def test_a_verdict_is_whole() -> None:
 def test_a_verdict_longer_than_a_screen_hides_no_accuracy() -> None:
     shown = screen("\n\n".join([TITLE, verdict(45), rest(3)[0], ACCURACY]))
     assert shown.split("\n\n")[:3] == [TITLE, verdict(45), ACCURACY]
-    assert shown.endswith(", warnings; all: --full)")
+    assert shown.endswith("(not shown: warnings; all: --full)")
 
 
 def test_of_many_instruments_the_accuracy_of_all_together_is_kept() -> None:

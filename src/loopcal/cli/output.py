@@ -84,13 +84,13 @@ def screen(text: str, following: int = 0) -> str:
     for part in parts:
         lines = part.split("\n")
         if len(lines) + 1 > room and _name(part) in _NEEDED:  # those of instruments are indented
-            lines = [line for line in lines if not line.startswith("  ")]
-            left.append(f"{_name(part)} of each instrument")
-        fits = len(lines) + 1 <= room or len(kept) < _JUDGED or _name(part) in _NEEDED
-        if not fits:
+            of_all = [line for line in lines if not line.startswith("  ")]
+            left += [f"{_name(part)} of each instrument"] if len(of_all) < len(lines) else []
+            lines = of_all
+        elif len(lines) + 1 > room and len(kept) >= _JUDGED:
             left.append(_name(part))
             continue
-        if kept and "  " in lines[0] and len(lines) + 1 > room:  # a verdict is whole, however long
+        elif len(lines) + 1 > room and kept and "  " in lines[0]:  # a verdict is whole
             rows = max(room - 1, _ROWS)
             left.append(f"{len(lines) - rows} more rows of {_name(part)}")
             lines = lines[:rows]

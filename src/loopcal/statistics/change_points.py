@@ -61,8 +61,8 @@ UNREMARKABLE = 1e-3
 _WAVES, _EDGE = 6, 1e-3
 """A step is kept if its edge stands out of so many slow cosines over the run at this level."""
 _DRIFTING = ("station", "reading", "expansion")
-"""A drift is told apart where it is one of an instrument, or of the whole machine, in an order that
-the joints do not tell."""
+"""What may drift: an instrument, or the scale of the whole machine. A drift is named only where the
+joints do not show the order of the poses: elsewhere it looks like an error of the machine."""
 _RARE = 10.0
 """By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
 the last joint does the same, and does it more often."""
