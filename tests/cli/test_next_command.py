@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import loopcal as lc
@@ -101,6 +102,20 @@ def test_an_error_ends_with_the_next_command(name: str, folder: Path, run: Run) 
     assert done.code in (2, 3), done.err
     assert "Traceback" not in done.err
     assert done.err.endswith(f"Next command:\n    loopcal {command}\n"), done.err
+
+
+def test_readings_of_one_pose_lead_to_a_plan_for_the_robot_that_was_named(
+    folder: Path, run: Run
+) -> None:
+    poses = np.random.default_rng(1).normal(
+        [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1.0, 2.0, 0.5], 1e-5, (20, 9)
+    )
+    head = ",".join([*(f"J{i} [rad]" for i in range(1, 7)), *(f"{c} [m]" for c in "xyz")])
+    np.savetxt(folder / "still.csv", poses, delimiter=",", header=head, comments="")
+    done = run("init", "still.csv", "--machine", "motoman-ma1400")
+    command = "init --machine motoman-ma1400 --out planned"
+    assert done.err.endswith(f"Next command:\n    loopcal {command}\n"), done.err
+    assert run(*command.split()).code == 0
 
 
 def test_a_file_is_mended_for_the_same_command(folder: Path, run: Run) -> None:

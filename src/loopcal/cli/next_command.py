@@ -12,7 +12,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from shlex import join, quote, split
 from typing import Any
@@ -313,7 +313,10 @@ def _is_table(path: str) -> bool:
 
 
 def _robot(words: Sequence[str]) -> str:
-    """The option that names the robot: a URDF, or a Denavit-Hartenberg table."""
+    """The option that names the robot, as it was typed; else a URDF or a table of the folder."""
+    for option, value in pairwise(words):
+        if option in _ROBOT:
+            return join([option, value])
     folders = [Path(word) for word in words[1:] if Path(word).is_dir()]
     folders += [Path(word).parent for word in words[1:] if Path(word).is_file()]
     for folder in [*folders, Path()]:

@@ -81,11 +81,12 @@ class Explanation:
     words: str
     remedy: str
     options: tuple[str, ...] = ()
+    follows: str = ""
 
     def error(self) -> InputError:
         """As the refusal that it is."""
         error = InputError(self.words, code=self.code, remedy=self.remedy)
-        return error.offering(*self.options)
+        return error.offering(*self.options).then(self.follows)
 
 
 def contradiction(case: Case) -> Explanation | None:
@@ -478,6 +479,7 @@ def _nothing(case: Case) -> Explanation:
             f"robot by {with_unit(far, 'm', 2)}",
             "measure poses that differ in every joint; loopcal noise gives the sds of sensors from "
             "repeated readings",
+            follows="loopcal init ROBOT --out planned",
         )
     read = [field for one in best.layout.seen for field in (*one.position, *one.turned)]
     if still := [f for f in read if np.nanmin(f.values) == np.nanmax(f.values)]:
