@@ -117,6 +117,10 @@ ClusterOption = Annotated[
         "Compute on a Dask cluster: tcp://HOST:PORT, or the scheduler's file [default: here].",
     ),
 ]
+LimbOption = Annotated[
+    str | None,
+    option("BODY", "Of a robot of several limbs, the body at the end of the one that is meant."),
+]
 PulsesOption = Annotated[
     str | None,
     option(

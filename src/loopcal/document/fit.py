@@ -49,7 +49,7 @@ class ParameterEntry:
     nominal: float
     """Value before the fit, after the machine was moved to where the instrument sees it."""
     value: float
-    """Calibrated value; the nominal one where fixed."""
+    """Calibrated value; the nominal one where fixed, that of `same` where it is the same."""
     sd: Size | None
     """Null where fixed or not identifiable."""
     prior_sd: Size | None
@@ -71,11 +71,19 @@ class ParameterEntry:
     """The joint, link, instrument, target or effect that it belongs to."""
     meaning: str = ""
     """One line on it, in words."""
+    same: str = ""
+    """The parameter that it equals, empty: none; it counts as fixed, and has the value and sd of
+    that one."""
 
     @property
     def dimension(self) -> Literal["length", "angle", ""]:
         """What the machine's own drawing says in m or rad: "length" or "angle"; else ""."""
         return dimension_of(self.role, self.unit)
+
+    @property
+    def held(self) -> str:
+        """Why it was not estimated, in a word or two; empty where it was."""
+        return f"as {self.same}" if self.same else "fixed" if self.fixed else ""
 
     @property
     def stderr(self) -> float | None:

@@ -331,7 +331,7 @@ def parameter_table(parameters: Sequence[ParameterEntry]) -> list[str]:
     rows = [head]
     for p in parameters:
         unit, sd = p.unit, p.sd
-        row = [p.name, by_sd(p.value, sd, unit), "", "fixed", unit_shown(unit)]
+        row = [p.name, by_sd(p.value, sd, unit), "", p.held, unit_shown(unit)]
         if not p.fixed:
             change = by_sd(p.value - p.nominal, sd, unit, sign=True)
             row[2:4] = [change, "unknown" if sd is None else size(sd, unit, 2)]
@@ -349,7 +349,7 @@ def interval_table(parameters: Sequence[ParameterEntry]) -> list[str]:
     for p, interval in intervals:
         unit = unit_shown(p.unit)
         if interval.covariance[0] is None:
-            rows.append([p.name, *[""] * 4, "fixed" if p.fixed else "unbounded", unit])
+            rows.append([p.name, *[""] * 4, p.held or "unbounded", unit])
             continue
         ends = (*interval.covariance, *interval.profile)
         cells = ["none" if end is None else by_sd(end, p.sd, p.unit) for end in ends]

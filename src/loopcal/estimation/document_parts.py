@@ -54,6 +54,7 @@ def parameter_entry(
         owner=parameter.owner,
         meaning=parameter.meaning,
         degrees_of_freedom=finite(degrees_of_freedom),
+        same=parameter.same,
     )
 
 

@@ -132,8 +132,9 @@ class FitResult:
     @cached_property
     def value(self) -> Mapping[str, float]:
         """Every parameter."""
-        names = self.mechanism.parameters.names
-        return MappingProxyType(dict(zip(names, self.solution.parameters.tolist(), strict=True)))
+        every = self.mechanism.parameters
+        value = dict(zip(every.names, self.solution.parameters.tolist(), strict=True))
+        return MappingProxyType({p.name: value[p.same or p.name] for p in every})
 
     @cached_property
     def learnt_covariance(self) -> LearntCovariance:
@@ -252,7 +253,7 @@ class FitResult:
         for name, variance in zip(self.estimated, variances, strict=True):
             loose = name in self.identifiability.loose
             sds[name] = math.inf if loose else math.sqrt(max(variance, 0.0))
-        return MappingProxyType(sds)
+        return MappingProxyType({p.name: sds[p.same or p.name] for p in self.mechanism.parameters})
 
     @cached_property
     def chi_squared(self) -> ChiSquared | None:

@@ -30,7 +30,8 @@ def joint_limits(mechanism: Mechanism) -> Mapping[str, Limit]:
 def listed_joints(mechanism: Mechanism) -> list[Any]:
     """The joints that the description of a chain or a tree lists."""
     described = mechanism.description or {}
-    bodies = described.get("bodies", ())
+    links = {} if mechanism.tree is None else mechanism.tree.links
+    bodies = [body for body in described.get("bodies", ()) if body.name in links]
     return [*described.get("joints", ()), *(body.joint for body in bodies if body.joint)]
 
 

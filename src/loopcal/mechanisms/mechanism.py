@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, Instead, nearest, unknown_name
 from loopcal.expressions.domain import Stage
 from loopcal.expressions.engine import engine_for
+from loopcal.expressions.rewriting import substituted
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import Inputs, trace
 from loopcal.lazy import cached_property
@@ -284,6 +285,30 @@ class Mechanism:
         described = self.description and {**self.description, "gravity": [x, y, z]}
         return replace(self, gravity=(x, y, z), description=described)
 
+    def with_same(self, same: Mapping[str, Sequence[str]]) -> Mechanism:
+        """The same machine with parameters that equal each other, as of drives of one type.
+
+        same: by a name of your choice, parameters by names or globs; the first is estimated for
+        all. Of several globs the first parameters of each are equal, the second ones, and so on.
+        Raises InputError for one parameter alone, one in two groups, and different nominal values.
+        """
+        first: dict[str, str] = {}
+        for name, keys in same.items():
+            lists = [self.parameters.matching(key) for key in keys]
+            for equal in zip(*lists, strict=True) if len({*map(len, lists)}) == 1 else [()]:
+                _check_same(name, [self.parameters[n] for n in equal], first)
+                first |= dict.fromkeys(equal, equal[0])
+        first = {name: to for name, to in first.items() if name != to}
+        items = [
+            replace(p, same=first[p.name], fixed=True) if p.name in first else p
+            for p in self.parameters
+        ]
+        tied = self.with_tape(
+            lambda tape: substituted(tape, lambda x, p: ({}, {n: p[to] for n, to in first.items()}))
+        )
+        described = self.description and {**self.description, "same": {**same}}
+        return replace(tied, parameters=Parameters(tuple(items)), description=described)
+
     def with_tape(self, change: Callable[[Tape], Tape]) -> Mechanism:
         """The same machine with its loops changed, those of a displaced body alike."""
         body = self.body and replace(self.body, tape=change(self.body.tape))
@@ -431,3 +456,27 @@ def _check_names(quantities: Sequence[str], parameters: Iterable[str]) -> None:
         raise InputError(
             "a quantity is declared twice", code="duplicate-name", remedy="name each once"
         )
+
+
+def _check_same(name: str, equal: Sequence[Parameter], taken: Container[str]) -> None:
+    """Raise InputError for parameters that cannot equal each other."""
+    if len({p.name for p in equal}) < 2 or len(equal) != len({p.name for p in equal}):
+        raise InputError(
+            f"{name!r} pairs no parameters",
+            code="invalid-value",
+            remedy="name two parameters or more, or globs that stand for as many each",
+        )
+    if twice := [p.name for p in equal if p.name in taken or p.same]:
+        raise InputError(
+            f"{twice[0]!r} is the same as others in two groups",
+            code="duplicate-name",
+            remedy="make one group of the two",
+        )
+    for p in equal[1:]:
+        if (p.unit, p.nominal, p.prior_sd) != (equal[0].unit, equal[0].nominal, equal[0].prior_sd):
+            raise InputError(
+                f"{p.name!r} cannot be the same as {equal[0].name!r}: their nominal values, units "
+                f"or prior sds differ",
+                code="conflicting-keys",
+                remedy="state one value and sd for both, or leave them apart",
+            )

@@ -60,8 +60,9 @@ class Parameter:
     (inf: flat, it is not used as information); fixed: not estimated. role: what it says (see
     `ROLES`), by its unit where none is given; owner: the joint, link, instrument, target or effect
     that it belongs to, "" for the machine as a whole; meaning: one line on it, in words; changes:
-    the parameter or reading that changes by it during the run. Raises InputError for a value that
-    is not finite, a negative sd, and another role.
+    the parameter or reading that changes by it during the run; same: the parameter whose value it
+    has, so that it is not estimated itself. Raises InputError for a value that is not finite, a
+    negative sd, and another role.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Parameter:
     owner: str = ""
     meaning: str = ""
     changes: str = ""
+    same: str = ""
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.nominal):
@@ -131,6 +133,15 @@ class Parameters:
                     remedy="name each once",
                 )
             seen.add(parameter.name)
+        if any(p.same for p in self.items):
+            object.__setattr__(self, "items", tuple([self._following(p) for p in self.items]))
+
+    def _following(self, parameter: Parameter) -> Parameter:
+        """The parameter with what is known of the one that it equals."""
+        if not parameter.same:
+            return parameter
+        first = self[parameter.same]
+        return replace(parameter, nominal=first.nominal, prior_sd=first.prior_sd)
 
     def __iter__(self) -> Iterator[Parameter]:
         return iter(self.items)

@@ -88,7 +88,7 @@ class Tree:
 
     def ways(self, on: str, against: str) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         """The steps from the body at which their ways part to each of the two."""
-        to, fro = self._ancestry(on), self._ancestry(against)
+        to, fro = self.ancestry(on), self.ancestry(against)
         shared = sum(a == b for a, b in zip(to, fro, strict=False))
         return self._down(to[shared:]), self._down(fro[shared:])
 
@@ -97,7 +97,8 @@ class Tree:
         to, fro = self.ways(*self.between(on, against))
         return (*(step.inverse() for step in reversed(fro)), *to)
 
-    def _ancestry(self, body: str) -> list[str]:
+    def ancestry(self, body: str) -> list[str]:
+        """The bodies from the root, which is left out, to this one."""
         names: list[str] = []
         while body != self.root:
             names.append(body)

@@ -165,7 +165,7 @@ def _parameter(entry: ParameterEntry, with_error: bool) -> tuple[str, ...]:
     unit, sd, change = entry.unit, entry.sd, entry.value - entry.nominal
     cells = [entry.name, by_sd(entry.nominal, sd, unit), by_sd(entry.value, sd, unit)]
     if entry.fixed:
-        cells += [NONE, "fixed", unit_shown(unit), NONE, NONE]
+        cells += [NONE, entry.held, unit_shown(unit), NONE, NONE]
     else:
         prior = entry.prior_sd
         # 1/sd^2 = 1/prior^2 + 1/data^2 of a normal prior: its share of the weight is (sd/prior)^2.

@@ -150,6 +150,7 @@ class Check:
                     "owner": p.owner,
                     "prior_sd": p.prior_sd if math.isfinite(p.prior_sd) else None,
                     "fixed": p.fixed,
+                    "same": p.same,
                     "expected_sd": _finite(self.expected_sd[p.name]),
                 }
                 for p in self.mechanism.parameters
@@ -326,7 +327,8 @@ def _parameter_table(check: Check) -> list[str]:
             expected = significant(float(from_si(sd, unit)), 3)
         nominal = f"{round(float(from_si(p.nominal, unit)), 9):.8g}"
         prior_shown = "flat" if math.isinf(p.prior_sd) else prior
-        sds = ("", "fixed") if p.fixed else (prior_shown, expected)
+        said = f"as {p.same}" if p.same else "fixed"
+        sds = ("", said) if p.fixed else (prior_shown, expected)
         rows.append([p.name, nominal, *sds, unit, p.role])
     return columns(rows)
 

@@ -247,7 +247,7 @@ def _cameras(problem: Problem) -> Iterator[Possible]:
 
 def _dimensions(problem: Problem) -> Iterator[Possible]:
     for p in problem.mechanism.parameters:
-        if p.role in GEOMETRY:
+        if p.role in GEOMETRY and not p.same:
             yield Possible(p.dimension or p.role, (p.name,))
 
 

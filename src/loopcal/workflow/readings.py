@@ -87,7 +87,7 @@ def new_readings(
 
         return later_images(entries, mechanism)
     observe = inputs.get("data", {}).get("observe")
-    if observe and not (len(entries) == 1 and reads(entries[0], inputs, mechanism)):
+    if observe and not (len(entries) == 1 and reads(entries[0], inputs, mechanism, whole=whole)):
         from loopcal.workflow.beginning.from_tree import later_rows
 
         return later_rows(entries, mechanism, observe)

@@ -13,6 +13,8 @@ from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError, nearest
+from loopcal.lazy import cached_property
+from loopcal.mechanisms.limb import limb
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
     from loopcal.document.fit import ParameterEntry
     from loopcal.document.parameter_table import ParameterTable
     from loopcal.figures.figure import Figure
+    from loopcal.measurements.dataset import Dataset
+    from loopcal.mechanisms.mechanism import Mechanism
     from loopcal.report.source import Source
     from loopcal.statistics.prediction import Prediction
     from loopcal.statistics.predictor import Predictor
@@ -163,6 +167,11 @@ class Views:
         """The same as `fk`."""
         return self.fk(q, units=units)
 
+    def limb(self, body: str) -> Limb:
+        """One limb of a robot of several, by the body at its end: an arm of its own, of which
+        `export`, `correct`, `predict` and `fk` are. Raises InputError for what is no body."""
+        return Limb(self, body)
+
     def export(self, to: str, **options: Any) -> Any:
         """`loopcal.export` of this result."""
         from loopcal.companions import called
@@ -224,6 +233,57 @@ class Views:
             from loopcal.document.aliases import aliased
 
             return aliased(self, name)
+
+
+@dataclass(frozen=True, eq=False)
+class Limb(Views):
+    """The limb of a result that ends at a body: `result.limb("left_hand")`.
+
+    Its numbers are those of the whole robot.
+    """
+
+    whole: Any
+    body: str
+
+    @property
+    def document(self) -> ResultDocument:
+        """That of the whole robot."""
+        document: ResultDocument = self.whole.document
+        return document
+
+    @property
+    def unjudged(self) -> ResultDocument:
+        """That of the whole robot, without its verdict."""
+        document: ResultDocument = self.whole.unjudged
+        return document
+
+    @property
+    def poses(self) -> Dataset | None:
+        """The poses used."""
+        poses: Dataset | None = self.whole.poses
+        return poses
+
+    @property
+    def source(self) -> Source:
+        """What the report of the whole robot shows."""
+        source: Source = self.whole.source
+        return source
+
+    @cached_property
+    def machine(self) -> Mechanism:
+        """The calibrated arm."""
+        return limb(self.whole.machine, self.body)
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The calibrated arm."""
+        return self.machine
+
+    @cached_property
+    def predictor(self) -> Predictor:
+        """What predictions need."""
+        whole: Predictor = self.whole.predictor
+        return replace(whole, mechanism=limb(whole.mechanism, self.body))
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from loopcal.errors import Code
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.workflow.beginning import from_tree
+from loopcal.workflow.readings import new_readings
 from tests.refusals import refused
 
 BODIES = """body,parent,joint,a [mm],d [mm],alpha [deg],theta [deg]
@@ -235,3 +236,14 @@ def test_a_touched_plane_begins_where_the_drawing_has_its_points(folder: Path) -
     assert made.mechanism.parameters["floor_distance"].nominal == pytest.approx(0.56)
     stated = begun(folder, ("floor.csv",), "plane name=floor on=lh normal=0,0,-2")
     assert stated.mechanism.parameters["floor_distance"].nominal == pytest.approx(-0.56)
+
+
+def test_a_later_file_whose_joints_are_named_as_in_the_project_is_read_as_the_first(
+    folder: Path,
+) -> None:
+    made = begun(folder, ("both.csv",), "point name=tip on=lh columns=x,y,z")
+    project = lc.read_project(folder / "cell" / "project.toml")
+    later = new_readings(folder / "both.csv", project.inputs, made.mechanism, whole=True)
+    np.testing.assert_allclose(later["tip_x"], made.dataset["tip_x"])
+    own = new_readings(folder / "cell" / "readings.csv", project.inputs, made.mechanism, whole=True)
+    np.testing.assert_allclose(own["tip_x"], made.dataset["tip_x"])

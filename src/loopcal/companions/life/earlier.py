@@ -130,7 +130,8 @@ class Earlier:
         """Of a calibration, at its own sds."""
         parameters = calibrated.mechanism.parameters
         begin = np.array([p.nominal for p in parameters])
-        root = root_of(calibrated.unwidened)
+        # Rounding left in the rows of what was held would be scaled up to unit length below.
+        root = root_of(calibrated.unwidened) * calibrated.estimated[:, None]
         # Metres and radians side by side: rows of unit length keep the pseudo-inverse from
         # preferring one.
         scale = np.linalg.norm(root, axis=1)

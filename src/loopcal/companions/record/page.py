@@ -141,7 +141,7 @@ def _parameter(entry: ParameterEntry) -> tuple[str, ...]:
     before = by_sd(entry.nominal, entry.sd, entry.unit)
     unit, wide = unit_shown(entry.unit), expanded(entry)
     if wide is None:
-        after = "held" if entry.fixed else "not determined"
+        after = (entry.same and entry.held) or "held" if entry.fixed else "not determined"
         return (entry.name, unit, before, after, NONE, NONE)
     after = by_sd(entry.value, entry.sd, entry.unit)
     return (entry.name, unit, before, after, size(wide.u, entry.unit, 2), f"{wide.k:.2f}")

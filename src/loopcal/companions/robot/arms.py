@@ -105,13 +105,16 @@ def arms_of(
 def arm_joints(mechanism: Mechanism) -> dict[str, str]:
     """The joints of an arm from base to tip, name -> SI unit; refuses what is no arm."""
     if not mechanism.chain:
+        limbs = () if mechanism.tree is None else mechanism.tree.leaves
         raise InputError(
-            f"{mechanism.name!r} is not a serial arm",
+            f"{mechanism.name!r} has several limbs: {listed(limbs)}"
+            if limbs
+            else f"{mechanism.name!r} is not a serial arm",
             code="unsupported",
-            remedy="load the calibrated robot: loopcal export RESULT --to urdf"
-            if mechanism.joints
+            remedy="name the one whose program it is: --limb BODY, in Python result.limb(BODY)"
+            if limbs
             else "correct targets of serial arms; for parallel machines export the parameters",
-        ).then("loopcal export RESULT --to urdf" if mechanism.joints else "")
+        ).offering(*(("--limb", limbs[0]) if limbs else ()))
     return dict(mechanism.joints)
 
 

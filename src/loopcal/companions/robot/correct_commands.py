@@ -10,6 +10,7 @@ import typer
 from loopcal.cli.application import (
     ForceOption,
     JsonOption,
+    LimbOption,
     PulsesOption,
     ResultArgument,
     app,
@@ -77,6 +78,7 @@ def correct(
         list[str] | None,
         option("NAME=VALUE", "Constant of the result, such as a temperature."),
     ] = None,
+    limb: LimbOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Correct the targets of a program so that the real machine reaches its poses."""
@@ -100,6 +102,7 @@ def correct(
         ),
         at=_constants(at or []),
         pulses=numbers_of(pulses_per_degree, "--pulses-per-degree"),
+        limb=limb,
     )
     where = f"written to {done.written}" if done.written else "nothing is written"
     print_done(done, as_json, text=done.words(), where=where)

@@ -173,11 +173,13 @@ def run_correct(
     targets: str | Path,
     *,
     out: str | Path | None = None,
+    limb: str | None = None,
     **options: Any,
 ) -> Correction:
     """`correct` a program on the disk, and write the corrected one.
 
-    out: by default NAME-corrected beside the program. Nothing is written where every target is
+    out: by default NAME-corrected beside the program; limb: the body at the end of the one whose
+    program it is. Nothing is written where every target is
     refused. The report of the result shows it.
     """
     path = beside(targets) if out is None else Path(out)
@@ -185,7 +187,8 @@ def run_correct(
     # By SHA-256: formats without a place for the mark are recognised too.
     if was_corrected(result_path(result), Path(targets)):
         raise corrected_already(str(targets))
-    done = correct(result, targets, **options)
+    whole = result_of(result)
+    done = correct(whole if limb is None else whole.limb(limb), targets, **options)
     if not done.corrected.done.any():
         return done
     write_atomic(path, done.content)

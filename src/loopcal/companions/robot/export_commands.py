@@ -8,6 +8,7 @@ from loopcal.cli.application import (
     ForceOption,
     FunctionOption,
     JsonOption,
+    LimbOption,
     ResultArgument,
     app,
     option,
@@ -60,6 +61,7 @@ def export(
             "Encoder counts per degree (of a slide per mm) of a joint; repeatable [default: none].",
         ),
     ] = None,
+    limb: LimbOption = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
@@ -75,6 +77,7 @@ def export(
         offsets=offsets,
         vendor=vendor,
         counts=dict(map(_counts, counts or ())),
+        limb=limb,
     )
     print_done(done, as_json)
 

@@ -113,6 +113,14 @@ def export(
     calibration = result_of(result)
     document, mechanism = calibration.document, calibration.machine
     predictor = None if document.prediction is None else calibration.predictor
+    if one.needs == "chain" and mechanism.tree is not None and not mechanism.chain:
+        limbs = mechanism.tree.leaves
+        raise InputError(
+            f"{one.name!r} holds one arm, and {mechanism.name!r} has several limbs: "
+            f"{listed(limbs)}",
+            code="unsupported",
+            remedy="name the one that is meant: --limb BODY, in Python result.limb(BODY)",
+        ).offering("--limb", limbs[0])
     apart = offsets == "file"
     machine = exported(document, mechanism, calibration.poses, predictor, offsets_apart=apart)
     options = ExportOptions(None if source is None else Path(source), vendor, dict(counts or {}))
@@ -141,12 +149,17 @@ def _computed(document: ResultDocument) -> tuple[str, ...]:
 
 def run_export(
     result: str | Path, to: str, *, out: str | Path | None = None, function: str | None = None,
-    **options: Any,
+    limb: str | None = None, **options: Any,
 ) -> Export:  # fmt: skip
     """`export` of a folder, by default into its folder `export`; function: the loops, for a machine
-    written in Python. The report of the result shows it."""
+    written in Python; limb: the body at the end of one. The report of the result shows it."""
     read = read_result(result, mechanism=function)
-    done = export(read, to, out=read.path.parent / "export" if out is None else out, **options)
+    done = export(
+        read if limb is None else read.limb(limb),
+        to,
+        out=read.path.parent / "export" if out is None else out,
+        **options,
+    )
     if PREVIEW not in Path(out or "").parts:  # what is only looked at is not deployed
         note_deployed(read.path, EXPORT, done.format, done.document(), done.files.values())
     return done

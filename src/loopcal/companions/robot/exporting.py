@@ -283,7 +283,12 @@ def _accuracy(
     """The four models beside the measured poses and the full model."""
     stated = document.accuracy
     nominal = calibrated = None
-    if stated is not None and stated.unit == "m":
+    instruments = {family.name for family in full.predictor.mechanism.families}
+    if stated is not None and not {one.instrument for one in stated.by} <= instruments:
+        # Of one limb: what was computed at the poses counts all limbs.
+        alike = [one.position for one in stated.by if one.instrument in instruments]
+        calibrated = alike[0].after if len(alike) == 1 and alike[0] else None
+    elif stated is not None and stated.unit == "m":
         nominal, calibrated = stated.nominal, stated.after
     if full.predictor.mechanism.latest:  # the stated one is of the machine before its changes too
         nominal = None

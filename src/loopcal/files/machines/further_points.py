@@ -31,6 +31,8 @@ def with_points(
     the first frame of the chain. Raises InputError for a machine that no file describes.
     """
     data = mechanism_table(mechanism)
+    # Of a limb the description has all bodies of the robot.
+    tree = mechanism.tree if mechanism.chain and "body" in data else None
     if data["type"] == "function":
         raise InputError(
             f"{mechanism.name!r} is written as a function, so points of its body are unknown",
@@ -51,6 +53,7 @@ def with_points(
                 "readings": readings,
                 "station": False if station is None else station,
                 "target": target,
+                **({"on": tree.leaves[0]} if tree else {}),
             }
         )
         if not named:

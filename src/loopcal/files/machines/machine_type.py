@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from loopcal.errors import placed
 from loopcal.files.machines.attached import Effects, instruments
-from loopcal.files.machines.parameter_entries import PARAMETERS, StatedParameter, Units
+from loopcal.files.machines.parameter_entries import PARAMETERS, SAME, StatedParameter, Units
 from loopcal.files.toml.place import Place, Scope
 from loopcal.keys import Key, Made
 from loopcal.mechanisms.effects.gravity import Load
@@ -42,6 +42,7 @@ class MachineTable(MechanismTable):
         Annotated[Mapping[str, Any], Made(structured, later=True)] | None,
         Key("The model error that the machine has beyond geometry."),
     ] = None
+    same: Annotated[Mapping[str, tuple[str, ...]], SAME] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -35,14 +35,15 @@ def read_mechanism(
     function: Loops | Mechanism | None = None,
     instruments: Sequence[Mapping[str, Any]] | None = None,
     effects: Sequence[Mapping[str, Any]] | None = None,
+    same: Mapping[str, Any] | None = None,
     told: ParameterChange | None = None,
 ) -> Mechanism:
     """The mechanism of a file.
 
     function: for a file of the type "function", which declares everything but the code: the
     loops f(x, p), or the mechanism made of them, whose values the file then replaces;
-    instruments, effects: [[instrument]] and [[effect]] tables in place of the file's own; told:
-    as in `mechanism_from_data`.
+    instruments, effects, same: [[instrument]], [[effect]] and [same] tables in place of the file's
+    own; told: as in `mechanism_from_data`.
 
     Raises InputError, naming file and key, for all that cannot be read or does not fit, and for the
     machine of another result than the one beside it.
@@ -56,6 +57,8 @@ def read_mechanism(
         stated["instrument"] = list(instruments)
     if effects is not None:
         stated["effect"] = list(effects)
+    if same is not None:
+        stated["same"] = dict(same)
     return mechanism_from_data(stated, place, function=function, change=told)
 
 
@@ -131,6 +134,10 @@ def mechanism_from_data(
         from loopcal.files.machines.attached import affected
 
         made = affected(made, table.effect, scope, place.at("effect"))
+
+    if isinstance(table, MachineTable) and table.same:
+        with placed(place.at("same")):
+            made = made.with_same(table.same)
 
     def stated(parameters: Parameters) -> Parameters:
         return changed(parameters, entries, place.at("parameters"), units)

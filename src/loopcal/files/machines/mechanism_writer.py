@@ -78,7 +78,7 @@ def source_file(mechanism: Mechanism) -> Path | None:
     return path if path.is_file() else None
 
 
-_BELOW = ("joint", "body", "mass", "instrument", "effect", "structure")
+_BELOW = ("joint", "body", "mass", "instrument", "effect", "structure", "same")
 """What stands below the plain values, in this order."""
 _FUNCTION = "The loops are a Python function: name it with --mechanism FILE.py:FUNCTION."
 _PARAMETERS = (

@@ -102,7 +102,7 @@ def changed(
                 changes[name]["prior_sd"] = in_si(
                     entry.sd, entry.unit, si, at, units, difference=True
                 )
-            if entry.fixed is not None:
+            if entry.fixed is not None and not parameters[name].same:
                 changes[name]["fixed"] = entry.fixed
             if changes[name].get("prior_sd") == 0.0 and changes[name].get("fixed") is False:
                 raise InputError(
@@ -111,6 +111,15 @@ def changed(
                     place=str(entry_place),
                     remedy="give a positive sd, or leave fixed = false out",
                 )
+    for p in parameters:
+        of_first = {k: v for k, v in changes.get(p.same, {}).items() if k != "fixed"}
+        if p.same and changes[p.name] not in ({}, of_first):
+            raise InputError(
+                f"{p.name!r} is the same as {p.same!r}, but something else is stated of it",
+                code="conflicting-keys",
+                place=str(place.at(p.name)),
+                remedy=f"state it of {p.same!r} alone",
+            )
     return Parameters(tuple(replace(p, **changes[p.name]) for p in parameters))
 
 
@@ -141,6 +150,10 @@ def declared_parameters(
     return parameters
 
 
+SAME = Key(
+    "Parameters that equal each other, by a name of your choice: the first is estimated for all.",
+    example={"gears": ["S1_scale", "S2_scale"]},
+)
 PRIOR = Key(
     "Prior sds of parameters by name or glob, inf: flat; later lines win.",
     example={"d_*": {"sd": 1.0, "unit": "mm"}},

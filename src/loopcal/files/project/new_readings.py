@@ -86,9 +86,13 @@ def read_new_readings(
     return dataset
 
 
-def reads(path: Any, inputs: Mapping[str, Any], mechanism: Mechanism) -> bool:
-    """Whether a file has a column of the project for each joint."""
-    return _has_columns(path, _spec(inputs, mechanism), {*mechanism.joints})
+def reads(path: Any, inputs: Mapping[str, Any], mechanism: Mechanism, *, whole: bool) -> bool:
+    """Whether a file has a column of the project for each joint; whole: and for some output."""
+    spec = _spec(inputs, mechanism)
+    outputs = [q for part in spec.parts for q in part.columns if q in mechanism.outputs]
+    return _has_columns(path, spec, {*mechanism.joints}) and (
+        not whole or any(_has_columns(path, spec, {q}) for q in outputs)
+    )
 
 
 def _is_converted(paths: Sequence[Any], spec: DataTable, wanted: Set[str]) -> bool:

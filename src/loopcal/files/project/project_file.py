@@ -186,9 +186,12 @@ def stated_mechanism(
             function=definition,
             instruments=stated.get("instrument"),
             effects=stated.get("effect"),
+            same=data.get("same"),
             told=change,
         )
     parameters = tables.made("parameters")
+    if "same" in data:
+        stated = {**stated, "same": data["same"]}
     return mechanism_from_data(
         stated, mechanism_place, function=definition, parameters=parameters, change=change
     )

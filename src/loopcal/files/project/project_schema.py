@@ -11,7 +11,13 @@ from pydantic_core import core_schema
 
 from loopcal.errors import InputError, placed
 from loopcal.files.machines.attached import Effects, Instruments
-from loopcal.files.machines.parameter_entries import PARAMETERS, PRIOR, StatedParameter, StatedPrior
+from loopcal.files.machines.parameter_entries import (
+    PARAMETERS,
+    PRIOR,
+    SAME,
+    StatedParameter,
+    StatedPrior,
+)
 from loopcal.files.machines.registry import kinds, table_of
 from loopcal.files.project.data_table import DataTable
 from loopcal.files.project.fit_table import FitTable
@@ -195,6 +201,7 @@ class ProjectTables:
     noise: Annotated[Mapping[str, StatedNoise], NOISE] = field(default_factory=dict)
     prior: Annotated[Mapping[str, StatedPrior], PRIOR] = field(default_factory=dict)
     parameters: Annotated[Mapping[str, StatedParameter], PARAMETERS] = field(default_factory=dict)
+    same: Annotated[Mapping[str, tuple[str, ...]], SAME] = field(default_factory=dict)
     fit: Annotated[FitTable, Key("How to fit.")] = field(default_factory=FitTable)
     verdict: Annotated[VerdictTable, Key("What the verdict judges.")] = field(
         default_factory=VerdictTable
