@@ -10,6 +10,7 @@ import learning
 import memory
 import platform_poses
 import small_fits
+import whole_robots
 from both_engines import Engines
 from flatness import DEMANDED as DEMANDED_FLAT
 from flatness import FROM as FLAT_FROM
@@ -192,6 +193,17 @@ def defaults(found: Sequence[default_call.Default]) -> str:
     ]
     head = ["case", "processor [s]", "of plain least squares", "at most"]
     return f"### The default call\n\n{table(head, rows)}"
+
+
+def trees(measured: whole_robots.Trees) -> str:
+    """What a tree of bodies costs."""
+    ratios = [(f"an arm as a tree, {poses:,} poses", r) for poses, r in measured.ratios.items()]
+    most, seconds = whole_robots.DEMANDED, whole_robots.DEMANDED_HUMANOID
+    rows = [[case, f"{r:.3f} of a chain", f"{most:g}: {met(r <= most)}"] for case, r in ratios]
+    case = f"a humanoid: {measured.parameters} parameters, {whole_robots.POSES} poses, 5 observed"
+    in_time = met(measured.seconds <= seconds)
+    rows.append([case, f"{measured.seconds:.1f} s", f"{seconds:g} s: {in_time}"])
+    return f"### Whole robots\n\n{table(['case', 'processor', 'at most'], rows)}"
 
 
 def platform(found: Sequence[platform_poses.Platform]) -> str:

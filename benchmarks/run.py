@@ -27,6 +27,7 @@ import memory
 import platform_poses
 import report
 import small_fits
+import whole_robots
 from machine import this_machine
 from measuring import DisagreementError
 from problems import PROBLEMS
@@ -134,6 +135,13 @@ def defaults(found: Found, asked: argparse.Namespace) -> None:
     found.texts.append(report.defaults(cases))
 
 
+def trees(found: Found, asked: argparse.Namespace) -> None:
+    """An arm as a tree of bodies beside the chain, and a humanoid."""
+    measured = whole_robots.measure()
+    found.numbers["trees"] = asdict(measured)
+    found.texts.append(report.trees(measured))
+
+
 PARTS: dict[str, Callable[[Found, argparse.Namespace], None]] = {
     "programs": programs,
     "engines": engines,
@@ -144,6 +152,7 @@ PARTS: dict[str, Callable[[Found, argparse.Namespace], None]] = {
     "platform": platforms,
     "learning": learnt,
     "default": defaults,
+    "trees": trees,
 }
 CHECKED = {"programs", "engines", "small"}
 """Parts that compare results: nothing is told before all of them have."""

@@ -174,3 +174,17 @@ def test_small_fits_are_compared_only_where_odrpack_finds_the_same() -> None:
     assert small.compared("two fits", mine, theirs, rounds=0).ours.seconds == ()
     with pytest.raises(import_module("measuring").DisagreementError, match="two fits"):
         small.compared("two fits", mine, theirs[::-1], rounds=0)
+
+
+def test_a_tree_is_measured_beside_the_same_arm_as_a_chain(run: Any, tmp_path: Path) -> None:
+    robots = import_module("whole_robots")
+    chain, tree = (robots.arm(tmp_path, kind) for kind in ("chain", "tree"))
+    assert len(chain.parameters.free) == len(tree.parameters.free)
+    one, other = (robots.readings(machine, 30, 1e-3)[0] for machine in (chain, tree))
+    for q in chain.joints:
+        assert (one[q] == other[q]).all()
+    robot = robots.humanoid(tmp_path)
+    assert len(robot.parameters.free) >= 200
+    told = run.report.trees(robots.Trees({200: 1.01}, len(robot.parameters.free), 6.0))
+    assert "1.010 of a chain" in told
+    assert "6.0 s" in told
