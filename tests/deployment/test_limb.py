@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import loopcal as lc
 from loopcal.cli.run import main
+from loopcal.workflow.views import Limb
 from tests.refusals import refused
 
 ROWS = ((80, 400, 90), (450, 0, 0), (60, 0, 90), (0, 420, -90), (0, 0, 90), (0, 100, 0))
@@ -127,3 +129,18 @@ def test_several_limbs_are_named_where_one_is_meant(
     with refused("unknown-name", "r6"):
         both.limb("r7").export("dh")
     assert {*both.limb("r6").export("dh").files} == {*lc.export(alone, "dh").files}
+
+
+def test_joints_that_move_other_limbs_too_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "waist.toml"
+    rows = (("w", "base"), ("l", "w"), ("r", "w"), ("rr", "r"))
+    bodies = [
+        f'[[body]]\nname = "{n}"\nparent = "{p}"\nrow = {{ name = "q{n}", a = 0.3, alpha = 1 }}'
+        for n, p in rows
+    ]
+    seen = '[[instrument]]\ntype = "point"\non = "rr"'
+    path.write_text("\n".join(['schema = 1\ntype = "tree"', *bodies, seen]), encoding="utf-8")
+    whole = SimpleNamespace(machine=lc.read_mechanism(path))
+    assert Limb(whole, "rr").shared == ("qw",)
+    assert Limb(whole, "r").shared == ("qw",)
+    assert Limb(whole, "l").shared == ("qw",)

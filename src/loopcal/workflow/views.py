@@ -269,6 +269,14 @@ class Limb(Views):
         source: Source = self.whole.source
         return source
 
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Its joints that move other limbs too, as those of a waist."""
+        tree = self.whole.machine.tree
+        others = [leaf for leaf in tree.leaves if self.body not in (leaf, *tree.ancestry(leaf))]
+        moving = {step.joint for leaf in others for step in tree.path(leaf)}
+        return tuple(q for q in self.machine.joints if q in moving)
+
     @cached_property
     def machine(self) -> Mechanism:
         """The calibrated arm."""

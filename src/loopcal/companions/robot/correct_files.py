@@ -47,9 +47,9 @@ from loopcal.files.result.deployed import CORRECTION, note_deployed, result_path
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.placement import inverse
-from loopcal.statistics.predictor import Predictor
 from loopcal.workflow.readings import later_readings
 from loopcal.workflow.resolved import result_of
+from loopcal.workflow.views import Limb
 
 # 10 nm and 10 nrad: three decades below what an arm repeats.
 _NEAR = 1e-8
@@ -91,7 +91,7 @@ def correct(
     bounds, at = bounds or CorrectionBounds(), at or {}
     if not isinstance(targets, str | Path):
         asked = later_readings(measured, targets, None, whole=False)
-        return _of_table(arms, calibrated, asked, bounds, at)
+        return _of_table(arms, measured, asked, bounds, at)
     if computed := computed_joints(inputs):
         raise InputError(
             f"the calibration reads {', '.join(computed)}, and the program holds the controller's "
@@ -144,7 +144,7 @@ def correct(
         program.kind,
         tuple(target.line for target in program.targets),
         program.noted,
-        _remarks(arms.tool, arms),
+        _remarks(arms.tool, arms, measured),
         program.edited(new, [*inserted(program, ahead), *mark]),
         moves=tuple(moves.values()),
     )
@@ -216,7 +216,7 @@ def _controller(
 
 def _of_table(
     arms: Arms,
-    calibrated: Predictor,
+    result: Any,
     data: Dataset,
     bounds: CorrectionBounds,
     at: Mapping[str, float],
@@ -232,9 +232,9 @@ def _of_table(
     q = np.array([data.readings[joint] for joint in arms.joints]).T
     cartesian = np.zeros(len(q), dtype=bool)
     targets = Targets(data.poses, q, arms.controller(q), cartesian, np.zeros(q.shape))
-    corrections = corrected(arms, calibrated, targets, bounds, at)
+    corrections = corrected(arms, result.predictor, targets, bounds, at)
     lines = tuple(range(1, len(q) + 1))
-    remarks = _remarks(arms.tool, arms)
+    remarks = _remarks(arms.tool, arms, result)
     return Correction(arms, corrections, "", "joints", lines, (), remarks)
 
 
@@ -348,9 +348,12 @@ def _straight(
     return moves
 
 
-def _remarks(tool: Tool, arms: Arms) -> tuple[str, ...]:
+def _remarks(tool: Tool, arms: Arms, result: Any) -> tuple[str, ...]:
     """What the correction assumes."""
     said = []
+    if isinstance(result, Limb) and result.shared:
+        joints = ", ".join(result.shared)
+        said.append(f"Other limbs hang on {joints}: what is corrected there shifts them too.")
     if not tool.observed:
         said.append(
             "The turn of the tool on the last link was not measured: its nominal turn is used."
