@@ -102,7 +102,9 @@ def test_a_limb_is_exported_as_the_arm_alone(robots: tuple[lc.Result, lc.Result]
     assert reached.measured.rms == pytest.approx(stated.measured.rms, rel=1e-6)
 
 
-def test_a_limb_is_corrected_as_the_arm_alone(robots: tuple[lc.Result, lc.Result]) -> None:
+def test_a_limb_is_corrected_as_the_arm_alone(
+    robots: tuple[lc.Result, lc.Result], tmp_path: Path
+) -> None:
     both, alone = robots
     asked = targets(*(f"rq{i}" for i in range(1, 7)))
     limb, arm = both.limb("r6").correct(asked), lc.correct(alone, asked)
@@ -114,6 +116,13 @@ def test_a_limb_is_corrected_as_the_arm_alone(robots: tuple[lc.Result, lc.Result
     )
     q = np.stack([*asked.values()], axis=-1)
     np.testing.assert_allclose(both.limb("r6").fk(q), alone.fk(q), rtol=0.0, atol=1e-8)
+    path = tmp_path / "targets.csv"
+    rows = np.column_stack([np.arange(10), *asked.values()]).tolist()
+    head = ",".join(["pose", *asked])
+    lines = [f"{int(n)},{','.join(f'{v:.9f}' for v in joints)}" for n, *joints in rows]
+    path.write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
+    by_file = both.limb("r6").correct(path).corrected
+    np.testing.assert_allclose(by_file.joints[done], arm.corrected.joints[done], rtol=0, atol=1e-6)
     before = np.linalg.norm(arm.corrected.before[done, :3], axis=1)
     assert before.min() > 1e-4
 
@@ -133,14 +142,15 @@ def test_several_limbs_are_named_where_one_is_meant(
 
 def test_joints_that_move_other_limbs_too_are_named(tmp_path: Path) -> None:
     path = tmp_path / "waist.toml"
-    rows = (("w", "base"), ("l", "w"), ("r", "w"), ("rr", "r"))
+    rows = (("w", "base"), ("l", "w"), ("r", "w"))
     bodies = [
         f'[[body]]\nname = "{n}"\nparent = "{p}"\nrow = {{ name = "q{n}", a = 0.3, alpha = 1 }}'
         for n, p in rows
     ]
-    seen = '[[instrument]]\ntype = "point"\non = "rr"'
+    bodies.append('[[body]]\nname = "tip"\nparent = "r"\nfixed = true\nrow = { name = "tip" }')
+    seen = '[[instrument]]\ntype = "point"\non = "tip"'
     path.write_text("\n".join(['schema = 1\ntype = "tree"', *bodies, seen]), encoding="utf-8")
     whole = SimpleNamespace(machine=lc.read_mechanism(path))
-    assert Limb(whole, "rr").shared == ("qw",)
+    assert Limb(whole, "tip").shared == ("qw",)
     assert Limb(whole, "r").shared == ("qw",)
     assert Limb(whole, "l").shared == ("qw",)

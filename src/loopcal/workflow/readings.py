@@ -102,7 +102,8 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
     """
     if isinstance(data, FitResult | Dataset):
         return data
-    mechanism: Mechanism = result.mechanism
+    # Of a limb the project is that of the whole robot.
+    mechanism: Mechanism = getattr(result, "whole", result).mechanism
     folder = getattr(data, "path", None)
     if isinstance(folder, Path):  # of a result
         data = folder

@@ -272,10 +272,10 @@ class Limb(Views):
     @property
     def shared(self) -> tuple[str, ...]:
         """Its joints that move other limbs too, as those of a waist."""
-        tree = self.whole.machine.tree
-        others = [leaf for leaf in tree.leaves if self.body not in (leaf, *tree.ancestry(leaf))]
-        moving = {step.joint for leaf in others for step in tree.path(leaf)}
-        return tuple(q for q in self.machine.joints if q in moving)
+        joints, tree = self.machine.joints, self.whole.machine.tree
+        paths = [{s.joint for s in tree.path(leaf) if s.joint} for leaf in tree.leaves]
+        others = set[str]().union(*(path for path in paths if path - joints.keys()))
+        return tuple(q for q in joints if q in others)
 
     @cached_property
     def machine(self) -> Mechanism:

@@ -101,10 +101,11 @@ def correct(
             remedy="calibrate with a robot's table whose column direction has -1 for joints that "
             "count the other way round, or give converted joints in Python",
         )
+    described = measured.whole.mechanism if isinstance(measured, Limb) else calibrated.mechanism
     axes = JointAxes(
         joints,
-        result_columns(inputs, calibrated.mechanism),
-        result_pose_column(inputs, calibrated.mechanism),
+        result_columns(inputs, described),
+        result_pose_column(inputs, described),
         tuple(pulses),
     )
     program = read_program(targets, axes)
