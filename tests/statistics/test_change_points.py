@@ -125,6 +125,21 @@ def test_an_encoder_mastered_anew_is_the_zero_of_its_joint() -> None:
     assert refit.value["theta_3_from71"] == pytest.approx(2e-3, rel=0.05)
 
 
+@pytest.mark.parametrize(("name", "size"), [("x2", 1e-3), ("phiy3", 1e-3)])
+def test_a_link_that_bends_is_named_and_no_zero_or_target(name: str, size: float) -> None:
+    for seed in range(3):
+        poses = joints(80, seed)
+        data = joined(read(poses, seed), read(poses, seed, {name: size}), 40)
+        (point,) = lc.find_shifts(fitted(sagging(data))).found
+        assert (point.shape, point.moved) == ("step", "link")
+        assert abs(point.number - 41) <= 1
+        assert point.changes[name].size == pytest.approx(size, abs=1.5e-4)
+        assert "from pose 4" in point.what
+        assert "a link of the machine changed" in point.what
+        again = lc.with_shifts(ARM, data, [point])
+        assert f"{name}_from{point.number}" in again.mechanism.parameters.names
+
+
 def test_two_zero_shifts_of_a_wire_are_found_and_the_refit_gives_the_noise_back() -> None:
     arm = lc.Mechanism.from_function(
         lambda x, p: (

@@ -597,11 +597,18 @@ def test_a_drift_that_ordered_poses_cannot_tell_from_the_machine_leaves_the_answ
     document = changed(document, "prediction.region.by", (at,))
     drift = replace(document.parameters[0], name="xP_drift", role="effect", owner="run_drift")
     # Each coordinate moves by 1/sqrt(12) of its drift, rms over the run: three by half of it.
-    for sd, code in ((1.1e-4, "drift-or-machine"), (0.9e-4, "sound")):
+    large, small, noted = 1.1e-4, 0.9e-4, "drift-allowed-for"
+    for sd, gain, code in (
+        (large, 2.8, "drift-or-machine"),
+        (large, 2.6, "sound"),
+        (small, 2.8, "sound"),
+    ):
         own = (*document.parameters, *3 * (replace(drift, unit=at.unit, sd=sd),))
-        found = verdict_of(replace(document, parameters=own)).sound
+        terms = (replace(SAG, name="run_drift", unit=at.unit, gain=gain),)
+        found = verdict_of(replace(document, parameters=own, terms=terms)).sound
         assert found.code == code
         assert found.passed is (None if code != "sound" else True)
+        assert (noted in found.codes) is ((sd, code) == (large, "sound"))
 
 
 def test_a_drift_that_ordered_poses_tell_from_the_machine_is_told_as_a_change() -> None:

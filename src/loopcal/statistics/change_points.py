@@ -63,9 +63,9 @@ _WAVES, _EDGE = 6, 1e-3
 _DRIFTING = ("station", "reading", "expansion")
 """What may drift: an instrument, or the scale of the whole machine. A drift is named only where the
 joints do not show the order of the poses: elsewhere it looks like an error of the machine."""
-_RARE = 10.0
-"""By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
-the last joint does the same, and does it more often."""
+_RARE = {"joint": 10.0, "link": 10.0}
+"""By so much must the log p-value of a joint's zero or a link be lower: a target that moves about
+the axis of the last joint does the same, and does it more often."""
 # A factor of e^7, about 1000, in p: chosen, not derived.
 _ALIKE = 7.0
 """An alternative whose log p is within this of the best explains the change about as well."""
@@ -335,7 +335,7 @@ class Search:
         trials: list[tuple[float, float, _Step]] = []
         for candidate in candidates:
             change = candidate.change
-            rare = _RARE if change.kind == "joint" else 0.0
+            rare = _RARE.get(change.kind, 0.0)
             gains, ranks = fitted.gains(candidate.columns) if change.steps else (free, 0 * free)
             # Gains of different rank cannot be compared, only their p-values.
             for rank in np.unique(ranks[free & (ranks > 0)]).tolist():
