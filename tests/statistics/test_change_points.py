@@ -140,6 +140,20 @@ def test_a_link_that_bends_is_named_and_no_zero_or_target(name: str, size: float
         assert f"{name}_from{point.number}" in again.mechanism.parameters.names
 
 
+def test_parts_of_the_machine_that_do_the_same_change_together() -> None:
+    """Beside joints that hardly turn, the length of a link does what a zero does."""
+    for seed in range(4):
+        poses = joints(60, seed)
+        for i in (3, 5):
+            poses[f"theta_{i}"] *= 0.03
+        data = joined(read(poses, seed), read(poses, seed, {"x4": 3e-4}), 30)
+        (point,) = lc.find_shifts(fitted(data)).found
+        assert (point.moved, point.alternatives) == ("link", ())
+        assert {"theta_5", "x4"} <= {*point.names}
+        made = lc.with_shifts(ARM, data, [point]).mechanism.parameters.names
+        assert all(f"{name}_from{point.number}" in made for name in point.names)
+
+
 def test_two_zero_shifts_of_a_wire_are_found_and_the_refit_gives_the_noise_back() -> None:
     arm = lc.Mechanism.from_function(
         lambda x, p: (

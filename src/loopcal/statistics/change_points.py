@@ -127,6 +127,13 @@ class _Candidate:
         return (int(at[0]), int(at[-1])) if at.size else (0, 0)
 
 
+def _together(parts: Sequence[_Candidate]) -> _Candidate:
+    """Parts of the machine that change at once, as one link."""
+    names = tuple(name for one in parts for name in one.change.names)
+    columns = np.concatenate([one.columns for one in parts], axis=2)
+    return _Candidate(Possible("link", names, ramps=False), columns)
+
+
 @dataclass(frozen=True)
 class _Step:
     """A candidate that changes at position `at` in order, or from there to `until` all along."""
@@ -285,15 +292,15 @@ class Search:
         return [step for step, smooth in zip(sudden, unclear, strict=True) if smooth]
 
     def _point(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> ChangePoint:
-        """One of the steps of a fit beside all others, with its size."""
-        rest, spare, change = _without(fit, steps, step), fit.spare, step.candidate.change
-        estimated = rest.step(step.columns)
-        others = [
-            c
-            for c in self.candidates
-            if (c.change.ramps if step.ramp else c.change.steps)
-            and not {*c.change.names} & {*change.names}
-        ]
+        """One of the steps of a fit beside all others, with its size; parts of the machine that
+        explain it about as well are one cause."""
+        rest, spare = _without(fit, steps, step), fit.spare
+        alike = self._alike(rest, step)
+        parts = [c for c in alike if c.change.kind in _RARE]
+        if step.candidate.change.kind in _RARE and parts:
+            step = replace(step, candidate=_together([step.candidate, *parts]))
+            alike = [c for c in self._alike(rest, step) if c.change.kind not in _RARE]
+        change, estimated = step.candidate.change, rest.step(step.columns)
         sizes = zip(change.titles, estimated.size.tolist(), estimated.sds.tolist(), strict=True)
         poses, order = self.problem.poses, self.system.order
         return ChangePoint(
@@ -308,14 +315,23 @@ class Search:
             },
             estimated.before(spare),
             min(1.0, math.exp(estimated.log_p(spare)) * self.tests[step.ramp]),
-            tuple(
-                ", ".join(c.change.titles)
-                for c in others
-                if rest.step(replace(step, candidate=c).columns).log_p() - estimated.log_p()
-                < _ALIKE
-            ),
+            tuple(", ".join(c.change.titles) for c in alike),
             until=None if step.until is None else step.until + 1,
         )
+
+    def _alike(self, rest: Fitted, step: _Step) -> list[_Candidate]:
+        """What explains a step about as well."""
+        names, log_p = {*step.candidate.change.names}, rest.step(step.columns).log_p()
+        others = [
+            c
+            for c in self.candidates
+            if (c.change.ramps if step.ramp else c.change.steps) and not {*c.change.names} & names
+        ]
+        return [
+            c
+            for c in others
+            if rest.step(replace(step, candidate=c).columns).log_p() - log_p < _ALIKE
+        ]
 
     def _best(
         self,
