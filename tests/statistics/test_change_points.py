@@ -319,6 +319,17 @@ def test_the_size_of_a_change_is_how_far_it_moves_the_end_point() -> None:
         assert unsure == pytest.approx(np.sqrt(0.75) * found.moves)
 
 
+def test_the_size_of_a_growth_is_how_far_all_lengths_move_the_end_point() -> None:
+    poses, growth = joints(30, 1), 2e-4
+    data, result = read(poses, 1), fitted(read(poses, 1))
+    lengths = {p.name: p.nominal for p in ARM.parameters if p.dimension == "length"}
+    grown = read(poses, 1, {name: growth * length for name, length in lengths.items()})
+    change = {"the scale of the machine": Change(growth, 1e-6, "1")}
+    point = ChangePoint("ramp", "1", "30", 1, "expansion", change, 1e6, 1e-5, until=30)
+    moves = np.sqrt(sum(np.square(grown[q] - data[q]).mean() for q in "xyz"))
+    assert sized(result, point).moves == pytest.approx(moves, rel=0.02)
+
+
 def test_a_pose_in_which_no_loop_holds_is_passed_over() -> None:
     data = read(joints(60, 1), 2)
     blank = {q: np.where(np.arange(60) == 7, np.nan, data[q]) for q in "xyz"}
