@@ -125,6 +125,35 @@ def test_an_encoder_mastered_anew_is_the_zero_of_its_joint() -> None:
     assert refit.value["theta_3_from71"] == pytest.approx(2e-3, rel=0.05)
 
 
+@pytest.mark.parametrize(("name", "size"), [("x2", 1e-3), ("phiy3", 1e-3)])
+def test_a_link_that_bends_is_named_and_no_zero_or_target(name: str, size: float) -> None:
+    for seed in range(3):
+        poses = joints(80, seed)
+        data = joined(read(poses, seed), read(poses, seed, {name: size}), 40)
+        (point,) = lc.find_shifts(fitted(sagging(data))).found
+        assert (point.shape, point.moved) == ("step", "link")
+        assert abs(point.number - 41) <= 1
+        assert point.changes[name].size == pytest.approx(size, abs=1.5e-4)
+        assert "from pose 4" in point.what
+        assert "a link of the machine changed" in point.what
+        again = lc.with_shifts(ARM, data, [point])
+        assert f"{name}_from{point.number}" in again.mechanism.parameters.names
+
+
+def test_parts_of_the_machine_that_do_the_same_change_together() -> None:
+    """Beside joints that hardly turn, the length of a link does what a zero does."""
+    for seed in range(4):
+        poses = joints(60, seed)
+        for i in (3, 5):
+            poses[f"theta_{i}"] *= 0.03
+        data = joined(read(poses, seed), read(poses, seed, {"x4": 3e-4}), 30)
+        (point,) = lc.find_shifts(fitted(data)).found
+        assert (point.moved, point.alternatives) == ("link", ())
+        assert {"theta_5", "x4"} <= {*point.names}
+        made = lc.with_shifts(ARM, data, [point]).mechanism.parameters.names
+        assert all(f"{name}_from{point.number}" in made for name in point.names)
+
+
 def test_two_zero_shifts_of_a_wire_are_found_and_the_refit_gives_the_noise_back() -> None:
     arm = lc.Mechanism.from_function(
         lambda x, p: (
@@ -288,6 +317,17 @@ def test_the_size_of_a_change_is_how_far_it_moves_the_end_point() -> None:
         assert found.moves == pytest.approx(moves, rel=0.01)
         unsure = sized(result, replace(point, gain=4.0)).moves
         assert unsure == pytest.approx(np.sqrt(0.75) * found.moves)
+
+
+def test_the_size_of_a_growth_is_how_far_all_lengths_move_the_end_point() -> None:
+    poses, growth = joints(30, 1), 2e-4
+    data, result = read(poses, 1), fitted(read(poses, 1))
+    lengths = {p.name: p.nominal for p in ARM.parameters if p.dimension == "length"}
+    grown = read(poses, 1, {name: growth * length for name, length in lengths.items()})
+    change = {"the scale of the machine": Change(growth, 1e-6, "1")}
+    point = ChangePoint("ramp", "1", "30", 1, "expansion", change, 1e6, 1e-5, until=30)
+    moves = np.sqrt(sum(np.square(grown[q] - data[q]).mean() for q in "xyz"))
+    assert sized(result, point).moves == pytest.approx(moves, rel=0.02)
 
 
 def test_a_pose_in_which_no_loop_holds_is_passed_over() -> None:

@@ -220,6 +220,36 @@ def test_a_drift_of_the_instrument_is_modelled_and_predictions_hold_for_the_end(
     assert lc.read_mechanism(tmp_path / "mechanism.toml").latest == {NUMBER: 60.0}
 
 
+def warming(where: dict[str, Array], seed: int, growth: float) -> lc.Dataset:
+    """A sagging arm whose lengths grow in proportion, so far over the run."""
+    lengths = [p for p in ARM.parameters if p.dimension == "length"]
+    cold, warm = (read(where, seed, {p.name: g * p.nominal for p in lengths}) for g in (0, growth))
+    share = np.linspace(0.0, 1.0, len(cold))
+    moved = {q: cold[q] + share * (warm[q] - cold[q]) for q in "xyz"}
+    return sagging(cold.with_readings(moved))
+
+
+def test_a_machine_that_warms_up_is_no_drifting_instrument_and_predictions_hold_for_its_end() -> (
+    None
+):
+    where, growth = joints(60, 5), 6e-4
+    result = told(warming(where, 5, growth))
+    assert result.document.change_points is not None
+    (one,) = result.document.change_points.found
+    assert (one.shape, one.modelled, one.moved) == ("ramp", True, "expansion")
+    assert one.changes["the scale of the machine"].size == pytest.approx(growth, rel=0.2)
+    assert result.value["lengths_drift"] == pytest.approx(growth, rel=0.2)
+    assert "changing = []" in result.document.change_points.toml
+    fresh = joints(40, 11)
+    lengths = [p for p in ARM.parameters if p.dimension == "length"]
+    cold, warm = (
+        sagging(read(fresh, 12, {p.name: g * p.nominal for p in lengths})) for g in (0.0, growth)
+    )
+    now = lc.predict(result, lc.Dataset.from_arrays(fresh)).outputs
+    off = [np.sqrt(np.mean([np.square(now[q] - true[q]) for q in "xyz"])) for true in (warm, cold)]
+    assert off[0] < 0.5 * off[1]
+
+
 def test_a_drift_that_the_joints_imitate_is_not_modelled() -> None:
     case = Case(ARM, wandering("sweep"), None, FIT)
     whole = case.calibrated()

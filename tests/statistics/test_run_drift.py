@@ -13,6 +13,7 @@ from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.planar import motoman_ma1400
 from loopcal.mechanisms.serial import Joint, serial_machine
 from loopcal.statistics.case import Case, Entrant, entrants, nominal_machine, without_terms
+from loopcal.statistics.judged_readings import SUGGESTED
 from loopcal.statistics.run_drift import COLUMN, drifting, with_run_drift
 from loopcal.statistics.run_order import told_by_joints
 from tests.reference.simulated import planar_arm
@@ -53,6 +54,21 @@ def test_a_drift_is_found_and_predictions_are_of_the_middle_of_the_run() -> None
     off = [lc.predict(one, fresh).outputs["xP"] - ARM.exact["xP"] for one in (plain, free)]
     worst = [np.abs(values - 0.5 * OVER).max() for values in off]
     assert worst[1] < 0.5 * worst[0]
+
+
+def test_readings_without_a_drift_rarely_suggest_one_and_a_drift_of_ten_sds_always() -> None:
+    """At 5 % of a test of one set: 11 of 100 or more are rarer than 1 %."""
+    sets = [ARM.read(SDS, seed) for seed in range(100)]
+    for over, least, most in ((0.0, 0, 10), (OVER, 100, 100)):
+        suggested = 0
+        for one in sets:
+            data = one.take(np.argsort(one["phi2"]))
+            moved = data["xP"] + np.linspace(0.0, over, len(data))
+            terms = _free(data.with_readings({"xP": moved})).calibrated().terms
+            (gain,) = (term.gain for term in terms if term.name == "run_drift")
+            assert gain is not None
+            suggested += gain >= SUGGESTED
+        assert least <= suggested <= most
 
 
 def test_what_the_poses_cannot_separate_widens_and_poses_measured_again_separate_it() -> None:

@@ -597,11 +597,19 @@ def test_a_drift_that_ordered_poses_cannot_tell_from_the_machine_leaves_the_answ
     document = changed(document, "prediction.region.by", (at,))
     drift = replace(document.parameters[0], name="xP_drift", role="effect", owner="run_drift")
     # Each coordinate moves by 1/sqrt(12) of its drift, rms over the run: three by half of it.
-    for sd, code in ((1.1e-4, "drift-or-machine"), (0.9e-4, "sound")):
+    large, small = 1.1e-4, 0.9e-4
+    for sd, gain, words in (
+        (large, 2.8, "The readings suggest one."),
+        (large, 2.6, "The readings do not suggest one."),
+        (small, 2.8, ""),
+    ):
         own = (*document.parameters, *3 * (replace(drift, unit=at.unit, sd=sd),))
-        found = verdict_of(replace(document, parameters=own)).sound
-        assert found.code == code
-        assert found.passed is (None if code != "sound" else True)
+        terms = (replace(SAG, name="run_drift", unit=at.unit, gain=gain),)
+        found = verdict_of(replace(document, parameters=own, terms=terms)).sound
+        assert (found.code, found.passed) == (
+            ("drift-or-machine", None) if words else ("sound", True)
+        )
+        assert words in found.words
 
 
 def test_a_drift_that_ordered_poses_tell_from_the_machine_is_told_as_a_change() -> None:

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 
 from loopcal.document.another_day import ANOTHER_DAY
+from loopcal.document.two_machines import TWO_MACHINES
 from loopcal.document.verdict import SEVERITIES, Fact, Finding, Row
 
 _AGAIN, _CHECK = "loopcal calibrate {project}", "loopcal check {project}"
@@ -36,10 +37,6 @@ _better = partial(Row, "better", "info")
 _not_within = partial(Row, "tolerance", "refuse")
 _within_open = partial(Row, "tolerance", "caution")
 _within = partial(Row, "tolerance", "info")
-_not_consistent = partial(Row, "consistent", "refuse")
-_consistent_open = partial(Row, "consistent", "caution")
-_consistent = partial(Row, "consistent", "info")
-_remark = partial(Row, None, "info")
 # The order counts: of findings as grave as each other the first is the headline.
 _ROWS = (
     _not_sound(
@@ -194,7 +191,8 @@ _ROWS = (
     _sound_open(
         "drift-or-machine",
         "Drift or machine: the joints show the order of the poses, and a drift of the instrument "
-        "is uncertain by {sd:2} (sd, rms over the run), beside a stated sd of {stated:2}.",
+        "is uncertain by {sd:2} (sd, rms over the run), beside a stated sd of {stated:2}. The "
+        "readings {suggest} one.",
         "Measure some poses again at the end, or all in random order.",
         "loopcal plan {project}",
         detail="The stated sds allow for it.",
@@ -542,50 +540,7 @@ _ROWS = (
         shared="poses-weak",
     ),
     _valid("poses-good", "These poses determine every parameter."),
-    _consistent_open(
-        "nothing-common",
-        "Both calibrations determine nothing that could differ.",
-        "Measure both in the same region, or learn the model error of both.",
-        shared="undecided",
-    ),
-    _consistent_open(
-        "undecided",
-        "Undecided: the two machines differ by more than noise explains ({where}p = {p_value:p}), "
-        "but they were measured in different regions, where an unmodelled error differs too.",
-        "Measure both in the same region, or learn the model error of both "
-        '(model_error = "structured").',
-    ),
-    _consistent(
-        "machines-agree",
-        "The two machines agree within their stated uncertainty: {where}p = {p_value:p}.",
-    ),
-    _not_consistent(
-        "machines-differ",
-        "The two machines differ by more than their stated uncertainty explains: "
-        "{where}p = {p_value:p}.",
-        detail="{blame}",
-    ),
-    _remark(
-        "poses-scatter",
-        "The poses scatter {times:2} times as much as their sds allow along what is compared: the "
-        "machine model lacks something.",
-        detail="The sds of the differences are those of this scatter.",
-    ),
-    _remark(
-        "not-aligned",
-        "The parameters are compared without alignment: differences include any move of the "
-        "instrument in between.",
-    ),
-    _remark(
-        "same-readings",
-        "Both come from the same readings and share their errors: the sds of the differences, "
-        "computed as if independent, are too large and p is too close to 1.",
-    ),
-    _remark(
-        "sds-rejected",
-        "Chi-squared rejects the sds of {place.files} itself: they count {times:2} times as large "
-        "here, as its residuals are.",
-    ),
+    *TWO_MACHINES,
 )
 CATALOGUE: Mapping[str, Row] = {row.fact: row for row in _ROWS}
 """Code of a fact -> its row."""

@@ -10,7 +10,7 @@ from loopcal.document.bounds import Count, Probability, Size
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import enumerated, percent, significant, with_unit
 
-Moved = Literal["target", "station", "joint", "reading", "load", "expansion"]
+Moved = Literal["target", "station", "joint", "reading", "load", "expansion", "link"]
 _WORDS = {
     "target": ("the target {names}", "moved", "on the body"),
     "station": ("the instrument or the machine's base", "moved", "({names})"),
@@ -18,6 +18,7 @@ _WORDS = {
     "reading": ("the zero of {names}", "changed", ""),
     "load": ("the load on the tool", "changed", ""),
     "expansion": ("{names}", "changed", "as when it warms up"),
+    "link": ("a link of the machine", "changed", "({names})"),
 }
 """Of what moved: what it is, the verb of a step, and what follows."""
 

@@ -19,7 +19,7 @@ from loopcal.measurements.noise import MODEL, Noise
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Linearised, components_of
 from loopcal.statistics.possible_changes import (
-    ALONG_ANOTHER_DAY,
+    ALONG_A_RUN,
     changed_share,
     possible,
     unit_of,
@@ -115,7 +115,7 @@ class Day:
         number = np.empty(len(self.problem.poses))
         number[pose_order(self.problem)] = np.arange(1.0, len(number) + 1.0)
         row = number[placement.row_poses][:, None]
-        causes = {one.titles: one for one in possible(self.problem, ALONG_ANOTHER_DAY)}
+        causes = {one.titles: one for one in possible(self.problem, ALONG_A_RUN)}
         columns = []
         for point in self.moved:
             share = changed_share(row, point.number, point.until)

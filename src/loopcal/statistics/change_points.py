@@ -63,9 +63,9 @@ _WAVES, _EDGE = 6, 1e-3
 _DRIFTING = ("station", "reading", "expansion")
 """What may drift: an instrument, or the scale of the whole machine. A drift is named only where the
 joints do not show the order of the poses: elsewhere it looks like an error of the machine."""
-_RARE = 10.0
-"""By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
-the last joint does the same, and does it more often."""
+_RARE = {"joint": 10.0, "link": 10.0}
+"""By so much must the log p-value of a joint's zero or a link be lower: a target that moves about
+the axis of the last joint does the same, and does it more often."""
 # A factor of e^7, about 1000, in p: chosen, not derived.
 _ALIKE = 7.0
 """An alternative whose log p is within this of the best explains the change about as well."""
@@ -125,6 +125,13 @@ class _Candidate:
         """The first and the last position at which it does anything."""
         at = np.flatnonzero(self.columns.any(axis=(1, 2)))
         return (int(at[0]), int(at[-1])) if at.size else (0, 0)
+
+
+def _together(parts: Sequence[_Candidate]) -> _Candidate:
+    """Parts of the machine that change at once, as one link."""
+    names = tuple(name for one in parts for name in one.change.names)
+    columns = np.concatenate([one.columns for one in parts], axis=2)
+    return _Candidate(Possible("link", names, ramps=False), columns)
 
 
 @dataclass(frozen=True)
@@ -285,15 +292,15 @@ class Search:
         return [step for step, smooth in zip(sudden, unclear, strict=True) if smooth]
 
     def _point(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> ChangePoint:
-        """One of the steps of a fit beside all others, with its size."""
-        rest, spare, change = _without(fit, steps, step), fit.spare, step.candidate.change
-        estimated = rest.step(step.columns)
-        others = [
-            c
-            for c in self.candidates
-            if (c.change.ramps if step.ramp else c.change.steps)
-            and not {*c.change.names} & {*change.names}
-        ]
+        """One of the steps of a fit beside all others, with its size; parts of the machine that
+        explain it about as well are one cause."""
+        rest, spare = _without(fit, steps, step), fit.spare
+        alike = self._alike(rest, step)
+        parts = [c for c in alike if c.change.kind in _RARE]
+        if step.candidate.change.kind in _RARE and parts:
+            step = replace(step, candidate=_together([step.candidate, *parts]))
+            alike = [c for c in self._alike(rest, step) if c.change.kind not in _RARE]
+        change, estimated = step.candidate.change, rest.step(step.columns)
         sizes = zip(change.titles, estimated.size.tolist(), estimated.sds.tolist(), strict=True)
         poses, order = self.problem.poses, self.system.order
         return ChangePoint(
@@ -308,14 +315,23 @@ class Search:
             },
             estimated.before(spare),
             min(1.0, math.exp(estimated.log_p(spare)) * self.tests[step.ramp]),
-            tuple(
-                ", ".join(c.change.titles)
-                for c in others
-                if rest.step(replace(step, candidate=c).columns).log_p() - estimated.log_p()
-                < _ALIKE
-            ),
+            tuple(", ".join(c.change.titles) for c in alike),
             until=None if step.until is None else step.until + 1,
         )
+
+    def _alike(self, rest: Fitted, step: _Step) -> list[_Candidate]:
+        """What explains a step about as well."""
+        names, log_p = {*step.candidate.change.names}, rest.step(step.columns).log_p()
+        others = [
+            c
+            for c in self.candidates
+            if (c.change.ramps if step.ramp else c.change.steps) and not {*c.change.names} & names
+        ]
+        return [
+            c
+            for c in others
+            if rest.step(replace(step, candidate=c).columns).log_p() - log_p < _ALIKE
+        ]
 
     def _best(
         self,
@@ -335,7 +351,7 @@ class Search:
         trials: list[tuple[float, float, _Step]] = []
         for candidate in candidates:
             change = candidate.change
-            rare = _RARE if change.kind == "joint" else 0.0
+            rare = _RARE.get(change.kind, 0.0)
             gains, ranks = fitted.gains(candidate.columns) if change.steps else (free, 0 * free)
             # Gains of different rank cannot be compared, only their p-values.
             for rank in np.unique(ranks[free & (ranks > 0)]).tolist():

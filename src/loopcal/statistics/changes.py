@@ -233,8 +233,9 @@ def _effects(data: Dataset, points: Sequence[ChangePoint], column: str) -> list[
     for p in {p.names: p for p in points if p.shape == "ramp"}.values():
         since, until = first[p.pose], first[p.after]
         title = f"drift of {', '.join(p.names)}"
+        changing = () if p.moved == "expansion" else p.names
         # Ending with the run, so that predictions hold for its end (docs/explanation/drift.md).
-        effects.append(Drift(p.names, column, "1", since, until - since, title, until))
+        effects.append(Drift(changing, column, "1", since, until - since, title, until))
     return effects
 
 

@@ -25,7 +25,7 @@ from loopcal.statistics.change_points import NOT_SEARCHED, Search, Shifts, searc
 from loopcal.statistics.change_tests import Explained
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem
-from loopcal.statistics.possible_changes import ALONG_ANOTHER_DAY
+from loopcal.statistics.possible_changes import ALONG_A_RUN
 from loopcal.statistics.replacing import ASTRAY
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ def searched(explained: Explained) -> Run:
     if not searchable(len(linear.placement.problem.poses)):
         return Run()
     system = _system(linear, explained.columns)
-    shifts, fit = Search(system, causes=ALONG_ANOTHER_DAY).run()
+    shifts, fit = Search(system, causes=ALONG_A_RUN).run()
     return Run(shifts, _outliers(linear, fit))
 
 

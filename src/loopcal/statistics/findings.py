@@ -192,6 +192,9 @@ def sized(result: FitResult, point: ChangePoint) -> ChangePoint:
             values[parameters.index(name)] += change.size
         elif name in read:
             readings[read.index(name)] += change.size
+        elif point.moved == "expansion":
+            lengths = [p.dimension == "length" for p in mechanism.parameters]
+            values[lengths] *= 1.0 + change.size
     moved = output_differences(replace(problem, readings=readings), values, at.corrections)
     before = result.differences_after
     off = {q: row - before[q] for q, row in zip(names, moved, strict=True)}

@@ -10,7 +10,7 @@ from loopcal.document.choice import DECISIVE
 from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
 from loopcal.document.result_document import DataEntry, ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
-from loopcal.mechanisms.effects.effect import RUN_DRIFT
+from loopcal.mechanisms.effects.effect import RUN_DRIFT, RUN_DRIFTS
 from loopcal.mechanisms.structure.smooth import DISCREPANCY
 from loopcal.presentation.shown import significant
 
@@ -26,6 +26,9 @@ SIZE = 3e-3
 # As the changes that may move the end point: record 0054.
 UNSURE = 0.5
 """Stated sds by which a drift along ordered poses may move what it moves, rms over the run."""
+# The 95 % point of half of chi-squared(1), as a variance of 0 is at the boundary.
+SUGGESTED = 2.71
+"""Gain in -2 log restricted likelihood from which readings suggest that a drift is there."""
 # Chosen, not derived: one good data set of a hundred; `analyses.gauntlet` counts all codes.
 _CHANCE = 0.01
 """Share of good data sets with a pose so far off; the search for outliers names more."""
@@ -186,7 +189,8 @@ def order_or_model(document: ResultDocument) -> Fact | None:
 def drift_or_machine(document: ResultDocument) -> Fact | None:
     """A drift of the instrument that the poses cannot tell from an error of the machine.
 
-    It is among the parameters only where the joints tell the order of the poses (`run_drift`).
+    It is among the parameters only where the joints tell the order of the poses (`run_drift`). What
+    the readings say of it is stated, and closes nothing: a machine can take up what they would say.
     """
     region = document.region
     for by in () if region is None else region.by:
@@ -195,7 +199,10 @@ def drift_or_machine(document: ResultDocument) -> Fact | None:
         sd = max((p.sd or 0.0 for p in drifts), default=0.0) * math.sqrt(min(len(drifts), 3) / 12.0)
         if sd > UNSURE * by.sd_at_poses:
             numbers = {"sd": Figure(sd, by.unit), "stated": Figure(by.sd_at_poses, by.unit)}
-            return fact("drift-or-machine", numbers=numbers)
+            terms = [t for t in document.terms if t.name in RUN_DRIFTS and t.unit == by.unit]
+            suggested = any(t.gain is None or t.gain >= SUGGESTED for t in terms)
+            suggest = "suggest" if suggested else "do not suggest"
+            return fact("drift-or-machine", numbers=numbers, suggest=suggest)
     return None
 
 

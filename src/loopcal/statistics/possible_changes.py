@@ -266,6 +266,7 @@ def _expansion(problem: Problem) -> Iterator[Possible]:
     """All dimensions of the machine in proportion, as it warms up, or another scale of what
     measures it."""
     lengths = [p for p in problem.mechanism.parameters if p.dimension == "length" and p.nominal]
+    lengths = [p for p in lengths if p.name in problem.names]  # what is held has no column
     if lengths:
         names = tuple(p.name for p in lengths)
         part = tuple((p.name, p.nominal) for p in lengths)
@@ -278,9 +279,19 @@ def _warming(problem: Problem) -> Iterator[Possible]:
         yield replace(one, steps=False)
 
 
-ALONG_A_RUN: tuple[Cause, ...] = (_targets, _stations, _joints, _readings, _loads)
-ALONG_ANOTHER_DAY: tuple[Cause, ...] = (*ALONG_A_RUN, _warming)
-"""Of a machine that is held: a fit of the run itself takes warming up by its own terms."""
+def _links(problem: Problem) -> Iterator[Possible]:
+    """What a crash bends: all dimensions of a link at once, which it never does all along a run."""
+    by_link: dict[str, list[str]] = {}
+    for p in problem.mechanism.parameters:
+        if p.role in GEOMETRY - {"zero"} and p.name in problem.names:
+            by_link.setdefault(p.owner or p.name, []).append(p.name)
+    for names in by_link.values():
+        yield Possible("link", tuple(names), ramps=False)
+
+
+ALONG_A_RUN: tuple[Cause, ...] = (
+    *(_targets, _stations, _joints, _readings, _loads, _links, _warming),
+)
 BETWEEN_DAYS: tuple[Cause, ...] = (
     *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion),
 )

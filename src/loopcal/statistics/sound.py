@@ -16,7 +16,7 @@ from loopcal.document.choice import DECISIVE, TermEntry
 from loopcal.document.findings import ConflictEntry, HalvesEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
-from loopcal.mechanisms.effects.effect import RUN_DRIFT, RUN_DRIFT_TURNS
+from loopcal.mechanisms.effects.effect import RUN_DRIFTS
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.presentation.shown import percent
 from loopcal.small_samples import t_quantile
@@ -91,7 +91,7 @@ def _modelled_changes(document: ResultDocument) -> Fact | None:
     points = tuple(point for point in points if point.modelled)
     if points:
         return along_the_run("changes-modelled", points, changes=len(points))
-    drifts = [t for t in document.terms if t.name in (RUN_DRIFT, RUN_DRIFT_TURNS) and t.sentences]
+    drifts = [t for t in document.terms if t.name in RUN_DRIFTS and t.sentences]
     if not drifts:
         return None
     details = "; ".join(words for term in drifts for words in term.sentences)

@@ -24,7 +24,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.expressions.engine import LoopValues, engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
-from loopcal.mechanisms.effects.effect import RUN_DRIFT, RUN_DRIFT_TURNS
+from loopcal.mechanisms.effects.effect import RUN_DRIFTS
 from loopcal.mechanisms.parameters import BEYOND
 from loopcal.mechanisms.structure.sag import BASE, Column, Sag, Structure
 from loopcal.mechanisms.structure.smooth import DISCREPANCY, Smooth
@@ -96,7 +96,7 @@ def with_parts(
         parts_by_term[name] = [
             part for smooth in structure.smooth.values() for part in _remaining(at, smooth, unit)
         ]
-    for name in (RUN_DRIFT, RUN_DRIFT_TURNS):
+    for name in RUN_DRIFTS:
         parts_by_term[name] = _drifts(at, mechanism, name)
     return tuple(
         replace(

@@ -19,9 +19,12 @@ from loopcal.units import difference_to_si, to_si, unit
 
 DRIFT_SD = 1e-3
 """Prior sd [m or rad]: 1 mm or 1 mrad over a drift's span."""
+GROWTH_SD = 1e-3
+"""Prior sd of the growth of all lengths: 40 K of aluminium."""
 _SHIFT_SD = {"rad": 0.1}
 """Prior sd of a shift by unit, else 0.01: 10 mm, and 6 degrees, for what slips may turn far."""
 
+_GROWTH = "lengths_drift"
 Moving = Annotated[
     tuple[str, ...], Key("Parameters by names or globs, and readings by name.", least=1)
 ]
@@ -39,7 +42,8 @@ class Drift:
     """Parameters linear in a known constant t: p' = p + P_drift (t - since) / over.
 
     changing: parameters by names or globs, such as base_* for the place of an instrument, or
-    readings, whose zeros drift: x' = x - x_drift (t - since) / over; column: the known constant t;
+    readings, whose zeros drift: x' = x - x_drift (t - since) / over; empty: all lengths of the
+    machine in proportion, by one parameter, as it warms up; column: the known constant t;
     unit: of since, over and until, such as "s", "K" or "1"; since, over: where the drift is zero,
     and the span in which it grows to P_drift [m or rad]; until: where the drift ended. Readings
     beyond it are taken there, and those to predict from that lack the column; where it is `since`,
@@ -48,7 +52,10 @@ class Drift:
     Raises InputError for a span that is not a positive number.
     """
 
-    changing: Moving = ("base_*",)
+    changing: Annotated[
+        tuple[str, ...],
+        Key("Parameters by names or globs, and readings; empty: all lengths in proportion."),
+    ] = ("base_*",)
     column: Column = "t"
     unit: Annotated[str, Key("Unit of since, over and until.", is_unit=True)] = "1"
     since: Since = 0.0
@@ -67,7 +74,10 @@ class Drift:
             )
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
-        """P_drift of each parameter, in its unit."""
+        """P_drift of each parameter, in its unit; or one of all lengths."""
+        if not self.changing:
+            meaning = "growth of all lengths along the run"
+            return {_GROWTH: Parameter(_GROWTH, 0.0, "1", GROWTH_SD, meaning=meaning)}
         return {
             f"{name}_drift": Parameter(
                 f"{name}_drift",
@@ -92,6 +102,9 @@ class Drift:
             until = to_si(self.until, self.unit)
             t = t - (t - until) * _from(until, t)
         share = (t - since) * (1.0 / over)
+        if not self.changing:
+            lengths = [q.name for q in mechanism.parameters if q.dimension == "length"]
+            return {name: p[name] * (1.0 + p[_GROWTH] * share) for name in lengths}
         return {
             name: _moved(name, p[f"{name}_drift"] * share, x, p)
             for name in _units(mechanism, self.changing)
