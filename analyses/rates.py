@@ -224,6 +224,8 @@ def _rates(day: str, clean: Sequence[Draw], other: Sequence[Draw]) -> list[str]:
     ]
     if day == "later day":
         return [*lines, _line(f"{day}: absurd sizes", map(absurd, every)), ""]
+    order = ["drift-or-machine" in d.get("codes", ()) for d in clean]
+    lines.insert(1, _line(f"{day}: of them by the pose order", order))
     better = [called_better(d) for d in clean]
     return [*lines, _line(f"{day}: clean kinds called better", better), ""]
 
