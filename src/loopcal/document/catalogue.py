@@ -94,7 +94,7 @@ _ROWS = (
     _not_sound(
         "sds-too-small",
         "The corrections are larger than the stated sds allow: chi-squared per degree of freedom "
-        "is {variance_factor:2} (p = {p_value:p}).",
+        "is {variance_factor:2} ({p_value:p}).",
         _MODEL,
         _AUTO,
         detail="{suspects}",
@@ -102,7 +102,7 @@ _ROWS = (
     _not_sound(
         "model-incomplete",
         "The machine model lacks a term: {shared_variance:1%} of the variance of the residuals of "
-        "{instrument} is common to poses that are near in joint space (p = {p_value:p}).",
+        "{instrument} is common to poses that are near in joint space ({p_value:p}).",
         "Add effects (sag, gears), or fit with a structured model error.",
         _AUTO,
     ),
@@ -150,7 +150,7 @@ _ROWS = (
     _sound_open(
         "model-lacks-little",
         "The machine model lacks a little: {shared_variance:1%} of the variance of the residuals "
-        "of {instrument} is common to poses that are near in joint space (p = {p_value:p}).",
+        "of {instrument} is common to poses that are near in joint space ({p_value:p}).",
         "Predictions hold nearly as stated. To predict better, measure more poses or add effects.",
         _PLAN,
     ),
@@ -164,7 +164,7 @@ _ROWS = (
     _sound_open(
         "observations-conflict",
         "{instrument} contradicts the other observations by {apart:2} rms: its readings miss by "
-        "{beside:2} beside them, by {alone:2} by themselves (p = {p_value:p}).",
+        "{beside:2} beside them, by {alone:2} by themselves ({p_value:p}).",
         "Check what it assumes: a body, a radius, a plane. Then calibrate without it, and compare.",
         _REPORT,
     ),
@@ -185,7 +185,7 @@ _ROWS = (
     ),
     _sound_open(
         "change-or-model",
-        "Something may have changed along the run{what} (p = {evidence:p}).",
+        "Something may have changed along the run{what} ({evidence:p}).",
         "Measure the poses in random order: a drift is then no model error.",
         "loopcal plan {project}",
         detail="A slow drift or an error of the machine model explains it as well.",
@@ -550,19 +550,19 @@ _ROWS = (
     ),
     _consistent_open(
         "undecided",
-        "Undecided: the two machines differ by more than noise explains ({where}p = {p_value:p}), "
+        "Undecided: the two machines differ by more than noise explains ({where}{p_value:p}), "
         "but they were measured in different regions, where an unmodelled error differs too.",
         "Measure both in the same region, or learn the model error of both "
         '(model_error = "structured").',
     ),
     _consistent(
         "machines-agree",
-        "The two machines agree within their stated uncertainty: {where}p = {p_value:p}.",
+        "The two machines agree within their stated uncertainty: {where}{p_value:p}.",
     ),
     _not_consistent(
         "machines-differ",
         "The two machines differ by more than their stated uncertainty explains: "
-        "{where}p = {p_value:p}.",
+        "{where}{p_value:p}.",
         detail="{blame}",
     ),
     _remark(

@@ -234,7 +234,7 @@ def _effects(data: Dataset, points: Sequence[ChangePoint], column: str) -> list[
         since, until = first[p.pose], first[p.after]
         title = f"drift of {', '.join(p.names)}"
         # Ending with the run, so that predictions hold for its end (docs/explanation/drift.md).
-        effects.append(Drift(p.names, column, "1", since, until - since, title, until))
+        effects.append(Drift(p.names, column, "1", since, until - since, title, until, p.bends))
     return effects
 
 
@@ -262,8 +262,8 @@ def _table(effect: Shift | Drift) -> list[str]:
         if isinstance(effect, Shift)
         else {
             key: f"{value:.12g}"
-            for key in ("since", "over", "until")
-            if (value := getattr(effect, key)) is not None
+            for key in ("since", "over", "until", "bends")
+            if (value := getattr(effect, key)) is not None and (key != "bends" or value)
         }
     )
     return [

@@ -31,7 +31,8 @@ from loopcal.statistics.changes import ids_are_numbers
 
 MOST = 2_000
 """Points of one figure; of more the largest and a sample of the rest."""
-CHOSEN, REST, DIM = "#d55e00", "#0072b2", "rgba(0,114,178,0.35)"
+CHOSEN, REST, DIM = "#d55e00", "#2b7bd6", "rgba(43,123,214,0.35)"
+"""Colours on either ground."""
 GREY = "#8a919c"
 """Of poses that the fit does not use, on either ground."""
 ABOVE = 1.25
@@ -61,7 +62,7 @@ def look(height: int, **more: Any) -> dict[str, Any]:
     plain = {
         "paper_bgcolor": TRANSPARENT,
         "plot_bgcolor": TRANSPARENT,
-        "font": {"color": "#7b828c", "size": 13},
+        "font": {"color": "#7b828c", "size": 12},
     }
     return layout(height, **more) | plain
 

@@ -329,6 +329,9 @@ class Session:
             waiting=self.waiting(),
             warned=tuple(map(str, loaded.warnings)) if loaded is not None else (),
             unreadable=self._source.objection,
+            made_elsewhere=frozenset(
+                {"plan"} if self.folder.inside_of(self.folder.plan.name) else ()
+            ),
         )
 
     def read_by(self, command: str) -> str:

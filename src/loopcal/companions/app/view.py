@@ -263,6 +263,7 @@ def _numbers(cells: Iterable[str]) -> bool:
 def command(line: str) -> Any:
     """A command line, with a button that copies it."""
     made = ui.code(line, language="text").classes("command")
+    made.markdown.props("tabindex=0")  # a long one is scrolled
     made.copy_button.props(f'aria-label="{words.COPY}"')
     return made
 

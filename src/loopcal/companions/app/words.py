@@ -139,6 +139,7 @@ CORRECT = (
     "The corrected program is a new file; the original stays."
 )
 RECORD = "State who measured what, and with what. The record is a page for print."
+RECORD_FIELDS = "Who measured what, and with what: {count} of {all} stated"
 NO_ENTRY, NOTHING_DONE = "The log has no line {number}.", "Nothing has been done here yet."
 EVENT = "What happened: collision, new belt, moved base ..."
 MACHINE = "Calibrations, verifications and events of the machine, in the folder machine.history."

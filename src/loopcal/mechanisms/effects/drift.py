@@ -19,6 +19,7 @@ from loopcal.units import difference_to_si, to_si, unit
 
 DRIFT_SD = 1e-3
 """Prior sd [m or rad]: 1 mm or 1 mrad over a drift's span."""
+BENDS_MOST = 8
 _SHIFT_SD = {"rad": 0.1}
 """Prior sd of a shift by unit, else 0.01: 10 mm, and 6 degrees, for what slips may turn far."""
 
@@ -34,18 +35,26 @@ Until = Annotated[
 ]
 
 
+Bends = Annotated[
+    int, Key("Terms of a curve beside the straight line, such as 4 for a warm-up; at most 8.")
+]
+
+
 @dataclass(frozen=True)
 class Drift:
-    """Parameters linear in a known constant t: p' = p + P_drift (t - since) / over.
+    """Parameters that follow a known constant t: p' = p + P_drift s, s = (t - since) / over.
+
+    With bends, along a smooth curve as of a warm-up: + sum_k P_driftk 4 s (1 - s) T_k-1(2 s - 1),
+    k = 1 .. bends, with Chebyshev's polynomials T: nothing at both ends of the span.
 
     changing: parameters by names or globs, such as base_* for the place of an instrument, or
     readings, whose zeros drift: x' = x - x_drift (t - since) / over; column: the known constant t;
     unit: of since, over and until, such as "s", "K" or "1"; since, over: where the drift is zero,
     and the span in which it grows to P_drift [m or rad]; until: where the drift ended. Readings
     beyond it are taken there, and those to predict from that lack the column; where it is `since`,
-    only the latter.
+    only the latter; bends: terms of the curve.
 
-    Raises InputError for a span that is not a positive number.
+    Raises InputError for a span that is not a positive number, and for bends outside 0 to 8.
     """
 
     changing: Moving = ("base_*",)
@@ -55,8 +64,15 @@ class Drift:
     over: Over = 1.0
     name: Name = "drift"
     until: Until = None
+    bends: Bends = 0
 
     def __post_init__(self) -> None:
+        if not 0 <= self.bends <= BENDS_MOST:
+            raise InputError(
+                f"the drift {self.name!r} has {self.bends} bends",
+                code="invalid-value",
+                remedy=f"give a number from 0 to {BENDS_MOST}",
+            )
         ends = [self.since] if self.until is None else [self.since, self.until]
         if not 0.0 < self.over < math.inf or not all(map(math.isfinite, ends)):
             until = "" if self.until is None else f" until {self.until:g}"
@@ -67,18 +83,24 @@ class Drift:
             )
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
-        """P_drift of each parameter, in its unit."""
+        """P_drift of each parameter, in its unit, and those of its bends."""
         return {
-            f"{name}_drift": Parameter(
-                f"{name}_drift",
+            f"{name}_drift{term}": Parameter(
+                f"{name}_drift{term}",
                 0.0,
                 si,
                 DRIFT_SD,
-                meaning=f"change of {name} along the run",
+                meaning=f"{said} of {name} along the run",
                 changes=name,
             )
             for name, si in _units(mechanism, self.changing).items()
+            for term, said in self._terms
         }
+
+    @property
+    def _terms(self) -> list[tuple[str, str]]:
+        """Endings of the names of its parameters, and what these are."""
+        return [("", "change"), *((str(k), f"bend {k}") for k in range(1, self.bends + 1))]
 
     def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """The column."""
@@ -92,14 +114,33 @@ class Drift:
             until = to_si(self.until, self.unit)
             t = t - (t - until) * _from(until, t)
         share = (t - since) * (1.0 / over)
+        shares = [share, *bent(share, self.bends)]
         return {
-            name: _moved(name, p[f"{name}_drift"] * share, x, p)
+            name: _moved(
+                name,
+                sum(
+                    p[f"{name}_drift{term}"] * s
+                    for (term, _), s in zip(self._terms, shares, strict=True)
+                ),
+                x,
+                p,
+            )
             for name in _units(mechanism, self.changing)
         }
 
     def latest(self) -> dict[str, float]:
         """The column at the end of the run, where that is stated."""
         return {} if self.until is None else {self.column: to_si(self.until, self.unit)}
+
+
+def bent(share: Any, count: int) -> list[Any]:
+    """4 s (1 - s) T_k(2 s - 1) for k = 0 .. count - 1."""
+    at = 2.0 * share - 1.0
+    bubble = 4.0 * share * (1.0 - share)
+    terms = [bubble, bubble * at]
+    while len(terms) < count:
+        terms.append(2.0 * at * terms[-1] - terms[-2])
+    return terms[:count]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ const VIRIDIS = ["440154", "482878", "3e4a89", "31688e", "26828e", "1f9e89", "35
   .map((hex) => [0, 2, 4].map((i) => parseInt(hex.slice(i, i + 2), 16)));
 
 const shade = (share) => {
-  const at = Math.min(Math.max(share, 0), 1) * (VIRIDIS.length - 1), i = Math.min(Math.floor(at), VIRIDIS.length - 2);
+  const at = Math.min(Math.max(share || 0, 0), 1) * (VIRIDIS.length - 1), i = Math.min(Math.floor(at), VIRIDIS.length - 2);
   return `rgb(${[0, 1, 2].map((k) => Math.round(VIRIDIS[i][k] + (at - i) * (VIRIDIS[i + 1][k] - VIRIDIS[i][k])))})`;
 };
 const points = (trace) => [trace.x, trace.y, trace.z].map((v) => Float64Array.from(v, (one) => one ?? NaN));
@@ -69,8 +69,12 @@ export default {
           this.poses = made;
           this.chosen = new Set((trace.selectedpoints ?? []).map((i) => trace.customdata[i]));
         }
-        const { color, cmin, cmax } = trace.marker ?? {};
-        if (Array.isArray(color)) made.colours = color.map((v) => shade(((v ?? cmin) - cmin) / (cmax - cmin)));
+        const { color, cmax } = trace.marker ?? {};
+        if (Array.isArray(color)) {
+          const cmin = trace.marker.cmin ?? Math.min(...color);
+          made.ends = [cmin, cmax ?? (Math.max(...color) || 1)];
+          made.colours = color.map((v) => shade(((v ?? cmin) - cmin) / (made.ends[1] - cmin)));
+        }
         return made;
       });
       this.boxed(layout.scene?.low, layout.scene?.high);
@@ -114,7 +118,7 @@ export default {
         });
       }
       const [[left, right], [bottom, top]] = across;
-      this.scale = Math.max(1, Math.min((width - 100) / (right - left), (height - 80) / (top - bottom)));
+      this.scale = Math.max(1, Math.min((width - (this.narrow() ? 70 : 100)) / (right - left), (height - 80) / (top - bottom)));
       this.centre = [width / 2 - this.scale * (left + right) / 2, height / 2 + this.scale * (bottom + top) / 2];
       this.redraw();
     },
@@ -123,7 +127,8 @@ export default {
       const [width, height] = this.room();
       return [width, height].map((v, k) => v / 2 + this.zoom * (this.centre[k] - v / 2) + this.shift[k]);
     },
-    room() { return [this.size[0] - (this.bar ? 60 : 0), this.size[1]]; },
+    narrow() { return this.size[0] < 500; },
+    room() { return [this.size[0] - (this.bar ? (this.narrow() ? 44 : 60) : 0), this.size[1]]; },
     /* Right, up and toward the eye, in the axes of the data. */
     axes() {
       const [c, s, C, S] = [Math.cos(this.yaw), Math.sin(this.yaw), Math.cos(this.pitch), Math.sin(this.pitch)];
@@ -177,12 +182,14 @@ export default {
       for (const one of this.traces) if (!one.faces && one.trace.mode.includes("lines")) this.lines(g, one);
       for (const one of this.traces) if (!one.faces && one.trace.mode.includes("markers")) this.markers(g, one);
       this.rings(g);
+      this.dark = document.body.classList.contains("body--dark");
       for (const one of this.traces) if (!one.faces && one.trace.mode.includes("text")) this.named(one, labels);
       this.write(g, labels);
       if (this.bar) this.colourbar(g);
       g.fillStyle = this.ink;
       g.textAlign = "left";
-      if (this.note) g.fillText(this.note, 4, 14);
+      const sentences = this.narrow() ? this.note.split(/(?<=[:,]) /) : [this.note];
+      sentences.forEach((line, i) => g.fillText(line, 4, 14 + 16 * i));
     },
     /* The grid on the floor and an upright axis, with their numbers. */
     floor(g, axes, labels) {
@@ -313,7 +320,8 @@ export default {
       });
     },
     named({ trace, seen }, labels) {
-      const colour = trace.textfont?.color ?? trace.marker?.color ?? this.ink;
+      const stated = trace.textfont?.color ?? trace.marker?.color;
+      const colour = !stated ? this.ink : this.dark ? `color-mix(in srgb, ${stated} 45%, white)` : stated;
       trace.text.forEach((text, i) => {
         if (text && seen[3 * i] === seen[3 * i]) labels.push({ text: plain(text), at: [seen[3 * i], seen[3 * i + 1]], colour });
       });
@@ -339,7 +347,7 @@ export default {
       g.textBaseline = "alphabetic";
     },
     colourbar(g) {
-      const { cmin, cmax, colorbar } = this.bar.trace.marker, [w, h] = this.size, top = 40, high = h - 80, x = w - 54;
+      const { colorbar } = this.bar.trace.marker, [cmin, cmax] = this.bar.ends, [w, h] = this.size, top = this.narrow() ? 64 : 40, high = h - top - 40, x = w - (this.narrow() ? 42 : 54);
       for (let i = 0; i < high; i += 4) { g.fillStyle = shade(1 - i / high); g.fillRect(x, top + i, 10, 4); }
       g.fillStyle = this.ink;
       g.textAlign = "left";

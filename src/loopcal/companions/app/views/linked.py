@@ -270,10 +270,10 @@ def _ends(linked: Linked) -> None:
 
 def _zoom(linked: Linked) -> None:
     """What the figure over the poses shows in its whole width."""
-    with ui.row().classes("q-gutter-xs"):
-        near = ui.button(words.ZOOM_IN, icon="zoom_in").props("outline")
+    with ui.row().classes("small"):
+        near = ui.button(words.ZOOM_IN).props("outline")
         near.on_click(lambda: linked.zoom(linked.view.selected))
-        far = ui.button(words.ZOOM_OUT, icon="zoom_out").props("outline")
+        far = ui.button(words.ZOOM_OUT).props("outline")
         far.on_click(lambda: linked.zoom([]))
         none = ui.button(words.SELECT_NONE, on_click=partial(linked.select, [])).props("outline")
 
