@@ -85,6 +85,7 @@ DRAG, DRAG_TURNS, DRAG_SELECTS = "Drag in space", "Drag turns", "Drag selects"
 NO_SUCH_POSE = "The result has no pose {pose}."
 CHOOSE_FILES = "Choose files"
 TOO_LARGE = "The file is larger than an upload may be."
+NO_ROBOT = "A camera without a robot, or with the poses of a flange, needs none: go on with Data."
 ROBOT_FIRST = (
     "Describe the robot first, in the step Robot. Corners of a camera need none: cameras alone, or "
     "with the poses of a flange, are recognised without."
