@@ -74,7 +74,7 @@ def test_the_machine_in_space_stands_in_the_first_selected_pose(tmp_path: Path) 
         body = np.array([figure["data"][2][k] for k in "xyz"])
         measured = np.array([source.table.readings[k][pose] for k in "xyz"])
         assert np.linalg.norm(body - measured[:, None], axis=0).min() < 0.12  # its radius
-        posing = errors.posing()
+        posing = errors.posing(pose)
         assert posing is not None
         update, traces = posing
         assert traces == [2]

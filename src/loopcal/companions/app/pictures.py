@@ -419,7 +419,9 @@ class Errors:
         return spots("lines", lines, **look), f"{times:,.0f}" if times >= 1 else f"{times:.3g}"
 
     def _scene_traces(self) -> list[dict[str, Any]]:
-        return [] if self._scene is None else self._scene.traces(self._readings(self.posed))
+        """The machine in the first pose selected, or of all."""
+        posed = self._readings(min(self.selected, default=0))
+        return [] if self._scene is None else self._scene.traces(posed)
 
     @cached_property
     def _scene(self) -> Scene | None:
@@ -432,17 +434,12 @@ class Errors:
         every = {**table.readings, **table.pose_constants}
         return {q: float(v[position]) for q, v in every.items() if np.isfinite(v[position])}
 
-    @property
-    def posed(self) -> int:
-        """Position of the pose in which the machine is drawn: the first one selected, or of all."""
-        return min(self.selected, default=0)
-
-    def posing(self) -> list[Any] | None:
-        """What `restyle` makes of the figure in space to draw the machine in that pose; None where
+    def posing(self, position: int) -> list[Any] | None:
+        """What `restyle` makes of the figure in space to draw the machine in a pose; None where
         none is drawn."""
         if self._scene is None or not self.solid:
             return None
-        moved_traces = self._scene.moved(self._readings(self.posed))
+        moved_traces = self._scene.moved(self._readings(position))
         return restyled(moved_traces, 2) if moved_traces else None
 
     def _extent(self, at: Array) -> dict[str, list[float]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -140,7 +139,7 @@ class Linked:
         selected."""
         plot, _ = self._plots.get(label, (None, None))
         shown = self.view.selected if positions is None else positions
-        posing = replace(self.errors, selected=tuple(shown)).posing()
+        posing = self.errors.posing(min(shown, default=0))
         if plot is not None and posing is not None and not plot.is_deleted:
             plot.run_plot_method("restyle", *posing)
 
