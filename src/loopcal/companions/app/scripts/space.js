@@ -380,7 +380,7 @@ export default {
     down(event) {
       this.$el.setPointerCapture(event.pointerId);
       this.pointers.set(event.pointerId, this.local(event));
-      this.begun = { at: this.local(event), frame: globalThis.linked?.frames && this.poses };
+      this.begun = { at: this.local(event), frame: linked.frames && this.poses };
       this.tip.style.display = "none";
     },
     move(event) {
