@@ -17,21 +17,23 @@ from tests.app.diagnosing import diagnosing, printed
 
 WATCH = """
 () => {
-  const plots = [...document.querySelectorAll('.js-plotly-plot')];
-  const flat = plots.filter(p => p.data[0].type !== 'scatter3d');
-  const solid = plots.filter(p => p.data[0].type === 'scatter3d');
+  const flat = [...document.querySelectorAll('.linked.js-plotly-plot')];
+  const solid = [...document.querySelectorAll('.linked.space')];
   const bright = p => [...p.querySelectorAll('.trace:first-child path.point')]
     .filter(e => e.style.fill === 'rgb(213, 94, 0)').length;
-  const told = () => [...document.querySelectorAll('.q-page .text-subtitle1')]
+  const said = () => [...document.querySelectorAll('.q-page .text-subtitle1')]
     .map(e => e.innerText).find(t => t.includes('poses selected')) ?? '';
-  const before = told();
   window.took = null;
-  flat[0].once('plotly_selected', event => {
+  let heard = false;
+  flat[0].on('plotly_selected', event => {
+    // plotly sends one without points where it draws a figure again
+    if (heard || !event?.points.length) return;
+    heard = true;
     const begun = performance.now(), count = event.points.length;
     const marks = {
       figures: () => flat.every(p => bright(p) === count),
-      space: () => solid.every(p => p.data[1].x.length === count),
-      panel: () => told() !== before,
+      space: () => solid.every(p => p.space.chosen.size === count && !p.space.asked),
+      panel: () => said().startsWith(`${count} of`),
     };
     const took = {}, set = new Set();
     const look = () => {
@@ -54,14 +56,14 @@ def brushes(folder: Path, count: int) -> list[dict[str, float]]:
         low, high = page.evaluate(
             "document.querySelector('.js-plotly-plot')._fullLayout.xaxis.range"
         )
-        found = []
+        times = []
         for i in range(count):
             page.evaluate(WATCH)
             begin = low + (high - low) * (0.1 + 0.5 * i / count)
             hand.brush("error over the poses", begin, begin + (0.2 + 0.01 * i) * (high - low))
             page.wait_for_function("window.took !== null")
-            found.append(page.evaluate("window.took"))
-        return found
+            times.append(page.evaluate("window.took"))
+        return times
 
 
 def main() -> None:

@@ -116,8 +116,8 @@ class Hand:
 
     def frame_in_space(self) -> None:
         """Draw a frame around all points of the figure in space."""
-        pane = self.page.locator(".pane")
-        pane.wait_for()  # it opens once the server has answered the button
+        self.page.wait_for_function("linked.frames")  # once the server has answered the button
+        pane = self.page.locator(".linked.space")
         pane.evaluate("e => e.scrollIntoView({block: 'center'})")
         width, height = pane.evaluate("e => [e.clientWidth, e.clientHeight]")
         pane.hover(position={"x": 0.99 * width, "y": 0.99 * height})  # once it no longer moves

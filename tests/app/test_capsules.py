@@ -71,13 +71,13 @@ def test_the_machine_in_space_stands_in_the_first_selected_pose(tmp_path: Path) 
         assert errors is not None
         figure = errors.in_space()
         assert figure is not None
-        body = np.array([figure["data"][3][k] for k in "xyz"])
+        body = np.array([figure["data"][2][k] for k in "xyz"])
         measured = np.array([source.table.readings[k][pose] for k in "xyz"])
         assert np.linalg.norm(body - measured[:, None], axis=0).min() < 0.12  # its radius
-        posing = errors.posing()
+        posing = errors.posing(pose)
         assert posing is not None
         update, traces = posing
-        assert traces == [3]
+        assert traces == [2]
         np.testing.assert_array_equal(np.array([update[k][0] for k in "xyz"]), body)
         figures.append(figure["layout"]["scene"])
     assert figures[0] == figures[1]

@@ -69,7 +69,9 @@ def test_cards_and_lines_are_the_findings_word_for_word(source: Source, modelled
     assert change.changes is not None
     assert change.absorbed is modelled
     sound, *others = lines(document)
-    assert sound.words == made[0].title
+    assert document.verdict is not None
+    assert made[0].title.rstrip(".").lower() in document.verdict.headline.lower()
+    assert sound.words == made[0].details  # the headline above it says the title
     assert [line.mark for line in others] == [""] * 3  # no finding answers them
 
 

@@ -127,6 +127,22 @@ def test_a_drift_and_shifts_move_parameters_with_their_column() -> None:
         assert found == pytest.approx(loops(plain, x, **there))
 
 
+def test_the_bends_of_a_drift_follow_chebyshev_and_vanish_at_both_ends() -> None:
+    plain, x = arm(), readings(arm())
+    drift = Drift(("x6B",), "t", "s", since=10.0, over=60.0, until=70.0, bends=3)
+    changed = with_effects(plain, [drift])
+    assert changed.effects["drift"] == ("x6B_drift", "x6B_drift1", "x6B_drift2", "x6B_drift3")
+    bends = np.array([0.01, -0.02, 0.03])
+    p = {"x6B_drift": 0.006} | {f"x6B_drift{k + 1}": float(b) for k, b in enumerate(bends)}
+    nominal = plain.parameters["x6B"].nominal
+    for t, bent in ((10.0, 0.0), (22.0, 1.0), (55.0, 1.0), (70.0, 0.0), (99.0, 0.0)):
+        s = min((t - 10.0) / 60.0, 1.0)
+        curve = 4.0 * s * (1.0 - s) * np.polynomial.chebyshev.chebval(2.0 * s - 1.0, bends)
+        assert (curve != 0.0) == bool(bent) or abs(curve) < 1e-15
+        moved = {"x6B": nominal + 0.006 * s + float(curve)}
+        assert loops(changed, x, {"t": t}, **p) == pytest.approx(loops(plain, x, **moved))
+
+
 def test_by_default_it_is_the_station_that_drifts() -> None:
     plain, x = dh_arm(), readings(dh_arm())
     changed = with_effects(plain, [Drift(over=2.0)])
@@ -264,6 +280,7 @@ def test_both_poses_of_a_row_are_changed() -> None:
         (lambda: Harmonics(("x",)), "unknown-name", ("'x'",)),
         (lambda: Drift(("base_*",)), "unknown-name", ("base_",)),
         (lambda: Drift(over=0.0), "invalid-value", ("0", "'drift'")),
+        (lambda: Drift(bends=9), "invalid-value", ("9", "'drift'")),
         (lambda: Shift(("x6B",), ()), "invalid-value", ("shifts",)),
         (lambda: Shift(("x6B",), (3, 3)), "invalid-value", ("shifts",)),
         (lambda: Backlash(direction="d"), "duplicate-name", ("'d'",)),

@@ -204,7 +204,7 @@ def test_a_drift_of_the_instrument_is_modelled_and_predictions_hold_for_the_end(
     assert result.document.change_points is not None
     (point,) = result.document.change_points.found
     assert (point.shape, point.modelled, point.moved) == ("ramp", True, "reading")
-    assert not point.imitated
+    assert (point.imitated, point.bends) == (False, 0)
     assert point.changes["z"].size == pytest.approx(1.5e-3, rel=0.15)
     assert result.mechanism.latest == {NUMBER: 60.0}
     answer = lc.verdict(result).answers["sound"]
@@ -248,6 +248,18 @@ def test_a_machine_that_warms_up_is_no_drifting_instrument_and_predictions_hold_
     now = lc.predict(result, lc.Dataset.from_arrays(fresh)).outputs
     off = [np.sqrt(np.mean([np.square(now[q] - true[q]) for q in "xyz"])) for true in (warm, cold)]
     assert off[0] < 0.5 * off[1]
+
+
+def test_a_warm_up_is_modelled_as_a_curve() -> None:
+    data = wandering("random", size=0.0)
+    result = told(data.with_readings({"z": data["z"] + 1.2e-3 * -np.expm1(-np.arange(60) / 12.0)}))
+    assert result.document.change_points is not None
+    (point,) = result.document.change_points.found
+    assert (point.shape, point.moved, point.bends) == ("ramp", "reading", 4)
+    assert point.changes["z"].size == pytest.approx(1.2e-3, rel=0.15)
+    assert "bends = 4" in result.document.change_points.toml
+    assert "drifted along a curve" in str(point)
+    assert "z_drift4" in result.mechanism.parameters.names
 
 
 def test_a_drift_that_the_joints_imitate_is_not_modelled() -> None:

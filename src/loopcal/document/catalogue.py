@@ -91,7 +91,7 @@ _ROWS = (
     _not_sound(
         "sds-too-small",
         "The corrections are larger than the stated sds allow: chi-squared per degree of freedom "
-        "is {variance_factor:2} (p = {p_value:p}).",
+        "is {variance_factor:2} ({p_value:p}).",
         _MODEL,
         _AUTO,
         detail="{suspects}",
@@ -99,7 +99,7 @@ _ROWS = (
     _not_sound(
         "model-incomplete",
         "The machine model lacks a term: {shared_variance:1%} of the variance of the residuals of "
-        "{instrument} is common to poses that are near in joint space (p = {p_value:p}).",
+        "{instrument} is common to poses that are near in joint space ({p_value:p}).",
         "Add effects (sag, gears), or fit with a structured model error.",
         _AUTO,
     ),
@@ -147,7 +147,7 @@ _ROWS = (
     _sound_open(
         "model-lacks-little",
         "The machine model lacks a little: {shared_variance:1%} of the variance of the residuals "
-        "of {instrument} is common to poses that are near in joint space (p = {p_value:p}).",
+        "of {instrument} is common to poses that are near in joint space ({p_value:p}).",
         "Predictions hold nearly as stated. To predict better, measure more poses or add effects.",
         _PLAN,
     ),
@@ -161,7 +161,7 @@ _ROWS = (
     _sound_open(
         "observations-conflict",
         "{instrument} contradicts the other observations by {apart:2} rms: its readings miss by "
-        "{beside:2} beside them, by {alone:2} by themselves (p = {p_value:p}).",
+        "{beside:2} beside them, by {alone:2} by themselves ({p_value:p}).",
         "Check what it assumes: a body, a radius, a plane. Then calibrate without it, and compare.",
         _REPORT,
     ),
@@ -182,7 +182,7 @@ _ROWS = (
     ),
     _sound_open(
         "change-or-model",
-        "Something may have changed along the run{what} (p = {evidence:p}).",
+        "Something may have changed along the run{what} ({evidence:p}).",
         "Measure the poses in random order: a drift is then no model error.",
         "loopcal plan {project}",
         detail="A slow drift or an error of the machine model explains it as well.",

@@ -8,7 +8,7 @@ from typing import Literal
 
 from loopcal.document.bounds import Count, Probability, Size
 from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import enumerated, percent, significant, with_unit
+from loopcal.presentation.shown import enumerated, p_words, percent, significant, with_unit
 
 Moved = Literal["target", "station", "joint", "reading", "load", "expansion", "link"]
 _WORDS = {
@@ -38,8 +38,7 @@ class ChangePoint:
     """Something changed between two poses that follow each other, and stayed so."""
 
     shape: Literal["step", "ramp"]
-    """Whether it changed at once, or in proportion to the number of the pose, as long as it was
-    seen."""
+    """Whether it changed at once, or all along the poses in which it was seen."""
     pose: str
     """The first pose after the change; of a ramp the first in which it was seen."""
     after: str
@@ -65,6 +64,8 @@ class ChangePoint:
     """Whether it is a ramp in an order that the joints show, as an error of the machine is."""
     until: Count | None = None
     """Of a ramp, the number of the last pose in which it was seen; null: a step."""
+    bends: Count = 0
+    """Of a ramp, terms of the smooth curve that the readings show beside a straight line."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -75,7 +76,8 @@ class ChangePoint:
     def what(self) -> str:
         """When it changed, and what."""
         subject, verb, more = _WORDS[self.moved]
-        verb = "drifted" if self.shape == "ramp" else verb
+        if self.shape == "ramp":
+            verb = "drifted along a curve" if self.bends else "drifted"
         names = ", ".join(self.names)
         subject, more = subject.format(names=names), more.format(names=names)
         text = " ".join(part for part in (when([self]), subject, verb, more) if part)
@@ -88,7 +90,7 @@ class ChangePoint:
         clear = {n: c for n, c in self.changes.items() if abs(c.size) >= 3.0 * c.sd}
         moved = (clear or self.changes).items()
         sizes = ", ".join(f"{name} by {self._by(c)}" for name, c in moved)
-        return f"{sizes}, p = {self.p_value:.2g}"
+        return f"{sizes}, {p_words(self.p_value)}"
 
     def _by(self, change: Change) -> str:
         if self.moved == "expansion":
@@ -259,19 +261,19 @@ class Dependence:
             assert one.serial is not None
             lines.append(
                 f"Residuals of {one.instrument!r} depend on the pose order (correlation of "
-                f"consecutive poses {significant(one.serial.correlation, 2)}, p = "
-                f"{one.serial.p_value:.2g}): it drifts, was moved, or lacks a term of the model "
-                f"along the path. Standard deviations and intervals by covariance allow for a "
-                f"drift over about {significant(self.drift_poses or 0.0, 2)} poses. Look for "
+                f"consecutive poses {significant(one.serial.correlation, 2)}, "
+                f"{p_words(one.serial.p_value)}): it drifts, was moved, or lacks a term of the "
+                f"model along the path. Standard deviations and intervals by covariance allow "
+                f"for a drift over about {significant(self.drift_poses or 0.0, 2)} poses. Look for "
                 f"shifts, or measure the poses in random order."
             )
         for one in self.spatial:
             assert one.spatial is not None
             lines.append(
                 f"Residuals of {one.instrument!r} depend on the place in joint space (correlation "
-                f"of neighbours {significant(one.spatial.correlation, 2)}, p = "
-                f"{one.spatial.p_value:.2g}): the machine model lacks a term, such as sag or a "
-                f"gear error. Standard deviations do not allow for it. Add effects, or fit "
+                f"of neighbours {significant(one.spatial.correlation, 2)}, "
+                f"{p_words(one.spatial.p_value)}): the machine model lacks a term, such as sag or "
+                f"a gear error. Standard deviations do not allow for it. Add effects, or fit "
                 f"with model error."
             )
         return tuple(lines)

@@ -50,7 +50,7 @@ from loopcal.measurements.days import Days
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import unstated_mountings
 from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import columns, percent, significant, with_unit, wrapped
+from loopcal.presentation.shown import columns, p_words, percent, significant, with_unit, wrapped
 
 SCHEMA: Literal[3] = 3
 
@@ -358,9 +358,7 @@ def _state(document: ResultDocument) -> list[str]:
         lines += wrapped(document.chosen.words, "chosen: ", "        ")
     chi = document.chi_squared
     if chi is not None and chi.variance_factor is not None:
-        probability = (
-            "no p: all sds were learnt" if chi.p_value is None else f"p = {chi.p_value:.2g}"
-        )
+        probability = "no p: all sds were learnt" if chi.p_value is None else p_words(chi.p_value)
         lines.append(
             f"chi-squared {significant(chi.value, 5)} at {chi.degrees_of_freedom} degrees of "
             f"freedom (per degree {significant(chi.variance_factor, 3)}, {probability})"

@@ -20,19 +20,19 @@ TWO_MACHINES = (
     ),
     _consistent_open(
         "undecided",
-        "Undecided: the two machines differ by more than noise explains ({where}p = {p_value:p}), "
+        "Undecided: the two machines differ by more than noise explains ({where}{p_value:p}), "
         "but they were measured in different regions, where an unmodelled error differs too.",
         "Measure both in the same region, or learn the model error of both "
         '(model_error = "structured").',
     ),
     _consistent(
         "machines-agree",
-        "The two machines agree within their stated uncertainty: {where}p = {p_value:p}.",
+        "The two machines agree within their stated uncertainty: {where}{p_value:p}.",
     ),
     _not_consistent(
         "machines-differ",
         "The two machines differ by more than their stated uncertainty explains: "
-        "{where}p = {p_value:p}.",
+        "{where}{p_value:p}.",
         detail="{blame}",
     ),
     _remark(

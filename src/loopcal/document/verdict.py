@@ -15,7 +15,7 @@ from string import Formatter
 from types import SimpleNamespace
 from typing import Literal
 
-from loopcal.presentation.shown import chance, percent, shortened, significant, with_unit, wrapped
+from loopcal.presentation.shown import p_words, percent, shortened, significant, with_unit, wrapped
 
 QUESTIONS: tuple[Question, ...] = ("sound", "valid", "better", "tolerance")
 """The four questions, in the order in which they are asked."""
@@ -276,10 +276,10 @@ class Figure:
         """For people: "3" significant digits, "1%" decimals of a percentage, "p" a probability.
 
         >>> f"{Figure(0.00123456, 'm'):2}, {Figure(0.512):1%}, {Figure(3e-9):p}"
-        '1.2 mm, 51.2 %, 3e-09'
+        '1.2 mm, 51.2 %, p < 1e-6'
         """
         if form == "p":
-            return chance(self.value)
+            return p_words(self.value)
         if form.endswith("%"):
             return percent(self.value, int(form[:-1] or 0))
         digits = int(form or 3)

@@ -14,6 +14,8 @@ SHOWN = {"m": "mm", "rad": "deg", "m/K": "um/K", "rad/K": "urad/K"}
 FINE = {"m": "um", "rad": "urad"}
 """Units in which sds of sensors are printed."""
 NONE = "–"
+LEAST_P = 1e-6
+"""Smaller ones are not told apart."""
 ROUNDING = 1e-12
 """Without an sd, so little [m, rad] is what the arithmetic left of zero."""
 
@@ -57,8 +59,24 @@ def by_sd(value: float, sd: float | None, unit: str, *, sign: bool = False) -> s
 
 
 def chance(value: float | None) -> str:
-    """A probability."""
-    return NONE if value is None else f"{value:.2g}"
+    """A probability; below a millionth it says no more than that.
+
+    >>> chance(0.0123), chance(8.8e-256)
+    ('0.012', '< 1e-6')
+    """
+    if value is None:
+        return NONE
+    return f"{value:.2g}" if value >= LEAST_P else "< 1e-6"
+
+
+def p_words(value: float | None) -> str:
+    """The same, as the p-value of a test in a sentence.
+
+    >>> p_words(0.0123), p_words(8.8e-256)
+    ('p = 0.012', 'p < 1e-6')
+    """
+    shown = chance(value)
+    return f"p {shown}" if shown.startswith("<") else f"p = {shown}"
 
 
 def percent(value: float | None, digits: int = 0) -> str:

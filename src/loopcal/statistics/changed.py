@@ -9,7 +9,7 @@ from typing import Any
 
 from loopcal.presentation.shown import (
     by_sd,
-    chance,
+    p_words,
     percent,
     significant,
     size,
@@ -232,7 +232,7 @@ class WhatChanged:
     def _seen(self) -> list[str]:
         lines = ["what changed since the calibration"]
         for change in self.found:
-            lines.append(f"  {change.words} (95 %), {_p(change.p_value)}")
+            lines.append(f"  {change.words} (95 %), {p_words(change.p_value)}")
             if change.alike:
                 names = _some([other.words for other in change.alike])
                 lines.append(f"    not distinguishable at these poses: {names}")
@@ -240,7 +240,7 @@ class WhatChanged:
             lines.append(
                 "  no other change is seen"
                 if (self.left or 0.0) >= LEVEL
-                else f"  these changes do not explain all differences ({_p(self.left)})"
+                else f"  these changes do not explain all differences ({p_words(self.left)})"
             )
         elif self.verdict == "unchanged":
             lines.append("  no change is seen")
@@ -273,10 +273,6 @@ class WhatChanged:
         if hidden:
             lines.append(f"  not visible at these poses: {_some(hidden)}")
         return lines
-
-
-def _p(value: float | None) -> str:
-    return f"p = {chance(value)}" if value is None or value > 1e-12 else "p < 1e-12"
 
 
 def _some(names: Sequence[str]) -> str:

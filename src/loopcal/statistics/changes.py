@@ -235,7 +235,8 @@ def _effects(data: Dataset, points: Sequence[ChangePoint], column: str) -> list[
         title = f"drift of {', '.join(p.names)}"
         changing = () if p.moved == "expansion" else p.names
         # Ending with the run, so that predictions hold for its end (docs/explanation/drift.md).
-        effects.append(Drift(changing, column, "1", since, until - since, title, until))
+        span = until - since
+        effects.append(Drift(changing, column, "1", since, span, title, until, p.bends))
     return effects
 
 
@@ -263,8 +264,8 @@ def _table(effect: Shift | Drift) -> list[str]:
         if isinstance(effect, Shift)
         else {
             key: f"{value:.12g}"
-            for key in ("since", "over", "until")
-            if (value := getattr(effect, key)) is not None
+            for key in ("since", "over", "until", "bends")
+            if (value := getattr(effect, key)) is not None and (key != "bends" or value)
         }
     )
     return [

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
+from loopcal.presentation.shown import p_words
 from loopcal.statistics.repeats import CLEAR, Repeats, SensorScatter
 from loopcal.statistics.separation import SeparatedSd, Separation
 from loopcal.units import from_si, unit
@@ -42,8 +43,8 @@ def sentence(sensor: SensorScatter) -> str:
     if sensor.drifts:
         p = min(p for p in (sensor.drift_p_value, sensor.slow_p_value) if p is not None)
         reasons.append(
-            f"from successive differences, for it drifts (p = {p:.2g}): about the mean it would be "
-            f"{_shown(sensor.about_mean.sd, sensor)}, drift included"
+            f"from successive differences, for it drifts ({p_words(p)}): about the mean it would "
+            f"be {_shown(sensor.about_mean.sd, sensor)}, drift included"
         )
     if sensor.rounding_sd is not None and sensor.rounding_sd > sensor.scatter.sd:
         reasons.append(
@@ -61,7 +62,7 @@ def sentence(sensor: SensorScatter) -> str:
     if sensor.homogeneity_p_value is not None and sensor.homogeneity_p_value < CLEAR:
         series_sds = ", ".join(_number(sd, sensor) for sd in sensor.by_series)
         reasons.append(
-            f"but the series differ (p = {sensor.homogeneity_p_value:.2g}: {series_sds}): it "
+            f"but the series differ ({p_words(sensor.homogeneity_p_value)}: {series_sds}): it "
             "depends on the pose, or something moved"
         )
     if sensor.parked:

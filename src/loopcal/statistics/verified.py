@@ -23,7 +23,7 @@ from loopcal.document.verdict import (
 )
 from loopcal.lazy import cached_property
 from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import Table, by_sd, chance, significant, size, unit_shown
+from loopcal.presentation.shown import Table, by_sd, p_words, significant, size, unit_shown
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts
 from loopcal.statistics.changed import LEVEL, WhatChanged
 from loopcal.statistics.gain import Gain
@@ -189,10 +189,10 @@ class Verification:
         if innovation.learnt_freedom is None:
             size = significant(innovation.value, 4)
             of = f"{innovation.degrees_of_freedom} degrees of freedom"
-            return f"chi-squared {size} at {of} (p = {chance(innovation.p_value)})"
+            return f"chi-squared {size} at {of} ({p_words(innovation.p_value)})"
         ratio = significant(innovation.value / innovation.degrees_of_freedom, 3)
         both = f"{innovation.degrees_of_freedom} and {significant(innovation.learnt_freedom, 3)}"
-        return f"F = {ratio} at {both} degrees of freedom (p = {chance(innovation.p_value)})"
+        return f"F = {ratio} at {both} degrees of freedom ({p_words(innovation.p_value)})"
 
     def _better(self) -> Fact:
         mine, drawn, gain = self.calibrated, self.nominal, self.gain

@@ -79,10 +79,18 @@ def lines(document: ResultDocument) -> list[Line]:
             question,
             answer.mark if answer.asked else "",
             GRADES[answer.mark] if answer.asked else "none",
-            _short(first[question], answer.words),
+            _beside(verdict.headline, first[question], _short(first[question], answer.words)),
         )
         for question, answer in answers.items()
     ]
+
+
+def _beside(headline: str, finding: Finding | None, line: str) -> str:
+    """What a line says below the headline: what follows it where the headline says it already."""
+    if finding is None or line.rstrip(".").lower() not in headline.lower():
+        return line
+    rest = finding.words.removeprefix(finding.title or line).strip()
+    return shortened(rest) or line
 
 
 def _short(finding: Finding | None, otherwise: str) -> str:

@@ -77,6 +77,17 @@ def pulses(view: View) -> list[str]:
     return ["--pulses-per-degree", said] if said else []
 
 
+def pulses_field(view: View, program: str) -> None:
+    """The control that states them, shown where the program chosen by `program` is a Yaskawa's."""
+    box = text(view, "pulses", words.PULSES)
+
+    def follow() -> None:
+        box.set_visibility(str(view.kept.get(program) or "").lower().endswith(".jbi"))
+
+    view.follow.append(follow)
+    follow()
+
+
 def reason(view: View, name: str, choices: Sequence[str]) -> Any:
     """Why something is done, chosen or typed."""
     box = text(view, name, words.REASON, choices[0]).classes("w-full", remove="w-96")

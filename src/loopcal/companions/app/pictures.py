@@ -18,7 +18,7 @@ from loopcal.companions.app.beside import LeftOut
 from loopcal.companions.app.scene import Scene, restyled
 from loopcal.companions.app.sizes import SIZE, errors_by_name
 from loopcal.figures.figure import axis, layout, names, numbers, spots, thinned, upright
-from loopcal.figures.space import arrow_lines, box_view, enlargement
+from loopcal.figures.space import arrow_lines, enlargement
 from loopcal.files.machines.drawn_links import DrawnLinks
 from loopcal.files.result.pose_table import PoseTable
 from loopcal.mechanisms.mechanism import Mechanism
@@ -31,7 +31,8 @@ from loopcal.statistics.changes import ids_are_numbers
 
 MOST = 2_000
 """Points of one figure; of more the largest and a sample of the rest."""
-CHOSEN, REST, DIM = "#d55e00", "#0072b2", "rgba(0,114,178,0.35)"
+CHOSEN, REST, DIM = "#d55e00", "#2b7bd6", "rgba(43,123,214,0.35)"
+"""Colours on either ground."""
 GREY = "#8a919c"
 """Of poses that the fit does not use, on either ground."""
 ABOVE = 1.25
@@ -46,22 +47,14 @@ FEWEST = 2.5
 """Poses within that sd at least: fewer would be followed one by one."""
 SAMPLED = 30
 """Poses whose machine makes the extent of the figure in space."""
-ARROWS_SAID = {
-    **{"xref": "paper", "yref": "paper", "x": 0.0, "y": 1.0, "showarrow": False},
-    **{"xanchor": "left", "yanchor": "top", "font": {"color": "#7b828c", "size": 12}},
-}
-BEHIND = 0.6
-"""Opacity of the machine there: points behind it show."""
 ROOM = 0.15
 """Share of the width of a figure that the name of a change needs."""
 NEAR = 0.08
 """Share of the length of a skeleton within which joints share one label, as high as its text is."""
 GRID = "rgba(128,128,128,0.3)"
-_SOLID = "#9aa1aa"
 _BRUSHED = {"dragmode": "select", "selectdirection": "d"}
 """A frame is as it is drawn; by default plotly takes a narrow one for a band across all."""
 _PLAIN = {"displaylogo": False, "displayModeBar": False, "scrollZoom": False, "responsive": True}
-_SPATIAL = {**_PLAIN, "scrollZoom": True}
 
 
 def look(height: int, **more: Any) -> dict[str, Any]:
@@ -69,7 +62,7 @@ def look(height: int, **more: Any) -> dict[str, Any]:
     plain = {
         "paper_bgcolor": TRANSPARENT,
         "plot_bgcolor": TRANSPARENT,
-        "font": {"color": "#7b828c", "size": 13},
+        "font": {"color": "#7b828c", "size": 12},
     }
     return layout(height, **more) | plain
 
@@ -105,21 +98,11 @@ def machine_figure(
     if flat:
         more: dict[str, Any] = {"xaxis": axis("x [m]"), "yaxis": axis("y [m]", scaleanchor="x")}
     else:
-        drawn = np.hstack([np.array([trace[k] for k in "xyz"], dtype=float) for trace in data])
-        low, high = np.nanmin(drawn, axis=1), np.nanmax(drawn, axis=1)
-        # An arm in a plane has no extent across it, and the scene would be flat.
-        half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())
-        middle = 0.5 * (low + high)
-        data.append(_room(middle, half))
-        # The axes follow the machine; only the eye stays.
-        away = np.array([*box_view(middle - half, middle + half)["camera"]["eye"].values()])
-        away *= (half.max() ** 3 / half.prod()) ** (1.0 / 3.0)  # as aspectmode "data" scales a box
-        camera = {"eye": dict(zip("xyz", away.tolist(), strict=True))}
-        more = {"scene": _space([f"{k} [m]" for k in "xyz"], {"camera": camera})}
+        more = {"scene": {}}
     return {
         "data": data,
         "layout": look(420, showlegend=False, uirevision="machine", **more),
-        "config": _SPATIAL,
+        "config": _PLAIN,
     }
 
 
@@ -147,12 +130,6 @@ def _joined(labels: Sequence[str], points: Array) -> list[str]:
         else:
             first = i
     return joined
-
-
-def _room(middle: Array, half: Array) -> dict[str, Any]:
-    """An invisible trace that leaves room in each direction, also about an arm in a plane."""
-    corners = middle + half * np.array([[-1.0], [1.0]])
-    return spots("markers", corners.T, marker={"size": 1, "opacity": 0.0}, hoverinfo="skip")
 
 
 def moved(scene: Scene, joints: Mapping[str, float]) -> list[Any]:
@@ -410,20 +387,19 @@ class Errors:
         if not solid:
             trace["unselected"] = {"marker": {"opacity": 0.35}}
             trace.pop("selected")
-        titles = [f"{k} [m]" for k in "xyz"[: len(at)]]
-        data = [trace, self._ring(trace)]
+        data = [trace]
         said = []
         if solid:
             arrows, times = self._arrows(what)
-            data += [arrows, *({**t, "opacity": BEHIND} for t in self._scene_traces())]
-            said = [{**ARROWS_SAID, "text": words.ARROWS.format(times=times)}] if times else []
-            more: dict[str, Any] = {"scene": _space(titles, self._hold(at))}
+            data += [arrows, *self._scene_traces()]
+            said = [{"text": words.ARROWS.format(times=times)}] if times else []
+            more: dict[str, Any] = {"scene": self._extent(at)}
         else:
-            more = {f"{k}axis": axis(t) for k, t in zip("xy", titles, strict=True)} | _BRUSHED
+            more = {f"{k}axis": axis(f"{k} [m]") for k in "xy"} | _BRUSHED
         return {
             "data": data,
             "layout": look(420, showlegend=False, uirevision="space", annotations=said, **more),
-            "config": _SPATIAL,
+            "config": _PLAIN,
         }
 
     def _arrows(self, what: str) -> tuple[dict[str, Any], str]:
@@ -443,7 +419,9 @@ class Errors:
         return spots("lines", lines, **look), f"{times:,.0f}" if times >= 1 else f"{times:.3g}"
 
     def _scene_traces(self) -> list[dict[str, Any]]:
-        return [] if self._scene is None else self._scene.traces(self._readings(self.posed))
+        """The machine in the first pose selected, or of all."""
+        posed = self._readings(min(self.selected, default=0))
+        return [] if self._scene is None else self._scene.traces(posed)
 
     @cached_property
     def _scene(self) -> Scene | None:
@@ -456,36 +434,24 @@ class Errors:
         every = {**table.readings, **table.pose_constants}
         return {q: float(v[position]) for q, v in every.items() if np.isfinite(v[position])}
 
-    @property
-    def posed(self) -> int:
-        """Position of the pose in which the machine is drawn: the first one selected, or of all."""
-        return min(self.selected, default=0)
-
-    def posing(self) -> list[Any] | None:
-        """What `restyle` makes of the figure in space to draw the machine in that pose; None where
+    def posing(self, position: int) -> list[Any] | None:
+        """What `restyle` makes of the figure in space to draw the machine in a pose; None where
         none is drawn."""
         if self._scene is None or not self.solid:
             return None
-        moved_traces = self._scene.moved(self._readings(self.posed))
-        return restyled(moved_traces, 3) if moved_traces else None
+        moved_traces = self._scene.moved(self._readings(position))
+        return restyled(moved_traces, 2) if moved_traces else None
 
-    def _hold(self, at: Array) -> dict[str, Any]:
-        """Axes and eye by all that is drawn, so that the scene stays where the machine moves."""
+    def _extent(self, at: Array) -> dict[str, list[float]]:
+        """Ends of the axes by all that is drawn, so that they stay where the machine moves."""
         some = np.linspace(0, len(self.size) - 1, SAMPLED).astype(int)
         bodies = []
         if self._scene is not None:
             for i in dict.fromkeys(some.tolist()):
                 bodies += self._scene.moved(self._readings(i))
         everything = np.vstack([at.T, *bodies])
-        return box_view(np.nanmin(everything, axis=0), np.nanmax(everything, axis=0))
-
-    def _ring(self, trace: Mapping[str, Any]) -> dict[str, Any]:
-        """The trace that rings the selected poses in space."""
-        marked = self._marked()
-        ring = {"color": TRANSPARENT, "size": 10, "line": {"color": CHOSEN, "width": 3}}
-        at = {k: [trace[k][i] for i in marked] for k in "xyz" if k in trace}
-        ring_trace = {"type": trace["type"], "mode": "markers", "marker": ring, "hoverinfo": "skip"}
-        return {**ring_trace, **at, "meta": "ring"}  # linked.js knows it by that
+        ends = np.nanmin(everything, axis=0), np.nanmax(everything, axis=0)
+        return dict(zip(("low", "high"), map(numbers, ends), strict=True))
 
     def _marked(self) -> list[int]:
         """Which of the drawn poses are selected."""
@@ -545,7 +511,7 @@ class Errors:
             customdata=self.drawn.tolist(),
             text=names(said),
             hoverinfo="text",
-            **({} if len(at) == 3 else marks),
+            **marks,
         )
 
 
@@ -556,18 +522,3 @@ def names_apart(changed: Mapping[float, str], room: float) -> list[tuple[float, 
         if not kept or at - kept[-1][0] > room:
             kept.append((at, name))
     return kept
-
-
-def _space(titles: Sequence[str], view: Mapping[str, Any]) -> dict[str, Any]:
-    """Axes of a figure in space, on either ground; view: what `box_view` says of them."""
-    lines = {
-        "gridcolor": _SOLID,
-        "zerolinecolor": _SOLID,
-        "color": "#7b828c",
-        "backgroundcolor": TRANSPARENT,
-    }
-    axes = {
-        f"{k}axis": {**view.get(f"{k}axis", {}), "title": {"text": t}, **lines}
-        for k, t in zip("xyz", titles, strict=True)
-    }
-    return {"aspectmode": "data", **view, **axes}

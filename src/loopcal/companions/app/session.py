@@ -107,7 +107,7 @@ class Session:
         self._noted: Run | None = None
         self._source: Cached[Source | None] = Cached()
         self._loaded: Cached[LoadedData] = Cached()
-        self._whole: Cached[Dataset] = Cached()
+        self._whole: Cached[Dataset | None] = Cached()
         self._deployed: Cached[dict[str, bool]] = Cached()
         self._project: Cached[Project | None] = Cached()
         self._links: Cached[DrawnLinks | None] = Cached()
@@ -329,6 +329,9 @@ class Session:
             waiting=self.waiting(),
             warned=tuple(map(str, loaded.warnings)) if loaded is not None else (),
             unreadable=self._source.objection,
+            made_elsewhere=frozenset(
+                {"plan"} if self.folder.inside_of(self.folder.plan.name) else ()
+            ),
         )
 
     def read_by(self, command: str) -> str:
@@ -411,22 +414,24 @@ class Session:
         return self._loaded.read(self._readings_at(), lambda: load_sample(project))
 
     def every_pose(self) -> Dataset | None:
-        """The readings, those of poses that the project leaves out among them."""
-        project, loaded = self.project(), self.readings()
-        if project is None or loaded is None or project.data is None:
-            return None if loaded is None else loaded.dataset
+        """The readings, those of poses that the project leaves out among them.
+
+        They are read once, however many poses are left out after that.
+        """
+        project = self.project()
+        if project is None or project.data is None or not project.data.exclude:
+            loaded = self.readings()
+            whole = None if loaded is None else loaded.dataset
+        if project is None or project.data is None:
+            return whole
         stated = project.inputs.get("data", {})
         kept = {**project.inputs, "data": {k: v for k, v in stated.items() if k != "exclude"}}
         at = json.dumps(_that_count(kept), sort_keys=True, default=str), self._readings_at()[1]
-
-        def whole() -> Dataset:
-            # Before any pose is left out, it is what is read already.
-            if not data.exclude:
-                return loaded.dataset
-            return load_sample(replace(project, data=replace(data, exclude=()))).dataset
-
         data = project.data
-        return self._whole.read(at, whole)
+        if not data.exclude:
+            return self._whole.read(at, lambda: whole)
+        every = replace(project, data=replace(data, exclude=()))
+        return self._whole.read(at, lambda: load_sample(every).dataset)
 
     def _readings_at(self) -> tuple[str | None, tuple[int | None, ...]]:
         """Another value whenever the readings may have changed."""

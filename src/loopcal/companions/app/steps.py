@@ -40,6 +40,8 @@ class State:
     """What looks odd about the readings."""
     unreadable: str = ""
     """Why the result on the disk cannot be read."""
+    made_elsewhere: frozenset[str] = frozenset()
+    """Commands that did not run here, whose files are there."""
 
 
 Light = Callable[[State], tuple[str, str]]
@@ -75,7 +77,8 @@ def ran(command: str, what: str) -> Light:
     def lit(state: State) -> tuple[str, str]:
         run = state.runs.get(command)
         if run is None:
-            return "none", f"not asked yet: {what}"
+            elsewhere = command in state.made_elsewhere
+            return "none", "made elsewhere, shown below" if elsewhere else f"not asked yet: {what}"
         code = run.record.get("code")
         if code != 0:
             return "bad", f"ended with code {code}"

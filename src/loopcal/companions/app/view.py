@@ -16,6 +16,7 @@ from loopcal.companions.app import words
 from loopcal.companions.app.addresses import Address
 from loopcal.companions.app.pictures import GRID
 from loopcal.companions.app.session import Session
+from loopcal.companions.app.space import Space
 from loopcal.errors import LoopcalError
 from loopcal.presentation.shown import NONE, with_unit
 
@@ -262,6 +263,7 @@ def _numbers(cells: Iterable[str]) -> bool:
 def command(line: str) -> Any:
     """A command line, with a button that copies it."""
     made = ui.code(line, language="text").classes("command")
+    made.markdown.props("tabindex=0")  # a long one is scrolled
     made.copy_button.props(f'aria-label="{words.COPY}"')
     return made
 
@@ -300,7 +302,8 @@ def figure(drawn: Any) -> Any:
 
 def plot(drawn: Mapping[str, Any], label: str) -> Any:
     """A figure of plotly in its place, which is as high as it will be; label: of its picture."""
-    made = ui.plotly(dict(drawn)).classes("w-full plot")
+    solid = "scene" in drawn["layout"]
+    made = (Space if solid else ui.plotly)(dict(drawn)).classes("w-full plot")
     made.style(f"--high: {drawn['layout'].get('height', 300)}px")
     plain = label.replace('"', "'").replace("<", "").replace(">", "")
     return made.props(f'role=figure aria-label="{plain}"')

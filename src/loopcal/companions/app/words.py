@@ -85,6 +85,7 @@ DRAG, DRAG_TURNS, DRAG_SELECTS = "Drag in space", "Drag turns", "Drag selects"
 NO_SUCH_POSE = "The result has no pose {pose}."
 CHOOSE_FILES = "Choose files"
 TOO_LARGE = "The file is larger than an upload may be."
+NO_ROBOT = "A camera without a robot, or with the poses of a flange, needs none: go on with Data."
 ROBOT_FIRST = (
     "Describe the robot first, in the step Robot. Corners of a camera need none: cameras alone, or "
     "with the poses of a flange, are recognised without."
@@ -139,6 +140,7 @@ CORRECT = (
     "The corrected program is a new file; the original stays."
 )
 RECORD = "State who measured what, and with what. The record is a page for print."
+RECORD_FIELDS = "Who measured what, and with what: {count} of {all} stated"
 NO_ENTRY, NOTHING_DONE = "The log has no line {number}.", "Nothing has been done here yet."
 EVENT = "What happened: collision, new belt, moved base ..."
 MACHINE = "Calibrations, verifications and events of the machine, in the folder machine.history."

@@ -27,7 +27,7 @@ from loopcal.companions.life.courses import (
 )
 from loopcal.companions.life.history_folder import Entries, Entry, Skipped
 from loopcal.lazy import cached_property
-from loopcal.presentation.shown import by_sd, chance, columns, size, unit_shown, with_unit, wrapped
+from loopcal.presentation.shown import by_sd, columns, p_words, size, unit_shown, with_unit, wrapped
 
 # [s] A Julian year: drift rates need no finer one.
 _DAY = 86400.0
@@ -352,7 +352,7 @@ def _rms(content: Mapping[str, Any]) -> str:
 
 def verification_words(code: str, p_value: float | None) -> str:
     """A verification in a few words."""
-    return f"{code}, p = {chance(p_value)}"
+    return f"{code}, {p_words(p_value)}"
 
 
 Array = NDArray[np.float64]

@@ -49,6 +49,7 @@ from loopcal.companions.performance.summary import Performance
 from loopcal.errors import InputError, nearest
 from loopcal.measurements.attained import AttainedPoses
 from loopcal.mechanisms.rotations import rotation_vector
+from loopcal.presentation.shown import p_words
 from loopcal.small_samples import t_quantile
 from loopcal.statistics.repeats import CLEAR, FEWEST, slow_p_value
 
@@ -178,7 +179,7 @@ class _Part:
         # Three coordinates are tested at once (Bonferroni).
         if least < CLEAR / 3.0:
             yield (
-                f"Successive cycles resemble each other (p = {least:.2g}): robot or instrument "
+                f"Successive cycles resemble each other ({p_words(least)}): robot or instrument "
                 "drifts. The drift is part of RP, and the intervals take cycles as independent."
             )
 

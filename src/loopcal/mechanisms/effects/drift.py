@@ -18,13 +18,13 @@ from loopcal.mechanisms.parameters import Parameter
 from loopcal.units import difference_to_si, to_si, unit
 
 DRIFT_SD = 1e-3
-"""Prior sd [m or rad]: 1 mm or 1 mrad over a drift's span."""
-GROWTH_SD = 1e-3
-"""Prior sd of the growth of all lengths: 40 K of aluminium."""
+"""Prior sd over a drift's span: 1 mm or 1 mrad; of all lengths 0.1 %, 40 K of aluminium."""
+BENDS_MOST = 8
 _SHIFT_SD = {"rad": 0.1}
 """Prior sd of a shift by unit, else 0.01: 10 mm, and 6 degrees, for what slips may turn far."""
 
-_GROWTH = "lengths_drift"
+_LENGTHS = "lengths"
+"""What drifts where all lengths do, in proportion."""
 Moving = Annotated[
     tuple[str, ...], Key("Parameters by names or globs, and readings by name.", least=1)
 ]
@@ -37,9 +37,17 @@ Until = Annotated[
 ]
 
 
+Bends = Annotated[
+    int, Key("Terms of a curve beside the straight line, such as 4 for a warm-up; at most 8.")
+]
+
+
 @dataclass(frozen=True)
 class Drift:
-    """Parameters linear in a known constant t: p' = p + P_drift (t - since) / over.
+    """Parameters that follow a known constant t: p' = p + P_drift s, s = (t - since) / over.
+
+    With bends, along a smooth curve as of a warm-up: + sum_k P_driftk 4 s (1 - s) T_k-1(2 s - 1),
+    k = 1 .. bends, with Chebyshev's polynomials T: nothing at both ends of the span.
 
     changing: parameters by names or globs, such as base_* for the place of an instrument, or
     readings, whose zeros drift: x' = x - x_drift (t - since) / over; empty: all lengths of the
@@ -47,9 +55,9 @@ class Drift:
     unit: of since, over and until, such as "s", "K" or "1"; since, over: where the drift is zero,
     and the span in which it grows to P_drift [m or rad]; until: where the drift ended. Readings
     beyond it are taken there, and those to predict from that lack the column; where it is `since`,
-    only the latter.
+    only the latter; bends: terms of the curve.
 
-    Raises InputError for a span that is not a positive number.
+    Raises InputError for a span that is not a positive number, and for bends outside 0 to 8.
     """
 
     changing: Annotated[
@@ -62,8 +70,15 @@ class Drift:
     over: Over = 1.0
     name: Name = "drift"
     until: Until = None
+    bends: Bends = 0
 
     def __post_init__(self) -> None:
+        if not 0 <= self.bends <= BENDS_MOST:
+            raise InputError(
+                f"the drift {self.name!r} has {self.bends} bends",
+                code="invalid-value",
+                remedy=f"give a number from 0 to {BENDS_MOST}",
+            )
         ends = [self.since] if self.until is None else [self.since, self.until]
         if not 0.0 < self.over < math.inf or not all(map(math.isfinite, ends)):
             until = "" if self.until is None else f" until {self.until:g}"
@@ -74,21 +89,25 @@ class Drift:
             )
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
-        """P_drift of each parameter, in its unit; or one of all lengths."""
-        if not self.changing:
-            meaning = "growth of all lengths along the run"
-            return {_GROWTH: Parameter(_GROWTH, 0.0, "1", GROWTH_SD, meaning=meaning)}
+        """P_drift of each parameter, in its unit, or of all lengths, and those of its bends."""
+        drifting = _units(mechanism, self.changing) if self.changing else {_LENGTHS: "1"}
         return {
-            f"{name}_drift": Parameter(
-                f"{name}_drift",
+            f"{name}_drift{term}": Parameter(
+                f"{name}_drift{term}",
                 0.0,
                 si,
                 DRIFT_SD,
-                meaning=f"change of {name} along the run",
-                changes=name,
+                meaning=f"{said} of {name if self.changing else 'all lengths'} along the run",
+                changes=name if self.changing else "",
             )
-            for name, si in _units(mechanism, self.changing).items()
+            for name, si in drifting.items()
+            for term, said in self._terms
         }
+
+    @property
+    def _terms(self) -> list[tuple[str, str]]:
+        """Endings of the names of its parameters, and what these are."""
+        return [("", "change"), *((str(k), f"bend {k}") for k in range(1, self.bends + 1))]
 
     def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """The column."""
@@ -102,17 +121,30 @@ class Drift:
             until = to_si(self.until, self.unit)
             t = t - (t - until) * _from(until, t)
         share = (t - since) * (1.0 / over)
+        shares = [share, *bent(share, self.bends)]
+
+        def drift(name: str) -> Any:
+            ends = [term for term, _ in self._terms]
+            return sum(p[f"{name}_drift{end}"] * s for end, s in zip(ends, shares, strict=True))
+
         if not self.changing:
             lengths = [q.name for q in mechanism.parameters if q.dimension == "length"]
-            return {name: p[name] * (1.0 + p[_GROWTH] * share) for name in lengths}
-        return {
-            name: _moved(name, p[f"{name}_drift"] * share, x, p)
-            for name in _units(mechanism, self.changing)
-        }
+            return {name: p[name] * (1.0 + drift(_LENGTHS)) for name in lengths}
+        return {name: _moved(name, drift(name), x, p) for name in _units(mechanism, self.changing)}
 
     def latest(self) -> dict[str, float]:
         """The column at the end of the run, where that is stated."""
         return {} if self.until is None else {self.column: to_si(self.until, self.unit)}
+
+
+def bent(share: Any, count: int) -> list[Any]:
+    """4 s (1 - s) T_k(2 s - 1) for k = 0 .. count - 1."""
+    at = 2.0 * share - 1.0
+    bubble = 4.0 * share * (1.0 - share)
+    terms = [bubble, bubble * at]
+    while len(terms) < count:
+        terms.append(2.0 * at * terms[-1] - terms[-2])
+    return terms[:count]
 
 
 @dataclass(frozen=True)

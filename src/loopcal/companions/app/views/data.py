@@ -30,6 +30,8 @@ UNITS = {"rad": ("rad", "deg", "mrad"), "m": ("m", "mm", "cm", "um", "in"), "1":
 POSE = """<q-td :props="props"><q-btn flat dense no-caps :label="props.value"
   @click="$parent.$emit('chosen', props.row)"></q-btn></q-td>"""
 """The pose of a row, which moves the robot there."""
+PAGE = 12
+"""Rows of a page of a table of readings, where it does not fit on two of them."""
 ROWS = 2_000
 """Rows of readings shown; of more the first ones."""
 
@@ -186,10 +188,7 @@ def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any, sc
     for warning in loaded.warnings:
         ui.label(str(warning)).classes("care")
     head = [{"name": "pose", "label": "pose", "field": "pose", "align": "left"}]
-    head += [
-        {"name": n, "label": f"{n} [{unit_shown(units[n])}]", "field": n, "align": "right"}
-        for n in names
-    ]
+    head += [{"name": n, "label": _head(n, units[n]), "field": n, "align": "right"} for n in names]
     for one in images:
         counted = words.CORNERS_SEEN.format(camera=one.instrument)
         head.append(
@@ -211,9 +210,10 @@ def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any, sc
         columns=head,
         rows=rows,
         row_key="index",
-        pagination=12,
+        pagination=PAGE if len(rows) > 2 * PAGE else 0,
     )
-    made.props("dense flat").classes("w-full").on("chosen", chosen)
+    hidden = "" if len(rows) > 2 * PAGE else "hide-pagination"
+    made.props(f"dense flat {hidden}").classes("w-full").on("chosen", chosen)
     made.add_slot("body-cell-pose", POSE)
     made.add_slot(
         "body-cell",
@@ -226,6 +226,10 @@ def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any, sc
             ui.label(words.EXCLUDED.format(poses=", ".join(map(str, left))))
             use = partial(view.session.changed, ["data", "exclude"], None, words.USE_AGAIN)
             ui.button(words.USE_AGAIN, on_click=partial(view.act_aside, use)).props("outline")
+
+
+def _head(name: str, unit: str) -> str:
+    return name if unit == "1" else f"{name} [{unit_shown(unit)}]"
 
 
 def _row(data: Dataset, i: int, names: list[str], units: dict[str, str]) -> dict[str, Any]:

@@ -12,10 +12,12 @@ from loopcal.companions.app import words
 from loopcal.companions.app.controls import (
     choice,
     download,
+    folded,
     offer,
     page,
     printed,
     pulses,
+    pulses_field,
     text,
     uploader,
     written,
@@ -109,7 +111,7 @@ def _correct(view: View) -> None:
         choice(view, "correct.file", words.PROGRAM_OR_TARGETS, files)
         choice(view, "correct.tool", words.TOOL_PROGRAM, words.TOOLS)
         text(view, "correct.frame", words.PROGRAM_FRAME)
-        text(view, "pulses", words.PULSES)
+        pulses_field(view, "correct.file")
 
     def target() -> str:
         path = Path(str(view.kept["correct.file"]))
@@ -138,7 +140,9 @@ def _record(view: View) -> None:
     ui.label(words.RECORD).classes("text-body2")
     project = session.project()
     stated = {} if project is None else project.inputs.get("record") or {}
-    with ui.element("div").classes("tiles"):
+    count = sum(bool(stated.get(key)) for key in words.STATED)
+    label = words.RECORD_FIELDS.format(count=count, all=len(words.STATED))
+    with folded(view, "deploy.record", label), ui.element("div").classes("tiles"):
         for key, label in words.STATED.items():
             # A default binds the key of this round; a closure would see that of the last one.
             def keep(said: str, key: str = key) -> None:

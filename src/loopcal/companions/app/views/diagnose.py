@@ -143,6 +143,7 @@ def _elsewhere(linked: Linked) -> None:
         turn.on_value_change(lambda e: ui.run_javascript(f"linked.framing({str(e.value).lower()})"))
     linked.plot(lambda e: e.in_space(linked.what), IN_SPACE)
     linked.later.append(partial(linked.pose, IN_SPACE))
+    linked.pointed.append(partial(linked.pose, IN_SPACE))
 
     def of(name: str) -> Framed:
         return linked.errors.joint(name), linked.errors.shown[linked.what]

@@ -31,7 +31,6 @@ def show(view: View) -> None:
         ui.label(view.session.objection() or words.NO_PROJECT).classes("printed")
         return
     _offer_fit(view)
-    _tolerance(view)
     source = view.session.source()
     if source is None:
         ui.label(view.session.unreadable() or words.NO_RESULT).classes("printed-lines")
@@ -68,6 +67,7 @@ def _offer_fit(view: View) -> None:
         named = {name: _labelled(name) for name in METHODS}
         choice(view, "fit.method", words.METHOD, {"": words.AS_STATED, **named})
         choice(view, "fit.folds", words.VALIDATE_ON, words.FOLDS)
+        _tolerance(view)
     offer(view, words.CALIBRATE, lambda: fit_line(view))
 
 

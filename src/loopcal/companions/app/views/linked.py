@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -21,6 +20,7 @@ from loopcal.companions.app.view import plot as view_plot
 TAKE = "(event) => linked.take(event, emit)"
 """The page marks what an event of plotly selects (linked.js); its positions and range travel."""
 NONE = "() => linked.none(emit)"
+POINT, AWAY = "(event) => linked.point(event, emit)", "() => linked.point(null, emit)"
 OVER_POSES = "error over the poses"
 NEXT = 0.02
 """Seconds between what the browser draws again."""
@@ -32,12 +32,14 @@ FEWEST = 5
 
 class Linked:
     """The figures of one page. heard: called where another selection, or its figure, is shown;
-    later: called once the browser has shown what these have changed."""
+    later: called once the browser has shown what these have changed; pointed: called with the pose
+    that is pointed at, or with those selected."""
 
     def __init__(self, view: View, errors: Errors) -> None:
         self.view, self.errors = view, errors
         self.heard: list[Callable[[], Any]] = []
         self.later: list[Callable[[], Any]] = []
+        self.pointed: list[Callable[[Sequence[int]], Any]] = []
         self._latest = 0
         self._plots: dict[str, tuple[Any, Callable[[Errors], dict[str, Any] | None]]] = {}
 
@@ -71,11 +73,18 @@ class Linked:
         for event in ("plotly_selected", "plotly_click"):
             plot.on(event, taken, js_handler=TAKE)
         plot.on("plotly_deselect", lambda: self.keep([]), js_handler=NONE)
+        for event, handler in (("plotly_hover", POINT), ("plotly_unhover", AWAY)):
+            plot.on(event, lambda e: self._pointed(e.args), js_handler=handler)
 
     def keep(self, positions: Sequence[int]) -> None:
         """Remember the poses that the figures mark already."""
         self.view.selected[:] = sorted(set(positions))
         self._tell()
+
+    def _pointed(self, position: int | None) -> None:
+        """Show the machine in the pose that is pointed at, else in the selected one."""
+        for point in self.pointed:
+            point([*self.view.selected] if position is None else [int(position)])
 
     def _tell(self) -> None:
         for hear in self.heard:
@@ -125,10 +134,12 @@ class Linked:
         self.draw([OVER_POSES])
         self._tell()
 
-    def pose(self, label: str) -> None:
-        """Move the machine of the figure in space to the first of the selected poses."""
+    def pose(self, label: str, positions: Sequence[int] | None = None) -> None:
+        """Move the machine of the figure in space to the first of these poses, else of those
+        selected."""
         plot, _ = self._plots.get(label, (None, None))
-        posing = replace(self.errors, selected=tuple(self.view.selected)).posing()
+        shown = self.view.selected if positions is None else positions
+        posing = self.errors.posing(min(shown, default=0))
         if plot is not None and posing is not None and not plot.is_deleted:
             plot.run_plot_method("restyle", *posing)
 
@@ -258,10 +269,10 @@ def _ends(linked: Linked) -> None:
 
 def _zoom(linked: Linked) -> None:
     """What the figure over the poses shows in its whole width."""
-    with ui.row().classes("q-gutter-xs"):
-        near = ui.button(words.ZOOM_IN, icon="zoom_in").props("outline")
+    with ui.row().classes("small"):
+        near = ui.button(words.ZOOM_IN).props("outline")
         near.on_click(lambda: linked.zoom(linked.view.selected))
-        far = ui.button(words.ZOOM_OUT, icon="zoom_out").props("outline")
+        far = ui.button(words.ZOOM_OUT).props("outline")
         far.on_click(lambda: linked.zoom([]))
         none = ui.button(words.SELECT_NONE, on_click=partial(linked.select, [])).props("outline")
 

@@ -20,7 +20,7 @@ from loopcal.companions.app.controls import (
     offer,
     page,
     pulses,
-    text,
+    pulses_field,
     written,
 )
 from loopcal.companions.app.pictures import end_points, joints_of, machine_figure, moved
@@ -57,7 +57,7 @@ def show(view: View) -> None:
         choice(view, "plan.candidates", words.CHOOSE_AMONG, {OLD: "random poses", **tables})
         programs = {ending: one.kind for ending, one in WRITTEN.items()}
         choice(view, "plan.program", words.PROGRAM_POSES, {"": words.NO_PROGRAM, **programs})
-        text(view, "pulses", words.PULSES)
+        pulses_field(view, "plan.program")
     _ranges(view, project)
 
     def line() -> Sequence[str]:

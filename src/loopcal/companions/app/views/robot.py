@@ -77,6 +77,8 @@ def _choose(view: View) -> None:
     box.props(f'aria-label="{KINDS[shown]}"')
     if value:
         ui.label(words.ROBOT_DONE.format(name=value)).classes("good")
+    else:
+        ui.label(words.NO_ROBOT).classes("text-body2")
 
 
 def _machine(view: View, project: Project) -> None:
