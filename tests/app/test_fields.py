@@ -75,6 +75,9 @@ def test_what_is_being_written_stands_wherever_the_page_is_drawn_anew(
     page, number = hand.page, 0
     for step in STEPS:
         hand.step(step)
+        if step == "Deploy":
+            page.get_by_text(f"of {len(words.STATED)} stated").click()
+            page.get_by_label(words.STATED["operator"], exact=True).wait_for()
         for label, kind in page.evaluate(FIELDS) if step != "Diagnose" else ():
             number += 1
             first, second = ("7", "3") if kind == "number" else ("wri", "tten")
