@@ -127,19 +127,24 @@ def test_a_drift_and_shifts_move_parameters_with_their_column() -> None:
         assert found == pytest.approx(loops(plain, x, **there))
 
 
-def test_the_bends_of_a_drift_follow_chebyshev_and_vanish_at_both_ends() -> None:
+@pytest.mark.parametrize(("changing", "what"), [(("x6B",), "x6B"), ((), "lengths")])
+def test_the_bends_of_a_drift_follow_chebyshev_and_vanish_at_both_ends(
+    changing: tuple[str, ...], what: str
+) -> None:
     plain, x = arm(), readings(arm())
-    drift = Drift(("x6B",), "t", "s", since=10.0, over=60.0, until=70.0, bends=3)
+    drift = Drift(changing, "t", "s", since=10.0, over=60.0, until=70.0, bends=3)
     changed = with_effects(plain, [drift])
-    assert changed.effects["drift"] == ("x6B_drift", "x6B_drift1", "x6B_drift2", "x6B_drift3")
+    assert changed.effects["drift"] == tuple(f"{what}_drift{k}" for k in ("", 1, 2, 3))
     bends = np.array([0.01, -0.02, 0.03])
-    p = {"x6B_drift": 0.006} | {f"x6B_drift{k + 1}": float(b) for k, b in enumerate(bends)}
-    nominal = plain.parameters["x6B"].nominal
+    p = {f"{what}_drift": 0.006} | {f"{what}_drift{k + 1}": float(b) for k, b in enumerate(bends)}
+    nominal = {q.name: q.nominal for q in plain.parameters if q.dimension == "length"}
     for t, bent in ((10.0, 0.0), (22.0, 1.0), (55.0, 1.0), (70.0, 0.0), (99.0, 0.0)):
         s = min((t - 10.0) / 60.0, 1.0)
         curve = 4.0 * s * (1.0 - s) * np.polynomial.chebyshev.chebval(2.0 * s - 1.0, bends)
         assert (curve != 0.0) == bool(bent) or abs(curve) < 1e-15
-        moved = {"x6B": nominal + 0.006 * s + float(curve)}
+        change = 0.006 * s + float(curve)
+        grown = {name: value * (1.0 + change) for name, value in nominal.items()}
+        moved = {"x6B": plain.parameters["x6B"].nominal + change} if changing else grown
         assert loops(changed, x, {"t": t}, **p) == pytest.approx(loops(plain, x, **moved))
 
 
