@@ -10,9 +10,10 @@ import math
 from typing import overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from loopcal.arrays import Array
+
 _EPS = 2.0**-53
 # The number of its terms grows with the freedom.
 _CLOSED_FORM = 40

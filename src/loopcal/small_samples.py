@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import quantile, tail
 
-Array = NDArray[np.float64]
 _FEWEST = 2.2
 """Degrees of freedom of one combination, at least: below 2 the mean of its square has no bound."""
 # Of the largest eigenvalue: directions below are rounding of a singular covariance.

@@ -36,11 +36,19 @@ DRAWN = "e => JSON.stringify((e.querySelector('.js-plotly-plot') ?? e).data[0].y
 """The errors that a figure shows."""
 
 
+_OPENED: dict[tuple[tuple[str, Any], ...], Any] = {}
+"""By look: where pages are opened, so that the next has the scripts that the first has compiled."""
+
+
 def new_page(browser: Any, size: tuple[int, int] = (1440, 900), **look: Any) -> Any:
     """An empty page of a size in pixels."""
+    look = {"reduced_motion": "reduce", **look}
+    key = (*sorted(look.items()),)
+    if key not in _OPENED:
+        _OPENED[key] = browser.new_context(**look)
+    page = _OPENED[key].new_page()
     width, height = size
-    viewport = {"width": width, "height": height}
-    page = browser.new_page(viewport=viewport, **{"reduced_motion": "reduce", **look})
+    page.set_viewport_size({"width": width, "height": height})
     page.set_default_timeout(PATIENCE)
     return page
 

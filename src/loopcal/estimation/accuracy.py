@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.accuracy import (
     AccuracyEntry,
     Deviation,
@@ -18,8 +18,6 @@ from loopcal.document.accuracy import (
 )
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import POLAR, Seen, cartesian, seen_outputs
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.faults.search import suspicious
 from loopcal.estimation.fit import Fit, FitOptions
@@ -24,8 +24,6 @@ from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 
 def calibrate(

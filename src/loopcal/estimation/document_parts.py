@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry
 from loopcal.document.findings import Identifiability, Undetermined
 from loopcal.document.fit import CovarianceEntry, NoiseEntry, ParameterEntry
@@ -28,7 +28,6 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.small_samples import LearntCovariance
 
-Array = NDArray[np.float64]
 # Sums in another order differ by some 1e-12: chosen, not derived, between that and any widening.
 _ALIKE = 1e-9
 # docs/decisions/0065.

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import FitResult
@@ -28,7 +29,6 @@ from loopcal.lazy import cached_property
 if TYPE_CHECKING:
     from loopcal.estimation.noise.estimation import NoiseEstimate
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 # Chosen, not derived: far above the rounding of sums, far below a share that counts.
 _LITTLE = 1e-9

@@ -23,12 +23,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.problem.alignment import align
 from loopcal.mechanisms.chain import last_frame
 from loopcal.mechanisms.frame import ChainFrame
 
-Array = NDArray[np.float64]
 # docs/decisions/0052.
 KEPT = 0.9
 """The share of the poses that decides."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.patterns import Pattern, held_loops
 from loopcal.estimation.problem.problem import Problem, Weighting, most_poses
 from loopcal.estimation.sensitivity import pixel_loops
@@ -17,7 +18,6 @@ from loopcal.expressions.tape import Tape
 from loopcal.measurements.noise import ReadingUncertainty
 from loopcal.mechanisms.mechanism import Mechanism
 
-Array = NDArray[np.float64]
 _SETTLED = 1e-9
 """In units of UNMEASURED_SCALE: the next step of a found quantity is at most 1e-12 [m, rad]."""
 

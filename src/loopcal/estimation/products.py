@@ -6,11 +6,9 @@ NumPy does a product of an array (b, r, n) with a matrix pose by pose, at a quar
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.solve.reduction import LARGE
-
-Array = NDArray[np.float64]
 
 
 def rows_times(rows: Array, matrix: Array) -> Array:

@@ -16,13 +16,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
 
-Array = NDArray[np.float64]
 # Its square root: a gross error of 1000 sds shows by one sd. Chosen, not derived.
 UNCONTROLLED = 1e-6
 """A reading that the others control to less than this share cannot be tested."""

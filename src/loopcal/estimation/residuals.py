@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.fit import ClosureSize
 from loopcal.document.plain import finite
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage
-
-Array = NDArray[np.float64]
 
 
 def residuals(

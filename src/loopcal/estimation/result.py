@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.change_points import Dependence
 from loopcal.document.choice import Chosen, TermEntry
 from loopcal.document.findings import ColumnFault, Identifiability
@@ -48,9 +48,6 @@ from loopcal.small_samples import LearntCovariance
 if TYPE_CHECKING:
     from loopcal.estimation.noise.estimation import NoiseEstimate
     from loopcal.estimation.noise.kenward_roger import LearntParameters
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

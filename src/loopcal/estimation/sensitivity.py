@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.problem import most_poses
 from loopcal.expressions.engine import engine_for
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

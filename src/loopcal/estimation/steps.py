@@ -20,8 +20,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError
 from loopcal.estimation.faults.misfit import at_start
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from loopcal.estimation.noise.estimation import NoiseEstimate
 
 
-Array = NDArray[np.float64]
 # docs/decisions/0052.
 FAULTY = 3
 """Iterations of the fit of a file that is at fault as a whole."""

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.expressions.choice import AVAILABLE
 from loopcal.expressions.derivative import Linearisation
 from loopcal.expressions.domain import LoopValues, Stage, arranged
@@ -33,7 +34,6 @@ from loopcal.expressions.tape import Tape
 if AVAILABLE:
     from loopcal.expressions import _compiled
 
-Array = NDArray[np.float64]
 _CONSTANT, _PARAMETER = -1, -2
 
 

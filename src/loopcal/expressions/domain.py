@@ -8,15 +8,11 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from loopcal.arrays import Array
 from loopcal.errors import DomainError
 from loopcal.expressions.derivative import Linearisation, linearise
 from loopcal.expressions.graph import LEAVES, OPERATIONS, evaluate_scalar
 from loopcal.expressions.tape import Tape
-
-Array = NDArray[np.float64]
 
 
 def explain_domain(

@@ -14,8 +14,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.expressions.choice import chosen_engine, use_threads
 from loopcal.expressions.compiled_engine import CompiledEngine
 from loopcal.expressions.derivative import Linearisation, linearise
@@ -57,9 +57,6 @@ def engine_for(
             kept.clear()
         present = kept[key] = kind(linearise(tape, quantities, parameters), size)
     return present
-
-
-Array = NDArray[np.float64]
 
 
 _Instructions = list[tuple[np.ufunc, tuple[Array, ...]]]

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
-from loopcal.measurements.dataset import Array, Dataset
+from loopcal.measurements.dataset import Dataset
 from loopcal.units import convertible, from_si, unit
 
 # SI unit -> (bound, share of the readings beyond it that stops), the widest bound first.

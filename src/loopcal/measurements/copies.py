@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal import chi_squared
+from loopcal.arrays import Array
 from loopcal.measurements.dataset import Dataset
 
-Array = NDArray[np.float64]
 Positions = NDArray[np.intp]
 CHANCE = 1e-6
 """Rows are copies if their number would agree by chance with at most this probability."""

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, Instead, nearest, unknown_name
 from loopcal.measurements.poses import counted, pose_id, positions_of
 from loopcal.measurements.source import Source
 from loopcal.measurements.tables import as_numbers, column, column_names
 from loopcal.units import difference_to_si, to_si, unit
 
-Array = NDArray[np.float64]
 _MOST = {"rad": 1e8, "": 1e30}
 """SI unit -> what no reading exceeds: of an angle the eighth digit would be gone, else of anything.
 """

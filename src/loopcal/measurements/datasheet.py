@@ -16,11 +16,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, nearest
 from loopcal.keys import Key
 from loopcal.units import unit
 
-Array = NDArray[np.float64]
 KINDS = ("mpe", "sd")
 BoundKind = Annotated[
     str | None, Key("mpe: maximum permissible error (unless stated); or sd.", choices=KINDS)

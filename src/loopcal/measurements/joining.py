@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.measurements.dataset import Dataset
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

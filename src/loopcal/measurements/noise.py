@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, unknown_name
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import DatasheetSd, Tracker
 
-Array = NDArray[np.float64]
 Entries = Mapping[Any, Any]
 """Keys are names or tuples of names; a narrower type would refuse a dict of one kind only."""
 

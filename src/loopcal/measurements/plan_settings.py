@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, unknown_name
 from loopcal.measurements.dataset import Dataset
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Span = tuple[float, float]
 MODEL_ERRORS = ("structured", "none")

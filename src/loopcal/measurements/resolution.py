@@ -9,12 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.measurements.dataset import Dataset
 from loopcal.units import difference_to_si, from_si
 
-Array = NDArray[np.float64]
 _CHANCE = 1e-3
 """Numbers without a grid pass for one at most this often."""
 _REPEATED = 1 / 3

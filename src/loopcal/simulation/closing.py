@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.expressions.domain import explain_domain
 from loopcal.expressions.engine import engine_for
 from loopcal.mechanisms.mechanism import Mechanism
 
-Array = NDArray[np.float64]
 _BLOCK = 4096
 _MOST = 50
 _STEP, _OPEN = 1e-13, 1e-9

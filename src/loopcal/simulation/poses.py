@@ -7,14 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 
 def grid_poses(values: Mapping[str, ArrayLike]) -> dict[str, Array]:

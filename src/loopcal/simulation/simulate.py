@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, nearest
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike, ReadingUncertainty, resolve_noise
@@ -18,8 +19,6 @@ from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.closing import close_loops, closed_within, reachable
 from loopcal.simulation.poses import measured, parallel, stream, unstated_orientations
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

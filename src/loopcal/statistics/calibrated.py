@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry
 from loopcal.document.fit import ChiSquared, CovarianceEntry, NoiseEntry
 from loopcal.document.result_document import ResultDocument
@@ -18,8 +19,6 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.scatter import Scatter, scatter
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.calibrate import calibrate, may_be_faulty
 from loopcal.estimation.fit import Fit, instrument_noise, modelled
 from loopcal.estimation.methods import implicit_loop
@@ -32,7 +33,6 @@ from loopcal.mechanisms.effects.effect import RUN_DRIFT
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.structure.structured import mounted, without
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 

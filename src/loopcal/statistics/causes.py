@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import PIXELS
@@ -22,7 +22,6 @@ from loopcal.mechanisms.outputs import measured_points
 from loopcal.statistics.pose_tests import Fitted, try_rows
 from loopcal.units import from_si, to_si
 
-Array = NDArray[np.float64]
 # Record 0054: p-value of a single test.
 FITS = 0.001
 """A row put right fits if a good one would be worse with at least this probability."""

@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.change_points import Change, ChangePoint, Moved
 from loopcal.document.findings import ScaleEntry
 from loopcal.errors import InputError
@@ -45,7 +45,6 @@ from loopcal.statistics.possible_changes import (
 from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines, told_by_joints
 from loopcal.statistics.scales import scales
 
-Array = NDArray[np.float64]
 # Chosen, not derived: time and memory of the search.
 MOST_POSES = 5000
 """More poses are not searched: parts of a long run can be."""

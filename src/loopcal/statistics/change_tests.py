@@ -34,6 +34,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import NoTrustworthyResult
 from loopcal.estimation.problem.problem import Problem
 from loopcal.small_samples import f_limit, f_tail, t_quantile
@@ -44,7 +45,6 @@ from loopcal.statistics.innovation import Innovation, Linearised
 from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible, unit_of
 from loopcal.statistics.replacing import ASTRAY, Replaced
 
-Array = NDArray[np.float64]
 # Record 0053.
 _MOST = 3
 """Changes that are sought; with more the machine is calibrated anew."""

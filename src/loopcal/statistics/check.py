@@ -54,7 +54,6 @@ from loopcal.statistics.predictor import (
 from loopcal.statistics.run_order import told_by_joints
 from loopcal.units import from_si
 
-Array = NDArray[np.float64]
 ORDERED = "order-by-joints"
 """Code of the finding on such an order."""
 # Chosen, not derived: a rule of thumb; below, residuals follow the model more than the noise.

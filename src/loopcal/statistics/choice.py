@@ -29,8 +29,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.choice import DECISIVE, Candidate, Chosen
 from loopcal.estimation.dependence.dependence import likenesses
 from loopcal.estimation.plausible import CODE as CONTRADICTED
@@ -70,7 +70,6 @@ from loopcal.statistics.validation import (
     validated,
 )
 
-Array = NDArray[np.float64]
 # Record 0047.
 FOLDS, BLOCKS, FEWEST = 10, 5, 25
 """Parts at random, regions, and the different poses from which on regions are left out."""

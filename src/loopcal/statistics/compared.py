@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.catalogue import findings
 from loopcal.document.plain import finite
 from loopcal.document.verdict import Fact, Finding, Where, fact
@@ -19,7 +20,6 @@ from loopcal.presentation.shown import SHOWN, columns, percent, rounded_by_sd, s
 from loopcal.small_samples import f_tail, t_quantile
 from loopcal.units import from_si
 
-Array = NDArray[np.float64]
 # The level that the pages state (docs/explanation/comparison.md, `analyses.compared`).
 SIGNIFICANT = 0.05
 # Chosen, not derived: beyond, what one calibration holds where the other measured rests on its

@@ -35,8 +35,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import tail
 from loopcal.document.verdict import Fact, Where, fact
 from loopcal.errors import InputError
@@ -58,7 +58,6 @@ from loopcal.statistics.compared import (
 )
 from loopcal.statistics.gauge import carried, changes, difference, gauge, moved, values_of
 
-Array = NDArray[np.float64]
 # Chosen, not derived: covariances of poses by pairs; time and memory.
 MOST_POSES = 500
 """Common poses from each calibration, evenly thinned."""

@@ -19,8 +19,8 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.findings import ConflictEntry
 from loopcal.estimation.dependence.seen import instruments, units_of
 from loopcal.estimation.problem.pose_equations import PoseEquations
@@ -30,7 +30,6 @@ from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.mechanism import Family
 from loopcal.small_samples import f_tail
 
-Array = NDArray[np.float64]
 # A ball a millimetre too large lets its learnt sd grow to a millimetre, beside which a tracker's
 # equations weigh 1e5 times as much: chosen beyond that, and above rounding.
 _LEAST = 1e-7

@@ -15,8 +15,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import tail
 from loopcal.document.findings import ColumnFault
 from loopcal.estimation.faults.search import column_faults
@@ -28,7 +28,6 @@ from loopcal.statistics.ordered_system import Fitted, OrderedSystem
 from loopcal.statistics.possible_changes import ALONG_A_RUN
 from loopcal.statistics.replacing import ASTRAY
 
-Array = NDArray[np.float64]
 # Chosen, not derived: one good run of a hundred, as of the poses of a calibration.
 _LEVEL = 0.01
 """Probability of calling any of the poses unlike the others where all are good."""

@@ -14,11 +14,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import tail
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
@@ -254,7 +255,6 @@ def _check_seed(seed: int) -> None:
         )
 
 
-Array = NDArray[np.float64]
 # Chosen, not derived: k-means ends at a local optimum, and more starts cost time.
 _STARTS = 20
 # Chosen, not derived: a region of few poses says little, and its rms counts as much.

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from loopcal.arrays import Array
+
 # Record 0047: the 97.5 % point on each side.
 LEVEL = 0.05
 """Family of two sides: a difference this unlikely by chance is significant."""

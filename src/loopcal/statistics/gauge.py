@@ -12,11 +12,10 @@ import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.mechanisms.mechanism import Mechanism
 
-Array = NDArray[np.float64]
 _STEP = 1e-4
 """Of central differences [m, rad]: their own error is its square, rounding's its inverse."""
 

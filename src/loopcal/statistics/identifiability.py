@@ -19,8 +19,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.findings import (
     CalibrationIndex,
     Identifiability,
@@ -36,7 +36,6 @@ from loopcal.mechanisms.parameters import BEYOND
 from loopcal.presentation.shown import SHOWN, significant
 from loopcal.units import from_si
 
-Array = NDArray[np.float64]
 SCHROER = 100.0
 """Condition number of the scaled system up to which poses are good. Schroer (1993)."""
 # Shares of the variance that the data took away: a tenth, and a half.

@@ -31,13 +31,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.fit import NoiseEntry
 from loopcal.lazy import cached_property
 from loopcal.small_samples import f_tail
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import DETERMINED, Replaced
 
-Array = NDArray[np.float64]
 # Chosen, not derived: far above rounding, far below a step that counts.
 _UNSEEN = 1e-9
 """An undetermined step that moves the loops by less of what its parts move does not count."""

@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.fit import IntervalEntry
 from loopcal.errors import InputError
 from loopcal.estimation.methods.registry import names_where
@@ -37,7 +37,6 @@ from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.mechanisms.parameters import matching
 from loopcal.small_samples import t_quantile
 
-Array = NDArray[np.float64]
 # Chosen, not derived: a tenth of a half width changes no decision.
 DIFFERS = 0.1
 """Share of the half width by which an end may differ before the interval is marked."""

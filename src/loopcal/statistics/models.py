@@ -23,6 +23,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.accuracy import ModelEntry
 from loopcal.document.plain import finite
 from loopcal.document.tables import model_table, recommendation
@@ -38,7 +39,6 @@ from loopcal.statistics.case import Case
 from loopcal.statistics.folds import Scheme, grouped, stated_sds
 from loopcal.statistics.validation import Asked, Validation, ValidationOptions, validated
 
-Array = NDArray[np.float64]
 GEOMETRIC = "geometric"
 """The model without effects, always among those compared."""
 # Record 0013: Sivula, Magnusson and Vehtari (2020).

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.accuracy import main_unit
 from loopcal.estimation.noise.learning import typical_sd
 from loopcal.estimation.problem.patterns import Pattern
@@ -23,7 +24,6 @@ from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.mechanisms.outputs import POLAR, Seen, cartesian, seen_outputs
 
-Array = NDArray[np.float64]
 # A complex step subtracts nothing, so it can be so small (Squire and Trapp 1998).
 _STEP = 1e-20
 

@@ -13,8 +13,8 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.findings import OtherOptimum
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
@@ -22,7 +22,6 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import solve
 from loopcal.presentation.shown import significant, with_unit
 
-Array = NDArray[np.float64]
 # The arc leaves its tangent by 0.02^2 / 2 of the lever, 0.2 mm of a metre: chosen, not derived.
 VAGUE = 0.02
 """From this sd of an angle on [rad] a loop is no longer straight within its noise."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import tail
 from loopcal.estimation.dependence.dependence import joint_rows, pose_order
 from loopcal.estimation.dependence.seen import Errors, instruments
@@ -28,7 +29,6 @@ from loopcal.mechanisms.structure.smooth import DISCREPANCY, Smooth
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.possible_changes import held_station
 
-Array = NDArray[np.float64]
 # Chosen, not derived: from two sds on a pose counts less, in so many rounds of weights.
 _HUBER, _ROUNDS = 2.0, 3
 # By decades: over all sizes at first, then beside the last one. Chosen, not derived.

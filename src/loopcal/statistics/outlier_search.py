@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import quantile
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.faults.misfit import HALF, misfit
@@ -36,7 +37,6 @@ from loopcal.statistics.pose_tests import (
 )
 from loopcal.statistics.wrong_corners import wrong_corners
 
-Array = NDArray[np.float64]
 # Concentration keeps the other seven tenths (docs/explanation/outliers.md).
 MOST = 0.3
 """At most this share of the poses is taken for bad where the first search leaves doubts."""

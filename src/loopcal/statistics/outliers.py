@@ -22,7 +22,6 @@ from loopcal.statistics.pose_tests import Fitted, PoseTests, tail
 if TYPE_CHECKING:
     from loopcal.statistics.causes import Cause, Suspect
 
-Array = NDArray[np.float64]
 SCALES = ("auto", "stated", "residual")
 # The level that the page states: docs/explanation/outliers.md.
 _LEVEL, _SCALE = 0.05, "auto"

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal import chi_squared
+from loopcal.arrays import Array
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem, left_unmeasured, taken
 from loopcal.estimation.products import rows_times
@@ -29,7 +30,6 @@ from loopcal.estimation.redundancy import UNCONTROLLED
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE, Closed
 from loopcal.estimation.solve.sweep import Sweeper
 
-Array = NDArray[np.float64]
 # An sd from ten values is sure to 22 %. The rest is chosen, not derived, as in `ordered_system`.
 _POINT, _ENOUGH, _HUBER, _ROUNDS = 3, 10, 1.5, 4
 """Equations that a point gives; poses for each equation from which their scatter is known; from so

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.problem import Problem
 from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.mechanisms.parameters import GEOMETRY
@@ -21,7 +21,6 @@ from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.sag import LOAD, TOOL
 from loopcal.mechanisms.structure.structured import driven_joints
 
-Array = NDArray[np.float64]
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
 # joint that is mastered anew, a link that a crash bends, a tool that is exchanged, a print that was
 # fitted to another page, 50 K of warming at 24e-6 per kelvin. A load may do anything.

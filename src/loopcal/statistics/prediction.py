@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.constants import with_implied, with_latest
@@ -39,7 +40,6 @@ from loopcal.presentation.shown import significant, with_unit
 from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
 from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
 
-Array = NDArray[np.float64]
 # Record 0054: valid up to 3.
 ALARM = 3.0
 """Extrapolation: the parameters' part of the sd is more than so many times that at 95 % of the

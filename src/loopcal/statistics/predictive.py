@@ -32,6 +32,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.dependence.seen import Errors, seen
 from loopcal.estimation.fit import used_noise, weighed
@@ -51,7 +52,6 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.small_samples import LearntCovariance, f_limit
 
-Array = NDArray[np.float64]
 # Chosen, not derived: far above rounding, far below an effect that counts.
 _UNPREDICTABLE = 1e-6
 """A direction that the fit left open moves a loop, beside the largest effect of any direction."""

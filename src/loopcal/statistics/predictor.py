@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.findings import PredictionEntry, UsualSd
 from loopcal.document.fit import NoiseCovarianceEntry, NoiseEntry
 from loopcal.document.result_document import ResultDocument
@@ -35,7 +36,6 @@ from loopcal.statistics.calibrated import (
     stored_covariance,
 )
 
-Array = NDArray[np.float64]
 # The 95 % point over 2000 poses is sure to half a per cent of them: sqrt(0.95 x 0.05 / 2000).
 _MOST_POSES = 2000
 # Chosen, not derived: far above rounding, far below an effect that counts.

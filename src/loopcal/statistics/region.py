@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.findings import RegionEntry, RegionRange, RegionSd
 from loopcal.estimation.cameras.at_board import sight_of
 from loopcal.estimation.prediction import predict_outputs, solving
@@ -31,7 +32,6 @@ from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.statistics.prediction import Parts, parts_at
 from loopcal.statistics.predictor import Predictor, trace_sd
 
-Array = NDArray[np.float64]
 # If squares vary by as much as their mean, the rms of 400 is sure to 1 / (2 sqrt(400)) = 2.5 %.
 _POSES = 400
 # Chosen, not derived: of a six-axis arm one pose in twenty puts a board before a camera.

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.change_points import Reliability, SensorReliability
 from loopcal.document.plain import finite
 from loopcal.estimation.problem.pose_equations import PoseEquations
@@ -29,7 +29,6 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.mechanisms.outputs import output_groups
 from loopcal.presentation.brief import brief
 
-Array = NDArray[np.float64]
 # Baarda (1968): with these the noncentrality is 4.13.
 ALPHA, POWER = 0.001, 0.8
 # As in `region`: an rms of 400 is sure to 2.5 %.

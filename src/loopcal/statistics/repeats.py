@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import quantile
 from loopcal.errors import InputError
 from loopcal.measurements.checks import lost_rows, refuse_lost
@@ -22,7 +23,6 @@ from loopcal.measurements.resolution import Grid, grid
 from loopcal.statistics.separation import Separation
 from loopcal.units import from_si, unit
 
-Array = NDArray[np.float64]
 # Chosen, not derived: two readings have a difference, and no scatter that could be judged.
 FEWEST = 3
 """Readings a series must have."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, NoTrustworthyResult, listed
 from loopcal.estimation.noise.linear_model import linear_model
 from loopcal.estimation.prediction import output_differences
@@ -28,7 +29,6 @@ from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.predictive import unmeasured_corrections
 
-Array = NDArray[np.float64]
 # Chosen, not derived: a cap, and what shows which start is best.
 _STEPS, _ROUGHLY = 100, 4
 """Steps at most, and those that tell which of several starts is best."""

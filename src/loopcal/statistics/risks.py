@@ -10,8 +10,8 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document import choice as rule
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.result import FitResult
@@ -19,8 +19,6 @@ from loopcal.statistics.folds import Index
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.judged import Judged
 from loopcal.statistics.validation import Outcome, Plan, Predicted
-
-Array = NDArray[np.float64]
 
 
 def rms_over(one: Judged, made: Sequence[Outcome]) -> float:

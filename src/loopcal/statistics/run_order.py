@@ -7,9 +7,9 @@ an error of the machine model does what a change along the run does.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from loopcal.arrays import Array
+
 # Half: docs/decisions/0051.
 FOLLOWED = 0.5
 """Adjusted R^2 above which the joints tell the order."""

@@ -21,8 +21,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.findings import ScaleEntry
 from loopcal.estimation.dependence.seen import instruments
 from loopcal.estimation.problem.problem import Problem
@@ -30,7 +30,6 @@ from loopcal.mechanisms.mechanism import Family
 from loopcal.small_samples import f_tail
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem
 
-Array = NDArray[np.float64]
 _FORMS = {"point": 3, "pose": 3, "spherical": 1, "polar": 1}
 """What reads lengths from where it stands, and how many of its readings are lengths."""
 # Far above rounding, 1e-16 times the condition of the products. Chosen, not derived.

@@ -20,14 +20,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.fit import CovarianceEntry
 from loopcal.document.triangle import lower, symmetric
 from loopcal.estimation.products import rows_times
 from loopcal.estimation.result import FitResult
 
-Array = NDArray[np.float64]
 # A pose that alone determines a direction has redundancy 0 there, and its root no bound.
 _LEAST = 1e-6
 

@@ -30,7 +30,6 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 
-Array = NDArray[np.float64]
 # Places on one line leave the turn about it open.
 _SPREAD = 0.05
 """Places of which one direction spreads less than this beside another show no rotation."""

@@ -18,8 +18,8 @@ from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.accuracy import BoardPlace, Coverage, FailedPart, ValidationEntry
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
@@ -61,7 +61,6 @@ from loopcal.statistics.predictive import (
 )
 from loopcal.statistics.replacing import freed
 
-Array = NDArray[np.float64]
 # Record 0061.
 NEARLY = 1e-2
 """Where sds of terms are learnt, or weights are found in rounds, refits converge to so many sds: no

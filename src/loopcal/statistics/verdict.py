@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopcal import chi_squared
+from loopcal.arrays import Array
 from loopcal.document import catalogue
 from loopcal.document.accuracy import BoardPlace, Distances
 from loopcal.document.catalogue import CATALOGUE
@@ -307,7 +307,6 @@ def _beyond(document: ResultDocument, unit: str) -> float:
     return math.sqrt(more * chi_squared.quantile(0.05, 3) / 3.0)
 
 
-Array = NDArray[np.float64]
 # The share that all pages state.
 SHARE = 0.95
 """Of all poses that shall lie within the tolerance."""

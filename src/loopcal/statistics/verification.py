@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.accuracy import Distances
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import (
@@ -43,7 +43,6 @@ from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.verdict import Quantile
 from loopcal.statistics.verified import Placed, Verification, WorstPose
 
-Array = NDArray[np.float64]
 # Chosen, not derived: time against the scatter of what is drawn.
 _DRAWS = 200
 """Of the errors that the stated covariance leads one to expect."""

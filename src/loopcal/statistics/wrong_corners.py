@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.findings import Outlier
 from loopcal.estimation.problem.problem import Problem, left_unmeasured
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.mechanism import PIXELS
 
-Array = NDArray[np.float64]
 LEVEL = 1e-3
 """Probability that any corner is set aside where all are good. Chosen: whoever finds corners
 left out should be able to trust that they were wrong; those that matter are far beyond."""

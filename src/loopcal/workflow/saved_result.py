@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.fit import ChiSquared
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.errors import InputError
@@ -25,8 +25,6 @@ from loopcal.report.source import Source, read_source
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.predictor import Predictor, predictor_of
 from loopcal.workflow.views import Views
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

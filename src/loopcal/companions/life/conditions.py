@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
+from loopcal.arrays import Array
 from loopcal.estimation.noise.search import Bounds, search
 from loopcal.estimation.noise.term_scales import Sums, TermFit, evaluate, term_system
 from loopcal.mechanisms.parameters import BEYOND
@@ -29,7 +30,6 @@ from loopcal.mechanisms.terms import Term
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.innovation import Linearised
 
-Array = NDArray[np.float64]
 CONDITIONS = (
     "These poses differ from the calibration as if the conditions had changed, such as warmth or a "
     "load. The update lets the whole machine drift by as much as they show."

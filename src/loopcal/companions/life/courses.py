@@ -17,11 +17,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.small_samples import t_quantile
 
-Array = NDArray[np.float64]
 LEVEL = 0.95
 """Of intervals, of the way that is named, and of the two calibrations around a step."""
 # By the false alarms above: 1 / (1 - LEVEL).

@@ -18,8 +18,8 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, nearest
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
@@ -35,7 +35,6 @@ from loopcal.statistics.predictive import unmeasured_corrections
 from loopcal.statistics.verification import verify
 from loopcal.statistics.verified import Verification
 
-Array = NDArray[np.float64]
 DRIFTING: tuple[str, ...] = tuple(
     role for role in ROLES if role not in ("placement", "model error")
 )

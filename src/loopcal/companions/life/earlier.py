@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.noise.linear_model import ModelBlock, linear_model
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, taken
@@ -36,7 +37,6 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import root_of
 from loopcal.statistics.replacing import least_squares
 
-Array = NDArray[np.float64]
 _MOST = 3000
 """Poses; more determine the parameters so well that the covariance describes them."""
 _PLACINGS = 3

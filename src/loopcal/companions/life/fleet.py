@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.life.measured_machine import MeasuredMachine
 from loopcal.companions.life.spread import LEVEL, Spread
 from loopcal.errors import InputError, listed
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.presentation.shown import by_sd, chance, columns, size, unit_shown, wrapped
 
-Array = NDArray[np.float64]
 FEWEST = 3
 """Machines from which a spread is learnt."""
 # Fixed values that went through a file agree to nine digits.

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.life.courses import (
     Change,
     Course,
@@ -355,7 +355,6 @@ def verification_words(code: str, p_value: float | None) -> str:
     return f"{code}, {p_words(p_value)}"
 
 
-Array = NDArray[np.float64]
 Values = Sequence[float] | Array
 # Usually 0.2 to 0.3 (Hunter 1986); the largest follows few calibrations soonest.
 WEIGHT = 0.3

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import root_of
 
-Array = NDArray[np.float64]
 _ELSEWHERE = ("placement", "mounting", "model error")
 _SHARE = 1e-3
 """Of the information: where readings give less, they determine nothing."""

@@ -20,11 +20,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.lazy import cached_property
 
-Array = NDArray[np.float64]
 LEVEL = 0.95
 _EDGES = np.concatenate([[0.0], np.geomspace(1e-7, 0.1, 61), np.linspace(0.1, 1.0, 46)[1:]])
 """Levels of chi-squared between which draws are taken; dense where the spread is large."""

@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.companions.life.conditions import CONDITIONS, drift_of_conditions
 from loopcal.companions.life.drift import Since, allowed
 from loopcal.companions.life.earlier import Around, Earlier, Sloped
@@ -66,7 +67,6 @@ from loopcal.statistics.gauge import values_of
 from loopcal.statistics.replacing import Replaced, freed
 from loopcal.statistics.verified import Verification
 
-Array = NDArray[np.float64]
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
 _NOTHING, _NEWS = "The update changed no parameter of the machine", 0.01
 _ROUNDS, _SETTLED = 12, 2e-2

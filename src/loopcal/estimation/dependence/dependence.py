@@ -27,6 +27,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import tail
 from loopcal.document.change_points import Dependence, InstrumentDependence, Likeness
 from loopcal.estimation.dependence.seen import Seen, instruments, seen
@@ -36,7 +37,6 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
 from loopcal.estimation.solve.solution import Solution
 
-Array = NDArray[np.float64]
 # docs/decisions/0050: family-wise.
 LEVEL = 0.001
 # Chosen, not derived: distances by pairs grow with the square, here to 32 MB.

@@ -16,12 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
 from loopcal.mechanisms.mechanism import PIXELS, Family
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

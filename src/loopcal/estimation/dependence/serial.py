@@ -17,11 +17,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.dependence.seen import Seen
 
-Array = NDArray[np.float64]
 # From a drift of 3 % of the white variance to one of 1000 times it. A step of half a decade is fine
 # beside the likelihood of a variance: chosen, not derived.
 _RATIOS = 10.0 ** np.arange(-1.5, 3.1, 0.5)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.prediction import output_differences
@@ -26,7 +27,6 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.outputs import points
 
-Array = NDArray[np.float64]
 # docs/decisions/0052 for the first.
 MOST, HALF = 0.9, 0.5
 """Shares of the poses that decide: gross errors are few. Of a grid driven row by row whose readings

@@ -14,11 +14,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.faults.misfit import unread
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.mechanisms.instruments.orientation import Orientation
 
-Array = NDArray[np.float64]
 # Chosen, not derived: a joint that wanders less says nothing on its sign or unit.
 PARKED = 0.01
 """A quantity stands still if its readings spread over no more than this share of their size."""

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.findings import ColumnFault
 from loopcal.document.plain import finite
 from loopcal.errors import InputError
@@ -40,7 +41,6 @@ from loopcal.presentation.shown import enumerated, size, unit_shown
 if TYPE_CHECKING:
     from loopcal.estimation.faults.repairs import Repair
 
-Array = NDArray[np.float64]
 # This, PLAUSIBLE and MUCH_BETTER: docs/decisions/0052, measured by analyses/file_faults.py.
 NEAR = 0.01
 """A drawing that misses the readings by this share of their spread, or less, raises no question."""

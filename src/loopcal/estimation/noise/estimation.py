@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.noise.linear_model import LinearModel, linear_model
 from loopcal.estimation.noise.linear_model import fit as fit_at
 from loopcal.estimation.noise.variance_bounds import upper_bound, without_component
@@ -34,8 +34,6 @@ from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.solve.solution import Solution
 from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
-
-Array = NDArray[np.float64]
 
 
 class Fitting(Protocol):

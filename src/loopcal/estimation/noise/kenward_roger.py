@@ -56,6 +56,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.dependence.seen import Seen
 from loopcal.estimation.noise.linear_model import projected
 from loopcal.estimation.noise.variances import owners
@@ -73,7 +74,6 @@ if TYPE_CHECKING:
     from loopcal.estimation.problem.pose_equations import PoseEquations
 
 
-Array = NDArray[np.float64]
 # Chosen, not derived: a variance that the data leave open must not make all others unsure.
 _WIDEST = 3.0
 """Sd of a ratio, at most, in units of the one that would explain all noise."""

@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.fit import NoiseCovarianceEntry, NoiseEntry
 from loopcal.errors import InputError
 from loopcal.estimation.problem.constants import standing
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from loopcal.estimation.noise.estimation import EstimatedSd, NoiseEstimate
     from loopcal.estimation.noise.variance_components import Component
 
-Array = NDArray[np.float64]
 # Two sds are a factor of 9 either way: what separates figures of data sheets from sensors in use.
 # Chosen, not derived.
 SPREAD = math.log(3.0)

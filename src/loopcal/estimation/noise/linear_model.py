@@ -24,6 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.products import rows_times, rows_times_upper
 from loopcal.estimation.solve.block import Block
@@ -33,7 +34,6 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import LoopValues
 from loopcal.lazy import cached_property
 
-Array = NDArray[np.float64]
 # The information takes them to the fourth power, and doubles end at 1e308.
 _LARGEST = 1e70
 """Where columns are whitened to more than this V counts as singular."""

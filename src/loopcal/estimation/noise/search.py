@@ -17,9 +17,9 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.noise.linear_model import MixedFit
 
-Array = NDArray[np.float64]
 Place = TypeVar("Place", bound=MixedFit)
 # Caps against an endless search: 30 halvings leave 1e-9 of a step. Chosen, not derived.
 _MOST, _HALVINGS = 200, 30

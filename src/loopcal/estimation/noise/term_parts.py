@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry, TermPart
 from loopcal.estimation.noise.term_scales import TermFit, TermSystem, TermVariances, searched
 from loopcal.estimation.problem.problem import Problem
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.mechanism import Mechanism
 
 
-Array = NDArray[np.float64]
 # Chosen, not derived: an even function of six joints gives each a sixth.
 _COUNTS = 0.2
 """Share of the variance of a smooth function from which a joint counts among its arguments."""

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.noise.linear_model import KEPT, MixedFit
 from loopcal.estimation.noise.search import Bounds, search
 from loopcal.estimation.solve.reduction import SUMMED_TOLERANCE
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from loopcal.mechanisms.terms import Term
 
-Array = NDArray[np.float64]
 # A factor of e in the sd, where the quadratic model of the criterion holds at most. Chosen, not
 # derived.
 _FARTHEST = 2.0

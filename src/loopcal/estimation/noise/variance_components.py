@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import NoTrustworthyResult
 from loopcal.estimation.noise.linear_model import LinearModel, MixedFit, fit, linear_model
 from loopcal.estimation.noise.search import Bounds, search
@@ -22,7 +23,6 @@ from loopcal.lazy import cached_property
 from loopcal.measurements.noise import ReadingUncertainty
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 
-Array = NDArray[np.float64]
 _AT_BOUND = 1e-9
 """A step that leaves no more than this of a ratio above its bound leads to the bound."""
 # Chosen, not derived: an sd of 100 in the logarithm says nothing on the ratio.

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.noise.linear_model import LinearModel, mixed_fit, whitened
 from loopcal.estimation.noise.search import Bounds, scoring_step
 from loopcal.estimation.noise.term_scales import Sums, TermVariances, learn_scales, term_system
@@ -21,7 +22,6 @@ from loopcal.estimation.noise.variance_components import Estimate, estimate_rati
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.solution import End
 
-Array = NDArray[np.float64]
 # Chosen, not derived: farther, the linearisation is not to be believed.
 _FARTHEST = 100.0
 """No variance grows more in one step."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Problem
@@ -17,7 +17,6 @@ from loopcal.expressions.engine import Stage
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 from loopcal.mechanisms.outputs import POLAR, point_outputs, points
 
-Array = NDArray[np.float64]
 # Chosen, not derived: outside any machine that fits on a floor, so that all its points are ahead.
 ASIDE = 10.0
 """Where a station that reads angles is thought to stand until it is placed [m]."""

@@ -13,14 +13,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import ReadingUncertainty
 from loopcal.mechanisms.effects.backlash import directions
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 
 def with_implied(mechanism: Mechanism, data: Dataset) -> Dataset:

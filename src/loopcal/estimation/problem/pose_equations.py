@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.solve.sweep import Sweeper
 
-Array = NDArray[np.float64]
 _ROUNDING = 4.0 * np.finfo(np.float64).eps
 """Of each reading, as a share: so much of what an equation leaves is arithmetic."""
 

@@ -17,6 +17,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.problem.constants import constants_by_pose, standing_exact, with_implied
 from loopcal.estimation.problem.patterns import Pattern, Poses, held_loops, patterns_of
@@ -43,7 +44,6 @@ class Weighting(Enum):
     ALIKE = "alike"
 
 
-Array = NDArray[np.float64]
 BLOCK = 4096
 """Poses per block: large enough that NumPy's overhead vanishes, small enough for the cache."""
 VALUES = 1_000_000

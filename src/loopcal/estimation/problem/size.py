@@ -11,14 +11,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.expressions.engine import engine_for
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import GEOMETRY, Parameter
 
-Array = NDArray[np.float64]
 # Two of 1e9 normal readings are farther off.
 _NOISE = 6.0
 """So many sds away from 0 a reading is no noise."""

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.problem.alignment import seen_points
 from loopcal.estimation.problem.patterns import Pattern
@@ -29,7 +30,6 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.presentation.shown import significant
 
-Array = NDArray[np.float64]
 # Every 30 degrees. Chosen, not derived: more starts find more ways to stand, for as much more time.
 _ROUND = 12
 # Chosen, not derived: as many as _ROUND bounds for one angle, more for several; each costs a

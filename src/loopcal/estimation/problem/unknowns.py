@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.lazy import cached_property
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.patterns import Poses
 from loopcal.expressions.compiled_engine import native_noise
 from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.gauss_newton import (
     UNMEASURED_SCALE,
@@ -33,7 +33,6 @@ from loopcal.estimation.solve.scratch import scratch
 from loopcal.expressions.compiled_engine import CompiledEngine, side_by_side
 from loopcal.expressions.engine import Engine, LoopValues, Stage
 
-Array = NDArray[np.float64]
 Reduce = Callable[[LoopValues, Block], Whitened]
 
 

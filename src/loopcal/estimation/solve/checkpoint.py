@@ -7,13 +7,12 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Generic
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.solve.course import Course
 from loopcal.estimation.solve.merit import Evaluation, State
 from loopcal.estimation.solve.reduction import Spectrum
 
-Array = NDArray[np.float64]
 _PLACES = ("first", "current", "lowest")
 
 

@@ -21,11 +21,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.solve.reduction import Spectrum, overflowing
 
-Array = NDArray[np.float64]
 # Unit columns have s^2 <= n, so this much divides every step by 1e8 / n at least.
 MOST_DAMPING = 1e8
 _RAISED, _RAISED_MOST = 2.0, 10.0

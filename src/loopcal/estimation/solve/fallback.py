@@ -18,8 +18,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem, Weighting, taken
 from loopcal.estimation.solve.in_memory import outside_domain
@@ -32,7 +32,6 @@ from loopcal.estimation.solve.solver import Progress, solve
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.presentation.shown import significant
 
-Array = NDArray[np.float64]
 # docs/decisions/0023.
 _POSES = 200
 """Starts are sought on so many of the poses at most."""

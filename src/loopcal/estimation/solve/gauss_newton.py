@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.solve.block import Block
 from loopcal.lazy import cached_property
 
@@ -71,8 +72,6 @@ def close_by_gauss_newton(
 
 
 # What a block kernel gives: corrections, and the equations in the parameters.
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
@@ -12,8 +10,6 @@ from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.merit import Evaluation, Failed
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.expressions.domain import explain_domain
-
-Array = NDArray[np.float64]
 
 
 class InMemory:

@@ -23,11 +23,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.scratch import scratch
 from loopcal.expressions.engine import LoopValues
 
-Array = NDArray[np.float64]
 # This and ROUNDED_AWAY: some 450 eps. Chosen, not derived.
 SINGULAR = 1e-13
 """A loop whose uncertain part is this small beside its own row cannot be closed."""

@@ -19,12 +19,11 @@ from functools import cache
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import lower, tail
 from loopcal.errors import InputError, nearest
 
-Array = NDArray[np.float64]
 LOSSES = ("gaussian", "huber", "student-t")
 # The usual value (Holland and Welsch 1977).
 EFFICIENCY = 0.95

@@ -11,13 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from loopcal.arrays import Array
 from loopcal.estimation.problem.unknowns import Unknowns
 from loopcal.estimation.solve.reduction import Accumulator
 
-Array = NDArray[np.float64]
 State = TypeVar("State")
 NAMED = 5
 """Of the poses whose loops cannot be closed, so many are named."""

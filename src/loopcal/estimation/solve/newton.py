@@ -19,13 +19,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.gauss_newton import UNMEASURED_SCALE, Closed
 from loopcal.expressions.derivative import lagrangian_gradient
 from loopcal.expressions.engine import Engine, Stage, engine_for
 from loopcal.expressions.tape import Tape
 
-Array = NDArray[np.float64]
 # Chosen, not derived: a cap of the iterations, and poses whose second derivatives fit the cache.
 _MOST, _BLOCK = 60, 256
 _MISSING = 1e6

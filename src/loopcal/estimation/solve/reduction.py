@@ -16,10 +16,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.lazy import cached_property
 from loopcal.presentation.brief import brief
 
-Array = NDArray[np.float64]
 # Eigenvalues of a matrix with unit diagonal are right to some n eps, singular values
 # thus to its root: 1.5e-7 for n = 100.
 RANK_TOLERANCE, SUMMED_TOLERANCE = 1e-10, 1e-6

@@ -19,8 +19,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.solve.block import Block
@@ -37,7 +37,6 @@ from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.expressions.engine import Engine, LoopValues, Stage
 
-Array = NDArray[np.float64]
 _STEP = 1e-7
 """Converged when a round moves no parameter by more sds, unless the user says otherwise."""
 # These and _LOOSE: docs/decisions/0006.

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.methods.method import Method
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
@@ -26,8 +26,6 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import MOST_ITERATIONS, End, Solution
 from loopcal.estimation.solve.solver import Progress
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

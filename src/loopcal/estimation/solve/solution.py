@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from loopcal.arrays import Array
 from loopcal.estimation.solve.merit import Evaluation, State
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 
-Array = NDArray[np.float64]
 Other = TypeVar("Other")
 
 

@@ -27,6 +27,7 @@ from typing import Generic
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.checkpoint import Checkpoint, Point
 from loopcal.estimation.solve.course import MOST_DAMPING, accelerated
@@ -46,7 +47,6 @@ from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solution import MOST_ITERATIONS, End, Solution, Status, weakness
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, float, float], None]
 """Called with iteration, chi-squared and the predicted decrease."""
 

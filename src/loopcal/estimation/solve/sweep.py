@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.problem.patterns import Pattern, Poses
 from loopcal.estimation.problem.problem import BLOCK, Problem
 from loopcal.estimation.solve.block import Block, BlockNoise
@@ -27,7 +28,6 @@ from loopcal.estimation.solve.reduction import Accumulator, overflowing
 from loopcal.expressions.engine import Engine, LoopValues, Stage, engine_for
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
-Array = NDArray[np.float64]
 # Chosen, not derived: closing farther costs time, and a step is damped anyway.
 NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""

@@ -21,8 +21,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit, used_noise, weighed
@@ -43,8 +43,6 @@ from loopcal.estimation.stream.last_pass import LastPass, Parts
 from loopcal.estimation.stream.merit import Chunk, Ratios, Stream, StreamMerit, Task, do, joined
 from loopcal.execution.executor import Crew, Executor, InProcess
 from loopcal.mechanisms.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 
 def calibrate_stream(

@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.chi_squared import quantile
 from loopcal.estimation.accuracy import AccuracyTally
 from loopcal.estimation.all_poses import AllPoses
@@ -24,7 +25,6 @@ from loopcal.estimation.stream.merit import Chunk, Task, joined
 from loopcal.execution.executor import Crew, in_order
 from loopcal.measurements.dataset import Dataset
 
-Array = NDArray[np.float64]
 Part = TypeVar("Part")
 # docs/decisions/0016.
 WORST = 100

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.problem.problem import Problem, Weighting, build_problem, refuse_too_few
 from loopcal.estimation.problem.starting import refuse_unreachable, start_corrections
@@ -30,7 +31,6 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 
-Array = NDArray[np.float64]
 Ratios = Sequence[tuple[Sequence[int], float]]
 """Positions of quantities, and by how much their variances are multiplied."""
 

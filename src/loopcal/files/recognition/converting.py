@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.files.project.source_table import SourceInstrument, SourceTable
 from loopcal.files.recognition.expressions import computed_column
@@ -26,7 +26,6 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
 from loopcal.units import to_si, unit
 
-Array = NDArray[np.float64]
 _OF = " of "
 """Between the header of a column and the label of its station or target, in rows of their own."""
 

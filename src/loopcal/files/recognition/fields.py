@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import listed
 from loopcal.files.recognition.headers import Heading, words
 from loopcal.files.tables.recording import Recording
 from loopcal.measurements.resolution import written_step
 from loopcal.units import unit
 
-Array = NDArray[np.float64]
 STATIONS = frozenset(words("columns", "station"))
 TOOLS = frozenset(words("columns", "tool"))
 TIMES = frozenset(words("columns", "time"))

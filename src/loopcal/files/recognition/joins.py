@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.recognition.fields import Field, Source, counted
 from loopcal.files.recognition.headers import sd_of
 from loopcal.files.recognition.shots import pooled
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 _SHARE_OF_STEP = 0.25
 """Rows of one time are nearer than this share of the time between rows."""

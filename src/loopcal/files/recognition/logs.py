@@ -6,14 +6,13 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.files.recognition.fields import Field, Source
 from loopcal.files.recognition.headers import stem
 from loopcal.files.recognition.joint_sets import usual_joints
 from loopcal.files.tables.recording import STILL, Recording, Series
 
-Array = NDArray[np.float64]
 _OFTEN = STILL / 4.0
 """[s] between rows of a log at most: some of them lie in each window. Poses come more slowly."""
 _FEW = 50

@@ -13,13 +13,13 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import Bodies, Mounted, see_lengths, see_points, see_poses
 from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.layouts import Seen
 from loopcal.units import to_si, unit
 
-Array = NDArray[np.float64]
 LENGTHS, ANGLES = ("m", "mm", "cm", "in"), ("rad", "deg", "gon")
 _MOST_TURNS = 4.0 * np.pi
 """No joint is read beyond this [rad]: readings that are larger are in degrees or gon."""

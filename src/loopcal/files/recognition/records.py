@@ -17,13 +17,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.files.tables.arrays import by_columns
 from loopcal.files.tables.raw import Text
 from loopcal.files.tables.table import Table
 
-Array = NDArray[np.float64]
 FEWEST = 3
 """Times that a form repeats at least."""
 _MOST = 50

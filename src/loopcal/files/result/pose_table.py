@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.document.result_document import MechanismEntry
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
@@ -20,7 +20,6 @@ from loopcal.files.result.pair import refuse_stale
 from loopcal.files.tables.readers import read_dataset
 from loopcal.files.tables.writer import Column, table_bytes
 
-Array = NDArray[np.float64]
 Named = Mapping[str, Array]
 
 

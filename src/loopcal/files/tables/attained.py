@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, listed, nearest, unknown_name
 from loopcal.files.recognition.headers import heading, meanings, words
 from loopcal.files.tables.readers import NAMELESS, read_table
@@ -24,7 +25,6 @@ from loopcal.files.tables.table import Table
 from loopcal.measurements.attained import AttainedPoses
 from loopcal.units import to_si, unit
 
-Array = NDArray[np.float64]
 ANGLES = ("rpy", "zyx", "rotvec")
 _POSITION = ("x", "y", "z")
 _FORMS = {

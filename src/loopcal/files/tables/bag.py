@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, unknown_name
 from loopcal.files.tables.isolated import files_of, from_child
@@ -23,7 +22,6 @@ from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
 from loopcal.files.tables.recording import Recording, Series, packed, unpacked
 from loopcal.files.tables.table import Table, positions_of
 
-Array = NDArray[np.float64]
 _TABLES = frozenset((".csv", ".tsv", ".txt", ".xlsx", ".parquet", ".mat", ".json"))
 _JOINTS = "sensor_msgs/msg/JointState"
 _AXES = ("x [m]", "y [m]", "z [m]", "qw", "qx", "qy", "qz")

@@ -10,6 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.tables import parquet
 from loopcal.files.tables.columns import (
@@ -25,7 +26,7 @@ from loopcal.files.tables.reader import Layout
 from loopcal.files.tables.registry import reader_of, refuse_other_options
 from loopcal.files.tables.spread import spread_rows
 from loopcal.files.tables.table import ROW, Table
-from loopcal.measurements.dataset import Array, Dataset, checked_every
+from loopcal.measurements.dataset import Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
 from loopcal.measurements.source import Source
 from loopcal.units import difference_to_si, to_si, unit

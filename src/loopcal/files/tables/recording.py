@@ -14,11 +14,11 @@ from io import BytesIO
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.lazy import cached_property
 from loopcal.presentation.shown import significant
 
-Array = NDArray[np.float64]
 STILL = 0.4
 """[s] for which a robot has to stand, and so long is a window."""
 MARGIN = 0.1

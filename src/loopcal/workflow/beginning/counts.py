@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.files.recognition.conditions import Conditions
 from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.layouts import Layout
@@ -25,7 +26,6 @@ from loopcal.files.recognition.meanings import Meaning, meanings
 from loopcal.units import from_si
 from loopcal.workflow.beginning.searching import Machine, as_large
 
-Array = NDArray[np.float64]
 COUNTS, WHOLE = 1e4, 1e3
 """Joint readings beyond this are in no unit of angle; whole numbers beyond the other."""
 _SPANS = {"rad": (0.5, 6.0), "m": (0.05, 3.0)}

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
@@ -36,7 +37,6 @@ from loopcal.presentation.shown import significant
 from loopcal.units import to_si, unit
 from loopcal.workflow.beginning.searching import Machine, Understood
 
-Array = NDArray[np.float64]
 _STEP = 1e-3
 """[s] of the difference quotient of the point by the delay."""
 _ROUNDS = 6

@@ -26,7 +26,6 @@ from loopcal.workflow.beginning.images_hand import Describe, Hand, flange_column
 from loopcal.workflow.beginning.images_project import CORNERS, WRONG, ImagesProject
 from loopcal.workflow.beginning.matching import matched
 
-Array = NDArray[np.float64]
 USUAL_LENS = "brown5"
 CENTRAL = 0.45
 """A principal point is no nearer to the edge than this share of how far corners reach. Chosen:

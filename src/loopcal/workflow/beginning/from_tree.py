@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.estimation.mounted import bodies_of, see_points
 from loopcal.estimation.problem.alignment import align
@@ -31,7 +31,6 @@ from loopcal.statistics.choice import FOLDS
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn, joint_noise
 from loopcal.workflow.beginning.tree_images import Eyes, Pictures, see, sources_and_pictures
 
-Array = NDArray[np.float64]
 GUESSED = {"m": (0.1, "mm"), "rad": (0.5, "mrad"), "px": (0.3, "px")}
 """Where the learning of the sds of observations begins, gaps of things that touch among them."""
 DRAWN_MM, DRAWN_MRAD = 2.0, 5.0

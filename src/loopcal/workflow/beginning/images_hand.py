@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.start import (
     CameraStart,
@@ -24,7 +24,6 @@ from loopcal.files.recognition.robots import Robot
 from loopcal.files.recognition.sources import sources_of
 from loopcal.workflow.beginning.begun import PROJECT, drawn, joint_noise
 
-Array = NDArray[np.float64]
 PLACE, TURN = 1e-4, 1e-4
 """Where the learning of sds begins: a stated pose [m], [rad]."""
 _LENGTH, _TWIST, _ZERO = 0.5, 1.0, 5.0

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import listed
 from loopcal.estimation.cameras.start import (
     CameraStart,
@@ -26,7 +27,6 @@ from loopcal.units import from_si
 from loopcal.workflow.beginning.begun import READINGS
 from loopcal.workflow.beginning.images_hand import Hand
 
-Array = NDArray[np.float64]
 CORNERS, WRONG = "corners.csv", "wrong-corners.csv"
 """Those of the project, and those that do not fit, which it leaves out."""
 CORNER = 0.02

@@ -76,7 +76,6 @@ from loopcal.workflow.beginning.understanding import USUAL as NEAR_ENOUGH
 from loopcal.workflow.beginning.understanding import Ask, understood
 from loopcal.workflow.beginning.weakest import weakest
 
-Array = NDArray[np.float64]
 # The nominal machine is good to millimetres (docs/decisions/0056).
 USUAL = 20e-3
 """A nominal machine is nearer to its readings than this [m]."""

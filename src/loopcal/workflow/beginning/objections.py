@@ -14,6 +14,7 @@ from itertools import chain, combinations, islice, pairwise, product
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import Code, InputError
 from loopcal.estimation.mounted import Bodies
 from loopcal.files.recognition.fields import Field, names_of
@@ -27,7 +28,6 @@ from loopcal.workflow.beginning.searching import (
     CLEARLY,
     NOTHING,
     PLAUSIBLE,
-    Array,
     Counting,
     Machine,
     Understood,

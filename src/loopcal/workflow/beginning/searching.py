@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.mounted import KEPT, Bodies, bodies_of, extent
 from loopcal.files.recognition.fields import names_of
 from loopcal.files.recognition.layouts import Layout
@@ -18,7 +19,6 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.closing import close_loops, reachable
 from loopcal.units import to_si
 
-Array = NDArray[np.float64]
 PLAUSIBLE = 0.1
 """What another meaning must leave at most to speak against a stated unit."""
 # Wrong units are wrong by factors of 10 to 1000 (docs/decisions/0056).

@@ -12,13 +12,12 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.estimation.mounted import Bodies, see_points
 from loopcal.estimation.problem.alignment import align
 from loopcal.files.recognition.meanings import Meaning
 
-Array = NDArray[np.float64]
 # Chosen, not derived: fewer points lie near any others, more take seconds to assign.
 _FEWEST, _MOST = 20, 300
 # Chosen, not derived: caps of searches that end by themselves, for their time.

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import NEAR, TURNED, Bodies, Mounted, see_points
 from loopcal.files.outputs import relative
@@ -31,7 +31,6 @@ from loopcal.units import from_si, to_si, unit
 from loopcal.workflow.beginning.begun import HEAD, JOINTS, READINGS
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
 
-Array = NDArray[np.float64]
 SDS = " sd"
 """The end of the columns of sds in the file of converted readings."""
 WIRE, CAMERA, TURN = 0.2e-3, 1e-3, 2e-3

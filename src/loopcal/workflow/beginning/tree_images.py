@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.start import CameraStart
 from loopcal.files.cameras.folder import Files, folders_of_images, of_images, read_files
@@ -26,7 +26,6 @@ from loopcal.workflow.beginning.from_images import by_camera, named, understood
 from loopcal.workflow.beginning.images_hand import Hand
 from loopcal.workflow.beginning.images_project import ImagesProject, word
 
-Array = NDArray[np.float64]
 # Chosen, not derived, as of the faults of a whole file: drawings miss by a hundredth, images of
 # another body by a third and more.
 ASTRAY, CLEARLY = 0.1, 1 / 3

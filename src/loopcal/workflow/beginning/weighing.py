@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import Bodies, Mounted, bodies_of, origin_rms, see_points
 from loopcal.estimation.problem.alignment import align
@@ -29,7 +29,6 @@ from loopcal.presentation.shown import with_unit
 from loopcal.units import unit
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
 
-Array = NDArray[np.float64]
 CONVINCING = 10.0
 """Twice a log likelihood by which one set of joints has to be better (odds of 150 to 1)."""
 MICROMETRES = 3e-6
