@@ -61,6 +61,14 @@ def changed_by_another(hand: Hand, wire: Wire, number: int) -> None:
     wire.wait("notify")
 
 
+def open_record(page: Any) -> None:
+    """Unfold what is stated of the record, which may be open already."""
+    operator = page.get_by_label(words.STATED["operator"], exact=True)
+    if not operator.is_visible():
+        page.get_by_text(f"of {len(words.STATED)} stated").click()
+    operator.wait_for()
+
+
 def heard(hand: Hand, wire: Wire) -> None:
     """The page hears all of it, and is drawn anew."""
     hand.page.evaluate("document.querySelector('.q-page [role=heading]').id = 'before'")
@@ -76,8 +84,7 @@ def test_what_is_being_written_stands_wherever_the_page_is_drawn_anew(
     for step in STEPS:
         hand.step(step)
         if step == "Deploy":
-            page.get_by_text(f"of {len(words.STATED)} stated").click()
-            page.get_by_label(words.STATED["operator"], exact=True).wait_for()
+            open_record(page)
         for label, kind in page.evaluate(FIELDS) if step != "Diagnose" else ():
             number += 1
             first, second = ("7", "3") if kind == "number" else ("wri", "tten")
@@ -158,6 +165,8 @@ def test_what_was_written_is_stated_also_where_the_field_is_gone_by_then(
     hand, wire = late
     page, project = hand.page, hand.folder / "project.toml"
     hand.step(step)
+    if step == "Deploy":
+        open_record(page)
     if step == "Plan":
         page.get_by_label("phi2 from", exact=True).fill("-30")
         page.keyboard.press("Tab")
@@ -169,10 +178,14 @@ def test_what_was_written_is_stated_also_where_the_field_is_gone_by_then(
     expect(page.get_by_label(label, exact=True)).to_have_value(said)
 
 
-@pytest.mark.parametrize("label", [words.POSES_TO_MEASURE, words.PULSES])
-def test_what_is_selected_stays_so_and_is_written_over(late: tuple[Hand, Wire], label: str) -> None:
+@pytest.mark.parametrize(
+    ("step", "label"), [("Plan", words.POSES_TO_MEASURE), ("History", words.EVENT)]
+)
+def test_what_is_selected_stays_so_and_is_written_over(
+    late: tuple[Hand, Wire], step: str, label: str
+) -> None:
     hand, wire = late
-    hand.step("Plan")
+    hand.step(step)
     field = hand.page.get_by_label(label, exact=True)
     field.fill("30")
     hand.page.keyboard.press("Tab")

@@ -26,6 +26,17 @@ SETTLED = "() => new Promise((done) => requestAnimationFrame(() => requestAnimat
 MADE_OF_NAMES = "document.querySelectorAll('img[src=\"x\"]').length + (window.hit ?? 0)"
 
 
+SPACE = Path(words.__file__).parent / "scripts" / "space.js"
+BOXED = """async (code) => {
+  const url = URL.createObjectURL(new Blob([code], { type: "text/javascript" }));
+  const { methods } = (await import(url)).default;
+  const figure = { traces: [{ at: [[0, 1], [0, 0], [0, 2]] }], fit() {} };
+  methods.boxed.call(figure);
+  return [figure.low, figure.high];
+}"""
+"""The ends of the axes of a figure in space whose points lie in a plane."""
+
+
 def opened(browser: Any, served: Served, size: str = "desktop", scheme: str = "light") -> Seen:
     """A page of the app, and what it asked for elsewhere and complained about."""
     seen = Seen(new_page(browser, SIZES[size], color_scheme=scheme))
@@ -83,6 +94,14 @@ def test_every_step_opens_in_its_window_with_names_as_text_and_contrast(
 
 
 SCROLLED = "() => Math.abs(scrollY - 150) < 2"
+
+
+def test_an_arm_that_lies_in_a_plane_has_room_in_every_direction(browser: Any) -> None:
+    """Axes without extent would leave the figure in space empty."""
+    page = new_page(browser)
+    low, high = page.evaluate(BOXED, SPACE.read_text("utf-8"))
+    assert (low, high) == ([0.0, -0.4, 0.0], [1.0, 0.4, 2.0])
+    page.close()
 
 
 def test_a_figure_that_left_the_page_draws_no_more(served: Served, browser: Any) -> None:

@@ -9,9 +9,8 @@ from typing import cast
 import numpy as np
 import pytest
 
-from loopcal.companions.app.pictures import Errors, joints_of, machine_figure
+from loopcal.companions.app.pictures import Errors, joints_of
 from loopcal.companions.app.predicting import Probe
-from loopcal.companions.app.scene import Scene
 from loopcal.companions.app.session import Session
 from loopcal.companions.app.sizes import SIZE, errors_by_name
 from loopcal.companions.app.views.data import corners_read
@@ -145,15 +144,3 @@ def test_the_map_shows_points_and_sds_of_lengths(source: Source) -> None:
     lengths = [np.linalg.norm(slope) for slope in slopes]
     assert np.allclose(levers(family, one)[:, 0], lengths, rtol=1e-6)
     assert float(np.median(found.sd)) < 1e-3
-
-
-def test_an_arm_that_lies_in_a_plane_has_room_in_every_direction(tmp_path: Path) -> None:
-    """Axes without extent would leave the figure empty."""
-    assert run("new", tmp_path / "arm", "--mechanism", "serial").returncode == 0
-    mechanism = read_project(tmp_path / "arm" / "project.toml").mechanism
-    drawn = machine_figure(Scene(mechanism), dict.fromkeys(joints_of(mechanism), 0.0))
-    assert drawn is not None
-    arm, *others = (np.array([trace[k] for k in "xyz"]) for trace in drawn["data"])
-    assert np.ptp(arm, axis=1).min() < 1e-9
-    shown = np.ptp(np.hstack([arm, *others]), axis=1)
-    assert shown.min() > 0.3 * shown.max()

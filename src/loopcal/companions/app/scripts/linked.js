@@ -88,3 +88,20 @@ const linked = {
 };
 
 addEventListener("pointerdown", (event) => (linked.shift = event.shiftKey), true);
+
+/* A figure that left the page would be kept, and drawn with every new size of the window. One that left
+   while it was drawn the first time is drawn to its end afterwards. */
+const gone = new MutationObserver((changes) => {
+  for (const figure of new Set(changes.map(({ target }) => target.closest(".plot")))) purge(figure);
+});
+const purge = (figure) => linked.plotly((Plotly) => {
+  if (figure?.data && !figure.isConnected) Plotly.purge(figure);
+});
+new MutationObserver((changes) => {
+  const nodes = changes.flatMap((change) => [...change.removedNodes]).filter((node) => node.querySelectorAll);
+  for (const figure of nodes.flatMap((node) => [node, ...node.querySelectorAll(".plot")]))
+    if (figure.matches(".plot") && !figure.isConnected) {
+      gone.observe(figure, { childList: true, subtree: true });
+      purge(figure);
+    }
+}).observe(document, { childList: true, subtree: true });
