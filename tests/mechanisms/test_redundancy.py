@@ -178,6 +178,9 @@ def test_what_is_fixed_or_has_a_prior_makes_room_for_others():
     found = {r.parameter for r in redundant(known, first=first)}
     assert not {"tool_x", "tool_y", "tool_z"} & found
     assert len(made.parameters) - len(found) == 30
+    # A guess is no knowledge: the flange need not do what the tool does.
+    guessed = made.with_parameters(made.parameters.with_prior({"tool_*": 0.2}))
+    assert redundant(guessed, first=first) == redundant(made, first=first)
 
 
 def test_parameters_that_shall_be_free_are_kept_first():

@@ -46,6 +46,9 @@ ROUNDING = 1e-14
 # Chosen, not derived: what a calibrated machine differs from its drawing (5 mrad) leaves less.
 EXCHANGED = 0.01
 """Share of a change that steps of other parameters may leave and still follow it."""
+# Chosen, not derived: several times what machines differ from their drawings.
+GUESSED = {"m": 4e-3, "rad": 0.05}
+"""Prior sds from which a parameter is known worse than any dimension of a machine."""
 # Chosen, not derived: far above rounding, far below `ALIKE`, of columns of length 1.
 _NOTHING = 1e-9
 # Rows and columns are scaled in turn; a rough balance is enough, because rank does not change.
@@ -92,12 +95,12 @@ def fix_redundant(
     others is fixed. Gone through are first those in `keep` (names or globs), which stay free in any
     case. Of an arm its instruments' parameters follow, then the joints' from base to tip. One is
     fixed where it does to the readings what those before it do together. Parameters with a prior
-    sd are left free. Joint zeros go ahead of all else of the joints: machines are
-    mastered worse than they are machined, and a length in the place of a zero has its error, times
-    the link. It is decided at the nominal values, at random poses within the joints'
-    limits. A value of 0 of an arm's instruments is taken as unknown, as that of
-    a target, and moved off; stated: names of those that are meant (default: all but what is free
-    and 0; where a station stands never matters).
+    sd are left free, and make room for others unless they are guessed (`GUESSED`). Joint zeros go
+    ahead of all else of the joints: machines are mastered worse than they are machined, and a
+    length in the place of a zero has its error, times the link. It is decided at the nominal
+    values, at random poses within the joints' limits. A value of 0 of an arm's instruments is taken
+    as unknown, as that of a target, and moved off; stated: names of those that are meant (default:
+    all but what is free and 0; where a station stands never matters).
 
     Where readings must fit each other, as those of parallel machines, give them, quantity -> (N,)
     [SI], say those of a `Simulation`; unmeasured: names or globs of quantities without a sensor.
@@ -149,6 +152,9 @@ def redundant(
 ) -> tuple[Redundant, ...]:
     """The free parameters without prior that need not be estimated.
 
+    A prior that is wider than `GUESSED` is no knowledge: what a parameter of `first` with such a
+    prior does, no other need do.
+
     ranges: quantity -> limits [SI] of the random poses (half a turn or 0.5 m to either side);
     readings: quantity -> (N,) values [SI] in place of random ones, for machines whose quantities
     must fit each other; first: names to be kept before all others, which come in the mechanism's
@@ -156,13 +162,19 @@ def redundant(
     moved by chance or to where they can be touched; unmeasured: quantities without a sensor.
     """
     free = [p.name for p in mechanism.parameters if not p.fixed and math.isinf(p.prior_sd)]
-    order = [n for n in dict.fromkeys((*first, *free)) if n in free]
-    if not order:
+    guessed = [
+        p.name
+        for p in mechanism.parameters
+        if not p.fixed and GUESSED.get(p.unit, math.inf) <= p.prior_sd < math.inf
+    ]
+    order = [n for n in dict.fromkeys((*first, *free)) if n in free or n in guessed]
+    if not free:
         return ()
     looked_at = samples(mechanism, ranges=ranges or {}, unsure=unsure, readings=readings or {})
     parts = [_columns(mechanism, sample, order, unmeasured) for sample in looked_at]
     units = [mechanism.parameters[name].unit for name in order]
     superfluous = _chosen(order, units, np.concatenate(parts))
+    superfluous = [one for one in superfluous if one.parameter in free]
     return tuple(sorted(superfluous, key=lambda one: free.index(one.parameter)))
 
 

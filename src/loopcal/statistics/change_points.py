@@ -30,7 +30,6 @@ from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.effects.drift import bent
 from loopcal.presentation.shown import wrapped
 from loopcal.statistics.estimated import log_tail
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
@@ -161,6 +160,8 @@ class _Step:
 
     def curved(self, bends: int) -> Array:
         """(N, R, d (1 + bends)) the same, and the terms of a curve beside it."""
+        from loopcal.mechanisms.effects.drift import bent  # loaded where it is used
+
         terms = [self._share, *bent(self._share, bends)]
         return np.concatenate([t[:, None, None] * self.candidate.columns for t in terms], axis=2)
 

@@ -222,7 +222,7 @@ def shift_lines(data: Dataset, points: Sequence[ChangePoint]) -> str:
 def _effects(data: Dataset, points: Sequence[ChangePoint], column: str) -> list[Shift | Drift]:
     if not points:
         return []
-    from loopcal.mechanisms.effects.drift import Drift, Shift
+    from loopcal.mechanisms.effects.drift import LENGTHS, Drift, Shift
 
     numbers = pose_numbers(data)
     first = {pose: float(number) for pose, number in zip(data.poses, numbers, strict=True)}
@@ -233,7 +233,7 @@ def _effects(data: Dataset, points: Sequence[ChangePoint], column: str) -> list[
     for p in {p.names: p for p in points if p.shape == "ramp"}.values():
         since, until = first[p.pose], first[p.after]
         title = f"drift of {', '.join(p.names)}"
-        changing = () if p.moved == "expansion" else p.names
+        changing = (LENGTHS,) if p.moved == "expansion" else p.names
         # Ending with the run, so that predictions hold for its end (docs/explanation/drift.md).
         span = until - since
         effects.append(Drift(changing, column, "1", since, span, title, until, p.bends))

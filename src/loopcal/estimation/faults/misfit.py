@@ -36,9 +36,9 @@ GROSS = 10.0
 # One over the normal distribution's quantile of 3/4.
 NORMAL = 1.4826
 """The sd of normal values, over the median of their distances from the middle."""
-# Chosen, not derived: rounds of leaving poses aside, steps of each, and rounds of a glance. A
-# placement in closed form is near.
-_ROUNDS, _STEPS, _GLANCES = 3, 10, 2
+# Chosen, not derived: rounds of leaving poses aside, and steps of each. A placement in closed form
+# is near.
+_ROUNDS, _STEPS = 3, 10
 # As in docs/decisions/0046.
 _MOUNTED = 5e-3
 """By how much [m] what is mounted on a body may be off the drawing."""
@@ -159,10 +159,9 @@ def beside(problem: Problem, steps: int = _STEPS) -> Callable[[Problem], float]:
     """What other readings of these poses leave, one step from where the nominal machine stands.
 
     Only for readings that it nearly fits, and others that are as near: one evaluation of the loops
-    and their slopes instead of a fit. Infinite where no loop closes.
+    instead of a fit. Infinite where no loop closes.
     """
-    scales, quantities = _scales(problem), problem.mechanism.tape.quantities
-    read = [quantities.index(q) for f in problem.mechanism.families for q in f.readings]
+    scales = _scales(problem)
     names = undrawn(problem.mechanism) or problem.names
     try:
         find = _misplaced(problem, scales, steps)
@@ -170,14 +169,12 @@ def beside(problem: Problem, steps: int = _STEPS) -> Callable[[Problem], float]:
         start = _fitted(taken(problem, good), _begun(problem), names, steps)
     except InputError:
         return lambda other: math.inf
+    linear = _Linear.at(problem, start, names, scales)
 
     def share(other: Problem) -> float:
-        # Joints alone do not change what instruments read, nor how far that spreads.
-        alike = bool(read) and np.array_equal(other.readings[read], problem.readings[read])
-        by = scales if alike else _scales(other)
-        linear = _Linear.at(_of(other, names, start), start, names, by)
-        left = e = linear.loops
-        for _ in range(_GLANCES):
+        e = np.array(list(residuals(other, start).values())) / _scales(other).loops
+        left = e = np.where(np.isfinite(e), e, 0.0).T
+        for _ in range(_ROUNDS):
             away = np.sqrt(np.square(left).sum(axis=1))
             if not np.isfinite(away).all():
                 return math.inf
@@ -301,13 +298,8 @@ def _begun(problem: Problem) -> Array:
 
 def _fitted(problem: Problem, start: Array, names: tuple[str, ...], iterations: int) -> Array:
     """All parameters after a least-squares fit of some of them, from a start (n_all,)."""
-    return solve(_of(problem, names, start), max_iterations=iterations).parameters
-
-
-def _of(problem: Problem, names: tuple[str, ...], start: Array) -> Problem:
-    """The least-squares problem of some parameters, from a start (n_all,)."""
     index = np.array([problem.names.index(n) for n in names], dtype=np.intp)
-    return replace(
+    part = replace(
         problem,
         start=start,
         free=problem.free[index],
@@ -315,6 +307,7 @@ def _of(problem: Problem, names: tuple[str, ...], start: Array) -> Problem:
         prior_sd=np.full(len(index), math.inf),
         weighting=Weighting.ALIKE,
     )
+    return solve(part, max_iterations=iterations).parameters
 
 
 @dataclass(frozen=True, eq=False)

@@ -227,11 +227,11 @@ def _gravest(file: _File, *, repaired: bool) -> tuple[Repair, ColumnFault] | Non
 def _roughly(problem: Problem, before: float, few: int) -> Callable[[Problem], float]:
     """The misfit of some poses, after a few steps at most.
 
-    Of a drawing that is near the readings as they stand, what repairs leave is linear in where
-    things stand: a repair that moves them much leaves more.
+    Of a drawing that fits the readings as they stand, what repairs leave is linear: a repair that
+    moves them much leaves more.
     """
     sample = _thinned(problem, few)
-    near = beside(sample) if before <= PLAUSIBLE and not unread(problem) else None
+    near = beside(sample) if before <= NEAR and not unread(problem) else None
 
     def share(some: Problem) -> float:
         if near is not None and some.poses == sample.poses:  # displaced rows are other poses

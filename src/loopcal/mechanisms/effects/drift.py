@@ -23,8 +23,8 @@ BENDS_MOST = 8
 _SHIFT_SD = {"rad": 0.1}
 """Prior sd of a shift by unit, else 0.01: 10 mm, and 6 degrees, for what slips may turn far."""
 
-_LENGTHS = "lengths"
-"""What drifts where all lengths do, in proportion."""
+LENGTHS = "lengths"
+"""What changes where all lengths of the machine do, in proportion."""
 Moving = Annotated[
     tuple[str, ...], Key("Parameters by names or globs, and readings by name.", least=1)
 ]
@@ -50,8 +50,8 @@ class Drift:
     k = 1 .. bends, with Chebyshev's polynomials T: nothing at both ends of the span.
 
     changing: parameters by names or globs, such as base_* for the place of an instrument, or
-    readings, whose zeros drift: x' = x - x_drift (t - since) / over; empty: all lengths of the
-    machine in proportion, by one parameter, as it warms up; column: the known constant t;
+    readings, whose zeros drift: x' = x - x_drift (t - since) / over; "lengths" alone: all
+    lengths of the machine in proportion, by one parameter, as it warms up; column: the known constant t;
     unit: of since, over and until, such as "s", "K" or "1"; since, over: where the drift is zero,
     and the span in which it grows to P_drift [m or rad]; until: where the drift ended. Readings
     beyond it are taken there, and those to predict from that lack the column; where it is `since`,
@@ -62,7 +62,10 @@ class Drift:
 
     changing: Annotated[
         tuple[str, ...],
-        Key("Parameters by names or globs, and readings; empty: all lengths in proportion."),
+        Key(
+            'Parameters by names or globs, readings, or "lengths" alone: all in proportion.',
+            least=1,
+        ),
     ] = ("base_*",)
     column: Column = "t"
     unit: Annotated[str, Key("Unit of since, over and until.", is_unit=True)] = "1"
@@ -90,15 +93,16 @@ class Drift:
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """P_drift of each parameter, in its unit, or of all lengths, and those of its bends."""
-        drifting = _units(mechanism, self.changing) if self.changing else {_LENGTHS: "1"}
+        grows = self.changing == (LENGTHS,)
+        drifting = {LENGTHS: "1"} if grows else _units(mechanism, self.changing)
         return {
             f"{name}_drift{term}": Parameter(
                 f"{name}_drift{term}",
                 0.0,
                 si,
                 DRIFT_SD,
-                meaning=f"{said} of {name if self.changing else 'all lengths'} along the run",
-                changes=name if self.changing else "",
+                meaning=f"{said} of {'all ' * grows}{name} along the run",
+                changes="" if grows else name,
             )
             for name, si in drifting.items()
             for term, said in self._terms
@@ -127,9 +131,9 @@ class Drift:
             ends = [term for term, _ in self._terms]
             return sum(p[f"{name}_drift{end}"] * s for end, s in zip(ends, shares, strict=True))
 
-        if not self.changing:
+        if self.changing == (LENGTHS,):
             lengths = [q.name for q in mechanism.parameters if q.dimension == "length"]
-            return {name: p[name] * (1.0 + drift(_LENGTHS)) for name in lengths}
+            return {name: p[name] * (1.0 + drift(LENGTHS)) for name in lengths}
         return {name: _moved(name, drift(name), x, p) for name in _units(mechanism, self.changing)}
 
     def latest(self) -> dict[str, float]:
