@@ -173,8 +173,8 @@ def redundant(
     looked_at = samples(mechanism, ranges=ranges or {}, unsure=unsure, readings=readings or {})
     parts = [_columns(mechanism, sample, order, unmeasured) for sample in looked_at]
     units = [mechanism.parameters[name].unit for name in order]
-    superfluous = _chosen(order, units, np.concatenate(parts))
-    superfluous = [one for one in superfluous if one.parameter in free]
+    chosen = _chosen(order, units, np.concatenate(parts))
+    superfluous = [one for one in chosen if one.parameter in free]
     return tuple(sorted(superfluous, key=lambda one: free.index(one.parameter)))
 
 

@@ -50,8 +50,8 @@ class Drift:
     k = 1 .. bends, with Chebyshev's polynomials T: nothing at both ends of the span.
 
     changing: parameters by names or globs, such as base_* for the place of an instrument, or
-    readings, whose zeros drift: x' = x - x_drift (t - since) / over; "lengths" alone: all
-    lengths of the machine in proportion, by one parameter, as it warms up; column: the known constant t;
+    readings, whose zeros drift: x' = x - x_drift (t - since) / over; "lengths" alone: all lengths
+    of the machine in proportion, by one parameter, as it warms up; column: the known constant t;
     unit: of since, over and until, such as "s", "K" or "1"; since, over: where the drift is zero,
     and the span in which it grows to P_drift [m or rad]; until: where the drift ended. Readings
     beyond it are taken there, and those to predict from that lack the column; where it is `since`,
