@@ -1,4 +1,4 @@
-"""One limb of a robot of several as an arm of its own."""
+"""Cut one limb out of a robot that has several, as an arm."""
 
 from __future__ import annotations
 

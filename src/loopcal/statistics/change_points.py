@@ -338,15 +338,12 @@ class Search:
     def _alike(self, rest: Fitted, step: _Step) -> list[_Candidate]:
         """What explains a step about as well."""
         names, log_p = {*step.candidate.change.names}, rest.step(step.columns).log_p()
-        others = [
-            c
-            for c in self.candidates
-            if (c.change.ramps if step.ramp else c.change.steps) and not {*c.change.names} & names
-        ]
         return [
             c
-            for c in others
-            if rest.step(replace(step, candidate=c).columns).log_p() - log_p < _ALIKE
+            for c in self.candidates
+            if (c.change.ramps if step.ramp else c.change.steps)
+            and not {*c.change.names} & names
+            and rest.step(replace(step, candidate=c).columns).log_p() - log_p < _ALIKE
         ]
 
     def _bends(self, fit: Fitted, step: _Step) -> int:

@@ -168,8 +168,11 @@ class Views:
         return self.fk(q, units=units)
 
     def limb(self, body: str) -> Limb:
-        """One limb of a robot of several, by the body at its end: an arm of its own, of which
-        `export`, `correct`, `predict` and `fk` are. Raises InputError for what is no body."""
+        """The limb that ends at a body, for a robot that has several limbs.
+
+        It is an arm: `export`, `correct`, `predict` and `fk` work on it. Raises InputError where
+        the robot has no such body.
+        """
         return Limb(self, body)
 
     def export(self, to: str, **options: Any) -> Any:
