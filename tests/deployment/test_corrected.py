@@ -296,3 +296,15 @@ def test_transitions_seen_by_two_instruments_without_station_find_their_base() -
     assert arms.machine.base == pytest.approx(T, abs=1e-9)
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 6))
     assert arms.machine(q) == pytest.approx(arms.controller(q), abs=1e-9)
+
+
+def test_conditions_that_the_calibration_did_not_see_are_remarked() -> None:
+    arm = lc.with_effects(loops.drawing(loops.ARMS["six-axis"]), [lc.effects.Thermal()])
+    rng = np.random.default_rng(3)
+    q = dict(zip(NAMES, drawn(loops.BOXES["six-axis"], 40, rng).T, strict=True))
+    noise = lc.Noise(dict.fromkeys(NAMES, 3e-5) | dict.fromkeys("xyz", 2e-5))
+    read = lc.simulate(arm, q | {"temperature": rng.uniform(293.0, 299.0, 40)}, noise=noise, seed=1)
+    result = lc.calibrate(arm, read.dataset, noise=noise, method="implicit-loop")
+    for celsius, remarked in ((26.0, False), (40.0, True)):
+        done = lc.correct(result, targets(2), at={"temperature": 273.15 + celsius})
+        assert ("temperature reaches 40 degC" in done.words()) is remarked

@@ -63,6 +63,31 @@ def test_coefficients_are_recovered_in_python() -> None:
         assert abs(result.value[name] - true) < 4 * sd, name
 
 
+def predicted_at(calibration: lc.Result, celsius: float) -> str:
+    at = {"phi2": [0.1, 0.2], "phi3": [1.0, 1.2], "temperature": [298.15, 273.15 + celsius]}
+    return lc.predict(calibration, at).words()
+
+
+def test_a_temperature_far_from_those_of_the_calibration_is_named(tmp_path: Path) -> None:
+    arm = warmed()
+    made = lc.simulate(arm, poses(30), noise=NOISE, seed=3, truth=TRUTH)
+    first = lc.calibrate(arm, made.dataset, noise=NOISE, method="implicit-loop")
+    first.save(tmp_path / "first")
+    for result in (first, lc.read_result(tmp_path / "first")):
+        assert "OTHER CONDITIONS" not in predicted_at(result, 36.0)
+        words = predicted_at(result, 60.0)
+        low, high = (made.dataset["temperature"][[i]][0] - 273.15 for i in ends(made.dataset))
+        assert f"temperature reaches 60 degC; the calibration was measured at {low:.3g}" in words
+        assert f"{low:.3g} degC to {high:.3g} degC" in words
+    hot = poses(30) | {"temperature": np.full(30, 333.15)}
+    later = lc.simulate(arm, hot, noise=NOISE, seed=4, truth=TRUTH).dataset
+    assert "OTHER CONDITIONS" not in predicted_at(lc.update(first, later), 60.0)
+
+
+def ends(data: lc.Dataset) -> tuple[int, int]:
+    return int(data["temperature"].argmin()), int(data["temperature"].argmax())
+
+
 PROJECT = """
 schema = 1
 fit = { method = "implicit-loop" }

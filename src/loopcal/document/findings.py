@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 from loopcal.document.bounds import Count, Probability, Size
 from loopcal.presentation.shown import significant, with_unit
@@ -293,6 +293,8 @@ class PredictionEntry:
     """Quantities that no sensor read: a column of one holds start values only."""
     region: RegionEntry | None = None
     """The working region; null: not known, or written by an earlier version."""
+    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Temperature, load or another known column -> least and largest value [SI] in the poses."""
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from loopcal.estimation.noise.learning import entries, words
 from loopcal.estimation.noise.term_parts import term_entries
 from loopcal.estimation.noise.variances import all_learnt
 from loopcal.estimation.prediction import output_differences
+from loopcal.estimation.problem.constants import conditions_of
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.residuals import Closure, by_name, residuals
@@ -482,6 +483,15 @@ class FitResult:
         return data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities])
 
     @property
+    def conditions(self) -> dict[str, tuple[float, float]]:
+        """Known column (temperature, load) -> its range [SI] here and in what was updated."""
+        ranges = {} if self.inherited is None else dict(self.inherited.conditions)
+        for name, (low, high) in conditions_of(self.mechanism, self.problem.pose_constants).items():
+            before = ranges.get(name, (low, high))
+            ranges[name] = min(low, before[0]), max(high, before[1])
+        return ranges
+
+    @property
     def chosen(self) -> Chosen | None:
         """What the method "auto" chose; None: the method was stated."""
         return self.parts.chosen
@@ -501,11 +511,13 @@ UPDATED = "implicit loop, updated"
 class Inherited:
     """covariance: (n, n) [SI] what the estimated parameters gain, because the earlier covariance is
     larger than its information says (dependent residuals, learnt sds); terms: what it learnt of the
-    model error; noise: the sds of sensors, empty where others were stated."""
+    model error; noise: the sds of sensors, empty where others were stated; conditions: in which it
+    was measured, as `FitResult.conditions`."""
 
     covariance: Array
     terms: tuple[TermEntry, ...]
     noise: tuple[NoiseEntry, ...]
+    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def added_to(self, covariance: LearntCovariance, S: Array | None = None) -> LearntCovariance:
         """The covariance of the estimated parameters with it, or that of S (N, m, n) times them."""

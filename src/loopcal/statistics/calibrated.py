@@ -41,7 +41,8 @@ class Calibrated:
     residual: of a method that takes the readings as exact; gain: the covariance at the sds that the
     fit used, were no residuals dependent, by which the prior weighed; None is `covariance`;
     scatter: the covariance (n_all, n_all) that the poses themselves show, where it is known;
-    hidden: quantities that no sensor reads, and where they usually are [SI].
+    hidden: quantities that no sensor reads, and where they usually are [SI]; conditions: in which
+    it was measured (`FitResult.conditions`).
     """
 
     name: str
@@ -59,6 +60,7 @@ class Calibrated:
     gain: Array | None = None
     scatter: Scatter | None = None
     hidden: Mapping[str, float] = field(default_factory=dict)
+    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, result: FitResult, name: str) -> Calibrated:
@@ -84,6 +86,7 @@ class Calibrated:
             LearntCovariance.certain(result.spectrum.covariance()).within(size, free).matrix,
             seen and seen.through(np.eye(size)[:, free]),
             _hidden(result),
+            result.conditions,
         )
 
     @classmethod
@@ -126,6 +129,7 @@ class Calibrated:
             else LearntCovariance.certain(unwidened).within(len(names), free).matrix,
             scatter=seen and seen.through(np.eye(len(names))[:, free]),
             hidden={} if stored is None else {q: stored.typical[q] for q in stored.unmeasured},
+            conditions={} if stored is None else stored.conditions,
         )
 
     @property

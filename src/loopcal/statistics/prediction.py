@@ -57,7 +57,8 @@ class Prediction:
     belong together: those of one unit that one instrument reads. freedom (N, o), denominator (N,):
     degrees of freedom of Student's t of each output, and of the denominator of F of all; inf where
     the sds are known and none was learnt from the calibration. by_residuals: whether the residuals
-    of the fit stand for the noise of the readings.
+    of the fit stand for the noise of the readings; unlike: what is said of conditions that the
+    calibration did not see (`Predictor.unlike`).
     """
 
     __repr__ = brief
@@ -72,6 +73,7 @@ class Prediction:
     freedom: Array
     denominator: Array
     by_residuals: bool = False
+    unlike: tuple[str, ...] = ()
 
     @property
     def covariance(self) -> Array:
@@ -199,7 +201,7 @@ class Prediction:
                 if of_it.any():
                     spread = _spread(covariance[of_it], group)
                     lines.append(f"sd{of} caused by {name}: {spread}")
-        return "\n".join(lines + self._alarm())
+        return "\n".join([*lines, *self._alarm(), *self.unlike])
 
     def _named(self) -> list[str]:
         """What tells the groups of several instruments apart."""
@@ -280,6 +282,7 @@ def predict(
         total.freedom,
         total.denominator,
         at.by_residuals,
+        tuple(calibrated.unlike(data.readings)),
     )
 
 

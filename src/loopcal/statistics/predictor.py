@@ -35,9 +35,13 @@ from loopcal.statistics.calibrated import (
     residual_factor,
     stored_covariance,
 )
+from loopcal.units import from_si
 
 # The 95 % point over 2000 poses is sure to half a per cent of them: sqrt(0.95 x 0.05 / 2000).
 _MOST_POSES = 2000
+# Chosen, not derived: a linear law that was measured over a range is trusted somewhat beyond it.
+_BEYOND = 0.25
+"""Share of the range of a condition by which it may be left without a word."""
 # Chosen, not derived: far above rounding, far below an effect that counts.
 _UNSEEN = 1e-6
 """An undetermined direction moves an output if more than this share of its single effects is
@@ -92,7 +96,8 @@ class Predictor:
     neither data nor prior limit; readings: what is known of their noise; usual: by instrument, the
     sd that parameters alone cause; typical: quantity -> a reading [SI] to start the search for
     outputs from; at_poses: (n, n) the covariance for the poses of the fit, None: the same; factor:
-    by which the variances are larger here than the result states them, for its residuals are.
+    by which the variances are larger here than the result states them, for its residuals are;
+    conditions: known column (temperature, load) -> its range [SI] in the calibration.
     """
 
     __repr__ = brief
@@ -106,6 +111,7 @@ class Predictor:
     typical: Mapping[str, float] = field(default_factory=dict)
     at_poses: Array | None = None
     factor: float = 1.0
+    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def units(self) -> dict[str, str]:
@@ -123,7 +129,32 @@ class Predictor:
             tuple(map(tuple, self.undetermined.T.tolist())),
             self.usual,
             tuple(sorted(self.readings.unmeasured)),
+            conditions=self.conditions,
         )
+
+    def unlike(self, columns: Mapping[str, Array]) -> list[str]:
+        """A sentence for each known column (N,) [SI] that leaves the range of the calibration."""
+        words = []
+        for name, (low, high) in self.conditions.items():
+            values, beyond = columns.get(name, np.zeros(0)), _BEYOND * (high - low)
+            off = values[(values < low - beyond) | (values > high + beyond)]
+            if off.size:
+                unit = self.mechanism.pose_constants[name]
+                far = float(off[np.argmax(np.maximum(low - off, off - high))])
+                span = " to ".join(dict.fromkeys(_state(v, unit) for v in (low, high)))
+                words.append(
+                    f"OTHER CONDITIONS  {name} reaches {_state(far, unit)}; the calibration was "
+                    f"measured at {span}. What the machine does beyond is extrapolated. Measure "
+                    "poses there and update."
+                )
+        return words
+
+
+def _state(value: float, unit: str) -> str:
+    """A state, not a difference: temperatures are in degC."""
+    if unit == "K":
+        return f"{from_si(value, 'degC'):.3g} degC"
+    return with_unit(value, unit)
 
 
 def largest_by_unit(usual: Sequence[UsualSd]) -> dict[str, float]:
@@ -171,6 +202,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
         usual,
         stored.typical,
         factor=residual_factor(rejected),
+        conditions=stored.conditions,
     )
 
 
@@ -210,7 +242,7 @@ def predictor(result: FitResult) -> Predictor | None:
         replace(one, residual=_residual_sd(result, groups[one.instrument, one.unit].outputs))
         for one in made.usual
     )
-    return replace(made, usual=usual, factor=factor)
+    return replace(made, usual=usual, factor=factor, conditions=result.conditions)
 
 
 def _residual_sd(result: FitResult, outputs: Sequence[str]) -> float | None:

@@ -176,7 +176,8 @@ def updated(
             else calibrated.terms
         )
         noted = () if held else calibrated.noise
-        result = replace(result, inherited=Inherited(prior.widened(result), terms, noted))
+        handed_on = Inherited(prior.widened(result), terms, noted, calibrated.conditions)
+        result = replace(result, inherited=handed_on)
     result = result.noted(*allowance.words, *([CONDITIONS] if conditions.size else []))
     if (words := _unchanged(calibrated, result, placed)) is not None:
         result = result.noted(words)

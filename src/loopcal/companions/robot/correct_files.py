@@ -364,4 +364,6 @@ def _remarks(tool: Tool, arms: Arms, result: Any) -> tuple[str, ...]:
         said.append(
             f"No limits are stated for {', '.join(unlimited)}: limits of joints are not checked."
         )
+    at = {name: np.array([value]) for name, value in arms.machine.constants.items()}
+    said += result.predictor.unlike(at)
     return tuple(said)

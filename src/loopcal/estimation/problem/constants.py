@@ -57,6 +57,21 @@ def as_now(mechanism: Mechanism, constants: Array) -> Array:
     return now
 
 
+def conditions_of(mechanism: Mechanism, constants: Array) -> dict[str, tuple[float, float]]:
+    """Constants (c, N) [SI] of its tape that a machine may meet again -> their ranges.
+
+    Not those that date a change, the numbers of an orientation, and what no loop depends on.
+    """
+    turns = {column for orientation in mechanism.orientations for column in orientation.columns}
+    used = frozenset().union(*mechanism.tape.depends_on())
+    aside = {*mechanism.latest, *turns, *directions(mechanism)}
+    return {
+        name: (float(values.min()), float(values.max()))
+        for name, values in zip(mechanism.tape.pose_constants, constants, strict=True)
+        if name in used - aside and values.size
+    }
+
+
 def constants_by_pose(mechanism: Mechanism, data: Dataset) -> Array:
     """The constants (c, N) [SI] of every pose; where an orientation was not measured, any one.
 
