@@ -57,6 +57,23 @@ def test_lists_of_all_rows_are_columns() -> None:
     assert np.array_equal(numbers(made, 1), [2, 5, 8, 1])
 
 
+@pytest.mark.parametrize("head", ["", "samples:\n"])
+@pytest.mark.parametrize(
+    "form",
+    [
+        "- q: [{0}, {1}]\n  p: [{2}]\n",
+        "  - {{a: {0}, alpha: {1}, d: {2}}}\n",
+        "- a: {0}\n  b: {1}\n  c: {2}\n",
+    ],
+)
+def test_the_first_item_of_a_list_of_yaml_is_a_row_too(head: str, form: str) -> None:
+    made = table(head + "".join(form.format(*v) for v in VALUES))
+    assert made is not None
+    assert len(made.rows) == len(VALUES)
+    for i, values in enumerate(zip(*VALUES, strict=True)):
+        assert np.array_equal(numbers(made, i), values)
+
+
 def test_what_is_missing_is_no_shift_of_rows() -> None:
     whole = [f'{{"q": {i}, "x": {i}.5, "y": {i}.25}}\n' for i in range(6)]
     lacking = [*whole[:3], '{"q": 3, "y": 3.25}\n', *whole[4:]]

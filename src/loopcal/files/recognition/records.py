@@ -39,7 +39,7 @@ _IN_LISTS = frozenset(",;[](){}")
 _WORD = r"\s{0,9}['\"]?[A-Za-z_]\w{0,80}['\"]?\s{0,9}"
 _NAMES = re.compile(rf"\[({_WORD}(?:,{_WORD}){{1,60}})\]")
 """A list of words, such as the names of joints in a message of ROS."""
-_BLOCK = re.compile(r":[ \t]{0,9}((?:\n[ \t]{0,20}-[ \t][^\n:]{1,80})+)")
+_BLOCK = re.compile(r":[ \t]{0,9}((?:\n[ \t]{0,20}-[ \t][^\n:]{1,80}(?=\n|\Z))+)")
 """A list of YAML with an item per line."""
 _TAG = re.compile(
     r"<(?P<element>[A-Za-z]\w{0,40})(?P<rest>(?:\s{1,9}[A-Za-z][\w:]{0,40}=\"[^\"<>]{0,200}\"){2,60})"
