@@ -669,6 +669,35 @@ def _(w: World, p: Path) -> Case:
     return Case([one, two], rows=b)
 
 
+@layout("ids P01, and numbers ahead of points without a header, two rows lost")
+def _(w: World, p: Path) -> Case:
+    b = ~np.isin(np.arange(POSES), [9, 22])
+    order = w.rng.permutation(POSES)
+    names = {"Name": [f"P{i + 1:02d}" for i in order]}
+    one = written(p / "robot.csv", {**names, **{k: v[order] for k, v in joints(w).items()}})
+    points = {"": 1 + np.flatnonzero(b)} | {k: v[b] for k, v in xyz("{}", w.points).items()}
+    two = written(p / "points.txt", points, sep="\t", header=False)
+    return Case([one, two], rows=order[b[order]])
+
+
+@layout("a file of JSON per pose")
+def _(w: World, p: Path) -> Case:
+    for i, (q, point) in enumerate(zip(w.read.tolist(), w.points.tolist(), strict=True)):
+        seen = dict(zip("xyz", point, strict=True))
+        (p / f"sample_{i:03d}.json").write_text(json.dumps({"joints": q, "measured": seen}))
+    return Case([f"sample_{i:03d}.json" for i in range(POSES)])
+
+
+@layout("a list of YAML")
+def _(w: World, p: Path) -> Case:
+    items = [
+        f"- joints: {q}\n  point: {point}\n"
+        for q, point in zip(w.read.tolist(), w.points.tolist(), strict=True)
+    ]
+    (p / "samples.yaml").write_text("samples:\n" + "".join(items))
+    return Case(["samples.yaml"])
+
+
 @layout("two files without ids, shuffled")
 def _(w: World, p: Path) -> Case:
     order = w.rng.permutation(POSES)

@@ -63,7 +63,7 @@ def test_coefficients_are_recovered_in_python() -> None:
         assert abs(result.value[name] - true) < 4 * sd, name
 
 
-def predicted_at(calibration: lc.Result, celsius: float) -> str:
+def predicted_at(calibration: lc.Result | lc.SavedResult, celsius: float) -> str:
     at = {"phi2": [0.1, 0.2], "phi3": [1.0, 1.2], "temperature": [298.15, 273.15 + celsius]}
     return lc.predict(calibration, at).words()
 

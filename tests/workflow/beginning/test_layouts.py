@@ -119,10 +119,21 @@ def test_coordinates_in_a_file_of_their_own_are_no_turn(tmp_path: Path) -> None:
             ~np.isin(np.arange(POSES), [4, 19, 31]),
         ),
         ("a few numeric ids measured twice", np.ones(POSES, dtype=bool)),
+        ("a file of JSON per pose", np.ones(POSES, dtype=bool)),
+        ("a list of YAML", np.ones(POSES, dtype=bool)),
     ],
 )
 def test_files_of_unlike_lengths_are_joined(tmp_path: Path, name: str, rows: np.ndarray) -> None:
     world, made = begun(name, tmp_path)
+    assert np.allclose(joint_readings(made), world.read[rows], atol=1e-6)
+    assert np.allclose(made.dataset["x"], world.points[rows, 0], atol=1e-6)
+
+
+def test_numbers_in_ids_join_files_whose_rows_are_in_another_order(tmp_path: Path) -> None:
+    name = "ids P01, and numbers ahead of points without a header, two rows lost"
+    world, made = begun(name, tmp_path)
+    rows = [int(pose.removeprefix("P")) - 1 for pose in made.dataset.poses]
+    assert sorted(rows) == [i for i in range(POSES) if i not in (9, 22)]
     assert np.allclose(joint_readings(made), world.read[rows], atol=1e-6)
     assert np.allclose(made.dataset["x"], world.points[rows, 0], atol=1e-6)
 

@@ -30,6 +30,7 @@ from loopcal.presentation.shown import with_unit
 _MADE = ("result.json", "project.toml")
 """Beside them stands what loopcal wrote."""
 _TABLES = (".csv", ".tsv", ".txt")
+_RECORDS = (".json", ".yaml", ".yml")
 _IMAGES = frozenset(words("corners", "image"))
 _SAME = 1e-3
 """Two descriptions of a board agree within this share of its size: printed sizes are rounded."""
@@ -71,6 +72,8 @@ def tables_of(entries: Sequence[Any]) -> list[Any]:
         folder = isinstance(entry, str | Path) and Path(entry).is_dir()
         texts = [p for p in files_of([entry]) if p.suffix.lower() in _TABLES] if folder else []
         tables = [p for p in texts if p.suffix.lower() != ".txt" or len(_header(p)) > 1]
+        if folder and not tables:  # a file per pose
+            tables = [p for p in files_of([entry]) if p.suffix.lower() in _RECORDS]
         reader = reader_of(entry) if folder and not tables else None
         if reader and not any(Path(entry).glob(reader.in_folder or "*.parquet")):
             raise InputError(

@@ -14,14 +14,15 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
+from loopcal.files.cameras.folder import tables_of
 from loopcal.files.project.source_table import SourceInstrument, SourceTable
 from loopcal.files.recognition.expressions import computed_column
-from loopcal.files.recognition.fields import STATIONS, Field, Source, unnamed
+from loopcal.files.recognition.fields import STATIONS, Field, unnamed
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import Seen, at_station
 from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.meanings import Meaning, inverse, polar, positions, rotations
-from loopcal.files.recognition.sources import sources_of
+from loopcal.files.recognition.sources import sources_of_all
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
 from loopcal.units import to_si, unit
@@ -164,9 +165,7 @@ def _key(fields: Fields, column: Field) -> str | int:
 
 def source_fields(paths: Sequence[Any], table: SourceTable) -> Fields:
     """The columns of files or tables in the layout of a source."""
-    sources: list[Source] = []
-    for path in paths:
-        sources += sources_of(path, len(sources), table.sheet)
+    sources = sources_of_all(tables_of(paths), table.sheet)
     fields = joined(at_rest(sources, [str(c.column) for c in table.columns.values()])[0])
     standing = [f for f in fields.fields if f.stem in STATIONS and len(f.labels) == 1]
     if table.stations is not None or not standing:

@@ -6,6 +6,7 @@ mutual, and nearer than a quarter of the time between two rows.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -23,6 +24,8 @@ _SHARE_OF_STEP = 0.25
 """Rows of one time are nearer than this share of the time between rows."""
 ROUNDED = 1e-6
 """Readings that two tables share differ by no more than this share of their span."""
+_NUMBERED = re.compile(r"\D*0*(?P<number>\d+)\D*")
+"""An id with one number in it: P07 and 7 are of one pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +44,9 @@ class Fields:
 
 
 def joined(sources: Sequence[Source]) -> Fields:
-    """The tables side by side: by pose ids where all have them, else by time where all state it,
-    else by row order. Tables with the same columns stand one below the other.
+    """The tables side by side: by pose ids where all have them, or the numbers in these, else by
+    time where all state it, else by row order. Tables with the same columns stand one below the
+    other.
 
     Raises InputError where none of this is possible, or where tables have rows of unlike poses.
     """
@@ -57,6 +61,8 @@ def joined(sources: Sequence[Source]) -> Fields:
         common = [i for i in first.ids or () if all(i in ids for ids in others)]
         if common:
             return _by_ids(sources, common)
+    if numbered := in_numbers(sources):
+        return _by_ids(*numbered, by="the numbers in their ")
     timed = _by_time(sources)
     if timed is not None:
         return timed
@@ -73,6 +79,38 @@ def joined(sources: Sequence[Source]) -> Fields:
     fields = _without_doubles([f for s in sources for f in s.fields])
     remark = f"{' and '.join(lengths)} share no pose ids: their rows are joined by order"
     return Fields(tuple(sources), poses, fields, True, (remark,))
+
+
+def in_numbers(sources: Sequence[Source]) -> tuple[list[Source], list[str]] | None:
+    """The tables with the ids of the first where the numbers in them agree, and those in all; None
+    where numbers repeat, or less than half of a table is in all.
+
+    Where a table has no ids, an unnamed first column that counts takes their place.
+    """
+    numbered, names = [], dict[str, str]()
+    for source in sources:
+        ids, rest = source.ids, source.fields
+        if ids is None:
+            column = next((f for f in rest if f.position == 0 and f.heading is None), None)
+            if column is None or not _counts(column.values):
+                return None
+            ids = tuple(f"{value:.0f}" for value in column.values)
+            rest = tuple(f for f in rest if f is not column)
+        matches = [_NUMBERED.fullmatch(name) for name in ids]
+        numbers = tuple(match["number"] for match in matches if match)
+        if not len(ids) == len(numbers) == len({*numbers}):
+            return None
+        names = dict(zip(numbers, ids, strict=True)) | names
+        # A project joins files by equal ids alone: these readings go into a file of their own.
+        numbered.append(replace(source, ids=numbers, fields=rest, path=None, label=source.name))
+    numbered = [replace(s, ids=tuple(names[i] for i in s.ids or ())) for s in numbered]
+    others = [{*(s.ids or ())} for s in numbered[1:]]
+    common = [name for name in numbered[0].ids or () if all(name in ids for ids in others)]
+    return (numbered, common) if 2 * len(common) > min(map(len, sources)) else None
+
+
+def _counts(values: Array) -> bool:
+    return bool((values == np.round(values)).all() and (np.diff(values) > 0.0).all())
 
 
 def _by_time(sources: Sequence[Source]) -> Fields | None:
@@ -145,13 +183,13 @@ def _one_row_per_pose(sources: Sequence[Source]) -> Sequence[Source]:
     return made
 
 
-def _by_ids(sources: Sequence[Source], common: Sequence[str]) -> Fields:
+def _by_ids(sources: Sequence[Source], common: Sequence[str], by: str = "") -> Fields:
     fields = []
     for source in sources:
         where = {pose: i for i, pose in enumerate(source.ids or ())}
         rows = np.array([where[pose] for pose in common], dtype=np.intp)
         fields += [replace(f, values=f.values[rows]) for f in source.fields]
-    remarks = [f"the files are joined by pose ids: {len(common)} poses are in all of them"]
+    remarks = [f"the files are joined by {by}pose ids: {len(common)} poses are in all of them"]
     for source in sources:
         if len(source) > len(common):
             remarks.append(

@@ -31,13 +31,16 @@ from loopcal.files.recognition.headers import (
     stem,
     words,
 )
+from loopcal.files.recognition.joins import in_numbers
 from loopcal.files.recognition.lists import listed_columns
+from loopcal.files.recognition.records import FEWEST, are_records, records_table
 from loopcal.files.recognition.shots import MOST_TARGETS, pooled, widened
 from loopcal.files.recognition.turned_over import turned_over
 from loopcal.files.tables import bag
 from loopcal.files.tables.cells import is_missing, is_number
+from loopcal.files.tables.raw import Text, read_text
 from loopcal.files.tables.recording import Recording
-from loopcal.files.tables.registry import reader_of
+from loopcal.files.tables.registry import TEXT, reader_of
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.days import seconds_of
@@ -48,6 +51,9 @@ _IDS = frozenset(words("columns", "pose"))
 _TARGETS = frozenset(words("columns", "target"))
 _ANGLES = frozenset(words("columns", "azimuth") + words("columns", "elevation"))
 _NUMBER_FIRST = re.compile(r"[-+]?\d")
+_DIGITS = re.compile(r"\d+")
+_SMALL = 100_000
+"""Bytes of a file that may hold a single pose."""
 _FEW = 10
 """Rows at most that a command to leave them out names."""
 _NAMES = 2
@@ -78,6 +84,36 @@ def sources_of(
     if isinstance(data, str | Path):
         return _of_file(Path(data), number, sheet if reader_of(data).part else None, without)
     return (_without_poses(_in_memory(data, number), without),)
+
+
+def sources_of_all(
+    entries: Sequence[Any], sheet: str | None = None, without: Collection[str] = ()
+) -> list[Source]:
+    """The tables of several entries; files that hold one pose each are the rows of one table."""
+    if texts := _alike(entries):
+        content = b"\n".join(text.data for text in texts)
+        made = records_table(Text(texts[0].file, content, texts[0].sha256))
+        if made is not None and len(made[0].rows) == len(texts):
+            one = _of_table(Path(entries[0]), *made, 0, None)
+            ids = tuple(Path(entry).stem for entry in entries)
+            remark = f"{ids[0]} to {ids[-1]}: {len(ids)} files with one pose each."
+            return [_without_poses(replace(one, ids=ids, pose="pose", remark=remark), without)]
+    sources: list[Source] = []
+    for entry in entries:
+        sources += sources_of(entry, len(sources), sheet, without)
+    return sources
+
+
+def _alike(entries: Sequence[Any]) -> list[Text]:
+    """The texts of small files whose names differ by numbers alone, and that are no tables."""
+    paths = [Path(entry) for entry in entries if isinstance(entry, str | Path)]
+    patterns = {_DIGITS.sub("#", path.name) for path in paths}
+    if len(paths) < max(len(entries), FEWEST) or len(patterns) > 1 or "#" not in patterns.pop():
+        return []
+    if any(reader_of(p) is not TEXT or not p.is_file() or p.stat().st_size > _SMALL for p in paths):
+        return []
+    texts = [read_text(path) for path in paths]
+    return texts if all(are_records(t.data.decode().split("\n")) for t in texts) else []
 
 
 def refuse_unknown(names: Collection[str], sources: Sequence[Source]) -> None:
@@ -209,7 +245,8 @@ def _complements(sheet: Source, taken: Sequence[Source]) -> bool:
     first = taken[0]
     if first.ids is not None and sheet.ids is not None:
         # More than half: a sheet of another run may share some numbers of poses.
-        return 2 * len({*first.ids} & {*sheet.ids}) > min(len(first), len(sheet))
+        shared = 2 * len({*first.ids} & {*sheet.ids}) > min(len(first), len(sheet))
+        return shared or in_numbers([first, sheet]) is not None
     return len(first) == len(sheet)
 
 

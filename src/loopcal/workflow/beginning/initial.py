@@ -42,7 +42,7 @@ from loopcal.files.recognition.robots import (
     typed_robot,
     urdf_robot,
 )
-from loopcal.files.recognition.sources import refuse_unknown, sources_of
+from loopcal.files.recognition.sources import refuse_unknown, sources_of_all
 from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset, refuse_lost
 from loopcal.measurements.dataset import Dataset
@@ -280,9 +280,7 @@ def initial_project(
             place=str(robot.dh or robot.urdf),
             remedy="name files of readings before it",
         )
-    sources: list[Source] = []
-    for entry in readings:
-        sources += sources_of(entry, len(sources), sheet, robot.excluded)
+    sources = sources_of_all(readings, sheet, robot.excluded)
     refuse_unknown(robot.excluded, sources)
     sources, by_time = at_rest(sources, joints_of(robot.urdf))
     every = _joined(sources, robot, folder)
