@@ -26,7 +26,7 @@ from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from loopcal.mechanisms.effects.effect import RUN_DRIFTS
 from loopcal.mechanisms.parameters import BEYOND
-from loopcal.mechanisms.structure.sag import BASE, Column, Sag, Structure
+from loopcal.mechanisms.structure.sag import BASE, COUPLINGS, Column, Sag, Structure
 from loopcal.mechanisms.structure.smooth import DISCREPANCY, Smooth
 from loopcal.mechanisms.structure.structured import ORDERS
 from loopcal.presentation.shown import enumerated, significant, with_unit
@@ -107,7 +107,7 @@ def with_parts(
 
 
 def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[TermPart]:
-    """By how much base and joints give way under gravity."""
+    """By how much base and joints give way under gravity, or couplings are off."""
     joints = [j for j in arm.names if any(c.joint == j for c in columns)]
     read = (*arm.units, arm.payload) if arm.payload else tuple(arm.units)
     if not joints or not all(q in at.readings for q in read):
@@ -147,12 +147,13 @@ def _under_gravity(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[Ter
         who = "the base" if joint == BASE else joint
         way = "about its axis" if columns[0].about_joint else "across its axis"
         way = "" if joint == BASE else f" {way}"
-        across = not columns[0].about_joint
+        across, coupled = not columns[0].about_joint, columns[0].term == COUPLINGS
         other = _same_way(at, arm, joint, pose, ahead[i, :, i]) if across else ""
         does = f"{who} gives way{way}"
         if other:
             does = f"{who}{way} or {other} about its axis gives way"
-        words = f"under gravity {does} by up to {_turn(size, sd, at.poses[pose])}"
+        does = f"the coupling of {joint} is off" if coupled else f"under gravity {does}"
+        words = f"{does} by up to {_turn(size, sd, at.poses[pose])}"
         owners = (joint, other) if other else (joint,)
         parts.append(TermPart(owners, "rad", size, sd, at.poses[pose], words))
     return parts

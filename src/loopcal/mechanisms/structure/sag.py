@@ -17,6 +17,10 @@ moment of all that stand behind it, with a compliance c [rad/(N m)]:
 
     w = c e (e . sum_k m_k g_0 (r_k - o_j) x g),    g_0 standard gravity.
 
+A joint that follows another one's reading, by bars, belts or gears, is off by a few waves of its
+angle: a bar of another length between crank and horn turns a parallelogram by
+(a + b cos f) / sin f, f the angle between arm and crank.
+
 What the tool carries is estimated where the masses of the links are known, and may be known to
 differ by pose.
 
@@ -48,6 +52,9 @@ TOOL = "tool"
 """Begins the names of the two parameters that tilt gravity against the base."""
 LOAD = "load_mass"
 """The mass [kg] at the tool beyond those that are known: a gripper that a URDF leaves out."""
+COUPLINGS = "couplings"
+"""Stands for what turns a joint as another one's reading says, where others name the point of a
+weight."""
 MASSES = "masses"
 """Stands for all known masses behind a joint, where others name the point of a weight."""
 # Random poses show which columns act; columns equal to nine digits in all of them are one.
@@ -61,7 +68,8 @@ _NEXT = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
 class Column:
     """One way to give way: at `joint`, about `axis` of its link, under a weight at `load`.
 
-    own: whether the axis is that of a turning joint itself.
+    own: whether the axis is that of a turning joint itself; wave: of a coupling, the angle
+    whose cosine it is off by: the factors of readings, and what is taken off.
     """
 
     parameter: str
@@ -69,12 +77,15 @@ class Column:
     axis: str
     load: str
     about_joint: bool
+    wave: tuple[tuple[tuple[str, float], ...], float] = ((), 0.0)
 
     @property
     def term(self) -> str:
         """Name of the term that it belongs to."""
         if self.load == MASSES:
             return "compliance"
+        if self.load == COUPLINGS:
+            return COUPLINGS
         return "sag" if self.about_joint else "sag_across"
 
 
@@ -153,6 +164,27 @@ class Branch:
         for joint, i in self.joints.items() if self._weighed else ():
             if self.chain[i].motion[0] == "r":
                 yield Column(f"{joint}_yield", joint, self.chain[i].motion[1], MASSES, True)
+        yield from self._couplings()
+
+    def _couplings(self) -> Iterator[Column]:
+        """What turns a joint as the reading of another one says: harmonics of its angle, and of
+        that with the next joint's where they have one axis (docs/decisions/0152)."""
+        joints = [*self.joints.items()]
+        for (name, i), (behind, k) in zip(joints, [*joints[1:], ("", 0)], strict=True):
+            step, next_step = self.chain[i], self.chain[k]
+            if step.joint in (None, name) or step.motion[0] == "t":
+                continue
+            turns: dict[str, tuple[tuple[str, float], ...]]
+            turns = {"": ((str(step.joint), step.direction),)}
+            if behind and next_step.motion == step.motion:
+                turns[f"{behind}_"] = (*turns[""], (str(next_step.joint), next_step.direction))
+            for label, angle in turns.items():
+                for order in (1.0, 2.0):
+                    factors = tuple((joint, order * factor) for joint, factor in angle)
+                    for part, off in (("cos", 0.0), ("sin", 0.5 * np.pi)):
+                        parameter = f"{name}_coupling_{label}{part}{order:g}"
+                        axis = step.motion[1]
+                        yield Column(parameter, name, axis, COUPLINGS, True, (factors, off))
 
     def turns(
         self, columns: Sequence[Column], x: Values, p: Values
@@ -160,7 +192,8 @@ class Branch:
         """The frames of base and joints, that of the body, and by number of a frame the small turn
         (3,) by which it gives way; all in the first frame of the chain."""
         links, body, masses = self._links(x, p)
-        kept = [c for c in columns if c.load in self.loads or (c.load == MASSES and self._weighed)]
+        acts = {*self.loads, COUPLINGS} | ({MASSES} if self._weighed else set())
+        kept = [c for c in columns if c.load in acts]
         return links, body, self._link_turns(links, body, masses, kept, x, p)
 
     def next_axis(self, joint: str, x: Values, p: Values) -> tuple[str, Vector] | None:
@@ -200,7 +233,7 @@ class Branch:
             moments = {
                 load: cross(points[load] - link.origin, g)
                 for load in dict.fromkeys(c.load for c in on_link)
-                if load != MASSES
+                if load not in (MASSES, COUPLINGS)
             }
             if behind_each:
                 weight, moment = behind_each[number]
@@ -211,7 +244,9 @@ class Branch:
                 angle: Any = 0.0
                 for column in on_link:
                     if column.axis == axis:
-                        angle = angle + p[column.parameter] * dot(e, moments[column.load])
+                        one = column.load
+                        does = _wave(column, x) if one == COUPLINGS else dot(e, moments[one])
+                        angle = angle + p[column.parameter] * does
                 turn = turn + e * angle
             turns[number] = turn
         return turns
@@ -414,6 +449,14 @@ class Sag:
         """As of the first branch that has the joint."""
         branch = next(one for one in self.branches if joint in one.names)
         return branch.next_axis(joint, x, p)
+
+
+def _wave(column: Column, x: Values) -> Any:
+    factors, off = column.wave
+    angle: Any = -off
+    for joint, factor in factors:
+        angle = angle + factor * x[joint]
+    return np.cos(angle)
 
 
 def _alike(one: Array, other: Array, size: float) -> bool:

@@ -25,7 +25,7 @@ from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
 from loopcal.mechanisms.serial import places_itself
-from loopcal.mechanisms.structure.sag import Branch, Column, Sag, Stands, Structure
+from loopcal.mechanisms.structure.sag import COUPLINGS, Branch, Column, Sag, Stands, Structure
 from loopcal.mechanisms.structure.smooth import DISCREPANCY, FEATURES, Smooth
 from loopcal.mechanisms.terms import Term
 
@@ -60,6 +60,7 @@ STRUCTURE_TERMS = (
     "sag",
     "sag_across",
     "compliance",
+    COUPLINGS,
     DISCREPANCY,
     "discrepancy_turns",
     *DRIVES,
@@ -67,12 +68,13 @@ STRUCTURE_TERMS = (
 """Names of the terms that a structured mechanism may have."""
 # Once per turn: off centre; twice: elliptic or tilted (see `Harmonics`).
 ORDERS = (1.0, 2.0)
+_UNITS = {"compliance": "rad/(N m)", COUPLINGS: "rad"}
 DOWN = (0.0, 0.0, -1.0)
 
 E = TypeVar("E", bound=Effect)
 Sagging = Annotated[
     bool | tuple[str, ...],
-    Key("Whether an arm may give way under its weight; or by which parameters it may."),
+    Key("Whether an arm may give way under its weight and couplings be off; or by which parameters."),
 ]
 
 
@@ -100,6 +102,8 @@ def structured(
       Gravity pulls along `Mechanism.gravity`;
     - compliance, where masses or a payload are known: JOINT_yield [rad/(N m)] of each turning joint
       (median 1e-5, a stiffness of 1e5 N m/rad), to the moment of all known masses behind it;
+    - couplings, of joints that follow another one's reading: JOINT_2_coupling_cos1 ... [rad]
+      (median 0.2 mrad), where bars, belts or gears are off;
     - harmonics: JOINT_cos1 ... JOINT_sin2 [rad] of turning joints (median 0.1 mrad), and
       JOINT_scale of slides (median 1e-4);
     - discrepancy: smooth functions of the joints that shift the body (median 0.3 mm), and turn it
@@ -319,10 +323,7 @@ def _displaced(
     added: list[Parameter] = []
     terms: list[Term] = []
     if arm is not None:
-        added += [
-            Parameter(c.parameter, 0.0, "rad/(N m)" if c.term == "compliance" else "rad/m")
-            for c in columns
-        ]
+        added += [Parameter(c.parameter, 0.0, _UNITS.get(c.term, "rad/m")) for c in columns]
         added += [Parameter(n, 0.0, "rad", TILTED, meaning=GRAVITY_TILT) for n in arm.down.tilts]
         if any(c.term == "compliance" for c in columns):
             weighing = CARRIED * arm.weight
@@ -347,6 +348,12 @@ def _displaced(
                 [c.parameter for c in columns if c.term == "compliance"],
                 YIELD_SD["rad"][1],
                 "joints yield about their axes to known weights by {scale}",
+            ),
+            *_term(
+                COUPLINGS,
+                [c.parameter for c in columns if c.term == COUPLINGS],
+                0.2e-3,
+                "joints that follow others are off by {scale}",
             ),
         ]
     coefficients = {
