@@ -74,7 +74,9 @@ DOWN = (0.0, 0.0, -1.0)
 E = TypeVar("E", bound=Effect)
 Sagging = Annotated[
     bool | tuple[str, ...],
-    Key("Whether an arm may give way under its weight and couplings be off; or by which parameters."),
+    Key(
+        "Whether an arm may give way under its weight and couplings be off; or by which parameters."
+    ),
 ]
 
 
