@@ -179,6 +179,38 @@ def test_cells_of_a_dh_table_may_hold_variables_and_pi(tmp_path: Path) -> None:
         read_dh(written(tmp_path, "a,d,alpha,theta\n0,400,90,see drawing\n"))
 
 
+# The same four joints as programs and pages write them.
+WRITINGS = {
+    "a row per quantity": "link,1,2,3,4\ntheta0 [deg],0,-90,0,0\nd [mm],400,0,0,500\n"
+    "a [mm],100,300,0,0\nalpha [deg],-90,0,90,0\n",
+    "Markdown": "| Joint | θ (deg) | d (mm) | a (mm) | α (deg) |\n|---|---|---|---|---|\n"
+    "| 1 | θ1 | 400 | 100 | -90 |\n| 2 | θ2 - 90 | 0 | 300 | 0 |\n| 3 | θ3 | 0 | 0 | 90 |\n"
+    "| 4 | θ4 | 500 | 0 | 0 |\n",
+    "MATLAB, names in quotes": "".join(
+        f"L({i}) = Link('d', {d}, 'a', {a}, 'alpha', {alpha}, 'offset', {offset});\n"
+        for i, d, a, alpha, offset in (
+            (1, 0.4, 0.1, -1.570796, 0),
+            (2, 0, 0.3, 0, -1.570796),
+            (3, 0, 0, 1.570796, 0),
+            (4, 0.5, 0, 0, 0),
+        )
+    ),
+    "lists of YAML": "dh_a: [0.1, 0.3, 0, 0]\ndh_d: [0.4, 0, 0, 0.5]\n"
+    "dh_alpha: [-1.570796, 0, 1.570796, 0]\ndh_theta: [0, -1.570796, 0, 0]\n",
+}
+
+
+@pytest.mark.parametrize("text", WRITINGS.values(), ids=WRITINGS)
+def test_a_dh_table_is_read_however_it_is_written(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "robot.txt"
+    path.write_text(text, "utf-8")
+    rows = read_dh(path).rows
+    assert [r.a for r in rows] == pytest.approx([0.1, 0.3, 0.0, 0.0])
+    assert [r.d for r in rows] == pytest.approx([0.4, 0.0, 0.0, 0.5])
+    assert [r.alpha for r in rows] == pytest.approx([-np.pi / 2, 0.0, np.pi / 2, 0.0], abs=1e-6)
+    assert [r.offset for r in rows] == pytest.approx([0.0, -np.pi / 2, 0.0, 0.0], abs=1e-6)
+
+
 def test_a_table_without_alpha_is_refused(tmp_path: Path) -> None:
     with refused("missing-column", "alpha"):
         read_dh(written(tmp_path, "a,d,theta\n0,400,0\n"))

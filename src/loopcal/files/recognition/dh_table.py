@@ -15,10 +15,12 @@ from loopcal.errors import InputError
 from loopcal.files.recognition.framed import framed_table
 from loopcal.files.recognition.headers import Heading, heading, meanings, words
 from loopcal.files.recognition.robot_lists import listed_robot, without_robot
+from loopcal.files.recognition.turned_over import turned_over
 from loopcal.files.tables.cells import is_missing
 from loopcal.units import unit
 
 _KEYS = meanings("dh")
+_PREFIX = "dh_"
 _TEXTS = ("name", "kind", "form", "body", "parent")
 _LENGTHS_AND_TWIST = ("a", "d", "alpha")
 """Columns that every table has."""
@@ -87,7 +89,7 @@ def read_dh(path: str | Path) -> DhTable:
     """
     path, robot = without_robot(path)
     table, passed = listed_robot(path, robot) or (
-        framed_table(path, None, len(_LENGTHS_AND_TWIST))[0],
+        turned_over(framed_table(path, None, len(_LENGTHS_AND_TWIST))[0], _names_lengths)[0],
         (),
     )
     if not table.names:
@@ -101,8 +103,9 @@ def read_dh(path: str | Path) -> DhTable:
     modified = False
     for i, name in enumerate(table.names):
         header = heading(name)
-        key = _KEYS.get(header.stem) or _MODIFIED.get(header.stem)
-        modified |= header.stem in _MODIFIED
+        word = header.stem.removeprefix(_PREFIX)
+        key = _KEYS.get(word) or _MODIFIED.get(word)
+        modified |= word in _MODIFIED
         if key is not None and key not in headings:
             headings[key] = (i, header)
     for key in _LENGTHS_AND_TWIST:
@@ -153,6 +156,12 @@ def read_dh(path: str | Path) -> DhTable:
             name, sign = name[1:].strip(), -sign
         rows.append(Row(name, kind=kind, direction=sign, body=body, parent=parent, **values))
     return DhTable(tuple(rows), modified, (*remarks, *passed), modified or bool(forms))
+
+
+def _names_lengths(names: Sequence[str]) -> bool:
+    stems = [heading(name).stem.removeprefix(_PREFIX) for name in names if name]
+    keys = {_KEYS.get(stem) or _MODIFIED.get(stem) for stem in stems}
+    return keys.issuperset(_LENGTHS_AND_TWIST)
 
 
 @dataclass(frozen=True)

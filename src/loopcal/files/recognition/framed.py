@@ -18,7 +18,7 @@ import numpy as np
 from loopcal.errors import InputError
 from loopcal.files.recognition.cell_units import with_units_in_names
 from loopcal.files.recognition.headers import heading
-from loopcal.files.recognition.records import are_records, has_numbers, records_table
+from loopcal.files.recognition.records import MARKS, are_records, has_numbers, records_table
 from loopcal.files.tables.cells import is_missing, is_number
 from loopcal.files.tables.dialect import DELIMITERS, cut
 from loopcal.files.tables.raw import Text, read_text
@@ -94,6 +94,9 @@ def _suspect(table: Table) -> bool:
         return False
     numeric = [table.columns[i] for i in table.numeric()]
     width = max(table.columns, default=-1) + 1
+    texts = [cells for i, cells in table.columns.items() if i not in table.numeric()]
+    if not table.names and any(all(MARKS & {*str(c)} for c in cells) for cells in texts):
+        return True
     if not numeric or (table.names and sum(map(bool, table.names)) < width - 1):
         return True
     rows = zip(*(cells[:_LOOKED] for cells in numeric), strict=True)
@@ -137,7 +140,9 @@ def _in_text(text: Text, fewest: int) -> tuple[Table, str] | None:
 
 def _among(lines: Sequence[str], text: Text, fewest: int) -> tuple[Table, str] | None:
     """The table in some of these lines."""
-    ways = [(d, m) for d in DELIMITERS for m in ".,"]
+    # Tables of Markdown have a bar at both ends of a row.
+    barred = sum(line.strip()[:1] == "|" == line.strip()[-1:] for line in lines) >= _FEWEST
+    ways = [(d, m) for d in (("|",) if barred else DELIMITERS) for m in ".,"]
     found = [(made[0].score, made) for way in ways if (made := _cut_so(lines, text, *way))]
     if not found:
         return None

@@ -35,6 +35,8 @@ _NUMBERS = re.compile(r"(?<![\w.])[-+]?\.?\d")
 _BELONGS = frozenset(":=[({\"'")
 """Marks that may stand between a word and its numbers; a list also has commas between these."""
 _OPENING = frozenset("[({")
+MARKS = frozenset("={[<")
+"""Marks that no table has between its numbers."""
 _IN_LISTS = frozenset(",;[](){}")
 _WORD = r"\s{0,9}['\"]?[A-Za-z_]\w{0,80}['\"]?\s{0,9}"
 _NAMES = re.compile(rf"\[({_WORD}(?:,{_WORD}){{1,60}})\]")
@@ -46,6 +48,8 @@ _TAG = re.compile(
 )
 """An element of XML with its attributes: several elements may have attributes of one name."""
 _ATTRIBUTE = re.compile(r"(?<=\s)([A-Za-z][\w:]{0,40})(?==)")
+_PAIR = re.compile(r"['\"]([A-Za-z_]\w{0,80})['\"],\s{0,9}(?=[-+.\d])")
+"""A name in quotes ahead of its number, as MATLAB states them: 'alpha', 1.57."""
 _MATRIX = frozenset({(3, 3, 3), (4, 4, 4), (4, 4, 4, 4), (3, 3, 3, 3)})
 
 
@@ -67,7 +71,7 @@ class _Run:
 def are_records(lines: Iterable[str]) -> bool:
     """Whether most lines with numbers have marks that no table has."""
     numbered = [line for line in lines if len(_NUMBERS.findall(line)) > 1]
-    marked = sum(any(mark in line for mark in "={[<") for line in numbered)
+    marked = sum(any(mark in line for mark in MARKS) for line in numbered)
     return 2 * marked > len(numbered)
 
 
@@ -80,7 +84,7 @@ def has_numbers(text: Text) -> bool:
 def records_table(text: Text) -> tuple[Table, str] | None:
     """A row each time that the form repeats, and what to say of it; None without such a form."""
     content = _BLOCK.sub(_in_brackets, text.data.decode("utf-8"))
-    content = _told_apart(content)
+    content = _told_apart(_PAIR.sub(r"\1=", content))
     groups = _groups(_runs(content))
     if not groups:
         return None

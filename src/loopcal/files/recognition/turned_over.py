@@ -1,7 +1,8 @@
-"""A sheet with a column per pose, its quantities named in the first: its rows become columns."""
+"""A table with a column per pose or joint, the first naming them: its rows become columns."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,10 +17,18 @@ _FEWEST = 4
 """Rows that name a quantity, at least."""
 
 
-def turned_over(table: Table) -> tuple[Table, str]:
+def names_joints(names: Sequence[str]) -> bool:
+    """Whether some of these names are those of joints."""
+    fields = [Field(0, i, heading(n), np.arange(2.0)) for i, n in enumerate(names) if n]
+    return len(usual_joints(fields)) > 1
+
+
+def turned_over(
+    table: Table, names: Callable[[Sequence[str]], bool] = names_joints
+) -> tuple[Table, str]:
     """The table with a row per pose, and what to say of it, "" where it has one already.
 
-    The words of the first column name joints, and the header names none.
+    The words of the first column are names of this kind, and the header has none.
     """
     width = 1 + max(table.columns, default=-1)
     if any(not isinstance(c, list | np.ndarray) for c in table.columns.values()) or width < 2:
@@ -29,7 +38,7 @@ def turned_over(table: Table) -> tuple[Table, str]:
     words = [str(row[0]).strip() for row in named]
     if len(named) < _FEWEST or len(named) < len(rows) - 1 or len({*words}) < len(words):
         return table, ""
-    if not _names_joints(words) or _names_joints(table.names):
+    if not names(words) or names(table.names):
         return table, ""
     ids = [str(name) or str(i) for i, name in enumerate(table.names[1:width], 1)]
     columns = {0: ids or [*map(str, range(1, width))]}
@@ -41,8 +50,3 @@ def turned_over(table: Table) -> tuple[Table, str]:
         rows=np.arange(1, width, dtype=np.int64),
     )
     return made, f"{table.name} has a column per pose: its rows are read as columns."
-
-
-def _names_joints(names: tuple[str, ...] | list[str]) -> bool:
-    fields = [Field(0, i, heading(n), np.arange(2.0)) for i, n in enumerate(names) if n]
-    return len(usual_joints(fields)) > 1
