@@ -113,3 +113,8 @@ new MutationObserver((changes) => {
       purge(figure);
     }
 }).observe(document, { childList: true, subtree: true });
+
+// NiceGUI watches the size of a figure once plotly is loaded, also of one that has left the page by then.
+addEventListener("unhandledrejection", (event) => {
+  if (event.reason?.message === "Resize must be passed a displayed plot div element.") event.preventDefault();
+});
