@@ -47,3 +47,14 @@ def test_every_word_is_used() -> None:
         n for n in named if f"words.{n}" not in text and len(re.findall(rf"\b{n}\b", own)) < 2
     ]
     assert unused == []
+
+
+def test_a_class_of_a_page_is_of_the_app_or_of_quasar() -> None:
+    """Another one would do nothing: docs/decisions/0150."""
+    nicegui = pytest.importorskip("nicegui", reason="NiceGUI is absent")
+    static = Path(nicegui.__file__).parent / "static"
+    sheets = [*static.glob("quasar.*.prod.css"), *(APP / "scripts").glob("*.*")]
+    styled = set(re.findall(r"[\w-]+", "".join(path.read_text("utf-8") for path in sheets)))
+    given = re.compile(r'\.classes\("([^"]*)"')
+    text = "".join(path.read_text("utf-8") for path in APP.rglob("*.py"))
+    assert {name for names in given.findall(text) for name in names.split()} <= styled

@@ -38,6 +38,21 @@ def test_targets_of_points_are_found_beside_gross_errors(bodies: Bodies) -> None
     assert found.rms < 1e-6
 
 
+def test_of_very_many_poses_some_decide_and_all_are_judged() -> None:
+    many = 20_011
+    rng = np.random.default_rng(3)
+    turns = Rotation.random(many, random_state=4).as_matrix()
+    bodies, u = Bodies(turns, rng.uniform(-1, 1, (many, 3))), np.array([0.1, -0.2, 0.3])
+    measured = bodies.at(u) @ S.T + t + rng.normal(0.0, 1e-4, (many, 3))
+    measured[7] += 0.3
+    measured[8] = np.nan
+    found = see_points(bodies, measured[None])
+    assert found.targets[0] == pytest.approx(u, abs=5.0 * 1e-4 / np.sqrt(4_000 / 3))
+    assert len(found.away) == many
+    assert int(np.nanargmax(found.away)) == 7
+    assert np.flatnonzero(np.isnan(found.away)).tolist() == [8]
+
+
 def test_poses_that_hardly_turn_the_body_leave_what_is_mounted_near_it(bodies: Bodies) -> None:
     """The free fit takes up the machine's own errors, and puts the target far away."""
     turns = 0.05 * np.random.default_rng(2).normal(size=(N, 3))
@@ -46,8 +61,7 @@ def test_poses_that_hardly_turn_the_body_leave_what_is_mounted_near_it(bodies: B
     off = np.cross(turns, [0.9, -0.6, 0.4]) + 2e-3 * np.sin(20.0 * narrow.origins)
     found = see_points(narrow, (narrow.at(u) + off)[None] @ S.T + t)
     assert np.linalg.norm(found.targets) < 0.3
-    every = np.ones(N, dtype=bool)
-    free, _ = _points(narrow, (narrow.at(u) + off)[None] @ S.T + t, np.zeros((1, 3)), every)
+    free = _points(narrow, (narrow.at(u) + off)[None] @ S.T + t, np.zeros((1, 3))).targets
     assert np.linalg.norm(free) > 1.0
 
 

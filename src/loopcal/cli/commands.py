@@ -434,6 +434,7 @@ def init(
 ) -> None:
     """Recognise readings and a robot; write a finished project."""
     from loopcal.cli.asking import ask_on_terminal, open_page
+    from loopcal.cli.progress import Stages
     from loopcal.workflow.beginning.initial import initial_project
     from loopcal.workflow.beginning.robot_file import RobotFile
 
@@ -441,7 +442,10 @@ def init(
     robot = RobotFile(
         urdf, dh, machine, base, tip, joints, leave_out, looking, infer_units, exclude
     )
-    done = initial_project(files or (), robot, out=out, sheet=sheet, ask=ask_on_terminal())
+    with Stages() as stages:
+        done = initial_project(
+            files or (), robot, out=out, sheet=sheet, ask=ask_on_terminal(), progress=stages
+        )
     if not run:
         print_out(str(done))
     else:

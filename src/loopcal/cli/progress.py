@@ -103,6 +103,16 @@ class Progress(_Line):
         self.show(lambda _: f"{self.fitted_words}judging")
 
 
+class Stages(_Line):
+    """Called when another stage begins; on a terminal it is shown at once."""
+
+    def __call__(self, what: str, percent: int) -> None:
+        """Show what is done, and how much of the work was done before."""
+        if self.terminal:
+            self.due = 0.0
+        self.show(lambda _: f"{what}: {percent} %")
+
+
 class Counted(_Line):
     """Called when another piece of work is done."""
 

@@ -43,6 +43,8 @@ COMMON = 5.0
 _ROUNDS, _STEPS = 4, 12
 _LITTLE, _SLOW = 0.3, 0.98
 """A fit that leaves more than this share of the spread ends where a step gains less than 2 %."""
+_MOST = 5_000
+"""Poses that decide at most: a drawing is off by far more than so many leave open."""
 _WEAK = 1e-6
 """A direction of the placement that the poses determine so much less than others stays as it is."""
 
@@ -74,6 +76,10 @@ class Bodies:
     def extent(self) -> float:
         """How far [m] the origins move along the axis on which they move most."""
         return extent(self.origins)
+
+    def take(self, which: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Bodies:
+        """In these poses."""
+        return Bodies(self.rotations[which], self.origins[which])
 
     def at(self, targets: Array) -> Array:
         """(N, 3) the points of the body at one place on it, (3,)."""
@@ -133,65 +139,76 @@ def see_points(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounte
     Raises InputError where the points do not determine where the instrument stands.
     """
     targets = np.zeros((len(measured), 3))
-    good = np.isfinite(measured).all(axis=(0, 2)) & bodies.complete
+    rows = _deciding(np.isfinite(measured).all(axis=(0, 2)) & bodies.complete)
+    some, seen = bodies.take(rows), measured[:, rows]
+    good, placed = np.ones(len(rows), dtype=np.bool_), _Placed(targets, np.eye(3), np.zeros(3))
     for _ in range(rounds):
-        targets, away = _points(bodies, measured, targets, good)
-        good = _better(away)
+        placed = _points(some.take(good), seen[:, good], placed.targets)
+        good = _better(placed.away(some, seen))
 
     def place() -> Array:
-        return _points(bodies, measured, np.zeros_like(targets), good, COMMON)[0]
+        return _points(some.take(good), seen[:, good], targets, COMMON).targets
 
-    return Mounted(away, _spread(measured[0]), place)
+    return Mounted(placed.away(bodies, measured), _spread(measured[0]), place)
 
 
-def _points(
-    bodies: Bodies,
-    measured: Array,
-    targets: Array,
-    good: NDArray[np.bool_],
-    common: float = 0.0,
-) -> tuple[Array, Array]:
-    """Targets (K, 3) and distances (N,) after fitting placement and targets by some poses."""
-    K, before, little = len(measured), np.inf, _LITTLE * _spread(measured[0])
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """Targets (K, 3) on a body that a station sees turned by S and shifted by t."""
+
+    targets: Array
+    S: Array
+    t: Array
+
+    @classmethod
+    def on(cls, bodies: Bodies, measured: Array, targets: Array) -> _Placed:
+        """As these poses are aligned best."""
+        seen = np.array([bodies.at(u) for u in targets])
+        motion = align(seen.reshape(-1, 3).T, measured.reshape(-1, 3).T)
+        return cls(targets, motion.rotation, motion.shift)
+
+    def points(self, bodies: Bodies) -> Array:
+        """(K, N, 3) the targets as the station sees them."""
+        return np.array([bodies.at(u) for u in self.targets]) @ self.S.T + self.t
+
+    def away(self, bodies: Bodies, measured: Array) -> Array:
+        """(N,) distances from what was measured; of several targets the root of their squares."""
+        distances: Array = np.sqrt(np.square(self.points(bodies) - measured).sum(axis=(0, 2)))
+        return distances
+
+
+def _points(bodies: Bodies, measured: Array, targets: Array, common: float = 0.0) -> _Placed:
+    """Placement and targets (K, 3) that fit some poses, all of them read."""
+    (K, n, _), before, little = measured.shape, np.inf, _LITTLE * _spread(measured[0])
     for _ in range(_STEPS):
-        placed, S, t = _placed(bodies, measured, targets, good)
-        left = (measured - placed)[:, good]
-        n = left.shape[1]
+        now = _Placed.on(bodies, measured, targets)
+        placed = now.points(bodies)
+        left = measured - placed
         rms = float(np.sqrt(np.square(left).sum() / (K * n)))
         if little < rms and _SLOW * before < rms:
-            break  # of points that are not of this body nothing is left to be gained
+            return now  # of points that are not of this body nothing is left to be gained
         before = rms
         J = np.zeros((K, n, 3, 6 + 3 * K))
         # A small turn w moves v by w x v = -[v] w.
-        J[..., :3] = -_cross(placed[:, good] - t)
+        J[..., :3] = -_cross(placed - now.t)
         J[..., 3:6] = np.eye(3)
         for k in range(K):
-            J[k, ..., 6 + 3 * k : 9 + 3 * k] = S @ bodies.rotations[good]
+            J[k, ..., 6 + 3 * k : 9 + 3 * k] = now.S @ bodies.rotations
         step = _held(J.reshape(-1, 6 + 3 * K), left.reshape(-1), targets.reshape(-1), K * n, common)
         moved = step[6:].reshape(K, 3)
         targets = targets + moved
         if np.abs(moved).max() < 1e-7:
-            placed = _placed(bodies, measured, targets, good)[0]
             break
-    else:
-        placed = _placed(bodies, measured, targets, good)[0]
-    return targets, np.sqrt(np.square(placed - measured).sum(axis=(0, 2)))
-
-
-def _placed(
-    bodies: Bodies, measured: Array, targets: Array, good: NDArray[np.bool_]
-) -> tuple[Array, Array, Array]:
-    """The targets (K, N, 3) as the station sees them, with its rotation S and shift t."""
-    seen = np.array([bodies.at(u) for u in targets])
-    motion = align(seen[:, good].reshape(-1, 3).T, measured[:, good].reshape(-1, 3).T)
-    return seen @ motion.rotation.T + motion.shift, motion.rotation, motion.shift
+    return _Placed.on(bodies, measured, targets)
 
 
 def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUNDS) -> Mounted:
     """A frame on the body, seen as positions (N, 3) [m] and rotations M (N, 3, 3)."""
     spread = max(_spread(measured), 1e-12)
-    good = np.isfinite(measured).all(axis=1) & np.isfinite(turns).all(axis=(1, 2)) & bodies.complete
-    _better(np.where(good, 0.0, np.nan))
+    read = np.isfinite(measured).all(axis=1) & np.isfinite(turns).all(axis=(1, 2)) & bodies.complete
+    _better(np.where(read, 0.0, np.nan))
+    decides = np.isin(np.arange(len(read)), _deciding(read))
+    good = decides
     near = np.zeros(3)
     for _ in range(rounds):
         S, X = _hand_eye(bodies.rotations[good], turns[good])
@@ -207,7 +224,7 @@ def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUN
         M = np.swapaxes(turns, 1, 2) @ S @ bodies.rotations @ X
         cosine = np.clip((np.trace(M, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0)
         turned = np.arccos(cosine)
-        good = _better(np.hypot(away / spread, turned))
+        good = decides & _better(np.hypot(away / spread, turned))
     return Mounted(away, spread, lambda: near[None], turn=X, turned=turned)
 
 
@@ -261,8 +278,9 @@ def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
 
     Begins where it is linear: l^2 - o^2 = -2 o A + 2 l c + (A^2 - c^2).
     """
-    good = np.isfinite(measured) & bodies.complete
-    o = bodies.origins
+    decides = np.isfinite(measured) & bodies.complete
+    decides = np.isin(np.arange(len(decides)), _deciding(decides))
+    good, o = decides, bodies.origins
     A, c, u = np.zeros(3), 0.0, np.zeros(3)
     middle = np.median(measured[good])
     spread = float(np.median(np.abs(measured[good] - middle)))
@@ -290,8 +308,19 @@ def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
                     break
         to = bodies.at(u) - A
         away = np.abs(np.sqrt(np.square(to).sum(axis=1)) + c - measured)
-        good = _better(away)
+        good = decides & _better(away)
     return Mounted(away, spread, lambda: u[None], anchor=A, zero=c)
+
+
+def evenly(positions: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """So many of these positions at most, evenly spread."""
+    at = np.linspace(0, len(positions) - 1, min(len(positions), most)).astype(np.intp)
+    return positions[np.unique(at)]
+
+
+def _deciding(read: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The poses that decide, of those that were read."""
+    return evenly(np.flatnonzero(read), _MOST)
 
 
 def _better(away: Array) -> NDArray[np.bool_]:

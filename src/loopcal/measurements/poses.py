@@ -22,10 +22,12 @@ def pose_id(value: object) -> str:
     >>> pose_id(13.0), pose_id("13.0"), pose_id(" wall-1 "), pose_id("1.10"), pose_id("'=A1")
     ('13', '13', 'wall-1', '1.10', '=A1')
     """
-    if isinstance(value, numbers.Real):
+    if not isinstance(value, str) and isinstance(value, numbers.Real):
         number = float(value)
         return str(int(number)) if number.is_integer() else repr(number)
     text = str(value).strip()
+    if text.isdecimal():
+        return text
     if text.startswith(_MARK) and _FORMULA.match(text, 1):  # as `cell_text` writes it
         text = text[1:]
     return text.partition(".")[0] if _WHOLE.fullmatch(text) else text

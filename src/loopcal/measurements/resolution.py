@@ -53,14 +53,20 @@ def written_step(values: Array) -> float | None:
     if size == 0.0:
         return None
     for digits in range(_COARSEST, _FINEST + 1):
-        scaled = values * 10.0**digits
         # Conversions of units leave errors of a few ulps, 1e-16 of the value, which scaling by
         # 10^digits keeps.
         if 10.0**-digits < 1e-11 * size:
             return None  # all digits of a double are used: nothing was rounded
-        if np.all(np.abs(scaled - np.round(scaled)) <= 1e-9 + 4e-16 * 10.0**digits * size):
+        off = 1e-9 + 4e-16 * 10.0**digits * size
+        # The first few say no soonest.
+        if all(_whole(some * 10.0**digits, off) for some in (values[:100], values)):
             return float(10.0**-digits)
     return None
+
+
+def _whole(values: Array, off: float) -> bool:
+    """Whether all are whole numbers, but for so much."""
+    return bool(np.all(np.abs(values - np.round(values)) <= off))
 
 
 def _counts(levels: Array, decimals: float, number: int) -> float | None:

@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopcal.document.catalogue import findings
 from loopcal.document.findings import Observability, UsualSd
@@ -229,7 +228,6 @@ def check(
                 problem, problem.mechanism, covariance, system, x, ReadingNoise()
             )
     index = calibration_index(problem, problem.count, problem.equations)
-    again = repeated(mechanism, data, stated_sds(stated_noise, mechanism, data))
     # Whitened by stated sds, an equation has the sd 1.
     said = what_data_say(
         problem, information, sds, index, unit_sd=None if stated_noise is None else 1.0
@@ -242,7 +240,7 @@ def check(
         observability(information, len(data)),
         sds,
         predictor,
-        (_determined(problem, said, loose), *_order(problem, again)),
+        (_determined(problem, said, loose), *_order(problem, mechanism, data, stated_noise)),
     )
 
 
@@ -287,16 +285,18 @@ def _determined(problem: Problem, said: WhatDataSay, loose: set[str]) -> Fact:
     return fact("poses-good", numbers=numbers)
 
 
-def _order(problem: Problem, groups: NDArray[np.intp]) -> Iterator[Fact]:
+def _order(
+    problem: Problem, mechanism: Mechanism, data: Dataset, noise: Noise | None
+) -> Iterator[Fact]:
     """Whether a drift could be distinguished from an error of the machine before any reading: by
-    the order of the poses, or by one that was measured again half a run later.
-
-    groups: (N,) equal where a pose was repeated.
-    """
+    the order of the poses, or by one that was measured again half a run later."""
     share = told_by_joints(problem.readings[joint_rows(problem)].T)
+    if share is None:
+        return
+    groups = repeated(mechanism, data, stated_sds(noise, mechanism, data))
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
     later = np.arange(len(groups)) - first[group]
-    if share is not None and 2 * int(later.max()) < len(groups):
+    if 2 * int(later.max()) < len(groups):
         yield fact(ORDERED, numbers={"r_squared": share})
 
 

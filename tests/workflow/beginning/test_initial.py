@@ -100,6 +100,23 @@ def test_units_that_nobody_states_are_those_of_the_machine(tmp_path: Path, arm: 
     assert_gives_the_noise_back(tmp_path / "out")
 
 
+def test_how_much_of_the_work_is_done_is_said(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    columns = {**of(np.degrees(joints), NAMES), **of(1e3 * points, ["x", "y", "z"])}
+    said: list[tuple[str, int]] = []
+    initial_project(
+        [table(tmp_path / "a.csv", columns)],
+        RobotFile(dh=dh(tmp_path)),
+        out=None,
+        progress=lambda what, percent: said.append((what, percent)),
+    )
+    percents = [percent for _, percent in said]
+    assert percents == sorted({*percents})
+    assert 0 in percents
+    assert max(percents) < 100
+    assert len({what for what, _ in said}) == len(said) > 3
+
+
 @pytest.mark.parametrize(("angle", "length"), [("gon", "in"), ("rad", "cm"), ("deg", "m")])
 def test_every_pair_of_units_is_recognised(
     tmp_path: Path, arm: Any, angle: str, length: str

@@ -81,6 +81,7 @@ def serve(
     app.on_shutdown(session.worker.cancel)
     ui.run(
         host=host,
+        tailwind=False,  # it looks at every change of the page, and styles all of it anew
         port=number,
         dark=None,
         show=show and f"/{asked.lstrip('/')}",

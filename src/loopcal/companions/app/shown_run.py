@@ -70,7 +70,7 @@ class ShownRun:
                 _end(run)
         if run.code not in (None, 0) and not run.cancelled:
             said = run.text[max(run.text.rfind("loopcal: "), 0) :][-SAID:]
-            with ui.expansion(shortened(said)).classes("why said"):
+            with ui.expansion(shortened(said)).classes("why"):
                 text_block(said)
             self._next(run, next_command(said))
 

@@ -36,6 +36,7 @@ LONGEST = 2_000_000
 PRELOADED = [
     *("numpy", "polars", "scipy.linalg", "loopcal.workflow.calibration"),
     *("loopcal.workflow.projects", "loopcal.files.project.project_schema"),
+    "loopcal.workflow.beginning.initial",
     *("loopcal.files.machines.registry", "loopcal.report.page"),
 ]
 """What the warm process loads beside the command itself."""

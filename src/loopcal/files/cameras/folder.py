@@ -21,7 +21,7 @@ from loopcal.files.cameras.images import ENDINGS, detect
 from loopcal.files.cameras.intrinsics import read_intrinsics
 from loopcal.files.cameras.places import read_places, read_samples
 from loopcal.files.recognition.headers import words
-from loopcal.files.tables.readers import read_table
+from loopcal.files.tables.readers import column_labels
 from loopcal.files.tables.registry import reader_of
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
@@ -145,7 +145,7 @@ def _kind(path: Path) -> str:
 
 def _header(path: Path) -> tuple[str, ...]:
     try:
-        return read_table(path).names
+        return column_labels(path)
     except InputError:
         return ()
 

@@ -86,7 +86,7 @@ class Meaning:
 
         rounds: how often the better poses are found anew.
         """
-        some = Bodies(bodies.rotations[index], bodies.origins[index])
+        some = bodies.take(index)
         position = self.position[index]
         try:
             if self.seen.kind == "length":

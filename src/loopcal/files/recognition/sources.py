@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -259,19 +260,19 @@ def _of_table(
     without: Collection[str] = (),
 ) -> Source:
     titled = bool(remark)
-    numeric = table.numeric()
+    numeric, ids_of = table.numeric(), cache(table.ids)
     names = [table.names[i] if i < len(table.names) else "" for i in range(_width(table))]
     spoken = own_words(path.parent)
     headings = [heading(name, spoken) if name else None for name in names]
     lists = {
         i: columns
         for i in table.columns
-        if i not in numeric and (columns := listed_columns(headings[i], table.ids(i)))
+        if i not in numeric and (columns := listed_columns(headings[i], ids_of(i)))
     }
-    pose = _pose_column(table, headings, [*numeric, *lists])
+    pose = _pose_column(table, ids_of, headings, [*numeric, *lists])
     texts = [i for i in table.columns if i not in (*numeric, *lists, pose)]
-    cells = {i: table.ids(i) for i in (pose, *texts) if i is not None}
-    beginning = [table.ids(i) for i in sorted(table.columns)[:1]]
+    cells = {i: ids_of(i) for i in (pose, *texts) if i is not None}
+    beginning = [ids_of(i) for i in sorted(table.columns)[:1]]
     count = len(table.rows)
     every = readings_of([*cells.values(), *beginning], count)
     if len(every) < count:
@@ -487,7 +488,10 @@ def _width(table: Table) -> int:
 
 
 def _pose_column(
-    table: Table, headings: Sequence[Heading | None], numeric: Sequence[int]
+    table: Table,
+    ids_of: Callable[[int], tuple[str, ...]],
+    headings: Sequence[Heading | None],
+    numeric: Sequence[int],
 ) -> int | None:
     """The column of ids: by its name, a count that begins a table without a header, or the first
     column of texts that differ in all rows."""
@@ -495,7 +499,7 @@ def _pose_column(
     for i in table.columns:
         if _stem(headings, i) not in _IDS or not len(table.rows):
             continue
-        ids = table.ids(i)
+        ids = ids_of(i)
         kinds = len(set(ids))
         if i in numeric and not all(map(_WHOLE.fullmatch, ids)):
             continue
@@ -508,7 +512,7 @@ def _pose_column(
     for i in table.columns:
         if i in numeric or _stem(headings, i) in TIMES | STATIONS | TOOLS | _TARGETS:
             continue
-        ids = table.ids(i)
+        ids = ids_of(i)
         if len(ids) > 2 and all(ids) and len(set(ids)) == len(ids) and seconds_of(ids) is None:
             return i
     if not table.names and numeric and numeric[0] == 0:

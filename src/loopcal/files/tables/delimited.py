@@ -10,6 +10,8 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import BinaryIO
@@ -36,6 +38,8 @@ from loopcal.files.tables.table import Table
 
 _COMMENTS = 15
 """Comments above the rows, one of which may be their header."""
+_HEAD = 500
+"""Lines that hold the names of columns and some rows."""
 LARGE = 1_000_000  # bytes from which on loading polars pays
 _LINES = re.compile(rb"[ \t,;\n]*+(?:(?:%|#(?!n/a))[^\n]*|([^ \t,;\n][^\n]*)|\Z)", re.IGNORECASE)
 """Lines up to the next that holds cells: blank ones, delimiters alone, at most one comment."""
@@ -60,6 +64,15 @@ def read_text_file(
 ) -> Table:
     """The table in a text file, with all its columns."""
     return read_delimited(read_text(source, layout.encoding), layout)
+
+
+def names_in(source: str | Path | BinaryIO, layout: Layout = RECOGNISED) -> tuple[str, ...]:
+    """Names of all columns of a text file, by its first rows where these are a table."""
+    text = read_text(source, layout.encoding)
+    head = b"\n".join(text.data.split(b"\n", _HEAD)[:_HEAD])
+    with suppress(InputError):  # a long comment, or a fault that the whole names by its row
+        return read_delimited(replace(text, data=head), layout).names
+    return read_delimited(text, layout).names
 
 
 READER = Reader(

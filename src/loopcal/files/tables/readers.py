@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError
-from loopcal.files.tables import parquet
+from loopcal.files.tables import delimited, parquet
 from loopcal.files.tables.columns import (
     Column,
     ColumnLike,
@@ -185,7 +185,11 @@ def column_labels(path: File | Table, **layout: Any) -> tuple[str, ...]:
     """Names of the columns of a file, read as `read_dataset` reads it; none without a header."""
     if not isinstance(path, Table) and reader_of(path) is parquet.READER:
         return parquet.parquet_files(str(path))[0].names
-    return _table(path, Layout(**layout), None).names
+    stated = Layout(**layout)
+    if not isinstance(path, Table) and reader_of(path) is delimited.READER and not stated.spread:
+        refuse_other_options(delimited.READER, path, stated)
+        return delimited.names_in(path, stated)
+    return _table(path, stated, None).names
 
 
 def _table(

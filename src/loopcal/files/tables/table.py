@@ -132,7 +132,7 @@ class Table:
         if position < 0:
             return tuple(map(str, self.counted.tolist()))
         pose_ids = cell_rules.ids(self.columns[position])
-        if any(len(one) > LONGEST for one in pose_ids):
+        if max(map(len, pose_ids), default=0) > LONGEST:
             index = next(i for i, one in enumerate(pose_ids) if len(one) > LONGEST)
             raise InputError(
                 f"{short(pose_ids[index])!r} has {len(pose_ids[index])} characters; the limit of "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -53,7 +53,6 @@ from loopcal.mechanisms.outputs import measured_points
 from loopcal.presentation.shown import columns as in_columns
 from loopcal.presentation.shown import significant, unit_shown, with_unit
 from loopcal.statistics.case import Case
-from loopcal.statistics.check import ORDERED, check
 from loopcal.statistics.wrong_corners import wrong_corners
 from loopcal.units import from_si
 from loopcal.workflow.beginning.aligning import aligned
@@ -74,7 +73,7 @@ from loopcal.workflow.beginning.searching import (
 from loopcal.workflow.beginning.stating import First, Statement, stated
 from loopcal.workflow.beginning.understanding import USUAL as NEAR_ENOUGH
 from loopcal.workflow.beginning.understanding import Ask, understood
-from loopcal.workflow.beginning.weakest import weakest
+from loopcal.workflow.beginning.weakest import left_open
 
 # The nominal machine is good to millimetres (docs/decisions/0056).
 USUAL = 20e-3
@@ -116,8 +115,7 @@ class InitialProject:
     @property
     def worst(self) -> tuple[str, ...]:
         """Ids of the poses that the placed nominal machine misses most."""
-        order = np.argsort(-np.nan_to_num(next(iter(self.fits.values())).shares))
-        return tuple(self.dataset.poses[i] for i in order[:_WORST])
+        return tuple(self.dataset.poses[i] for i in self._worst_rows())
 
     @property
     def command(self) -> str:
@@ -188,9 +186,13 @@ class InitialProject:
         return rows
 
     def _worst_words(self) -> list[str]:
-        fit = next(iter(self.fits.values()))
-        where = {pose: i for i, pose in enumerate(self.dataset.poses)}
-        return [f"{pose} ({with_unit(float(fit.away[where[pose]]), 'm')})" for pose in self.worst]
+        fit, poses = next(iter(self.fits.values())), self.dataset.poses
+        return [f"{poses[i]} ({with_unit(float(fit.away[i]), 'm')})" for i in self._worst_rows()]
+
+    def _worst_rows(self) -> list[int]:
+        order = np.argsort(-np.nan_to_num(next(iter(self.fits.values())).shares))
+        rows: list[int] = order[:_WORST].tolist()
+        return rows
 
 
 def _shown(value: float) -> str:
@@ -252,8 +254,12 @@ def initial_project(
     out: str | Path | None,
     sheet: str | None = None,
     ask: Ask | None = None,
+    progress: Callable[[str, int], object] = lambda what, percent: None,
 ) -> InitialProject:
-    """`init`, where a user can be asked what remains open."""
+    """`init`, where a user can be asked what remains open.
+
+    progress: called with what is done next, and how much of the work is done by then [%].
+    """
     folder = Path() if out is None else Path(out)
     if not readings:
         if out is not None:
@@ -280,9 +286,11 @@ def initial_project(
             place=str(robot.dh or robot.urdf),
             remedy="name files of readings before it",
         )
+    progress("reading the files", 0)
     sources = sources_of_all(readings, sheet, robot.excluded)
     refuse_unknown(robot.excluded, sources)
     sources, by_time = at_rest(sources, joints_of(robot.urdf))
+    progress("recognising the columns", 50)
     every = _joined(sources, robot, folder)
     fields = used(every, robot)
     columns, signs = _joints(fields, robot)
@@ -298,21 +306,23 @@ def initial_project(
         one = replace(one, conditions=encoders.stated(one.conditions, one.machine))
     made, machine, fields, conditions = one.robot, one.machine, one.fields, one.conditions
     way = understood(machine, one.layouts, fields, ask, one.ways)
+    progress("placing the machine", 70)
     statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
     if out is not None:
         statement = _planned(statement, folder)
     project = _read(statement, folder)
     dataset = dataset_of(fields.poses, statement.readings)
+    progress("checking the poses", 80)
     late = delays(project.mechanism, dataset, way, by_time)
     statement = statement.remarked("data", *map(str, late))
     odd = (*_odd(project, dataset), *_far_off(statement.fits))
     # Where the machine fits, no fault of a whole file is left to be found.
     if way.share > PLAUSIBLE:
         _refuse_faults(project.mechanism, dataset)
-    poses = check(project.mechanism, dataset, noise=project.noise.noise())
-    if weak := weakest(poses, dataset):
+    weak, ordered = left_open(project.mechanism, dataset, project.noise.noise())
+    if weak:
         statement = statement.remarked("mechanism", weak)
-    odd = (*odd, *(one.words for one in poses.findings if one.code == ORDERED))
+    odd = (*odd, *ordered)
     tables = {READINGS: _table(dataset, statement)} if statement.converted else {}
     remarks = tuple(source.remark for source in sources if source.remark)
     remarks += tuple(row for rows in statement.remarks.values() for row in rows) + odd
@@ -540,7 +550,7 @@ def _refuse_zeros(some: Sequence[Layout], fields: Fields) -> None:
         if len(seen.position) == 3:
             readings = {f.label: f.values for f in seen.position}
             lost = np.all([f.values == 0.0 for f in seen.position], axis=0)
-            if not lost.all() and len(readings) == 3:
+            if lost.any() and not lost.all() and len(readings) == 3:
                 dataset = Dataset.from_arrays(readings, poses=fields.poses)
                 gone = ",".join(dataset.poses[i] for i in np.flatnonzero(lost))
                 try:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.estimation.mounted import KEPT, Bodies, bodies_of, extent
+from loopcal.estimation.mounted import KEPT, Bodies, bodies_of, evenly, extent
 from loopcal.files.recognition.fields import names_of
 from loopcal.files.recognition.layouts import Layout
 from loopcal.files.recognition.meanings import Meaning, joint_units, meanings
@@ -159,7 +159,7 @@ def every_way(
             bodies = machine.bodies(moved)
             options, others = [], list[Meaning]()
             for seen in layout.seen:
-                some, few = _spread(seen.rows, _SAMPLE), _spread(seen.rows, _FEW)
+                some, few = evenly(seen.rows, _SAMPLE), evenly(seen.rows, _FEW)
                 some_meanings = meanings(seen, as_stated=as_stated)
                 if counting or mixed:  # one of many trials
                     some_meanings = (m for m in some_meanings if as_large(m, bodies))
@@ -205,12 +205,6 @@ def _belonging(options: list[list[Meaning]], layout: Layout) -> tuple[list[list[
     columns = tuple(f for s in gone for f in (*s.position, *s.turned, *s.sds))
     seen = tuple(o[0].seen for o in kept)
     return kept, replace(layout, seen=seen, ignored=(*layout.ignored, *columns))
-
-
-def _spread(positions: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """So many of these positions at most, evenly."""
-    at = np.linspace(0, len(positions) - 1, min(len(positions), most)).astype(np.intp)
-    return positions[np.unique(at)]
 
 
 def _fitting(

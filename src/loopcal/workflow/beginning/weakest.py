@@ -8,18 +8,36 @@ from dataclasses import replace
 import numpy as np
 
 from loopcal.document.findings import RegionRange
+from loopcal.estimation.mounted import evenly
 from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import output_groups
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
 from loopcal.small_samples import LearntCovariance
-from loopcal.statistics.check import FEW, Check
+from loopcal.statistics.check import FEW, ORDERED, Check, check
 from loopcal.statistics.region import ranges_of, sds_in
 
 DRAWN = {"length": 1e-3, "angle": 1e-3}
 """How far lengths [m] and angles [rad] of machines usually are from their drawing: the medians of
 `structured`."""
+_FIRST = 5_000
+"""Poses that are checked first."""
 _MUCH = 0.5
 """A joint that moves over less of its working range is named."""
+
+
+def left_open(
+    mechanism: Mechanism, dataset: Dataset, noise: Noise | None
+) -> tuple[str, tuple[str, ...]]:
+    """Where the poses leave the machine open, and whether they do so with a drift, in words."""
+    if len(dataset) > _FIRST:
+        some = dataset.take(evenly(np.arange(len(dataset)), _FIRST))
+        if not any(left_open(mechanism, some, noise)):
+            return "", ()  # what some of the poses determine, all determine better
+    made = check(mechanism, dataset, noise=noise)
+    ordered = tuple(one.words for one in made.findings if one.code == ORDERED)
+    return weakest(made, dataset), ordered
 
 
 def weakest(made: Check, dataset: Dataset) -> str:

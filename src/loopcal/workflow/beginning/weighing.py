@@ -20,7 +20,7 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError
-from loopcal.estimation.mounted import Bodies, Mounted, bodies_of, origin_rms, see_points
+from loopcal.estimation.mounted import Bodies, Mounted, bodies_of, evenly, origin_rms, see_points
 from loopcal.estimation.problem.alignment import align
 from loopcal.files.recognition.fields import names_of
 from loopcal.files.recognition.meanings import Meaning
@@ -66,8 +66,7 @@ def refined(machine: Machine, way: Understood, meaning: Meaning) -> Refined | No
     readable = np.isfinite(meaning.position).all(axis=1) & way.bodies.complete
     rows = np.flatnonzero(readable)
     good = meaning.fit.away[rows] <= np.quantile(meaning.fit.away[rows], 0.9, method="higher")
-    rows = rows[good]
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _POSES)).astype(int))]
+    rows = evenly(rows[good], _POSES)
     chain = machine.mechanism.chain
     names = dict.fromkeys(step.parameter for step in chain if step.parameter)
     in_chain = [machine.mechanism.parameters[name] for name in names]

@@ -49,6 +49,13 @@ const linked = {
     }
   },
 
+  /* A value of a style as the browser writes it. */
+  written(name, value) {
+    const { style } = document.createElement("i");
+    style[name] = value;
+    return style[name];
+  },
+
   /* Mark the points of a flat figure, now and where plotly draws it again. */
   mark(figure) {
     const some = linked.chosen.length > 0;
@@ -59,14 +66,15 @@ const linked = {
     trace.selectedpoints = figure._fullData[0].selectedpoints = some ? where : undefined;
     for (const [i, point] of figure.calcdata[0].entries())
       point.selected = marked.has(i) ? 1 : undefined;
-    const { color } = trace.marker;
-    for (const point of figure.querySelectorAll(".trace:first-child path.point")) {
-      const on = !some || marked.has(point.__data__.i);
-      point.style.fillOpacity = 1; // plotly keeps the alpha of a colour there
-      if (typeof color !== "string") point.style.opacity = on ? 1 : trace.unselected.marker.opacity;
-      else if (!some) point.style.fill = color;
-      else point.style.fill = (on ? trace.selected : trace.unselected).marker.color;
-    }
+    const { color } = trace.marker, { selected, unselected } = trace;
+    // plotly keeps the alpha of a colour in the opacity
+    const [on, off] = typeof color === "string"
+      ? [some ? selected.marker.color : color, unselected.marker.color].map((fill) => ({ fill, fillOpacity: 1 }))
+      : [1, unselected.marker.opacity].map((opacity) => ({ opacity, fillOpacity: 1 }));
+    const looks = [off, on].map((look) => Object.entries(look).map(([name, value]) => [name, linked.written(name, value)]));
+    for (const { style, __data__ } of figure.querySelectorAll(".trace:first-child path.point"))
+      for (const [name, value] of looks[+(!some || marked.has(__data__.i))])
+        if (style[name] !== value) style[name] = value; // the browser looks again at all that is set
   },
 
   /* The pose that is pointed at in a figure: marked in space at once, and told on after a while. */
@@ -105,3 +113,8 @@ new MutationObserver((changes) => {
       purge(figure);
     }
 }).observe(document, { childList: true, subtree: true });
+
+// NiceGUI watches the size of a figure once plotly is loaded, also of one that has left the page by then.
+addEventListener("unhandledrejection", (event) => {
+  if (event.reason?.message === "Resize must be passed a displayed plot div element.") event.preventDefault();
+});

@@ -352,7 +352,10 @@ export default {
       g.fillStyle = this.ink;
       g.textAlign = "left";
       g.textBaseline = "middle";
-      for (const [v, text] of ticks(cmin, cmax, 5)) g.fillText(text, x + 14, top + high * (1 - (v - cmin) / (cmax - cmin)));
+      for (const [v, text] of ticks(cmin, cmax, 5)) {
+        const wide = g.measureText(text).width > w - x - 14; // at the edge a number would lose its last digits
+        g.fillText(wide ? Number(v.toPrecision(2)).toExponential().replace("e+", "e") : text, x + 14, top + high * (1 - (v - cmin) / (cmax - cmin)));
+      }
       g.textBaseline = "alphabetic";
       g.fillText(colorbar.title.text, x - 4, top - 14);
     },

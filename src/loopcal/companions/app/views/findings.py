@@ -44,7 +44,7 @@ def verdict(document: ResultDocument) -> None:
 def _whole(finding: Finding) -> None:
     """All sentences of a finding, what to do, and the command line that does it."""
     then = finding.next
-    ui.label(f"{finding.words} {then.words if then else ''}").classes("finding")
+    ui.label(f"{finding.words} {then.words if then else ''}")
     if then and then.command:
         command(then.command)
 
