@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,17 +150,17 @@ def test_the_equations_kept_of_an_image_say_what_all_of_them_say(
 ) -> None:
     def products(problem: Problem) -> tuple[dict[str, np.ndarray], int]:
         modes, kinds = image_modes(problem), ("EE", "ED", "DD", "EX", "DX", "XX", "MM", "count")
-        made: dict[str, list[np.ndarray]] = {kind: [None] * 8 for kind in kinds}
+        made: dict[str, dict[int, Any]] = {kind: {} for kind in kinds}
         most = 0
         for block in pose_equations(problem, problem.start, np.zeros(problem.readings.shape)):
             most = max(most, block.E.shape[1])
             for i, n in enumerate(block.poses):
                 E, D, X = block.E[i], block.D[i], block.X[i]
-                each = (E @ E, E @ D, D.T @ D, E @ X, D.T @ X, block.squares[i])
-                each += ((X @ modes).T @ (X @ modes), block.count[i])
-                for kind, value in zip(kinds, each, strict=True):
+                M = X @ modes
+                each = (E @ E, E @ D, D.T @ D, E @ X, D.T @ X, block.squares[i], M.T @ M)
+                for kind, value in zip(kinds, (*each, block.count[i]), strict=True):
                     made[kind][n] = value
-        return {kind: np.array(values) for kind, values in made.items()}, most
+        return {k: np.array([by[n] for n in range(8)]) for k, by in made.items()}, most
 
     few = ("eye_f", "eye_cx", "board_aspect", "board_warp_x")
     images, rows = products(problem_of(None, sd, missing=missing, free=few)[0])
