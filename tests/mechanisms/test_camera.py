@@ -208,7 +208,11 @@ def test_a_region_counts_where_the_camera_sees_the_whole_board() -> None:
     seen = np.array([[0.0, 0.0], [100.0, 300.0], [200.0, 400.0], [120.0, 320.0], [210.0, 410.0]])
     predicted = np.array([[200.0, 470.0, 200.0, 200.0], [300.0, 300.0, -500.0, 300.0]] * 2)
     predicted[2, 3] = 1e12  # a corner beside the camera
-    assert _in_view(seen, names, group, predicted).tolist() == [True, False, False, False]
+    assert _in_view(seen, names, group, predicted, 0.5).tolist() == [True, False, False, False]
+    beside = predicted[:, :1] + 150.0  # 140 from the middle of u, which corners reach to 110
+    assert _in_view(seen, names, group, beside, 0.5).all()
+    assert not _in_view(seen, names, group, beside, 0.0).any()
+    assert _in_view(seen, names, group, seen[1:], 0.0).all()
 
 
 def test_a_camera_that_moves_puts_the_board_as_far_away() -> None:
