@@ -6,11 +6,12 @@ print unknown, 40 images of 48 corners. Of each draw the folder of a user goes t
 
     loopcal init FOLDER --dh dh.csv
 
-and its calibration by the implicit loop. A region of several parameters holds where
+and its calibration by the implicit loop, or through `loopcal init FOLDER` where the poses of the
+flange are kept instead of the joints. A region of l parameters holds where
 
-    (estimate - truth)^T C^-1 (estimate - truth)
+    (estimate - truth)^T C^-1 (estimate - truth) / l
 
-is at most the 95 % quantile of chi-squared; C their covariance.
+is at most the 95 % quantile of F; C their covariance, whose learnt sds state the denominator.
 
     python -m analyses.cameras [--draws 40] [--encoder 50] [--processes 1] [--keep FILE]
 
@@ -26,14 +27,21 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import beta, chi2
+from scipy.stats import beta
 
 import loopcal as lc
 from analyses.cameras_truth import Rig, inverse, shots
 from analyses.gauntlet_truth import Array
 from analyses.kept import Draw, complete
+from loopcal.small_samples import LearntCovariance, f_tail
 
-KINDS = {"eye to hand": True, "eye in hand": False}
+KINDS = {
+    "eye to hand": (True, False),
+    "eye in hand": (False, False),
+    "eye to hand, poses": (True, True),
+    "eye in hand, poses": (False, True),
+}
+"""Whether the board is held, and whether poses of the flange are kept."""
 SIX = "(x|y|z|rz|ry|rx)"
 REGIONS = {
     "camera": f"cam_{SIX}",
@@ -69,11 +77,12 @@ def truth(rig: Rig) -> dict[str, float]:
 
 def judged(name: str, draw: int, encoder: float) -> Draw:
     """Where the truth lies in the regions of one calibration."""
-    shot = shots(draw, KINDS[name], encoder=encoder)
+    held, posed = KINDS[name]
+    shot = shots(draw, held, encoder=encoder)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        shot.write(folder)
-        project = lc.init(folder, dh=folder / "dh.csv")
+        shot.write(folder, T=shot.rig.flange(shot.read) if posed else None)
+        project = lc.init(folder, dh=None if posed else folder / "dh.csv")
     found = lc.calibrate(
         project.mechanism, project.dataset, noise=project.noise, method="implicit-loop"
     )
@@ -86,25 +95,27 @@ def judged(name: str, draw: int, encoder: float) -> Draw:
     answer |= {"family": shot.rig.family, "single": {}, "sds": {}}
     for region, pattern in REGIONS.items():
         some = [i for i, n in enumerate(names) if re.fullmatch(pattern, n)]
-        answer[region] = p_value(error[some], np.asarray(found.covariance)[np.ix_(some, some)])
+        if some:
+            answer[region] = p_value(error[some], found.learnt_covariance.of(np.array(some)))
     for n, e in zip(names, error, strict=True):
-        answer["single"][n] = e / (found.sd[n] or np.nan)
+        sd, freedom = found.sd[n] or np.nan, found.degrees_of_freedom[n] or np.inf
+        answer["single"][n] = f_tail((e / sd) ** 2, 1, freedom)
     sds = {"cam": shot.rig.corner, "theta": encoder}
     assert found.estimate is not None
     for one in found.estimate.components:
         key = "cam" if one.name.startswith("cam") else "theta"
         begun = found.estimate.began.uncertainty.sd[one.quantities[0], 0]
-        if one.sd_of_ratio:
+        if one.sd_of_ratio and (key == "cam" or not posed):
             answer["sds"][key] = (one.ratio - sds[key] / begun) / one.sd_of_ratio
     return answer
 
 
-def p_value(error: Array, covariance: Array) -> float:
+def p_value(error: Array, covariance: LearntCovariance) -> float:
     """Of an error this far out, where the covariance is right."""
-    scale = 1.0 / np.sqrt(np.diag(covariance))
-    scaled = covariance * scale * scale[:, None]
-    t = (error * scale) @ np.linalg.solve(scaled, error * scale)
-    return float(chi2.sf(t, len(error)))
+    scale = 1.0 / np.sqrt(np.diag(covariance.matrix))
+    scaled = covariance.matrix * scale * scale[:, None]
+    t = float((error * scale) @ np.linalg.solve(scaled, error * scale))
+    return f_tail(t, len(error), float(covariance.denominator))
 
 
 def share(held: int, of: int) -> str:
@@ -134,9 +145,10 @@ def main() -> None:
             continue
         print(f"{name}: {len(some)} draws, {sum(one['converged'] for one in some)} converged")
         for region in REGIONS:
-            held = sum(one[region] > 0.05 for one in some)
-            print(f"  {region:8} {share(held, len(some))}")
-        singles = [abs(z) <= SIGMAS for one in some for z in one["single"].values()]
+            p = [one[region] for one in some if region in one]
+            if p:
+                print(f"  {region:8} {share(sum(v > 0.05 for v in p), len(p))}")
+        singles = [p > 0.05 for one in some for p in one["single"].values()]
         print(f"  single   {100 * np.mean(singles):5.1f} of {len(singles)}")
         for key in ("cam", "theta"):
             z = [one["sds"][key] for one in some if key in one["sds"]]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,6 +15,8 @@ from loopcal.estimation import prediction
 from loopcal.estimation.cameras.at_board import pixel_sizes
 from loopcal.estimation.noise.linear_model import fit, linear_model
 from loopcal.estimation.problem import patterns
+from loopcal.estimation.problem.error_modes import image_modes
+from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.cameras.lens import Intrinsics, project
@@ -83,7 +88,11 @@ def test_pixels_are_those_of_the_definition(on: str) -> None:
 
 
 def problem_of(
-    monkeypatch: pytest.MonkeyPatch | None, sd: float, *, missing: bool
+    monkeypatch: pytest.MonkeyPatch | None,
+    sd: float,
+    *,
+    missing: bool,
+    free: Sequence[str] | None = None,
 ) -> tuple[Problem, np.ndarray]:
     """A problem of images with noise; by the covariance of each pose where patched."""
     random = np.random.default_rng(3)
@@ -101,6 +110,9 @@ def problem_of(
         table |= {f"{axis}0": table.pop(axis) for axis in "xyz"}
         placing = [f"{owner}_{n}" for owner in ("eye", "board") for n in SIX]
         made = made.with_parameters(made.parameters.with_fixed([*placing, "board_scale"]))
+    if free is not None:
+        rest = [n for n in made.parameters.names if n not in free]
+        made = made.with_parameters(made.parameters.with_fixed(rest))
     problem = build_problem(made, lc.Dataset.from_arrays(table), lc.Noise(noise))
     return problem, np.zeros(problem.readings.shape)
 
@@ -129,6 +141,33 @@ def test_missing_corners_count_nothing(sd: float, monkeypatch: pytest.MonkeyPatc
     scale = np.abs(other.data.products).max()
     assert np.abs(one.data.products - other.data.products).max() < 1e-10 * scale
     assert one.equations == other.equations
+
+
+@pytest.mark.parametrize("missing", [False, True])
+@pytest.mark.parametrize("sd", [1e-3, np.inf])
+def test_the_equations_kept_of_an_image_say_what_all_of_them_say(
+    sd: float, missing: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def products(problem: Problem) -> tuple[dict[str, np.ndarray], int]:
+        modes, kinds = image_modes(problem), ("EE", "ED", "DD", "EX", "DX", "XX", "MM", "count")
+        made: dict[str, dict[int, Any]] = {kind: {} for kind in kinds}
+        most = 0
+        for block in pose_equations(problem, problem.start, np.zeros(problem.readings.shape)):
+            most = max(most, block.E.shape[1])
+            for i, n in enumerate(block.poses):
+                E, D, X = block.E[i], block.D[i], block.X[i]
+                M = X @ modes
+                each = (E @ E, E @ D, D.T @ D, E @ X, D.T @ X, block.squares[i], M.T @ M)
+                for kind, value in zip(kinds, (*each, block.count[i]), strict=True):
+                    made[kind][n] = value
+        return {k: np.array([by[n] for n in range(8)]) for k, by in made.items()}, most
+
+    few = ("eye_f", "eye_cx", "board_aspect", "board_warp_x")
+    images, rows = products(problem_of(None, sd, missing=missing, free=few)[0])
+    loops, all_rows = products(problem_of(monkeypatch, sd, missing=missing, free=few)[0])
+    assert rows < all_rows
+    for kind, one in images.items():
+        assert np.abs(one - loops[kind]).max() <= 1e-9 * np.abs(loops[kind]).max(), kind
 
 
 @pytest.mark.parametrize("sd", [1e-3, np.inf])
@@ -169,7 +208,11 @@ def test_a_region_counts_where_the_camera_sees_the_whole_board() -> None:
     seen = np.array([[0.0, 0.0], [100.0, 300.0], [200.0, 400.0], [120.0, 320.0], [210.0, 410.0]])
     predicted = np.array([[200.0, 470.0, 200.0, 200.0], [300.0, 300.0, -500.0, 300.0]] * 2)
     predicted[2, 3] = 1e12  # a corner beside the camera
-    assert _in_view(seen, names, group, predicted).tolist() == [True, False, False, False]
+    assert _in_view(seen, names, group, predicted, 0.5).tolist() == [True, False, False, False]
+    beside = predicted[:, :1] + 150.0  # 140 from the middle of u, which corners reach to 110
+    assert _in_view(seen, names, group, beside, 0.5).all()
+    assert not _in_view(seen, names, group, beside, 0.0).any()
+    assert _in_view(seen, names, group, seen[1:], 0.0).all()
 
 
 def test_a_camera_that_moves_puts_the_board_as_far_away() -> None:

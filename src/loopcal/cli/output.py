@@ -49,7 +49,7 @@ _ABOVE = ContextVar("above", default=0)
 """Lines that stand on the same screen already."""
 _JUDGED = 2
 """Parts of a result that are always shown: what it is, and its verdict."""
-_NEEDED = ("accuracy",)
+_NEEDED = ("accuracy", "board's place")
 """Parts that come right after these, fit or not, ahead of causes and warnings."""
 
 # Chosen, not derived.

@@ -164,7 +164,7 @@ def _caused(problem: Problem, equations: Sequence[PoseEquations]) -> Mapping[str
     """What a unit of variance of each reading causes in the equations, in mean squares of these."""
     caused, square = np.zeros(len(problem.readings)), 0.0
     for block in equations:
-        caused += np.square(block.X).sum(axis=(0, 1))
+        caused += block.squares.sum(axis=0)
         square += float(np.square(block.E).sum())
     names = problem.mechanism.tape.quantities
     return dict(zip(names, (caused / max(square, 1e-300)).tolist(), strict=True))

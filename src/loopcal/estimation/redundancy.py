@@ -51,16 +51,18 @@ def redundancy(
         poses = block.poses
         spread = rows_times(block.D, covariance) @ block.D.transpose(0, 2, 1)
         WX = block.X - spread @ block.X
-        inner = block.X.transpose(0, 2, 1) @ WX
+        left = np.einsum("brk,brk->bk", block.X, WX)
+        if block.beside is not None:
+            left += block.beside.squares
         seen = np.einsum("brk,br->bk", block.X, block.E)
-        power[:, poses] = np.einsum("bkk->kb", inner)
-        shares, corrections = variance.T[poses, :, None] * inner, variance.T[poses] * seen
+        shares, corrections = variance.T[poses] * left, variance.T[poses] * seen
         for joint in problem.uncertainty.of(poses).blocks:
             rows = list(joint.indices)
             matrix = joint.factor @ np.swapaxes(joint.factor, -1, -2)
-            shares[:, rows] = matrix @ inner[:, rows]
+            inner = block.X[:, :, rows].transpose(0, 2, 1) @ WX[:, :, rows]
+            shares[:, rows] = np.einsum("...kj,bjk->bk", matrix, inner)
             corrections[:, rows] = (matrix @ seen[:, rows, None])[..., 0]
-        numbers[:, poses] = np.einsum("bkk->kb", shares)
+        power[:, poses], numbers[:, poses] = left.T, shares.T
         squares[:, poses] = (corrections * seen).T
     lost = np.isinf(sd)
     return Redundancy(*(np.where(lost, np.nan, part) for part in (numbers, squares, power)))

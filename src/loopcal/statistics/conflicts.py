@@ -22,7 +22,8 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.document.findings import ConflictEntry
-from loopcal.estimation.dependence.seen import instruments, units_of
+from loopcal.estimation.dependence.seen import instruments
+from loopcal.estimation.problem.error_modes import units_of
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
@@ -64,11 +65,11 @@ def _entry(
         return None
     E = np.concatenate([part[0] for part in parts])
     A = np.concatenate([part[1] for part in parts])
-    shown = np.concatenate([part[2] for part in parts])
+    shown, count = sum(part[2] for part in parts), sum(part[3] for part in parts)
     shares, vectors = np.linalg.eigh(A.T @ A)
     g = vectors.T @ (A.T @ E)
     seen = shares > _LEAST
-    count, spare = len(E), len(E) - int(seen.sum())
+    spare = count - int(seen.sum())
     compared = seen & (shares < 1.0 - _LEAST)
     if spare < _SPARE or not compared.any():
         return None
@@ -77,9 +78,9 @@ def _entry(
     f, g = shares[compared], g[compared]
     scale = np.maximum(f * (1.0 - f) * (by_itself * (1.0 - f) + f), 1e-300)
     p_value = f_tail(float((np.square(g) / scale).sum()), len(f), spare)
-    # An error of one sd moves its equation by `shown`, less than 1 where joints err too.
+    # An error of one sd moves its equation by less than 1 where joints err too.
     (sd,) = units_of(problem, [problem.mechanism.tape.quantities.index(family.readings[0])])
-    unit = float(sd) / max(math.sqrt(float(np.square(shown).mean())), 1e-300)
+    unit = float(sd) / max(math.sqrt(shown / count), 1e-300)
     return ConflictEntry(
         family.name,
         unit * math.sqrt(square / count),
@@ -95,9 +96,10 @@ def _added(
     families: Sequence[Family],
     equations: Sequence[PoseEquations],
     root: Array,
-) -> Iterator[tuple[Array, Array, Array]]:
-    """The equations that an observation adds to the others, by parts: E (m,), A (m, k), and by how
-    much its own errors of one sd move them (m,)."""
+) -> Iterator[tuple[Array, Array, float, int]]:
+    """The equations that an observation adds to the others, by parts: E (m,), A (m, k), the squares
+    by which its own errors of one sd move them, summed, and their number, those that an image
+    leaves out with them."""
     names = problem.mechanism.tape.quantities
     own_rows = [names.index(q) for q in family.readings]
     sds = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
@@ -109,17 +111,16 @@ def _added(
             continue
         alone = not np.isfinite(sds[aside][:, block.poses]).any()
         X = block.X[:, :, own_rows] * read.T[:, None, :] * units
-        if alone and len(own_rows) >= block.E.shape[1]:
-            shown = np.sqrt(np.square(X).sum(axis=2))
-            yield (
-                block.E.ravel(),
-                rows_times(block.D, root).reshape(-1, root.shape[1]),
-                shown.ravel(),
-            )
+        if alone and len(own_rows) >= block.rows:
+            shown = float((block.squares[:, own_rows] * read.T * np.square(units)).sum())
+            count = block.E.size if block.beside is None else int(block.count.sum())
+            A = rows_times(block.D, root).reshape(-1, root.shape[1])
+            yield block.E.ravel(), A, shown, count
         elif len(own_rows) <= _MOST:
             values, vectors = np.linalg.eigh(X.transpose(0, 2, 1) @ X)
             kept = values > 1e-9 * values.max(axis=1, keepdims=True)
             Q = X @ (vectors / np.sqrt(np.where(kept, values, 1.0))[:, None, :])
             turned = Q.transpose(0, 2, 1)
             E = np.einsum("bqr,br->bq", turned, block.E)[kept]
-            yield E, (turned @ rows_times(block.D, root))[kept], np.sqrt(values[kept])
+            A = (turned @ rows_times(block.D, root))[kept]
+            yield E, A, float(values[kept].sum()), len(E)

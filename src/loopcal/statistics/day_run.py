@@ -110,5 +110,8 @@ def _system(linear: Linearised, changed: Array) -> OrderedSystem:
     precision = np.concatenate([np.zeros(free), np.ones(held)])
     none = np.zeros(free + held)
     as_read = np.arange(N)
-    made = OrderedSystem(problem, as_read, E, Z, D, X, precision, none, patterns, rows, 0, 0.0)
+    count = rows.sum(axis=1)
+    made = OrderedSystem(
+        problem, as_read, E, Z, D, X, precision, none, patterns, rows, count, 0, 0.0
+    )
     return made.in_order()

@@ -50,9 +50,11 @@ class OrderedSystem:
     """N poses in order with up to R equations each, missing ones zero.
 
     E: (N, R); Z: (N, R, m); D, X: (N, R, n), (N, R, k) of parameters and readings; precision: (m,)
-    of z, pull: (m,) precision (nominal - present); patterns: (N,) poses with the same equations;
-    rows: (N, R) which are there; smooth: the last so many columns of Z whose variance is learnt;
-    rounding: mean square that rounding leaves in a row, below which no scatter is taken.
+    of z, pull: (m,) precision (nominal - present); patterns: (N,) poses with the same equations,
+    negative for images, each of which is turned by itself; rows: (N, R) which are there; count:
+    (N,) equations, those with them that an image leaves out; smooth: the last so many columns of Z
+    whose variance is learnt; rounding: mean square that rounding leaves in a row, below which no
+    scatter is taken.
     """
 
     problem: Problem
@@ -65,6 +67,7 @@ class OrderedSystem:
     pull: Array
     patterns: NDArray[np.intp]
     rows: NDArray[np.bool_]
+    count: NDArray[np.intp]
     smooth: int
     rounding: float
 
@@ -86,6 +89,7 @@ class OrderedSystem:
             pull=np.pad(self.pull, (0, more)),
             patterns=self.patterns[order],
             rows=self.rows[order],
+            count=self.count[order],
             smooth=more,
         )
 
@@ -131,12 +135,12 @@ class OrderedSystem:
     @cached_property
     def equations(self) -> NDArray[np.intp]:
         """(N,) rows of each pose, at least 1."""
-        return np.asarray(np.maximum(self.rows.sum(axis=1), 1), dtype=np.intp)
+        return np.asarray(np.maximum(self.count, 1), dtype=np.intp)
 
     def fitted(self) -> Fitted:
         """The system scaled by what its fit leaves."""
         alike = np.ones(len(self.E))
-        T = self.whitening(self.E, alike, float(self.rows.sum()))
+        T = self.whitening(self.E, alike, float(self.count.sum()))
         fit = _scaled(self, self.Z[:, :, :0], T, alike, _RATIOS)
         for _ in range(_ROUNDS - 1):
             fit = fit.again()
@@ -148,7 +152,7 @@ class OrderedSystem:
         spare: degrees of freedom that are left.
         """
         T = np.zeros((*left.shape, left.shape[1]))
-        count = float(self.rows.sum())
+        count = float(self.count.sum())
         freedom = spare / count
         alone = float(np.square(weights[:, None] * left).sum() / count) / freedom
         for pattern in np.unique(self.patterns):
@@ -159,7 +163,7 @@ class OrderedSystem:
             S = alone * np.eye(len(loops))
             poses, few = int(alike.sum()), _ENOUGH * len(loops)
             # The scatter of few poses has directions that are nearly zero by chance.
-            if poses > 2 * len(loops):
+            if pattern > 0 and poses > 2 * len(loops):
                 weighted = weights[alike, None] * left[np.ix_(alike, loops)]
                 # of few poses partly as if the rows were alike: their scatter is unsure itself
                 share = min(1.0, poses / few)
@@ -240,7 +244,7 @@ class Fitted:
     @property
     def spare(self) -> float:
         """Degrees of freedom that are left."""
-        count = float(self.system.rows.sum())
+        count = float(self.system.count.sum())
         # tr(H^-1 (H - P)) = rank - tr(H^-1 P); a tenth at least, for few spare rows show no scale.
         used = len(self._factor.values) - float(self._factor.variances @ self.precision)
         return max(count - used, 0.1 * count)
@@ -350,7 +354,7 @@ def _scaled(system: OrderedSystem, more: Array, T: Array, weights: Array, ratios
         flat = scaled.reshape(-1, m)
         products += flat.T @ flat
     fit = Fitted(system, more, T, weights, 1.0, stated, pull, products)
-    size = np.trace(products[m - smooth :, m - smooth :]) / max(system.E.size * smooth, 1)
+    size = np.trace(products[m - smooth :, m - smooth :]) / max(int(system.count.sum()) * smooth, 1)
     tried = []
     for ratio in ratios.tolist() if smooth else ():
         precision = stated.copy()
@@ -435,10 +439,13 @@ def ordered_system(result: FitResult) -> OrderedSystem:
     R = max((block.E.shape[1] for block in equations), default=0)
     E, D, X = np.zeros((N, R)), np.zeros((N, R, n)), np.zeros((N, R, k))
     rows, patterns = np.zeros((N, R), dtype=bool), np.zeros(N, dtype=np.intp)
+    count = np.zeros(N, dtype=np.intp)
     for block in equations:
         r, poses = block.E.shape[1], block.poses
         E[poses, :r], D[poses, :r], X[poses, :r], rows[poses, :r] = block.E, block.D, block.X, True
-        patterns[poses] = r
+        patterns[poses], count[poses] = r, r
+        if block.beside is not None:
+            patterns[poses], count[poses] = -r, block.count
     X[
         np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))
         .T[:, None, :]
@@ -449,7 +456,9 @@ def ordered_system(result: FitResult) -> OrderedSystem:
     )
     rounding = rounding_left(problem, equations)
     as_read = np.arange(N)
-    made = OrderedSystem(problem, as_read, E, D, D, X, precision, pull, patterns, rows, 0, rounding)
+    made = OrderedSystem(
+        problem, as_read, E, D, D, X, precision, pull, patterns, rows, count, 0, rounding
+    )
     return made.in_order()
 
 

@@ -102,7 +102,7 @@ class Fitted:
 
     def _turned(self, block: PoseEquations) -> PoseEquations:
         T = self.alike.get(block.E.shape[1])
-        if T is None:
+        if T is None or block.beside is not None:
             return block
         return replace(block, E=block.E @ T.T, D=T @ block.D, X=T @ block.X)
 
@@ -116,7 +116,7 @@ def independent(blocks: Sequence[PoseEquations], kept: NDArray[np.bool_]) -> dic
     whitenings = {}
     for block in blocks:
         E, r = block.E[kept[block.poses]], block.E.shape[1]
-        if r <= _POINT or len(E) <= 2 * r:
+        if r <= _POINT or len(E) <= 2 * r or block.beside is not None:
             continue
         # of few poses partly as if the equations were alike: their scatter is unsure itself
         share, weights = min(1.0, len(E) / (_ENOUGH * r)), np.ones(len(E))
@@ -196,7 +196,7 @@ def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> Pose
     rest = np.maximum(np.square(block.E).sum(axis=1) - np.square(turned).sum(axis=1), 0.0)
     t = ((np.square(y) / np.where(open_, redundancy, 1.0)).sum(axis=1) + rest) / fit.factor
     X = np.swapaxes(vectors, 1, 2) @ block.X
-    whole = np.square(block.X).sum(axis=1).T
+    whole = block.squares.T
     lost = 1.0 - np.where(open_, redundancy, 0.0)
     power = whole - np.einsum("bs,bsk->kb", lost, np.square(X))
     along = np.einsum("brk,br->kb", block.X, block.E)

@@ -266,10 +266,12 @@ class SameRun:
     def of(
         cls, fit: FitResult, held: Problem, corrections: Array, drifting: Drifting, run: Run
     ) -> SameRun | None:
-        """Of poses that a fit has not seen; None where they are too many."""
+        """Of poses that a fit has not seen; None where they are too many, or images."""
         problem, solution = fit.problem, fit.solution
         if len(run.fitted) != len(problem.poses) or len(run.fitted) > _MOST:
             return None
+        if any(pattern.predicted for pattern in held.patterns):
+            return None  # the equations of images are turned by themselves
         run, drift, root = run.ordered(problem, held), drifting.drift, solution.spectrum.root
         A = seen(problem, fit.pose_equations(), root, drifting.readings).A
         N, q, k = A.shape

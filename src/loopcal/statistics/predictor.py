@@ -18,7 +18,7 @@ from loopcal.estimation.noise.learning import joint_covariances
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.constants import as_now
 from loopcal.estimation.problem.patterns import Pattern
-from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.problem import VALUES, Problem
 from loopcal.estimation.products import rows_times
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -303,7 +303,8 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
     outputs = {mechanism.tape.quantities.index(q) for q in mechanism.outputs}
     now = as_now(mechanism, problem.pose_constants)
     loops, unused = mechanism.predicting().tape.loops, mechanism.predicting().unused
-    gathered = []
+    groups, gathered = output_groups(mechanism), []
+    size = max(1, VALUES // max(len(outputs), 1) ** 2)  # covariances of images are large
     for pattern in problem.patterns:
         poses = _some(pattern, len(problem.poses))
         too = {i for i in pattern.unmeasured if mechanism.tape.quantities[i] not in unused}
@@ -315,14 +316,18 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
         if outputs & set(pattern.absent):
             at = at.copy()
             at[sorted(outputs)] = predict_outputs(mechanism, values, at, constants)
-        S = output_sensitivity(mechanism, values, bare.names, at, constants, pattern.unmeasured)
-        gathered.append(by_parameters(bare, S.by_parameter, measured=True))
+        for begin in range(0, len(poses), size):
+            part = np.s_[:, begin : begin + size]
+            S = output_sensitivity(
+                mechanism, values, bare.names, at[part], constants[part], pattern.unmeasured
+            )
+            covariance = by_parameters(bare, S.by_parameter, measured=True)
+            gathered.append([trace_sd(covariance, group) for group in groups])
     if not gathered:
         return ()
-    covariance = np.concatenate(gathered)
     usual = []
-    for group in output_groups(mechanism):
-        sizes = trace_sd(covariance, group)
+    for i, group in enumerate(groups):
+        sizes = np.concatenate([one[i] for one in gathered])
         sizes = sizes[np.isfinite(sizes)]
         if sizes.size:
             # Not the largest, which one pose at the edge decides.

@@ -44,6 +44,9 @@ _QUARTER = 0.5 * math.pi
 # Chosen, not derived: an rms of 40 is sure to 8 %, by the same formula.
 _FEWEST = 40
 """Poses of the box that the machine can reach; of fewer nothing is said."""
+# Chosen, not derived: images are larger than what corners fill. Record 0147.
+_BEYOND = 0.5
+"""How much farther than corners reach a camera sees, as a share of that, in a region of joints."""
 # Chosen, not derived: more than an encoder's noise, far less than shows anything of a joint.
 _STILL = 1e-3
 """A joint that covers less of its region stood still."""
@@ -93,14 +96,15 @@ def _region(
     between = driven if {one.source for one in ranges} == {"readings"} else []
     groups = output_groups(mechanism)
     cameras = all(group.points > 1 for group in groups)
-    count = _TRIED if cameras else _POSES
+    count, beyond = _TRIED if cameras else _POSES, 0.0 if between else _BEYOND
     x, constants = _random_poses(calibrated, ranges, count, corrected, now, between)
     if cameras:
         solved = solving(mechanism, also)
         values = np.array([p.nominal for p in solved.parameters])
         now_at = np.nan_to_num(x), constants
         pixels = predict_outputs(solved, values, *now_at, calibrated.names)
-        seen = np.any([_in_view(corrected, names, group, pixels) for group in groups], axis=0)
+        views = [_in_view(corrected, names, group, pixels, beyond) for group in groups]
+        seen = np.any(views, axis=0)
         kept = np.flatnonzero(seen)[:_POSES]
         if len(kept) < _FEWEST:
             return None
@@ -111,7 +115,7 @@ def _region(
     read = np.isfinite(np.broadcast_to(problem.uncertainty.sd, corrected.shape))[:, some]
     worst: dict[str, tuple[float, RegionSd]] = {}
     for group, at_poses, over_region in zip(groups, of_fit, of_region, strict=True):
-        out = group.points > 1 and ~_in_view(corrected, names, group, predicted)
+        out = group.points > 1 and ~_in_view(corrected, names, group, predicted, beyond)
         # Of poses in which an instrument read nothing, no data say how sure it is there.
         seen = read[[names.index(q) for q in group.outputs]].any(axis=0)
         for unit, at in at_poses.items():
@@ -206,12 +210,12 @@ def _at_board(
 
 
 def _in_view(
-    readings: Array, names: Sequence[str], group: OutputGroup, outputs: Array
+    readings: Array, names: Sequence[str], group: OutputGroup, outputs: Array, beyond: float
 ) -> NDArray[np.bool_]:
     """(N,) the poses of a region that put a whole board where a camera sees it.
 
     readings (k, M): with the pixels at the poses of the fit, in the order of names; outputs (o, N):
-    with those of the region. A camera sees as far as corners reach, and half of that farther on
+    with those of the region. A camera sees as far as corners reach, and this share of it farther on
     each side.
     """
     inside = np.ones(outputs.shape[1], dtype=bool)
@@ -219,7 +223,7 @@ def _in_view(
         seen = readings[[names.index(q) for q in group.outputs[axis::2]]]
         low, high = np.nanmin(seen), np.nanmax(seen)
         off = outputs[list(group.rows[axis::2])] - 0.5 * (low + high)
-        inside &= (np.abs(off) <= high - low).all(axis=0)
+        inside &= (np.abs(off) <= (0.5 + beyond) * (high - low)).all(axis=0)
     return inside
 
 

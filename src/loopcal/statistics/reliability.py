@@ -113,7 +113,7 @@ def reliability(
         checked = redundancy(problem, equations, covariance)
         whole = np.zeros(problem.readings.shape)
         for block in equations:
-            whole[:, block.poses] = np.square(block.X).sum(axis=1).T
+            whole[:, block.poses] = block.squares.T
         tested = checked.power > UNCONTROLLED * whole
         root = np.sqrt(np.where(tested, checked.power, 1.0))
         detectable = np.where(tested, noncentrality(alpha, power) * scale / root, np.inf)

@@ -133,7 +133,9 @@ def valid(document: ResultDocument) -> Fact:
     sources = {one.source for one in region.ranges}
     where = "the working region"
     if sources == {"readings"}:
-        where = "the region between the measured poses (no limits are known)"
+        seen = document.accuracy is not None and document.accuracy.pixels
+        within = ", where corners were seen" if seen else ""
+        where = f"the region between the measured poses{within} (no limits are known)"
     elif "turn" in sources:
         where = "the working region (joints without stated limits turn a quarter turn either way)"
     worst, parked = region.worst, region.worst_while_parked

@@ -153,7 +153,12 @@ def _whole(
     DD, DE, EE, count = np.zeros((k, k)), np.zeros(k), 0.0, 0
     for block in equations:
         D, E = rows_times(block.D, root).reshape(-1, k), block.E.ravel()
-        DD, DE, EE, count = DD + D.T @ D, DE + D.T @ E, EE + float(E @ E), count + len(E)
+        DD, DE, EE, count = (
+            DD + D.T @ D,
+            DE + D.T @ E,
+            EE + float(E @ E),
+            count + int(block.count.sum()),
+        )
     precision = problem.precision
     away = problem.nominal - solution.parameters[problem.free]
     pull = np.where(precision > 0.0, precision * away, 0.0)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.estimation.problem.error_modes import image_modes, units_of
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
@@ -80,19 +81,15 @@ class Errors:
     def of(cls, problem: Problem, readings: Sequence[str]) -> Errors:
         """Of these readings, in the units of the sds of a fit."""
         rows = [problem.mechanism.tape.quantities.index(q) for q in readings]
-        units = units_of(problem, rows)
-        image = {
-            q: family
-            for family in problem.mechanism.families
-            if family.form == PIXELS
-            for q in family.readings
-        }
-        columns = [np.eye(len(rows))[i] for i, q in enumerate(readings) if q not in image]
-        families = {family.name: family for q in readings if (family := image.get(q))}
-        for family in families.values():
-            columns += _shifted(problem, family, list(readings))
+        image = {q for f in problem.mechanism.families if f.form == PIXELS for q in f.readings}
+        single = [i for i, q in enumerate(readings) if q not in image]
+        columns = [
+            np.eye(len(rows))[i] * u
+            for i, u in zip(single, units_of(problem, rows)[single], strict=True)
+        ]
+        columns += [mode for mode in image_modes(problem)[rows].T if mode.any()]
         modes = np.array(columns).reshape(-1, len(rows)).T
-        return cls(rows, units[:, None] * modes)
+        return cls(rows, modes)
 
     def effects(self, problem: Problem, block: PoseEquations) -> Array:
         """(b, r, q) what they do to the equations of some poses of a problem; nothing where a
@@ -100,39 +97,3 @@ class Errors:
         sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[self.rows]
         missing = np.isinf(sd).T[block.poses]
         return np.asarray((block.X[:, :, self.rows] * ~missing[:, None, :]) @ self.modes)
-
-
-def _shifted(problem: Problem, family: Family, readings: list[str]) -> list[Array]:
-    """(6,) columns (R,): an image shifted along u and v, and stretched linearly over the points.
-
-    x and y of a point are the mean of its pixels over the poses, from the middle of all.
-    """
-    names = problem.mechanism.tape.quantities
-    index = [names.index(q) for q in family.readings]
-    sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[index]
-    pixels = np.where(np.isinf(sd), np.nan, problem.readings[index])
-    seen = np.isfinite(pixels)
-    mean = np.where(seen, pixels, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
-    xy = mean.reshape(-1, 2)
-    xy = xy - xy.mean(axis=0)
-    over = np.column_stack([np.ones(len(xy)), xy])
-    over /= np.maximum(np.sqrt(np.square(over).mean(axis=0)), 1e-12)
-    columns = []
-    place = {q: i for i, q in enumerate(readings)}
-    for axis in (0, 1):
-        for function in over.T:
-            column = np.zeros(len(readings))
-            for value, q in zip(function, family.readings[axis::2], strict=True):
-                if q in place:
-                    column[place[q]] = value
-            columns.append(column)
-    return columns
-
-
-def units_of(problem: Problem, rows: Sequence[int]) -> Array:
-    """(q,) the usual sd of each reading [SI]; 1 where they are taken as exact."""
-    sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[list(rows)]
-    usable = np.isfinite(sd) & (sd > 0.0)
-    if not usable.any(axis=1).all():
-        return np.ones(len(rows))
-    return np.array([float(np.median(row[mask])) for row, mask in zip(sd, usable, strict=True)])

@@ -314,7 +314,7 @@ def _shared(
         y[block.poses] = np.einsum("bqr,br->bq", X, block.E)
         A[block.poses] = rows_times(X @ block.D, root)
         M[block.poses] = X @ np.swapaxes(X, 1, 2)
-        square, count = square + float(np.square(block.E).sum()), count + block.E.size
+        square, count = square + float(np.square(block.E).sum()), count + int(block.count.sum())
     informed = root / problem.prior_sd[:, None]
     H = np.eye(k) - informed.T @ informed
     return _gained(_Sums.of(Seen(y, A, M), further.T), H, square, count)

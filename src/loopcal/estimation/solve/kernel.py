@@ -283,6 +283,15 @@ class Elimination:
         identity[np.arange(m), np.arange(m)] = 1.0
         return self.apply(identity)
 
+    def undo(self, part: Array) -> Array:
+        """What the reflections made of some columns (c, m, b), back to those; a new array."""
+        out = np.array(part)
+        every = list(enumerate(zip(self.vectors, self.scales, strict=True)))
+        for j, (v, scale) in reversed(every):
+            weight = np.einsum("mb,cmb->cb", v, out[:, j:]) * scale
+            out[:, j:] -= v * weight[:, None, :]
+        return out
+
     def solve(self, right: Array) -> Array:
         """The unmeasured quantities' steps from their u triangular rows; (u, b).
 
@@ -339,39 +348,13 @@ def whiten_images(values: LoopValues, block: Block, *, exact: bool = False) -> W
 
     exact: every reading is, and only missing ones are found. G is empty.
     """
-    noise, correction = block.noise, block.corrections
-    f, J, D = values.f, values.by_quantity, values.by_parameter
-    predicted, unmeasured = list(noise.predicted), list(noise.unmeasured)
-    shared = [] if exact else list(noise.shared)
-    u, s = len(unmeasured), len(shared)
-    m, b = f.shape
-    slope, sd = J[predicted, np.arange(m)], np.broadcast_to(noise.sd[predicted], (m, b))
-    missing = np.isinf(sd)
-    weight = np.where(missing, 0.0, 1.0 if exact else 1.0 / (np.abs(slope) * sd))
-    loads = shared_loads(J, noise) if s else J[:0]
-    columns = np.zeros((u + s, m + s, b))
-    columns[:u, :m], columns[u:, :m] = J[unmeasured] * weight, loads * weight
-    columns[np.arange(u, u + s), np.arange(m, m + s)] = 1.0
-    misclosure = -f
-    if not exact:
-        misclosure += slope * correction[predicted]
-        misclosure += np.einsum("smb,sb->mb", J[shared], correction[shared])
-    reflections = eliminate(columns)
-
-    def left(part: Array) -> Array:
-        return reflections.apply(
-            np.concatenate([part * weight, np.zeros((*part.shape[:-2], s, b))], axis=-2)
-        )
-
-    turned = left(misclosure)
-    reduced = np.empty((len(D) + 1, m - u, b))
-    reduced[-1] = turned[u + s :]
-    if len(D):
-        reduced[:-1] = left(D)[:, u + s :]
-        if u:
-            length = np.sqrt(np.square(D * weight).sum(axis=1))[:, None, :]
-            reduced[:-1][np.abs(reduced[:-1]) < ROUNDED_AWAY * length] = 0.0
-    steps = reflections.solve(turned[: u + s])
+    noise, correction, J = block.noise, block.corrections, values.by_quantity
+    turned = TurnedImages.of(values, block, exact=exact)
+    D, u, s = values.by_parameter, turned.unmeasured, turned.shared
+    right = turned.apply(turned.misclosure)
+    rows = np.concatenate([turned.left(D), right[None, u + s :]])
+    steps = turned.reflections.solve(right[: u + s])
+    unmeasured, shared = list(noise.unmeasured), [] if exact else list(noise.shared)
     new = correction.copy() if exact else np.zeros_like(correction)
     new[unmeasured] = correction[unmeasured] + steps[:u]
     new[shared] = noise.sd[shared] * steps[u:]
@@ -379,13 +362,82 @@ def whiten_images(values: LoopValues, block: Block, *, exact: bool = False) -> W
         places = [u + shared.index(i) for i in covariance.indices]
         subscripts = "cd,db->cb" if covariance.factor.ndim == 2 else "bcd,db->cb"
         new[list(covariance.indices)] = np.einsum(subscripts, covariance.factor, steps[places])
-    rest = misclosure - np.einsum("umb,ub->mb", J[unmeasured], steps[:u])
+    rest = turned.misclosure - np.einsum("umb,ub->mb", J[unmeasured], steps[:u])
     rest -= np.einsum("smb,sb->mb", J[shared], new[shared])
-    rest /= slope
+    rest /= turned.slope
+    predicted = list(noise.predicted)
+    missing = turned.weight == 0.0
     new[predicted] = (
         np.where(missing, correction[predicted] + rest, new[predicted]) if exact else rest
     )
-    return Whitened(reduced, np.zeros((m - u, 0, b)), new, np.zeros(b, dtype=bool))
+    return Whitened(
+        rows, np.zeros((len(rows[0]), 0, block.count)), new, np.zeros(block.count, bool)
+    )
+
+
+@dataclass(frozen=True)
+class TurnedImages:
+    """Images with the columns of unmeasured and shared readings triangularised (`whiten_images`).
+
+    weight, slope, misclosure: (m, b); reflections: of m + s rows; unmeasured, shared: u and s.
+    """
+
+    weight: Array
+    slope: Array
+    misclosure: Array
+    reflections: Elimination
+    unmeasured: int
+    shared: int
+
+    @classmethod
+    def of(cls, values: LoopValues, block: Block, *, exact: bool) -> TurnedImages:
+        """Of the loops at the corrected readings of a block."""
+        noise, correction, J = block.noise, block.corrections, values.by_quantity
+        predicted, unmeasured = list(noise.predicted), list(noise.unmeasured)
+        shared = [] if exact else list(noise.shared)
+        u, s, (m, b) = len(unmeasured), len(shared), values.f.shape
+        slope, sd = J[predicted, np.arange(m)], np.broadcast_to(noise.sd[predicted], (m, b))
+        weight = np.where(np.isinf(sd), 0.0, 1.0 if exact else 1.0 / (np.abs(slope) * sd))
+        columns = np.zeros((u + s, m + s, b))
+        columns[:u, :m] = J[unmeasured] * weight
+        columns[u:, :m] = (shared_loads(J, noise) if s else J[:0]) * weight
+        columns[np.arange(u, u + s), np.arange(m, m + s)] = 1.0
+        misclosure = -values.f
+        if not exact:
+            misclosure += slope * correction[predicted]
+            misclosure += np.einsum("smb,sb->mb", J[shared], correction[shared])
+        return cls(weight, slope, misclosure, eliminate(columns), u, s)
+
+    def apply(self, part: Array) -> Array:
+        """The reflections of weighted columns (c, m, b) or of one (m, b)."""
+        below = np.zeros((*part.shape[:-2], self.shared, part.shape[-1]))
+        return self.reflections.apply(np.concatenate([part * self.weight, below], axis=-2))
+
+    def left(self, columns: Array) -> Array:
+        """What they leave of columns (c, m, b) below the triangle, (c, m - u, b)."""
+        left = self.apply(columns)[:, self.unmeasured + self.shared :]
+        if self.unmeasured:
+            length = np.sqrt(np.square(columns * self.weight).sum(axis=1))[:, None, :]
+            left[np.abs(left) < ROUNDED_AWAY * length] = 0.0
+        return left
+
+    def effects(self, Q: Array) -> Array:
+        """What each pixel does along directions Q (b, m - u, q) of these rows, (b, q, m)."""
+        u_s, m = self.unmeasured + self.shared, len(self.slope)
+        rows = np.zeros((Q.shape[2], m + self.shared, len(Q)))
+        rows[:, u_s:] = Q.transpose(2, 1, 0)
+        along = self.reflections.undo(rows)[:, :m] * (self.weight * self.slope)
+        return np.asarray(along.transpose(2, 0, 1))
+
+    @property
+    def squares(self) -> Array:
+        """(b, m) squares of what each pixel does to all of these rows."""
+        u_s, m = self.unmeasured + self.shared, len(self.slope)
+        above = np.zeros((u_s, m + self.shared, self.slope.shape[1]))
+        above[np.arange(u_s), np.arange(u_s)] = 1.0
+        left = 1.0 - np.square(self.reflections.undo(above)[:, :m]).sum(axis=0)
+        squares: Array = (np.square(self.weight * self.slope) * np.maximum(left, 0.0)).T
+        return squares
 
 
 def shared_loads(J: Array, noise: BlockNoise) -> Array:

@@ -118,7 +118,7 @@ class RobustSums:
         """The sums of some poses at a solution."""
         whole = cls({})
         for block in pose_equations(problem, solution.parameters, solution.corrections):
-            r = block.E.shape[1]
+            r = block.rows
             if not r:
                 continue
             s = np.square(block.E).sum(axis=1)

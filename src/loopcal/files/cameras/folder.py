@@ -39,13 +39,15 @@ _WORDS = re.compile(r"[^a-z]+")
 
 @dataclass(frozen=True, eq=False)
 class Files:
-    """What a folder holds: corners, boards, lenses, and tables of poses or joints."""
+    """What a folder holds: corners, boards, lenses, and tables of poses or joints; title: the name
+    of their folder, of one file or of several folders that of the first file."""
 
     corners: CornerTable
     boards: Mapping[str, Board]
     lenses: Mapping[str, Intrinsics]
     poses: tuple[Path, ...]
     remarks: tuple[str, ...] = ()
+    title: str = "images"
 
 
 def files_of(entries: Sequence[Any]) -> list[Path]:
@@ -196,7 +198,9 @@ def read_files(entries: Sequence[Any], usual: Mapping[str, Board] = MappingProxy
             code="conflicting-keys",
             remedy="name one of them, with a column of the camera",
         )
-    return Files(tables[0], boards, lenses, tuple(poses), tuple(remarks))
+    folders = {path.resolve().parent for path in paths}
+    title = folders.pop().name if len(paths) > 1 == len(folders) else paths[0].stem
+    return Files(tables[0], boards, lenses, tuple(poses), tuple(remarks), title)
 
 
 def _describe(

@@ -109,7 +109,7 @@ def understood(
         hand = unread(begun, hand)
     elif begun.T_base_flange is not None and "x" in hand.readings:
         hand = replace(hand, readings=flange_columns(begun.T_base_flange))
-    return ImagesProject(begun, hand, table, lenses), (*renamed, *turned)
+    return ImagesProject(begun, hand, table, lenses, title=files.title), (*renamed, *turned)
 
 
 def named(boards: Mapping[str, Board], name: str) -> Board:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -70,7 +69,9 @@ class ImagesProject:
         table: CornerTable,
         stated: Collection[str],
         on_body: bool | None = None,
+        title: str = "images",
     ) -> None:
+        self.title = title
         self.begun, self.hand, self.table, self.stated = begun, hand, table, stated
         self.on_body = begun.held is False if on_body is None else on_body
         corners = begun.corners
@@ -82,7 +83,7 @@ class ImagesProject:
 
     def begun_at(self, begun: CameraStart, on_body: bool | None = None) -> ImagesProject:
         """The same from another start."""
-        return ImagesProject(begun, self.hand, self.table, self.stated, on_body)
+        return ImagesProject(begun, self.hand, self.table, self.stated, on_body, self.title)
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -101,7 +102,7 @@ class ImagesProject:
         spread = {k: k for k in ("pose", "camera", "board", "point", "u", "v")}
         return {
             "schema": SCHEMA,
-            "title": Path(self.table.file or "images").stem,
+            "title": self.title,
             "mechanism": {
                 **hand.table,
                 "instrument": list(self._instruments()),
