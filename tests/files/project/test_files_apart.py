@@ -122,6 +122,14 @@ def test_joined_files_beside_those_apart_are_refused(folder: Path) -> None:
         lc.read_project(project)
 
 
+def test_a_list_without_files_is_refused(folder: Path) -> None:
+    project = folder / "project.toml"
+    text = project.read_text("utf-8")
+    project.write_text(text[: text.index("[data]")] + "[data]\nfile = []\n", "utf-8")
+    with refused("missing-key", "data.file"):
+        lc.read_project(project)
+
+
 def test_no_row_with_such_a_word_is_an_error(folder: Path) -> None:
     project = folder / "project.toml"
     project.write_text(project.read_text("utf-8").replace("good*", "best*"), "utf-8")

@@ -113,7 +113,6 @@ class DataTable(FileTable):
             "One of the files of readings, by the ending of its name, or a folder of Parquet files "
             "or of a ROS bag; relative to the project; ${NAME} is replaced by the environment "
             "variable NAME. Or tables of several files, each with its own poses.",
-            least=1,
             example="poses.csv",
         ),
     ]
@@ -190,6 +189,13 @@ def data_files(
     main = _with_units(table, units, place)
     joins = _several(table.join, mechanism, place.at("join"))
     if not isinstance(table.file, str):
+        if not table.file:
+            raise InputError(
+                "no file is named",
+                code="missing-key",
+                place=str(place.at("file")),
+                remedy='name the file of readings: file = "poses.csv"',
+            )
         if joins:
             raise InputError(
                 "files with poses of their own and joined ones are named",
