@@ -11,7 +11,6 @@ import numpy as np
 
 from loopcal.errors import InputError, listed
 from loopcal.files.project.data_table import DataTable, FileTable, JoinTable, implied_by
-from loopcal.files.recognition.rows import reach
 from loopcal.files.tables.columns import Column
 from loopcal.files.tables.readers import (
     column_labels,
@@ -21,7 +20,6 @@ from loopcal.files.tables.readers import (
     read_table,
 )
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.joining import stacked
 from loopcal.mechanisms.mechanism import Mechanism
 
 
@@ -102,6 +100,9 @@ def one_below_another(
 
     Raises InputError for a file without a joint between two bodies that an instrument sees in it.
     """
+    from loopcal.files.recognition.rows import reach
+    from loopcal.measurements.joining import stacked
+
     parts = []
     for path, table in files:
         part = read_part(data, table, path, mechanism, aside)
