@@ -96,6 +96,24 @@ def test_the_measured_arms(project, data, method, rms, within, shared_data, monk
         assert any("model error" in warning for warning in result.warnings)
 
 
+@pytest.mark.parametrize(
+    ("project", "poses", "free", "rms", "within"),
+    [
+        ("motoman/dual_arm", 492, 96, 0.0761e-3, 0.0005e-3),
+        ("talos/left_arm", 61, 39, 0.5116e-3, 0.002e-3),
+    ],
+)
+def test_the_measured_robots(project, poses, free, rms, within, shared_data, monkeypatch):
+    path = shared_data("trees/talos.urdf")
+    monkeypatch.setenv("LOOPCAL_DATA", os.fspath(path.parents[1]))
+    result = calibrated(EXAMPLES / f"{project}.toml", "implicit-loop")
+    assert result.status.converged
+    assert len(result.dataset) == poses
+    assert len(result.estimated) == free
+    assert result.accuracy_after is not None
+    assert result.accuracy_after.rms == pytest.approx(rms, abs=within)
+
+
 def test_halves_of_measured_sets_give_the_table_12_that_the_documentation_tells(
     shared_data, monkeypatch
 ):

@@ -173,6 +173,7 @@ MISSES: dict[str, tuple[Call, type[Exception], str]] = {
     "Mechanism.from_urdf": (
         *(lambda m: lc.Mechanism.from_urdf(m.urdf), AttributeError, "lc.load_urdf(path)"),
     ),
+    "lc.Mechanism(urdf)": (lambda m: lc.Mechanism(*[m.urdf]), lc.InputError, "lc.load_urdf"),
     "Dataset.from_pandas": (
         *(lambda m: lc.Dataset.from_pandas(m.df), AttributeError, "Dataset.from_arrays"),
     ),

@@ -10,6 +10,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.cli.run import main
+from loopcal.companions.robot.arms import refuse_limbs
 from loopcal.workflow.views import Limb
 from tests.refusals import refused
 
@@ -138,6 +139,25 @@ def test_several_limbs_are_named_where_one_is_meant(
     with refused("unknown-name", "r6"):
         both.limb("r7").export("dh")
     assert {*both.limb("r6").export("dh").files} == {*lc.export(alone, "dh").files}
+    # the example is the limb that was read most
+    poses = both.poses
+    assert poses is not None
+    half = poses.with_readings({"rx": np.full(len(poses), np.nan)})
+    for readings, most in ((half, "l6"), (poses.with_readings({"lx": half["rx"]}), "r6")):
+        with refused("unsupported") as caught:
+            refuse_limbs(both.machine, readings, "There are several")
+        assert caught.value.options == ("--limb", most)
+
+
+def test_a_limb_up_to_a_body_that_nothing_sees_is_exported(
+    robots: tuple[lc.Result, lc.Result],
+) -> None:
+    """The wrist, before the body that carries the target."""
+    both, _ = robots
+    made = both.limb("r5").export("dh")
+    chain = made.machine.chain
+    assert chain is not None
+    assert [joint.reads for joint in chain.joints] == [f"rq{i}" for i in range(1, 6)]
 
 
 def test_joints_that_move_other_limbs_too_are_named(tmp_path: Path) -> None:
@@ -154,3 +174,19 @@ def test_joints_that_move_other_limbs_too_are_named(tmp_path: Path) -> None:
     assert Limb(whole, "tip").shared == ("qw",)
     assert Limb(whole, "r").shared == ("qw",)
     assert Limb(whole, "l").shared == ("qw",)
+
+
+def test_the_region_names_the_instrument_whose_readings_are_least_sure(
+    robots: tuple[lc.Result, lc.Result],
+) -> None:
+    both, alone = robots
+    region = both.document.prediction
+    assert region is not None
+    assert region.region is not None
+    worst = region.region.worst
+    assert worst.instrument in ("l_tracker", "r_tracker")
+    wide = {f"{side}q{i}": (-3.0, 3.0) for side in "lr" for i in range(1, 7)}
+    for result, seen in ((both, True), (alone, False)):
+        spans = {q: span for q, span in wide.items() if q in result.mechanism.joints}
+        words = lc.verdict(result, region=spans).valid.words
+        assert ("_tracker' sees it is" in words) == seen

@@ -339,6 +339,8 @@ def test_an_update_that_says_nothing_new_says_so() -> None:
     expected = lc.simulate(first.calibrated, driven, noise=lc.Noise({"*": 0.0}), seed=0).dataset
     assert len(notes(expected)) == 1
     assert not notes(arm.read(sds_of(arm), 2))
+    twice = [[n for n in lc.update(first, d).parts.notes if "twice" in n] for d in (data, expected)]
+    assert [len(words) for words in twice] == [1, 0]
     held = arm.truth.with_parameters(arm.truth.parameters.with_fixed(["l2", "l3", "phi30"]))
     first = lc.calibrate(held, data, noise=noise, method="implicit-loop")
     assert len(notes(data)) == 1

@@ -165,7 +165,7 @@ def test_the_skeleton_shows_both_arms(tmp_path: Path) -> None:
     assert lines is not None
     assert len(lines) == len(labels) == 2 * (1 + 4 + 2) + 1
     assert [q for q in labels if q in JOINTS] == JOINTS  # the waist, in both, is named once
-    ends = lines[[i for i, name in enumerate(labels) if name == "end point"]]
+    ends = lines[[labels.index(f"{side}_hand") for side in ("left", "right")]]
     assert ends == pytest.approx(np.array([[1.05, 0.2, 0.86], [1.05, -0.2, 0.86]]))
 
 

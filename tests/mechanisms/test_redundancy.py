@@ -22,7 +22,7 @@ from loopcal.mechanisms.origins import LinkJoint, joint_chain
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.mechanisms.redundancy import fix_redundant, redundant, without_redundant
-from loopcal.mechanisms.serial import Joint, serial_arm
+from loopcal.mechanisms.serial import Joint, serial_arm, serial_machine
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
 from tests.reference.robots import CHAINS, urdf_of
@@ -181,6 +181,29 @@ def test_what_is_fixed_or_has_a_prior_makes_room_for_others():
     # A guess is no knowledge: the flange need not do what the tool does.
     guessed = made.with_parameters(made.parameters.with_prior({"tool_*": 0.2}))
     assert redundant(guessed, first=first) == redundant(made, first=first)
+
+
+def test_a_guess_of_zero_is_no_value_that_is_meant():
+    """A target in the middle of a wrist would make its joints seem to do nothing."""
+    rows = ((0.0, 0.4, 0.5), (0.42, 0.1, 0.0), (0.02, 0.1, 0.5), (0.0, 0.4, -0.5), (0.0, 0.0, 0.5))
+    nominal = {
+        f"{name}_{i}": value
+        for i, (a, d, turn) in enumerate(rows, 1)
+        for name, value in (("a", a), ("d", d), ("alpha", turn * pi))
+    }
+    joints = [Joint(f"q{i}") for i in range(1, 7)]
+    made = assemble(serial_machine(joints), [point()], nominal)
+    names = ["tool_x", "tool_y", "tool_z"]
+    guess = made.with_parameters(made.parameters.with_prior(dict.fromkeys(names, 0.2)))
+    free = {
+        kind: len(fix_redundant(machine, stated=stated).parameters.free)
+        for kind, machine, stated in (
+            ("unknown", made, []),
+            ("guessed", guess, names),
+            ("meant", made, names),
+        )
+    }
+    assert free["guessed"] == free["unknown"] > free["meant"]
 
 
 def test_parameters_that_shall_be_free_are_kept_first():

@@ -280,7 +280,9 @@ def _tables(words: Sequence[str]) -> list[str]:
     if result is not None:
         with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
             data = json.loads(result.read_bytes())["inputs"]["data"]
-            names = [data["file"], *(one["file"] for one in data.get("join", ()))]
+            first = data["file"]
+            further = data.get("join", ()) if isinstance(first, str) else first
+            names = [first] * isinstance(first, str) + [one["file"] for one in further]
             paths = [os.path.relpath(result.parent.parent / name) for name in names]
             return paths if all(Path(path).is_file() for path in paths) else []
     tables = [path for path in _entries() if path.suffix in _TABLES and path.parent == Path()]

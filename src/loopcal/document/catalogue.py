@@ -367,35 +367,35 @@ _ROWS = (
     ),
     _valid_open(
         "valid-if-sound",
-        "The predicted sd is {sd_in_region:2} in {where} and {sd_at_poses:2} at the measured "
+        "The predicted sd{seen} is {sd_in_region:2} in {where} and {sd_at_poses:2} at the measured "
         "poses. It leaves out what is not sound.",
         "Mend what is not sound first.",
         _CHECK,
     ),
     _not_valid(
         "direction-open",
-        "The data leave a direction open that moves the end point in {where}.",
+        "The data leave a direction open that moves the end point{seen} in {where}.",
         f"{_ALL_OVER}.",
         _PLAN,
         shared="near-poses-only",
     ),
     _not_valid(
         "near-poses-only",
-        "The predicted sd is {sd_in_region:2} in {where} and {sd_at_poses:2} at the measured "
+        "The predicted sd{seen} is {sd_in_region:2} in {where} and {sd_at_poses:2} at the measured "
         "poses.",
         f"{_ALL_OVER}, or state the region in which you work.",
         _PLAN,
     ),
     _valid_open(
         "valid-while-parked",
-        "The predicted sd is {sd_in_region:2} in the working region while {joints} stays as in all "
-        "poses, and {sd_at_poses:2} at these; where {joints} moves, it is {moved}.",
+        "The predicted sd{seen} is {sd_in_region:2} in the working region while {joints} stays as "
+        "in all poses, and {sd_at_poses:2} at these; where {joints} moves, it is {moved}.",
         "Keep it there, or measure poses in which it moves.",
         _PLAN,
     ),
     _valid(
         "valid-in-region",
-        "Valid: the predicted sd is {sd_in_region:2} in {where} and {sd_at_poses:2} at the "
+        "Valid: the predicted sd{seen} is {sd_in_region:2} in {where} and {sd_at_poses:2} at the "
         "measured poses.",
     ),
     _better_open(

@@ -240,6 +240,13 @@ class RegionSd:
     """Rms over the region; null: unbounded, the data leave a direction open."""
     ratio: Size | None
     """Of the two."""
+    instrument: str | None = None
+    """Whose readings are predicted, where there are several."""
+
+    @property
+    def seen(self) -> str:
+        """By which instrument, in words; empty where there is one."""
+        return f" as {self.instrument!r} sees it" if self.instrument else ""
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ from loopcal.estimation.problem.problem import Problem, Weighting, build_problem
 from loopcal.estimation.problem.size import refuse_collapse, refuse_without_length
 from loopcal.estimation.problem.starting import refuse_unreachable
 from loopcal.estimation.solve.fallback import solve_or_fall_back
+from loopcal.estimation.solve.reduction import LARGE
 from loopcal.estimation.solve.solution import End
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -197,7 +198,7 @@ def _fits(state: State, once: Once) -> Callable[..., End[Any]]:
     # An undamped method is for study: it shows how its own iteration ends. A fit begun near its end
     # needs no other start, nor does one at other sds that begins where another converged.
     arrived = state.near is not None or fit.solver.damped is not None or not state.whole
-    if with_terms:
+    if with_terms or len(state.problem.free) >= LARGE:
         import scipy.linalg  # noqa: F401  before more threads: the limit on BLAS then holds for it
 
     def solved(problem: Problem, *, tolerance: float | None = None) -> End[Any]:

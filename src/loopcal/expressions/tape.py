@@ -89,13 +89,10 @@ class Tape:
 
         kind: "quantity", "known" or "parameter" for these alone; one name may be of two kinds.
         """
-        return tuple(
-            frozenset(name for of, name in inputs if kind in ("", of))
-            for inputs in self._inputs_of_loops
-        )
+        return self._inputs[kind]
 
     @cached_property
-    def _inputs_of_loops(self) -> tuple[frozenset[tuple[str, str]], ...]:
+    def _inputs(self) -> dict[str, tuple[frozenset[str], ...]]:
         names: list[frozenset[tuple[str, str]]] = []
         for name, payload in self.operations:
             if name in LEAVES:
@@ -103,7 +100,11 @@ class Tape:
                 names.append(frozenset(inputs))
             else:
                 names.append(frozenset().union(*(names[int(a)] for a in payload)))
-        return tuple(names[output] for output in self.outputs)
+        of_loops = [names[output] for output in self.outputs]
+        return {
+            kind: tuple(frozenset(n for of, n in some if kind in ("", of)) for some in of_loops)
+            for kind in ("", *_PREFIX)
+        }
 
     def only(self, loops: Sequence[int]) -> Tape:
         """The tape of some of the loop equations, by position, with all inputs in their places."""

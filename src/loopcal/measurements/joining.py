@@ -1,4 +1,4 @@
-"""Readings of the same poses from several files, joined by pose id.
+"""Readings from several files: of the same poses joined by their ids, of others one below another.
 
 Encoders log in one file and instruments in others, each as long as it likes. A pose counts where
 every file that reads the machine itself has it, and at least one of the others does.
@@ -50,9 +50,32 @@ def join(parts: Sequence[Dataset], machine: Sequence[bool]) -> Joined:
             remedy="name the column of the pose ids of each file (pose = ...); ids must match "
             "exactly",
         )
-    rows = [_rows(part, kept) for part in parts]
     stays = set(kept)
     gone = [tuple(p for p in part.poses if p not in stays) for part in parts]
+    dataset = _beside(parts, [_rows(part, kept) for part in parts], kept)
+    names = [_name(part, i) for i, part in enumerate(parts)]
+    return Joined(dataset, tuple((n, ids) for n, ids in zip(names, gone, strict=True) if ids))
+
+
+def stacked(parts: Sequence[Dataset]) -> Dataset:
+    """One data set of the poses of all, NaN for what a file does not read."""
+    poses = [pose for part in parts for pose in part.poses]
+    rows, begin = [], 0
+    for part in parts:
+        of_part = np.full(len(poses), -1, dtype=np.intp)
+        of_part[begin : begin + len(part)] = np.arange(len(part))
+        rows.append(of_part)
+        begin += len(part)
+    whole = _beside(parts, rows, poses)
+    read = sum(part.source.rows_read for part in parts)
+    entry = {"file": [part.source.entry for part in parts]}
+    return replace(whole, source=replace(whole.source, rows_read=read, entry=entry))
+
+
+def _beside(
+    parts: Sequence[Dataset], rows: Sequence[NDArray[np.intp]], poses: Sequence[str]
+) -> Dataset:
+    """The parts as one, of which each has these poses at its rows, or -1."""
     first = parts[0]
     source = replace(
         first.source,
@@ -65,33 +88,20 @@ def join(parts: Sequence[Dataset], machine: Sequence[bool]) -> Joined:
         stated={q: u for part in parts for q, u in part.source.stated.items()},
         entry={**first.source.entry, "join": [part.source.entry for part in parts[1:]]},
     )
-    dataset = Dataset(
-        {
-            q: _spread(values, r)
-            for part, r in zip(parts, rows, strict=True)
-            for q, values in part.readings.items()
-        },
-        {q: u for part in parts for q, u in part.units.items()},
-        tuple(kept),
-        {
-            q: _spread(values, r)
-            for part, r in zip(parts, rows, strict=True)
-            for q, values in part.sds.items()
-        },
-        source,
-    )
-    names = [_name(part, i) for i, part in enumerate(parts)]
-    return Joined(dataset, tuple((n, ids) for n, ids in zip(names, gone, strict=True) if ids))
+    readings: dict[str, Array] = {}
+    sds: dict[str, Array] = {}
+    for part, r in zip(parts, rows, strict=True):
+        for into, of in ((readings, part.readings), (sds, part.sds)):
+            for q, values in of.items():
+                into[q] = np.where(r >= 0, values[r], into.get(q, np.nan))
+    units = {q: u for part in parts for q, u in part.units.items()}
+    return Dataset(readings, units, tuple(poses), sds, source)
 
 
 def _rows(part: Dataset, poses: Sequence[str]) -> NDArray[np.intp]:
     """Where a part has these poses, -1 where it does not."""
     place = {pose: i for i, pose in enumerate(part.poses)}
     return np.array([place.get(pose, -1) for pose in poses], dtype=np.intp)
-
-
-def _spread(values: Array, rows: NDArray[np.intp]) -> Array:
-    return np.where(rows >= 0, values[rows], np.nan)
 
 
 def _file_rows(part: Dataset, rows: NDArray[np.intp]) -> NDArray[np.int64] | None:

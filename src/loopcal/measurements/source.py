@@ -54,7 +54,7 @@ class Source:
     """How they were read, as the table [data] of a project states it: `file`, `columns` (quantity
     -> its `column`, `unit` ...), `pose`, the layout; empty: columns named as quantities, in SI."""
     joined: tuple[Source, ...] = ()
-    """Further files of the same poses, joined by id; rows are 0 where a file has no such pose."""
+    """Further files, of the same poses or others; rows are 0 where a file has no such pose."""
 
     @property
     def name(self) -> str | None:

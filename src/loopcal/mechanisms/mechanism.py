@@ -126,6 +126,17 @@ class Mechanism:
     masses: tuple[Load, ...] = ()
     payload: str | None = None
 
+    def __new__(cls, *stated: Any, **named: Any) -> Mechanism:
+        """Raises InputError for what people type first: the name of a file alone."""
+        if len(stated) == 1 and "tape" not in named:
+            raise InputError(
+                f"a mechanism is not made of {stated[0]!r} alone",
+                code="wrong-file-type",
+                remedy='lc.load_urdf("robot.urdf") makes an arm of a URDF, lc.machines.tree one '
+                'of several limbs; lc.read_mechanism("mechanism.toml") reads a file of loopcal',
+            )
+        return object.__new__(cls)
+
     from_urdf = from_file = from_dh = Instead(
         "lc.load_urdf(path) for its kinematics, or lc.calibrate(readings, urdf=path)"
     )

@@ -99,8 +99,8 @@ def fix_redundant(
     ahead of all else of the joints: machines are mastered worse than they are machined, and a
     length in the place of a zero has its error, times the link. It is decided at the nominal
     values, at random poses within the joints' limits. A value of 0 of an arm's instruments is taken
-    as unknown, as that of a target, and moved off; stated: names of those that are meant (default:
-    all but what is free and 0; where a station stands never matters).
+    as unknown, as that of a target, and moved off; stated: names of those that are meant, unless
+    they are guesses (default: all but what is free and 0; where a station stands never matters).
 
     Where readings must fit each other, as those of parallel machines, give them, quantity -> (N,)
     [SI], say those of a `Simulation`; unmeasured: names or globs of quantities without a sensor.
@@ -124,7 +124,10 @@ def fix_redundant(
     ]
     if stated is None:
         stated = [p.name for p in mechanism.parameters if p.fixed or p.nominal != 0.0]
-    believed = {*stated, *(n for f in mechanism.families for n in _station(f))}
+    # A guess of 0 is none of a value: a target there may sit on axes that then seem to do nothing.
+    guesses = {n for n in _guessed(mechanism) if mechanism.parameters[n].nominal == 0.0}
+    believed = {*(n for n in stated if n not in guesses)}
+    believed |= {n for f in mechanism.families for n in _station(f)}
     joints = listed_joints(mechanism)
     superfluous = redundant(
         mechanism,
@@ -162,11 +165,7 @@ def redundant(
     moved by chance or to where they can be touched; unmeasured: quantities without a sensor.
     """
     free = [p.name for p in mechanism.parameters if not p.fixed and math.isinf(p.prior_sd)]
-    guessed = [
-        p.name
-        for p in mechanism.parameters
-        if not p.fixed and GUESSED.get(p.unit, math.inf) <= p.prior_sd < math.inf
-    ]
+    guessed = _guessed(mechanism)
     order = [n for n in dict.fromkeys((*first, *free)) if n in free or n in guessed]
     if not free:
         return ()
@@ -176,6 +175,15 @@ def redundant(
     chosen = _chosen(order, units, np.concatenate(parts))
     superfluous = [one for one in chosen if one.parameter in free]
     return tuple(sorted(superfluous, key=lambda one: free.index(one.parameter)))
+
+
+def _guessed(mechanism: Mechanism) -> list[str]:
+    """The parameters whose prior is wider than `GUESSED`."""
+    return [
+        p.name
+        for p in mechanism.parameters
+        if not p.fixed and GUESSED.get(p.unit, math.inf) <= p.prior_sd < math.inf
+    ]
 
 
 def without_redundant(

@@ -115,15 +115,17 @@ def tree_poses(mechanism: Mechanism, readings: Mapping[str, Array], body: str) -
 def skeleton_labels(mechanism: Mechanism) -> tuple[str, ...]:
     """The name of the joint at each point of an arm's skeleton, and of its end; none of others.
 
-    Where branches part the name of a joint stands once.
+    Where branches part the name of a joint stands once, and the ends are named as their bodies.
     """
     if (mechanism.description or {}).get("type") == "planar-two-link":
         return ("phi2", "phi3", "end point")
     labels: list[str] = []
-    for path, _ in _branches(mechanism):
+    tree = None if mechanism.chain else mechanism.tree
+    ends = ("end point",) if tree is None else tree.leaves
+    for end, (path, _) in zip(ends, _branches(mechanism), strict=True):
         joints = [step.joint for step in path if step.joint]
         named = [joint if joint not in labels else "" for joint in joints]
-        labels += [*([""] if labels else []), *named, *(["", "end point"] if joints else [])]
+        labels += [*([""] if labels else []), *named, *(["", end] if joints else [])]
     return tuple(labels)
 
 

@@ -64,7 +64,7 @@ class Station:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the parameters."""
-        return tuple(self.declared)
+        return tuple(step.parameter for step in self.steps if step.parameter)
 
     def seen(self, p_base: Vector, parameters: Values) -> Vector:
         """Coordinates (3,) in the station's frame of a point given in the base frame."""

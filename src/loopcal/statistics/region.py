@@ -122,7 +122,8 @@ def _region(
             at, over = np.where(seen, at, np.nan), np.where(out, np.nan, over_region[unit])
             ratio, sd = _ratio(unit, at[np.isfinite(at)], over[~np.isnan(over)])
             if sd is not None and ratio >= worst.get(unit, (0.0, None))[0]:
-                worst[unit] = ratio, sd
+                of = group.instrument if len({one.instrument for one in groups}) > 1 else None
+                worst[unit] = ratio, replace(sd, instrument=of)
     by = sorted(worst.values(), key=lambda one: -one[0])
     return RegionEntry(tuple(ranges), tuple(one for _, one in by)) if by else None
 

@@ -143,11 +143,12 @@ def valid(document: ResultDocument) -> Fact:
     if near and parked and parked.ratio is not None and parked.ratio <= NEAR_ONLY:
         moved = "unbounded" if worst.sd is None else f"{Figure(worst.sd, worst.unit):2}"
         joints = listed(region.parked, 3)
-        return fact("valid-while-parked", numbers=_sds(parked), joints=joints, moved=moved)
+        numbers, seen = _sds(parked), parked.seen
+        return fact("valid-while-parked", numbers=numbers, joints=joints, moved=moved, seen=seen)
     if worst.sd is None:
-        return fact("direction-open", where=where)
+        return fact("direction-open", where=where, seen=worst.seen)
     code = "near-poses-only" if near else "valid-in-region"
-    return fact(code, numbers=_sds(worst), where=where)
+    return fact(code, numbers=_sds(worst), where=where, seen=worst.seen)
 
 
 def _gaps_only(document: ResultDocument) -> Fact | None:

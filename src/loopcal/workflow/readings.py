@@ -82,15 +82,17 @@ def new_readings(
     whole: with the outputs. Raises InputError for what is none of both.
     """
     entries = [data] if isinstance(data, str | Path) else list(data)
-    if any(family.form == PIXELS for family in mechanism.families) and are_images(entries):
+    seen = any(family.form == PIXELS for family in mechanism.families) and are_images(entries)
+    observe = inputs.get("data", {}).get("observe")
+    if seen and not observe:
         from loopcal.workflow.beginning.later_images import later_images
 
         return later_images(entries, mechanism)
-    observe = inputs.get("data", {}).get("observe")
-    if observe and not (len(entries) == 1 and reads(entries[0], inputs, mechanism, whole=whole)):
-        from loopcal.workflow.beginning.from_tree import later_rows
+    alone = len(entries) == 1 and not seen
+    if observe and not (alone and reads(entries[0], inputs, mechanism, whole=whole)):
+        from loopcal.workflow.beginning.from_tree import later_observed
 
-        return later_rows(entries, mechanism, observe)
+        return later_observed(entries, mechanism, observe)
     return read_new_readings(data, inputs, mechanism, whole=whole)
 
 

@@ -16,7 +16,15 @@ from analyses.instruments import setup
 from analyses.trees import ARM as LIMB
 from analyses.trees import HEADER, limb, named, off, placed, read, table, tracked
 from loopcal.estimation.faults.misfit import _Linear, _scales, beside, misfit, missed
-from loopcal.estimation.faults.search import NEAR, column_faults, suspicious
+from loopcal.estimation.faults.repairs import repairs
+from loopcal.estimation.faults.search import (
+    NEAR,
+    PLAUSIBLE,
+    _File,
+    _thinned,
+    column_faults,
+    suspicious,
+)
 from loopcal.estimation.steps import started
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
@@ -239,3 +247,38 @@ def test_hands_that_are_exchanged_are_named(tmp_path: Path) -> None:
     (fault,) = result.document.column_faults or ()
     assert (fault.code, len(fault.quantities)) == ("exchanged", 6)
     assert fault.words == "the readings of 'l' and 'r' are exchanged"
+
+
+@pytest.mark.parametrize("reversed_", [False, True])
+def test_a_repair_is_passed_over_only_where_what_it_leaves_alone_misses_too_much(
+    tmp_path: Path, reversed_: bool
+) -> None:
+    """Two arms off their drawings: no column of one arm explains what the other misses."""
+    random = np.random.default_rng(5)
+    columns: dict[str, NDArray[np.float64]] = {}
+    lines: list[str] = []
+    for name, foot in (("l", (90.0, 0.3, 0.4)), ("r", (0.0, 0.4, 0.5))):
+        drawn, more = limb(name, foot, (*LIMB, (0.02, 0.12, 0)))
+        lines += more
+        rough = off(drawn, random)
+        rough = replace(rough, rows=drawn.rows + 4.0 * (rough.rows - drawn.rows))
+        q = random.uniform(-1.4, 1.4, (60, 6))
+        columns |= read(random, (rough, q))
+        target = np.array([0.0, 0.0, 0.05, 1.0])
+        columns |= named(name, tracked(placed([1.5, -2.0, 0.3], [0.1, 0.2, 0.3]), rough, q, target))
+    (tmp_path / "bodies.csv").write_text("\n".join([HEADER, *lines]) + "\n", "utf-8")
+    if reversed_:
+        columns["r6"] = -columns["r6"]
+    (tmp_path / "seen.csv").write_text(table(columns), "utf-8")
+    observe = [f"point name={n} on={n}_6 station=at columns={n}_x,{n}_y,{n}_z" for n in "lr"]
+    lc.init(tmp_path / "seen.csv", dh=tmp_path / "bodies.csv", observe=observe, out=tmp_path / "p")
+    project = lc.read_project(tmp_path / "p" / "project.toml")
+    data = lc.load_dataset(project)
+    problem = started(project.mechanism, data.dataset, data.noise, "auto")
+    file = _File(problem, stated=False)
+    assert NEAR < file.left <= PLAUSIBLE
+    every = list(repairs(problem))
+    passed = [repair for repair in every if not file.may_mend(repair)]
+    assert len(passed) > len(every) / 3
+    for repair in passed[::15]:
+        assert misfit(_thinned(repair.problem, 120)).share > file.limit

@@ -189,3 +189,22 @@ def test_boards_that_are_exchanged_are_named(tmp_path: Path) -> None:
     observe = [" ".join(other.get(word, word) for word in one.split()) for one in world.observe]
     with refused("mismatched-poses", "what 'left' saw moves as 'r_6' does, not as 'l_6'"):
         lc.init(tmp_path / "images", dh=tmp_path / "bodies.csv", observe=observe)
+
+
+def test_a_later_day_is_read_from_images_beside_other_files(folder: Path) -> None:
+    """The layout of the first day: joints that moved since are found by what the camera sees."""
+    begun(folder, CAMERA, POINT)
+    project = folder / "cell" / "project.toml"
+    lc.calibrate(project, method="implicit-loop").save(folder / "cell" / "result")
+    images, points = folder / "images", folder / "points.csv"
+    assert "rq2" not in str(lc.verify(folder / "cell" / "result", [images, points]))
+    lines = (images / "poses.csv").read_text("utf-8").splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    moved = [",".join([*row[:4], f"{float(row[4]) + 2e-3:.7f}"]) for row in rows]
+    (images / "poses.csv").write_text("\n".join([lines[0], *moved]) + "\n", "utf-8")
+    changed = lc.verify(folder / "cell" / "result", images)
+    assert "offset_r2" in str(changed)
+    text = (images / "board.csv").read_text("utf-8")
+    (images / "board.csv").write_text(text.replace("0.020,0", "0.021,0"), "utf-8")
+    with refused("conflicting-keys", "the point '1' of the board 'plate'"):
+        lc.verify(folder / "cell" / "result", images)

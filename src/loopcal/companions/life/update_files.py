@@ -144,7 +144,7 @@ def _undated(inputs: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _with_file(inputs: Mapping[str, Any], readings: str | Path) -> Mapping[str, Any]:
-    """The project's entries with the file that was read."""
-    if "data" not in inputs:
+    """The project's entries with the file that was read; several stay, as a layout."""
+    if not isinstance(inputs.get("data", {}).get("file"), str):
         return inputs
     return {**inputs, "data": {**inputs["data"], "file": str(readings)}}

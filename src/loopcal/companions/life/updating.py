@@ -68,6 +68,10 @@ from loopcal.statistics.replacing import Replaced, freed
 from loopcal.statistics.verified import Verification
 
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
+_TWICE = (
+    "{poses} of these poses are those of the calibration itself and count twice: the stated sds "
+    "are too small. Update with other poses."
+)
 _NOTHING, _NEWS = "The update changed no parameter of the machine", 0.01
 _ROUNDS, _SETTLED = 12, 2e-2
 """Most fits of an update, each begun near the end of the last. They have settled where parameters
@@ -181,6 +185,8 @@ def updated(
     result = result.noted(*allowance.words, *([CONDITIONS] if conditions.size else []))
     if (words := _unchanged(calibrated, result, placed)) is not None:
         result = result.noted(words)
+    if again := allowance.check.repeated:
+        result = result.noted(_TWICE.format(poses=again))
     done = Updated(result, allowance.check)
     return done if done.mixed is None else replace(done, result=result.noted(done.mixed))
 

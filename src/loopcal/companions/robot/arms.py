@@ -31,6 +31,7 @@ from loopcal.expressions.vectors import vector
 from loopcal.files.machines.further_points import with_points
 from loopcal.lazy import cached_property
 from loopcal.measurements.checks import cold_as_kelvin
+from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.limits import Limit, joint_limits
@@ -102,20 +103,38 @@ def arms_of(
     return Arms(machine, of_controller, joints, limits or joint_limits(calibrated), tool)
 
 
-def arm_joints(mechanism: Mechanism) -> dict[str, str]:
-    """The joints of an arm from base to tip, name -> SI unit; refuses what is no arm."""
+def arm_joints(mechanism: Mechanism, poses: Dataset | None = None) -> dict[str, str]:
+    """The joints of an arm from base to tip, name -> SI unit; refuses what is no arm.
+
+    poses: of the calibration, by which a limb is offered.
+    """
     if not mechanism.chain:
-        limbs = () if mechanism.tree is None else mechanism.tree.leaves
+        refuse_limbs(mechanism, poses, f"{mechanism.name!r} has several limbs, and a program one")
         raise InputError(
-            f"{mechanism.name!r} has several limbs: {listed(limbs)}"
-            if limbs
-            else f"{mechanism.name!r} is not a serial arm",
+            f"{mechanism.name!r} is not a serial arm",
             code="unsupported",
-            remedy="name the one whose program it is: --limb BODY, in Python result.limb(BODY)"
-            if limbs
-            else "correct targets of serial arms; for parallel machines export the parameters",
-        ).offering(*(("--limb", limbs[0]) if limbs else ()))
+            remedy="correct targets of serial arms; for parallel machines export the parameters",
+        )
     return dict(mechanism.joints)
+
+
+def refuse_limbs(mechanism: Mechanism, poses: Dataset | None, words: str) -> None:
+    """Raise InputError for a robot of several limbs, of which the one that was read most is offered
+    as an example."""
+    if mechanism.tree is None or mechanism.chain:
+        return
+    limbs, readings = mechanism.tree.leaves, {} if poses is None else poses.readings
+    read = dict.fromkeys(limbs, 0)
+    for family in mechanism.families:
+        for body in {family.on, family.against} & {*limbs}:
+            of_body = [readings[q] for q in family.readings if q in readings]
+            read[body] += sum(int(np.isfinite(values).sum()) for values in of_body)
+    raise InputError(
+        f"{words}. They end at {listed(limbs)}",
+        code="unsupported",
+        remedy="name the body at the end of the one that is meant: --limb BODY, in Python "
+        "result.limb(BODY)",
+    ).offering("--limb", max(limbs, key=lambda body: read[body]))
 
 
 def _machine(

@@ -86,7 +86,7 @@ def correct(
     calibrated, inputs = measured.predictor, measured.inputs
     if not isinstance(tool, str):
         tool = [*(1e-3 * float(v) for v in tool[:3]), *np.radians(tool[3:]).tolist()]
-    joints = arm_joints(calibrated.mechanism)
+    joints = arm_joints(calibrated.mechanism, measured.poses)
     arms = _arms(measured, tool, _controller(controller, joints), at)
     bounds, at = bounds or CorrectionBounds(), at or {}
     if not isinstance(targets, str | Path):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from loopcal.companions.robot.arms import refuse_limbs
 from loopcal.companions.robot.exporting import exported
 from loopcal.companions.robot.exports.format import (
     ExportFiles,
@@ -113,14 +114,9 @@ def export(
     calibration = result_of(result)
     document, mechanism = calibration.document, calibration.machine
     predictor = None if document.prediction is None else calibration.predictor
-    if one.needs == "chain" and mechanism.tree is not None and not mechanism.chain:
-        limbs = mechanism.tree.leaves
-        raise InputError(
-            f"{one.name!r} holds one arm, and {mechanism.name!r} has several limbs: "
-            f"{listed(limbs)}",
-            code="unsupported",
-            remedy="name the one that is meant: --limb BODY, in Python result.limb(BODY)",
-        ).offering("--limb", limbs[0])
+    if one.needs == "chain":
+        words = f"{one.name!r} holds one arm, and {mechanism.name!r} has several limbs"
+        refuse_limbs(mechanism, calibration.poses, words)
     apart = offsets == "file"
     machine = exported(document, mechanism, calibration.poses, predictor, offsets_apart=apart)
     options = ExportOptions(None if source is None else Path(source), vendor, dict(counts or {}))

@@ -194,8 +194,10 @@ class _Full:
 
     @property
     def standing(self) -> dict[str, float]:
-        """The floating parameters in the full model."""
-        return dict.fromkeys(self.floating, 0.0)
+        """The floating parameters in the full model, and those of a point that is looked at."""
+        looked_at = {p.name: p.nominal for p in self.predictor.mechanism.parameters}
+        added = {n: v for n, v in looked_at.items() if n.startswith(_POINT)}
+        return {**added, **dict.fromkeys(self.floating, 0.0)}
 
     def by_parameter(self) -> Array:
         """(rows, n) derivatives of all points of the goals by the estimated parameters."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.prediction import output_differences
-from loopcal.estimation.problem.alignment import align, can_be_placed, placed, seen_points
+from loopcal.estimation.problem.alignment import align, can_be_placed, placed_values, seen_points
 from loopcal.estimation.problem.problem import Problem, Weighting, taken
 from loopcal.estimation.residuals import residuals
 from loopcal.estimation.solve.solver import solve
@@ -155,34 +156,41 @@ def _apart(problem: Problem, scales: _Scales) -> _Find:
     return find
 
 
-def beside(problem: Problem, steps: int = _STEPS) -> Callable[[Problem], float]:
+def beside(problem: Problem) -> Callable[[Problem], float]:
     """What other readings of these poses leave, one step from where the nominal machine stands.
 
     Only for readings that it nearly fits, and others that are as near: one evaluation of the loops
     instead of a fit. Infinite where no loop closes.
     """
-    scales = _scales(problem)
-    names = undrawn(problem.mechanism) or problem.names
     try:
-        find = _misplaced(problem, scales, steps)
-        good = _better(find(None), MOST)
-        start = _fitted(taken(problem, good), _begun(problem), names, steps)
+        linear, start = _placed(problem, _scales(problem))
     except InputError:
         return lambda other: math.inf
-    linear = _Linear.at(problem, start, names, scales)
 
     def share(other: Problem) -> float:
         e = np.array(list(residuals(other, start).values())) / _scales(other).loops
-        left = e = np.where(np.isfinite(e), e, 0.0).T
-        for _ in range(_ROUNDS):
-            away = np.sqrt(np.square(left).sum(axis=1))
-            if not np.isfinite(away).all():
-                return math.inf
-            good = _better(away, MOST)
-            left = np.asarray(e + linear.columns @ linear.step(e, good))
-        return float(np.sqrt(np.square(left[good]).sum(axis=1).mean()))
+        return linear.left(np.where(np.isfinite(e), e, 0.0).T)
 
     return share
+
+
+def left_in(problem: Problem) -> Callable[[tuple[int, ...]], float]:
+    """The share that the nominal machine leaves in some of the loops (by position), placed by these
+    alone, to first order; 0 where no loop closes."""
+    try:
+        linear, _ = _placed(problem, _scales(problem))
+    except InputError:
+        return lambda loops: 0.0
+    return cache(lambda loops: linear.only(loops).left())
+
+
+def _placed(problem: Problem, scales: _Scales) -> tuple[_Linear, Array]:
+    """The loops where most poses place the nominal machine, and all parameters there."""
+    names = undrawn(problem.mechanism) or problem.names
+    find = _misplaced(problem, scales, _STEPS)
+    good = _better(find(None), MOST)
+    start = _fitted(taken(problem, good), _begun(problem), names, _STEPS)
+    return _Linear.at(problem, start, names, scales), start
 
 
 def mounting(problem: Problem) -> float:
@@ -268,6 +276,22 @@ class _Linear:
             noise[block.poses] = np.sqrt(np.square(by_noise).sum(axis=(0, 1)))
         return cls(problem.free[index], values, columns, noise)
 
+    def only(self, loops: tuple[int, ...]) -> _Linear:
+        """Some of the loops."""
+        some = list(loops)
+        return replace(self, loops=self.loops[:, some], columns=self.columns[:, some])
+
+    def left(self, loops: Array | None = None) -> float:
+        """The share that a step leaves in most poses of these loops (N, m), by default its."""
+        left = e = self.loops if loops is None else loops
+        for _ in range(_ROUNDS):
+            away = np.sqrt(np.square(left).sum(axis=1))
+            if not np.isfinite(away).all():
+                return math.inf
+            good = _better(away, MOST)
+            left = np.asarray(e + self.columns @ self.step(e, good))
+        return float(np.sqrt(np.square(left[good]).sum(axis=1).mean()))
+
     def step(self, loops: Array, good: NDArray[np.intp]) -> Array:
         """The step (n,) that brings these loops (N, m) nearest to zero in some poses.
 
@@ -292,8 +316,7 @@ def fit_of_all(problem: Problem, iterations: int) -> float:
 def _begun(problem: Problem) -> Array:
     if not can_be_placed(problem.mechanism):
         return problem.start
-    moved, _ = placed(problem)
-    return np.array([p.nominal for p in moved.parameters])
+    return np.array([*placed_values(problem)[0].values()])
 
 
 def _fitted(problem: Problem, start: Array, names: tuple[str, ...], iterations: int) -> Array:

@@ -25,6 +25,7 @@ from loopcal.estimation.faults.misfit import (
     HALF,
     beside,
     fit_of_all,
+    left_in,
     misfit,
     missed,
     mounting,
@@ -103,7 +104,7 @@ def column_faults(
         repair, column_fault = fault
         faults.append(column_fault)
         file = _File(repair.problem, stated)
-    return tuple(faults) or _hopeless(file.problem)
+    return tuple(faults) or _hopeless(file)
 
 
 def suspicious(problem: Problem, *, stated: bool = True) -> bool:
@@ -135,6 +136,35 @@ class _File:
     def left(self) -> float:
         """The misfit of the sample."""
         return misfit(self.some).share
+
+    @cached_property
+    def limit(self) -> float:
+        """The misfit of the sample that a repair must leave at most."""
+        return min(MUCH_BETTER * self.left, PLAUSIBLE)
+
+    def may_mend(self, repair: Repair) -> bool:
+        """Whether a repair may leave so little: what it does not alter misses as much as before.
+
+        Of a drawing that is near, so that one step tells.
+        """
+        if self.left > PLAUSIBLE or unread(self.problem):
+            return True
+        altered = {*repair.quantities}
+        tape, families = self.problem.mechanism.tape, self.problem.mechanism.families
+        inputs = dict(zip(tape.loops, self._inputs, strict=True))
+        met = [f for f in families if any(inputs[loop] & altered for loop in f.loops)]
+        readings = {q for f in met for q in f.readings}
+        beside = tuple(i for i, of in enumerate(self._inputs) if not of & (altered | readings))
+        return not beside or self._left_in(beside) <= self.limit
+
+    @cached_property
+    def _inputs(self) -> tuple[frozenset[str], ...]:
+        """What each loop contains."""
+        return self.problem.mechanism.tape.depends_on()
+
+    @cached_property
+    def _left_in(self) -> Callable[[tuple[int, ...]], float]:
+        return left_in(self.some)
 
     @cached_property
     def blind(self) -> bool:
@@ -190,7 +220,7 @@ def _gravest(file: _File, *, repaired: bool) -> tuple[Repair, ColumnFault] | Non
     if repaired and before <= NEAR:
         return None
     few = _FEWEST if unread(problem) else _FEW
-    tried = _tried(problem).repairs
+    tried = _tried(file).repairs
     share = _roughly(problem, before, few)
     first = [(share(_thinned(r.problem, few)), r) for r in tried]
     least = min((share for share, _ in first), default=math.inf)
@@ -199,7 +229,7 @@ def _gravest(file: _File, *, repaired: bool) -> tuple[Repair, ColumnFault] | Non
     order = np.argsort([share for share, _ in first], kind="stable")[:_BEST]
     near = [(misfit(_thinned(first[i][1].problem, _SAMPLE)).share, i) for i in order]
     least = min(share for share, _ in near)
-    if not least <= min(MUCH_BETTER * before, PLAUSIBLE):
+    if not least <= file.limit:
         return None
     alike = [first[i][1] for i in sorted(i for share, i in near if share <= EQUAL * least)]
     after, now = misfit(alike[0].problem), misfit(problem)
@@ -258,12 +288,12 @@ class _Tried:
         )
 
 
-def _tried(problem: Problem) -> _Tried:
+def _tried(file: _File) -> _Tried:
     """As many repairs as time allows: of exchanged columns, whose pairs are many, what is left."""
     from loopcal.estimation.faults.repairs import repairs
 
-    every = list(repairs(problem))
-    most = MOST_UNREAD if unread(problem) else MOST_READ
+    every = [repair for repair in repairs(file.problem) if file.may_mend(repair)]
+    most = MOST_UNREAD if unread(file.problem) else MOST_READ
     order = sorted(range(len(every)), key=lambda i: every[i].code == "exchanged")
     return _Tried([every[i] for i in sorted(order[:most])], len(every))
 
@@ -274,8 +304,9 @@ def _fitted(problem: Problem, good: NDArray[np.intp]) -> float:
     return fit_of_all(_thinned(taken(problem, good), _SAMPLE), _STEPS)
 
 
-def _hopeless(problem: Problem) -> tuple[ColumnFault, ...]:
+def _hopeless(file: _File) -> tuple[ColumnFault, ...]:
     """The fault where no repair helps and the machine as drawn explains next to nothing."""
+    problem = file.problem
     if not undrawn(problem.mechanism):
         return ()
     left = misfit(_thinned(problem, _SAMPLE), kept=HALF)
@@ -286,7 +317,7 @@ def _hopeless(problem: Problem) -> tuple[ColumnFault, ...]:
     if _same_shape(problem):
         words = (
             "the readings of the instrument belong to these poses, but in another order (shuffled "
-            f"rows, or ids that do not match){_tried(problem).words}"
+            f"rows, or ids that do not match){_tried(file).words}"
         )
         return (
             ColumnFault(names, words, finite(left.size), None, True, "rows-shuffled", left.unit),
@@ -301,7 +332,7 @@ def _hopeless(problem: Problem) -> tuple[ColumnFault, ...]:
         )
     words = (
         f"the nominal machine does not describe these readings: wherever it is placed, half of the "
-        f"poses are more than {how} off; {causes}{_tried(problem).words}"
+        f"poses are more than {how} off; {causes}{_tried(file).words}"
     )
     return (ColumnFault(names, words, finite(left.size), None, True, "wrong-machine", left.unit),)
 

@@ -134,6 +134,15 @@ def begun(problem: Problem, start: str | Mapping[str, float]) -> Mechanism:
 def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
     """The nominal machine moved to where each instrument that reads points sees it.
 
+    As `placed_values`.
+    """
+    values, motion = placed_values(problem)
+    return problem.mechanism.with_nominal(values), motion
+
+
+def placed_values(problem: Problem) -> tuple[dict[str, float], RigidMotion]:
+    """All parameters of the nominal machine where each instrument that reads points sees it.
+
     Gross errors take no part. An instrument without readings stays at its nominal place, unless
     none has any. The motion is that of the last of them. Raises InputError if the
     mechanism cannot say how its parameters change with its placement.
@@ -170,7 +179,7 @@ def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
         motion = align_most(computed, measured)
         values = alike[names][0][2].moved(values, motion.rotation, motion.shift)
     values |= {name: begun[name] for names in together.keys() - read.keys() for name in names}
-    return mechanism.with_nominal(values), motion
+    return values, motion
 
 
 def _lost(computed: Array, measured: Array) -> bool:

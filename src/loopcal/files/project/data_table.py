@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, TypeVar
 
@@ -84,7 +84,7 @@ class FileTable(Layout, _NamedColumns):
 
 @dataclass(frozen=True)
 class JoinTable(FileTable):
-    """Another file with readings of the same poses, joined by their ids."""
+    """One of several files: of the same poses, joined by their ids, or each of its own."""
 
     instrument: Annotated[
         tuple[str, ...],
@@ -93,12 +93,29 @@ class JoinTable(FileTable):
             "that were used in the poses of this file, and in no others."
         ),
     ] = ()
+    where: Annotated[
+        Mapping[str, str],
+        Key(
+            "Column = value of the rows that count; * stands for any letters.",
+            example={"set": "upper*"},
+        ),
+    ] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class DataTable(FileTable):
-    """The readings: a file, perhaps others joined by pose id, and what is left out."""
+    """The readings: a file, perhaps others joined by pose id, or several of poses each of its own;
+    and what is left out."""
 
+    file: Annotated[  # type: ignore[assignment]
+        str | tuple[JoinTable, ...],
+        Key(
+            "One of the files of readings, by the ending of its name, or a folder of Parquet files "
+            "or of a ROS bag; relative to the project; ${NAME} is replaced by the environment "
+            "variable NAME. Or tables of several files, each with its own poses.",
+            example="poses.csv",
+        ),
+    ]
     exclude: Annotated[tuple[str | int, ...], Key("Ids of poses to leave out.")] = ()
     every: Annotated[int, Key("Keep the 1st, (every + 1)th, ... row.", low=1)] = 1
     stream: Annotated[
@@ -126,8 +143,28 @@ class DataTable(FileTable):
 
     @property
     def parts(self) -> tuple[FileTable, ...]:
-        """This file and those joined to it."""
-        return (self, *self.join)
+        """This file and those joined to it, or all files with poses of their own."""
+        return (self, *self.join) if isinstance(self.file, str) else self.file
+
+    @property
+    def apart(self) -> bool:
+        """Whether each of several files has poses of its own."""
+        return not isinstance(self.file, str)
+
+    def columns_of(
+        self, part: FileTable, labels: tuple[str, ...], mechanism: Mechanism
+    ) -> FileTable:
+        """One of the files with its columns that are named as quantities, beside those stated.
+
+        Files with poses of their own may hold the same quantities, also in columns that are stated
+        for all; of joined ones each has what no other is stated to hold.
+        """
+        if not self.apart:
+            elsewhere = {q for other in self.parts for q in other.columns}
+            return _named_columns(part, labels, mechanism, elsewhere)
+        shared = {q: c for q, c in self.columns.items() if c.column in labels}
+        part = replace(part, columns={**shared, **part.columns}, pose=part.pose or self.pose)
+        return _named_columns(part, labels, mechanism, ())
 
     @property
     def options(self) -> dict[str, Any]:
@@ -149,18 +186,26 @@ def data_files(
     if table is None:
         return None
     units = {**mechanism.quantities, **mechanism.pose_constants}
-    for i, other in enumerate(table.join):
-        for name in other.instrument:
-            silent = [f.name for f in mechanism.families if implied_by(mechanism, f.name)]
-            if name not in silent:
-                raise InputError(
-                    f"there is no instrument {name!r} without readings",
-                    code="unknown-name",
-                    place=str(place.at("join", i, "instrument")),
-                    remedy=nearest(name, silent) if silent else "remove instrument",
-                )
-    joins = tuple(_with_units(t, units, place.at("join", i)) for i, t in enumerate(table.join))
-    main = replace(_with_units(table, units, place), join=joins)
+    main = _with_units(table, units, place)
+    joins = _several(table.join, mechanism, place.at("join"))
+    if not isinstance(table.file, str):
+        if not table.file:
+            raise InputError(
+                "no file is named",
+                code="missing-key",
+                place=str(place.at("file")),
+                remedy='name the file of readings: file = "poses.csv"',
+            )
+        if joins:
+            raise InputError(
+                "files with poses of their own and joined ones are named",
+                code="conflicting-keys",
+                place=str(place.at("join")),
+                remedy="name all in [[data.file]], or join all to one: [data] file",
+            )
+        usual = [t if t.units != Units() else replace(t, units=table.units) for t in table.file]
+        return replace(main, file=_several(usual, mechanism, place.at("file")))
+    main = replace(main, join=joins)
     # Of several files only their headers show which one holds a quantity.
     if joins:
         return main
@@ -168,6 +213,27 @@ def data_files(
     absent = [q for q in units if q not in unread and q not in main.columns]
     by_name = {q: main.column(q, units[q]) for q in absent}
     return replace(main, columns={**main.columns, **by_name})
+
+
+def _several(
+    tables: Sequence[JoinTable], mechanism: Mechanism, place: Place
+) -> tuple[JoinTable, ...]:
+    """Several files with the units of their columns.
+
+    Raises InputError for an instrument that is not there, or reads something.
+    """
+    units = {**mechanism.quantities, **mechanism.pose_constants}
+    for i, other in enumerate(tables):
+        for name in other.instrument:
+            silent = [f.name for f in mechanism.families if implied_by(mechanism, f.name)]
+            if name not in silent:
+                raise InputError(
+                    f"there is no instrument {name!r} without readings",
+                    code="unknown-name",
+                    place=str(place.at(i, "instrument")),
+                    remedy=nearest(name, silent) if silent else "remove instrument",
+                )
+    return tuple(_with_units(table, units, place.at(i)) for i, table in enumerate(tables))
 
 
 def refuse_unread(
@@ -211,8 +277,8 @@ def implied_by(mechanism: Mechanism, instrument: str) -> tuple[str, ...]:
     return ()
 
 
-def named_columns(
-    table: T, labels: tuple[str, ...], mechanism: Mechanism, elsewhere: Collection[str] = ()
+def _named_columns(
+    table: T, labels: tuple[str, ...], mechanism: Mechanism, elsewhere: Collection[str]
 ) -> T:
     """The file with its columns that are named as quantities, beside those stated.
 

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.errors import InputError, listed
-from loopcal.files.project.data_table import DataColumn, DataTable, data_files, named_columns
+from loopcal.files.project.data_table import DataColumn, DataTable, data_files
 from loopcal.files.project.noise_table import noises
+from loopcal.files.project.parts import of_another_day
 from loopcal.files.tables.columns import Column
 from loopcal.files.tables.readers import column_labels, read_dataset, read_once
 from loopcal.files.toml.place import Place
@@ -37,6 +38,8 @@ def read_new_readings(
     units = {**mechanism.quantities, **mechanism.pose_constants}
     needless = set() if whole else {*mechanism.outputs, *mechanism.predicting().unused}
     paths = (path,) if isinstance(path, str | Path) else tuple(path)
+    if spec.apart:
+        return of_another_day(spec, [Path(one) for one in paths], mechanism, needless)
     if spec.source is not None and not _is_converted(paths, spec, units.keys() - needless):
         from loopcal.files.recognition.converting import converted, source_fields
 
@@ -49,8 +52,7 @@ def read_new_readings(
         )
     source = read_once(paths[0], **spec.keywords)
     labels = column_labels(source)
-    stated = {q for part in spec.parts for q in part.columns}
-    parts = [named_columns(p, labels, mechanism, stated) for p in spec.parts]
+    parts = [spec.columns_of(part, labels, mechanism) for part in spec.parts]
     columns = {
         quantity: _without_absent_sd(column, labels)
         for part in parts

@@ -14,19 +14,13 @@ import numpy as np
 from loopcal.arrays import Array
 from loopcal.errors import InputError, placed
 from loopcal.files.outputs import expanded
-from loopcal.files.project.data_table import (
-    DataTable,
-    FileTable,
-    JoinTable,
-    implied_by,
-    named_columns,
-    refuse_unread,
-)
+from loopcal.files.project.data_table import DataTable, FileTable, refuse_unread
 from loopcal.files.project.fit_table import Validation
 from loopcal.files.project.noise_table import CovarianceColumns
+from loopcal.files.project.parts import believed, of_another_day, one_below_another, read_part
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.columns import Column
-from loopcal.files.tables.readers import column_labels, read_dataset, read_once, read_poses
+from loopcal.files.tables.readers import column_labels, read_dataset, read_once
 from loopcal.files.toml.place import Place
 from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import Dataset
@@ -101,7 +95,7 @@ def _read(
     project: Project, spec: DataTable, place: Place, aside: Mapping[str, Column]
 ) -> tuple[Dataset, tuple[DataWarning, ...]]:
     """The readings of all files, with columns read aside where a file has them."""
-    path = expanded(spec.file, project.folder, place.at("file"))
+    path = expanded(spec.parts[0].file, project.folder, place.at("file"))
     if project.simulation is not None and not path.exists():
         named = quote(str(project.path or "-"))
         command = f"loopcal simulate {named} --out {quote(str(path))} --seed 1"
@@ -111,6 +105,16 @@ def _read(
             place=str(place.at("file")),
             remedy=f"create it: {command}",
         ).then(command)
+    if spec.apart:
+        paths = [
+            expanded(part.file, project.folder, place.at("file", i, "file"))
+            for i, part in enumerate(spec.parts)
+        ]
+        files = list(zip(paths, spec.parts, strict=True))
+        dataset = one_below_another(spec, files, project.mechanism, aside)
+        read = {q for q, values in dataset.readings.items() if np.isfinite(values).any()}
+        refuse_unread(read, project.mechanism, project.noise, place.at("columns"))
+        return dataset.thin(spec.every).exclude(spec.exclude), ()
     if not spec.join:
         try:
             return believed(spec, read_dataset(path, {**spec.columns, **aside}, **spec.options)), ()
@@ -118,13 +122,10 @@ def _read(
             if error.code == "missing-column":
                 _refuse_unnamed(project, spec, path, place)
             raise
-    parts = [_part(project, spec, path, aside)]
+    parts = [read_part(spec, spec, path, project.mechanism, aside)]
     for i, other in enumerate(spec.join):
-        where = place.at("join", i, "file")
-        part = _part(project, other, expanded(other.file, project.folder, where), aside)
-        implied = [q for n in other.instrument for q in implied_by(project.mechanism, n)]
-        zeros = {q: np.full(len(part), project.mechanism.implied[q]) for q in implied}
-        parts.append(part.with_readings(zeros))
+        path = expanded(other.file, project.folder, place.at("join", i, "file"))
+        parts.append(read_part(spec, other, path, project.mechanism, aside))
     instruments = {q for f in project.mechanism.families if f.form != "closure" for q in f.readings}
     machine_quantities = set(project.mechanism.quantities) - instruments
     from loopcal.measurements.joining import join
@@ -142,44 +143,6 @@ def _refuse_unnamed(project: Project, spec: FileTable, path: Path, place: Place)
     labels = column_labels(path, **spec.keywords)
     read = {*project.inputs["data"].get("columns", ()), *labels}
     refuse_unread(read, project.mechanism, project.noise, place.at("columns"), labels)
-
-
-def _part(project: Project, spec: FileTable, path: Path, aside: Mapping[str, Column]) -> Dataset:
-    """One of several files."""
-    source = read_once(path, **spec.keywords)
-    labels = column_labels(source)
-    assert project.data is not None
-    stated = {q for part in project.data.parts for q in part.columns}
-    spec = named_columns(spec, labels, project.mechanism, stated)
-    pose = spec.pose
-    if pose is None:
-        raise InputError(
-            "joining several files needs pose ids",
-            code="mismatched-poses",
-            place=str(path),
-            remedy='name the column of the ids: pose = "..."; or state pose = 0 for each file, '
-            "to join them row by row",
-        )
-    columns = {**spec.columns, **{k: c for k, c in aside.items() if c.column in labels}}
-    silent = isinstance(spec, JoinTable) and bool(spec.instrument)
-    if not columns and not silent:
-        raise InputError(
-            "no column of this file is a quantity of the mechanism",
-            code="missing-column",
-            place=str(path),
-            remedy="name its columns: columns = { x = ... }",
-        )
-    if not columns:  # ids alone: the poses in which an instrument without readings was used
-        return read_poses(source, pose, **spec.keywords)
-    return believed(spec, read_dataset(source, columns, pose=pose, **spec.keywords))
-
-
-def believed(spec: FileTable, read: Dataset) -> Dataset:
-    """The readings with sds no smaller than the project believes."""
-    least = {q: column.sd_at_least or 0.0 for q, column in spec.columns.items()}
-    # fmax: a missing sd becomes the smallest one that is believed.
-    sds = {q: np.fmax(v, least.get(q, 0.0)) for q, v in read.sds.items()}
-    return replace(read, sds=sds)
 
 
 def _left_out(name: str, poses: Sequence[str]) -> DataWarning:
@@ -246,6 +209,9 @@ def validation_arguments(
 def _other(project: Project, file: str) -> LoadedData:
     """The readings of another file, in the columns and units of the project's own."""
     assert project.data is not None
+    if project.data.apart:
+        path = expanded(file, project.folder, Place(project.name).at("fit", "validation", "file"))
+        return loaded_from(project, of_another_day(project.data, [path], project.mechanism, ()))
     columns = {q: c for part in project.data.parts for q, c in part.columns.items()}
     other = replace(project.data, file=file, columns=columns, exclude=(), every=1, join=())
     return load_dataset(replace(project, data=other))
@@ -254,22 +220,34 @@ def _other(project: Project, file: str) -> LoadedData:
 def _groups(project: Project, column: str | int, poses: Sequence[str]) -> tuple[float, ...]:
     """The group of each pose: equal numbers in a column of the project's file.
 
-    Of several files the first that has the column; its groups follow the ids of the poses.
+    Of several joined files the first that has the column; its groups follow the ids of the poses.
+    Files with poses of their own have groups of their own.
     """
     spec = project.data
     assert spec is not None
     place = Place(project.name).at("data")
     asked = {"group": Column(column)}
-    if not spec.join:
+    if isinstance(spec.file, str) and not spec.join:
         path = expanded(spec.file, project.folder, place.at("file"))
         return tuple(read_dataset(path, asked, **spec.options)["group"].tolist())
+    groups: dict[str, float] = {}
     for part in spec.parts:
         path = expanded(part.file, project.folder, place.at("file"))
         source = read_once(path, **part.keywords)
-        if isinstance(column, int) or column in column_labels(source):
-            read = read_dataset(source, asked, pose=part.pose, **part.keywords)
-            groups = dict(zip(read.poses, read["group"].tolist(), strict=True))
-            return tuple(groups.get(pose, math.nan) for pose in poses)
+        if not (isinstance(column, int) or column in column_labels(source)):
+            continue
+        read = read_dataset(source, asked, pose=part.pose or spec.pose, **part.keywords)
+        values, ids = read["group"].tolist(), read.poses
+        if spec.apart:
+            # Groups are told apart, not counted.
+            offset = 1.0 + max((abs(v) for v in groups.values() if v == v), default=0.0)
+            values = [offset + v - np.nanmin(values) for v in values]
+            ids = tuple(f"{path.stem}:{pose}" for pose in ids)
+        groups |= dict(zip(ids, values, strict=True))
+        if not spec.apart:
+            break
+    if groups:
+        return tuple(groups.get(pose, math.nan) for pose in poses)
     raise InputError(
         f"no file of readings has the column {column!r}",
         code="missing-column",

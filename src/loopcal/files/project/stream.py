@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.files.outputs import expanded
+from loopcal.files.project.parts import believed
 from loopcal.files.project.project_data import (
     LoadedData,
-    believed,
     columns_aside,
     load_dataset,
     loaded_from,
@@ -214,7 +214,7 @@ def project_stream(project: Project) -> ParquetStream | None:
     if spec is None or spec.stream is False:
         return None
     place = Place(project.name).at("data")
-    path = expanded(spec.file, project.folder, place.at("file"))
+    path = expanded(spec.parts[0].file, project.folder, place.at("file"))
     several = path.is_dir()
     if reader_of(path) is not READER or not path.exists():
         if spec.stream and path.exists():
@@ -228,9 +228,9 @@ def project_stream(project: Project) -> ParquetStream | None:
     files = parquet_files(path)
     if not several and spec.stream is None and files[0].rows < LARGE:
         return None
-    if spec.join:
+    if len(spec.parts) > 1:
         raise InputError(
-            "several files can only be joined in memory, but these are read as a stream",
+            "several files can only be read in memory, but these are read as a stream",
             code="unsupported",
             place=str(place.at("join")),
             remedy="join the files beforehand, or set stream = false",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +16,27 @@ from loopcal.estimation.mounted import bodies_of, see_points
 from loopcal.estimation.problem.alignment import align
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.dh_table import Row, read_dh
-from loopcal.files.recognition.fields import Field, Source, in_si, taken_in
-from loopcal.files.recognition.joint_sets import named_joints
+from loopcal.files.recognition.fields import in_si
 from loopcal.files.recognition.observations import Observation, observations
 from loopcal.files.recognition.robots import joint_table
-from loopcal.files.recognition.sources import sources_of
-from loopcal.files.tables.readers import read_table
+from loopcal.files.recognition.rows import (
+    Rows,
+    joints_in,
+    later_rows,
+    reach,
+    rows_of,
+    with_readings,
+)
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.frame import ChainFrame, matrices
-from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.mechanisms.instruments.camera import all_cameras
+from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
 from loopcal.statistics.choice import FOLDS
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn, joint_noise
+from loopcal.workflow.beginning.later_images import refuse_another, refuse_unknown_eye
 from loopcal.workflow.beginning.tree_images import Eyes, Pictures, see, sources_and_pictures
 
 GUESSED = {"m": (0.1, "mm"), "rad": (0.5, "mrad"), "px": (0.3, "px")}
@@ -51,27 +59,6 @@ SAME_PLACE = {"rad": 5e-3, "m": 5e-3}
 PLACE = "place"
 
 
-@dataclass(eq=False)
-class _Rows:
-    """The poses of all files, one below the other: ids, and columns by quantity."""
-
-    poses: list[str] = field(default_factory=list)
-    columns: dict[str, list[Array]] = field(default_factory=dict)
-    count: int = 0
-
-    def add(self, ids: Sequence[str], columns: Mapping[str, Array]) -> None:
-        """The poses of one file; what it does not have is blank."""
-        for name in {**self.columns, **columns}:
-            ahead = self.columns.setdefault(name, [np.full(self.count, np.nan)])
-            ahead.append(columns.get(name, np.full(len(ids), np.nan)))
-        self.poses += ids
-        self.count += len(ids)
-
-    def values(self, name: str) -> Array:
-        """A column (N,), blank where no file has it."""
-        return np.concatenate(self.columns.get(name, [np.full(self.count, np.nan)]))
-
-
 def from_tree(
     entries: Sequence[Any],
     robot: Mapping[str, Any],
@@ -85,17 +72,18 @@ def from_tree(
     observed; folder: where the project will lie. Raises InputError where something remains open.
     """
     typed = looking
-    looking = [replace(one, table=_with_readings(one)) for one in looking]
+    looking = [replace(one, table=with_readings(one)) for one in looking]
     table = {**robot, "instrument": [dict(one.table) for one in looking]}
     mechanism = mechanism_from_data(dict(table), str(folder / PROJECT))
     sources, pictures = sources_and_pictures(entries)
-    eyes, pixels = _seen_by_cameras(looking, pictures, mechanism, robot.get("units", {}))
+    eyes = Eyes(taken=tuple(one.name for one in looking))
+    pixels = _seen_by_cameras(eyes, looking, pictures, mechanism, robot.get("units", {}))
     if eyes.instruments:
         looking = [one for one in looking if one.table["type"] != "camera"]
         looking += [Observation(instrument) for instrument in eyes.instruments]
         table["instrument"] = [dict(one.table) for one in looking]
         mechanism = mechanism_from_data(dict(table), str(folder / PROJECT))
-    rows, words = _rows(sources, mechanism, looking, pixels)
+    rows, words = rows_of(sources, mechanism, looking, pixels)
     words += eyes.words
     used = [q for q in (*mechanism.quantities, *mechanism.pose_constants) if q in rows.columns]
     _refuse_unobserved(mechanism, rows, looking)
@@ -147,26 +135,6 @@ def from_tree(
     return Begun(tables, beside, (*remarks, *words), dataset, count)
 
 
-def later_rows(entries: Sequence[Any], mechanism: Mechanism, observe: Sequence[str]) -> Dataset:
-    """Readings of another day: files in the layout of the first ones, perhaps of one arm alone.
-
-    observe: what was observed, as typed at `init`. What a file does not hold was not read there.
-    Raises InputError as `from_tree` does.
-    """
-    looking = [
-        replace(one, table=_with_readings(one))
-        for one in observations(observe)
-        if one.table["type"] != "camera"
-    ]
-    sources = [source for i, entry in enumerate(entries) for source in sources_of(entry, i)]
-    rows, _ = _rows(sources, mechanism, looking, {})
-    units = {**mechanism.quantities, **mechanism.pose_constants}
-    seen = [q for one in mechanism.families for q in one.readings]
-    names = dict.fromkeys((*mechanism.joints, *seen, *rows.columns))
-    readings = {q: rows.values(q) for q in names}
-    return Dataset.from_arrays(readings, units={q: units[q] for q in names}, poses=rows.poses)
-
-
 def urdf_table(relative: str, root: str | None) -> dict[str, Any]:
     """The [mechanism] of a URDF by its path in the project; its leaves are those observed."""
     return {"type": "tree", "file": relative, **({"root": root} if root else {})}
@@ -204,39 +172,55 @@ def _body(row: Row, *, last: bool) -> dict[str, Any]:
     return {**body, "fixed": True} if fixed else body
 
 
-def _with_readings(one: Observation) -> dict[str, Any]:
-    """The table of an instrument whose readings are named after it: several may be of one kind."""
-    table = dict(one.table)
-    if table["type"] == "camera":
-        table["points"] = {"0": [0.0, 0.0, 0.0]}  # until the files say which there are
-    if table["type"] not in ("camera", "contact", "held-part", "inclinometer"):
-        table.setdefault("target", f"{one.name}_target")
-    if table["type"] in ("point", "pose") and "readings" not in table:
-        table["readings"] = [f"{one.name}_{axis}" for axis in "xyz"]
-    if table["type"] == "pose" and "columns" not in table:
-        table["columns"] = [f"{one.name}_{part}" for part in ("qw", "qx", "qy", "qz")]
-    return table
+def later_observed(entries: Sequence[Any], mechanism: Mechanism, observe: Sequence[str]) -> Dataset:
+    """Readings of another day of a whole robot: files in the layout of the first ones.
+
+    observe: what was observed, as typed at `init`. Lenses and boards are those of the calibration.
+    Raises InputError for a camera or board that is not in it.
+    """
+    typed = observations(observe)
+    cameras = all_cameras(mechanism)
+    boards = {one.board.name: one.board for one in cameras}
+    sources, pictures = sources_and_pictures(entries, boards)
+    eyes = Eyes(
+        taken=tuple(one.name for one in typed),
+        lenses={one.name: one.intrinsics for one in cameras},
+    )
+    seen = [one for one in typed if any(picture.is_of(one) for picture in pictures)]
+    pixels = _seen_by_cameras(eyes, seen, pictures, mechanism, {})
+    for table in eyes.instruments:
+        refuse_unknown_eye(table["eye"], {one.name for one in cameras})
+        refuse_another(Board(table["board"], table["points"]), boards)
+    for words in eyes.doubts:
+        warnings.warn(words, stacklevel=2)
+    looking = [one for one in typed if one.table["type"] != "camera"]
+    for family in mechanism.families:
+        if family.form == PIXELS:
+            looking.append(Observation({"type": "camera", "name": family.name}))
+    return later_rows(sources, mechanism, looking, pixels)
 
 
 def _seen_by_cameras(
+    eyes: Eyes,
     looking: Sequence[Observation],
     pictures: Sequence[Pictures],
     mechanism: Mechanism,
     units: Mapping[str, str],
-) -> tuple[Eyes, dict[int, dict[str, Array]]]:
-    """What cameras saw, and its pixels by the number of the table of poses."""
-    eyes, pixels = Eyes(taken=tuple(one.name for one in looking)), dict[int, dict[str, Array]]()
-    families = {family.name: family for family in mechanism.families}
+) -> dict[int, dict[str, Array]]:
+    """Pixels of what cameras saw, by the identity of the table of poses; the rest is in `eyes`."""
+    pixels = dict[int, dict[str, Array]]()
     nominal = {p.name: p.nominal for p in mechanism.parameters}
     assert mechanism.tree is not None
     cameras = [one for one in looking if one.table["type"] == "camera"]
     for one in cameras:
-        family = families[one.name]
+        # Of several boards each is an instrument of its own, NAME_BOARD, on the same bodies.
+        of_one = [f for f in mechanism.families if f"{f.name}_".startswith(f"{one.name}_")]
+        family = min(of_one, key=lambda f: (f.form != PIXELS, len(f.name)))
         mine = [p for p in pictures if p.is_of(one)]
         for picture in mine:
             source = picture.source
-            joints = _joints(source, mechanism, looking)
-            if missing := sorted(_reach(mechanism, family) - joints.keys()):
+            joints = joints_in(source, mechanism, looking)
+            if missing := sorted(reach(mechanism, family) - joints.keys()):
                 raise InputError(
                     f"no column holds the joint {missing[0]!r} between "
                     f"{family.on!r} and {family.against!r}",
@@ -276,7 +260,7 @@ def _seen_by_cameras(
                 remedy="name the bodies that carry camera and board: "
                 "--observe 'camera on=BODY sees=BODY', or leave the file out",
             )
-    return eyes, pixels
+    return pixels
 
 
 def _seen_in(pictures: Sequence[Pictures]) -> str:
@@ -291,167 +275,11 @@ def _seen_in(pictures: Sequence[Pictures]) -> str:
     )
 
 
-def _rows(
-    sources: Sequence[Source],
-    mechanism: Mechanism,
-    looking: Sequence[Observation],
-    pixels: Mapping[int, Mapping[str, Array]],
-) -> tuple[_Rows, tuple[str, ...]]:
-    """The poses of all files, and what was read in which, in words.
-
-    pixels: by the identity of a source, those of its rows.
-    """
-    rows, words = _Rows(), list[str]()
-    families = {family.name: family for family in mechanism.families}
-    units = {**mechanism.quantities, **mechanism.pose_constants}
-    several = len(sources) > 1
-    for source in sources:
-        joints = _joints(source, mechanism, looking)
-        read: dict[str, Field] = {}
-        seen: dict[str, Array] = {}
-        for one in looking:
-            family = families[one.name]
-            if one.table["type"] == "camera":
-                mine = pixels.get(id(source), {})
-                seen |= {q: mine[q] for q in family.readings if q in mine}
-            elif one.of_file(source.path) and _reach(mechanism, family) <= joints.keys():
-                columns = _columns(source, one, family, mechanism)
-                if columns is not None:
-                    read |= columns
-                    seen |= _seen(columns, _where(source, one), family, mechanism)
-        if not seen:
-            raise InputError(
-                "no observation stands in this file",
-                code="missing-column",
-                place=source.name,
-                remedy="name it: --observe 'point on=BODY columns=x,y,z', or leave the file out; "
-                f"its joints are {listed(list(joints), 30)}"
-                if joints
-                else "its columns are named "
-                f"as no joint of the robot: joints are {listed(list(mechanism.joints), 30)}",
-            )
-        by_joint = in_si(joints, mechanism.joints)
-        any_seen = np.any([np.isfinite(v) for v in seen.values()], axis=0)
-        ids = source.ids or tuple(str(i) for i in range(1, len(source) + 1))
-        stem = source.path.stem if source.path else source.name
-        kept = np.flatnonzero(any_seen)
-        rows.add(
-            [f"{stem}:{ids[i]}" if several else ids[i] for i in kept],
-            {name: v[kept] for name, v in {**by_joint, **seen}.items()},
-        )
-        met = [o.name for o in looking if any(q in seen for q in families[o.name].readings)]
-        words.append(f"{source.name}: {len(kept)} poses with {listed(met, 8)}")
-        for what, some in (("joints", joints), ("readings", read)):
-            unstated = {q: f for q, f in some.items() if f.unit is None and units[q] != "1"}
-            if unstated:
-                taken = " and ".join(taken_in(unstated, units).values())
-                words.append(f"{source.name}: {what} without a unit are taken in {taken}")
-    return rows, tuple(words)
-
-
-def _reach(mechanism: Mechanism, family: Family) -> set[str]:
-    """The joints between the two bodies of an observation."""
-    assert mechanism.tree is not None
-    path = mechanism.tree.path(family.on, family.against)
-    return {step.joint for step in path if step.joint}
-
-
-def _joints(
-    source: Source, mechanism: Mechanism, looking: Sequence[Observation]
-) -> dict[str, Field]:
-    """The joints that a file has columns for: those stated, and others by their names.
-
-    Beside stated ones a name counts as it is written: r2 is not the joint R2.
-    """
-    stated: dict[str, Field] = {}
-    for one in looking:
-        columns = (one.joints or {}) if one.of_file(source.path) else {}
-        by_column = named_joints(source.fields, columns.values())
-        stated |= {
-            joint: by_column[column]
-            for joint, column in columns.items()
-            if column in by_column and joint in mechanism.joints
-        }
-    named = named_joints(source.fields, mechanism.joints)
-    if stated:
-        named = {
-            j: f for j, f in named.items() if f.label.startswith(j) and f not in stated.values()
-        }
-    return named | stated
-
-
-def _columns(
-    source: Source, one: Observation, family: Family, mechanism: Mechanism
-) -> dict[str, Field] | None:
-    """The columns of what an observation reads; None where the file does not have them."""
-    constants = [c for c in mechanism.pose_constants if c.startswith(f"{one.name}_")]
-    silent = [q for q in family.readings if q in mechanism.implied]
-    spoken = [q for q in (*family.readings, *constants) if q not in silent]
-    names = one.columns or tuple(spoken)
-    if len(names) != len(spoken):
-        raise InputError(
-            f"{one.name!r} reads {len(spoken)} values, but {len(names)} columns are named",
-            code="wrong-shape",
-            place="--observe",
-            remedy=f"name them in this order: {listed(spoken, 12)}",
-        )
-    fields = named_joints(source.fields, names)
-    if absent := [name for name in names if name not in fields]:
-        if one.columns and one.file:
-            raise InputError(
-                f"{source.name} has no column {absent[0]!r}",
-                code="missing-column",
-                place="--observe",
-                remedy=f"its columns are {listed([f.label for f in source.fields], 30)}",
-            )
-        return None
-    return {q: fields[name] for q, name in zip(spoken, names, strict=True)}
-
-
-def _seen(
-    columns: Mapping[str, Field], chosen: Any, family: Family, mechanism: Mechanism
-) -> dict[str, Array]:
-    """The readings of an observation in the chosen rows of a file, gaps of what touches as 0."""
-    units = {**mechanism.quantities, **mechanism.pose_constants}
-    silent = [q for q in family.readings if q in mechanism.implied]
-    seen = {q: np.where(chosen, v, np.nan) for q, v in in_si(columns, units).items()}
-    complete = np.all([np.isfinite(v) for v in seen.values()], axis=0) if seen else chosen
-    return seen | {q: np.where(complete, 0.0, np.nan) for q in silent}
-
-
-def _where(source: Source, one: Observation) -> Any:
-    """The rows in which an observation was made."""
-    if one.where is None:
-        return np.ones(len(source), dtype=bool)
-    label, value = one.where
-    column = next((f for f in source.fields if label in (f.label, f.stem)), None)
-    cells: Sequence[str]
-    if column is not None:
-        cells = [column.words(float(v)) for v in column.values]
-    else:
-        cells = _texts(source, label)
-    return np.array([fnmatchcase(cell, value) for cell in cells])
-
-
-def _texts(source: Source, label: str) -> Sequence[str]:
-    """The cells of a column of words."""
-    table = None if source.path is None else read_table(source.path)
-    if table is None or label not in table.names or len(table.rows) != len(source):
-        names = [f.label for f in source.fields] if table is None else list(table.names)
-        raise InputError(
-            f"{source.name} has no column {label!r} with a cell in each row",
-            code="missing-column",
-            place="--observe",
-            remedy=f"its columns are {listed(names, 30)}",
-        )
-    return table.ids(table.names.index(label))
-
-
-def _refuse_unobserved(mechanism: Mechanism, rows: _Rows, looking: Sequence[Observation]) -> None:
+def _refuse_unobserved(mechanism: Mechanism, rows: Rows, looking: Sequence[Observation]) -> None:
     for family in mechanism.families:
         if not any(q in rows.columns for q in family.readings):
             one = next(o for o in looking if o.name == family.name)
-            needed = sorted(_reach(mechanism, family))
+            needed = sorted(reach(mechanism, family))
             raise InputError(
                 f"no file holds {family.name!r} and the joints between "
                 f"{family.on!r} and {family.against!r}: {listed(needed, 20)}",

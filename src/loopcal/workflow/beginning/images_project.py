@@ -55,6 +55,10 @@ def word(name: str, kind: str) -> str:
     return word if re.match(r"[A-Za-z_]", word) else f"{kind}_{word}"
 
 
+UNFIT = ("image-unexplained", "wrong-corners")
+"""Codes of facts about images that are not corrected."""
+
+
 class ImagesProject:
     """The tables of the project, and the files beside it.
 
@@ -275,3 +279,10 @@ def _six(
         f"{owner}_{name}": {"value": value, "unit": of, **({"sd": near[k]} if near else further)}
         for name, value, of, k in entries
     }
+
+
+def doubts(project: ImagesProject) -> tuple[str, ...]:
+    """What was corrected or does not fit, of images of a calibrated camera, in words."""
+    facts = project.begun.facts
+    some = [f for f in facts if (f.applied and f.code != "mount") or f.code in UNFIT]
+    return (*(fact.sentence for fact in some), *project.left_out)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,8 @@ from loopcal.mechanisms.instruments.camera import cameras_of
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.workflow.beginning.from_images import named, understood
 from loopcal.workflow.beginning.images_hand import hand_of
-from loopcal.workflow.beginning.images_project import word
+from loopcal.workflow.beginning.images_project import doubts, word
 
-UNFIT = ("image-unexplained", "wrong-corners")
-"""Codes of facts about images that are not corrected."""
 SAME = 1e-4
 """Points of one board differ by less than this share of it: files round."""
 
@@ -37,16 +35,12 @@ def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
     usual = {one.board.name: one.board for one in cameras}
     files = read_files(entries, usual)
     for name in files.corners.boards:
-        _refuse_another(named(files.boards, name), usual, name)
+        board = named(files.boards, name)
+        refuse_another(replace(board, name=word(name, "board")), usual, whole=True)
     lenses = {one.name: one.intrinsics for one in cameras}
     eyes = {camera: word(camera, "camera") for camera in files.corners.cameras}
-    if strange := [camera for camera, eye in eyes.items() if eye not in lenses]:
-        raise InputError(
-            f"the camera {strange[0]!r} is not in the calibration",
-            code="unknown-name",
-            place=files.corners.file,
-            remedy=f"its cameras are {listed(list(lenses), 5)}",
-        )
+    for eye in eyes.values():
+        refuse_unknown_eye(eye, lenses)
     files = replace(files, lenses={camera: lenses[eye] for camera, eye in eyes.items()})
     joints = tuple(mechanism.joints)
     described = mechanism.description or {}
@@ -54,10 +48,7 @@ def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
     robot = Robot(arm, len(joints), joints)
     hand = hand_of(files, (lambda _: robot) if joints else None, None, Path())
     project, _ = understood(files, hand, not cameras[0].on_body)
-    for fact in project.begun.facts:
-        if (fact.applied and fact.code != "mount") or fact.code in UNFIT:
-            warnings.warn(fact.sentence, stacklevel=2)
-    for words in project.left_out:
+    for words in doubts(project):
         warnings.warn(words, stacklevel=2)
     data = project.dataset
     pixels = {q for family in mechanism.families for q in family.readings}
@@ -65,22 +56,37 @@ def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
     return data.with_readings(unseen)
 
 
-def _refuse_another(stated: Board, usual: Mapping[str, Board], name: str) -> None:
-    """Raise InputError for a board whose points are not those of the calibration."""
-    board = usual.get(word(name, "board"))
+def refuse_unknown_eye(eye: str, eyes: Collection[str]) -> None:
+    """Raise InputError for a camera that is not in the calibration."""
+    if eye not in eyes:
+        raise InputError(
+            f"the camera {eye!r} is not in the calibration",
+            code="unknown-name",
+            remedy=f"its cameras are {listed(list(eyes), 5)}",
+        )
+
+
+def refuse_another(stated: Board, usual: Mapping[str, Board], *, whole: bool = False) -> None:
+    """Raise InputError for a board whose points are not those of the calibration.
+
+    whole: where points that were not stated are absent.
+    """
+    board = usual.get(stated.name)
     if board is None:
         raise InputError(
-            f"the calibration has no board {name!r}",
+            f"the calibration has no board {stated.name!r}",
             code="unknown-name",
             remedy=f"its boards are {listed(list(usual), 5)}",
         )
     for point, at in board.points.items():
         other = stated.points.get(point)
+        if other is None and not whole:
+            continue
         if other is None or np.linalg.norm(np.subtract(other, at)) > SAME * max(board.half):
             where = "absent" if other is None else f"at ({_mm(other)}) mm"
             raise InputError(
-                f"the point {point!r} of the board {name!r} is {where}; the calibration has it at "
-                f"({_mm(at)}) mm",
+                f"the point {point!r} of the board {stated.name!r} is {where}; the calibration has "
+                f"it at ({_mm(at)}) mm",
                 code="conflicting-keys",
                 remedy="use the board of the calibration and its description, or calibrate anew "
                 "with this one",

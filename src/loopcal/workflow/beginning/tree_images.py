@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,11 +21,12 @@ from loopcal.files.cameras.folder import Files, folders_of_images, of_images, re
 from loopcal.files.recognition.fields import Source
 from loopcal.files.recognition.observations import Observation
 from loopcal.files.recognition.sources import sources_of
+from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.mechanisms.placement import inverse
 from loopcal.workflow.beginning.from_images import by_camera, named, understood
 from loopcal.workflow.beginning.images_hand import Hand
-from loopcal.workflow.beginning.images_project import ImagesProject, word
+from loopcal.workflow.beginning.images_project import ImagesProject, doubts, word
 
 # Chosen, not derived, as of the faults of a whole file: drawings miss by a hundredth, images of
 # another body by a third and more.
@@ -51,15 +53,18 @@ class Pictures:
 
 @dataclass(eq=False)
 class Eyes:
-    """What cameras saw: instruments, entries of [parameters] and [noise], in words what was
-    understood; taken: names of observations; starts: by name of the camera, where it stands at the
-    start; carriers: by name of a camera or board, the body that carries it; lenses: as they begin.
+    """What cameras saw: instruments, entries of [parameters] and [noise].
+
+    words: what was understood; doubts: what was corrected and what does not fit; taken: names of
+    observations; starts: by name of the camera, where it stands at the start; carriers: by name of
+    a camera or board, the body that carries it; lenses: as they begin.
     """
 
     instruments: list[dict[str, Any]] = field(default_factory=list)
     parameters: dict[str, Any] = field(default_factory=dict)
     noise: dict[str, Any] = field(default_factory=dict)
     words: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     taken: tuple[str, ...] = ()
     starts: dict[str, Array] = field(default_factory=dict)
     carriers: dict[str, str] = field(default_factory=dict)
@@ -70,11 +75,14 @@ class Eyes:
         return {camera: self.lenses[camera] for camera in cameras if camera in self.lenses}
 
 
-def sources_and_pictures(entries: Sequence[Any]) -> tuple[list[Source], list[Pictures]]:
+def sources_and_pictures(
+    entries: Sequence[Any], usual: Mapping[str, Board] = MappingProxyType({})
+) -> tuple[list[Source], list[Pictures]]:
     """The tables of rows, and the files with corners: those of a folder belong together, as do
     those named one by one.
 
-    Raises InputError for corners beside which no table has the poses of their images.
+    usual: the boards where no file describes one. Raises InputError for corners beside which no
+    table has the poses of their images.
     """
     sources: list[Source] = []
     pictures: list[Pictures] = []
@@ -88,10 +96,10 @@ def sources_and_pictures(entries: Sequence[Any]) -> tuple[list[Source], list[Pic
     apart = {id(entry) for entry in (*pictured, *described)}  # a table has no equality
     read(entry for entry in entries if id(entry) not in apart)
     if described:
-        files = read_files(described)
+        files = read_files(described, usual)
         pictures.append(Pictures(files, _with_poses(files, sources)))
     for folder in pictured:
-        files = read_files([folder])
+        files = read_files([folder], usual)
         pictures.append(Pictures(files, _with_poses(files, read(files.poses))))
     return sources, pictures
 
@@ -171,6 +179,7 @@ def see(
             eyes.instruments.append({**table, **bodies, "name": name})
             eyes.noise[name] = sd
     eyes.parameters = tables["mechanism"]["parameters"] | eyes.parameters
+    eyes.doubts += doubts(project)
     facts = tuple(f.sentence for f in begun.facts if f.code != "board-pitch")
     eyes.words += tuple(
         f"{one.name}: {remark}" for remark in (*files.remarks, *project.left_out, *turned, *facts)
