@@ -133,8 +133,8 @@ def valid(document: ResultDocument) -> Fact:
     sources = {one.source for one in region.ranges}
     where = "the working region"
     if sources == {"readings"}:
-        seen = document.accuracy is not None and document.accuracy.pixels
-        within = ", where corners were seen" if seen else ""
+        images = document.accuracy is not None and document.accuracy.pixels
+        within = ", where corners were seen" if images else ""
         where = f"the region between the measured poses{within} (no limits are known)"
     elif "turn" in sources:
         where = "the working region (joints without stated limits turn a quarter turn either way)"
