@@ -60,7 +60,8 @@ def redundancy(
             rows = list(joint.indices)
             matrix = joint.factor @ np.swapaxes(joint.factor, -1, -2)
             inner = block.X[:, :, rows].transpose(0, 2, 1) @ WX[:, :, rows]
-            shares[:, rows] = np.einsum("...kj,bjk->bk", matrix, inner)
+            # A covariance is one for all poses, or each has its own.
+            shares[:, rows] = (matrix * np.swapaxes(inner, 1, 2)).sum(axis=2)
             corrections[:, rows] = (matrix @ seen[:, rows, None])[..., 0]
         power[:, poses], numbers[:, poses] = left.T, shares.T
         squares[:, poses] = (corrections * seen).T

@@ -74,10 +74,10 @@ def tables_of(entries: Sequence[Any]) -> list[Any]:
         folder = isinstance(entry, str | Path) and Path(entry).is_dir()
         texts = [p for p in files_of([entry]) if p.suffix.lower() in _TABLES] if folder else []
         tables = [p for p in texts if p.suffix.lower() != ".txt" or len(_header(p)) > 1]
-        if folder and not tables:  # a file per pose
+        whole = folder and any(Path(entry).glob(reader_of(entry).in_folder or "*.parquet"))
+        if folder and not tables and not whole:  # a file per pose
             tables = [p for p in files_of([entry]) if p.suffix.lower() in _RECORDS]
-        reader = reader_of(entry) if folder and not tables else None
-        if reader and not any(Path(entry).glob(reader.in_folder or "*.parquet")):
+        if folder and not tables and not whole:
             raise InputError(
                 "this folder holds no table of readings",
                 code="no-data",
