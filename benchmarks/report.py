@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import command
 import default_call
+import images as images_fit
 import learning
 import memory
 import platform_poses
@@ -15,6 +16,7 @@ from both_engines import Engines
 from flatness import DEMANDED as DEMANDED_FLAT
 from flatness import FROM as FLAT_FROM
 from flatness import Flatness
+from images import Images
 from measuring import Times
 from programs import NUMPY, PROGRAMS
 from side_by_side import Comparison
@@ -204,6 +206,25 @@ def trees(measured: whole_robots.Trees) -> str:
     in_time = met(measured.seconds <= seconds)
     rows.append([case, f"{measured.seconds:.1f} s", f"{seconds:g} s: {in_time}"])
     return f"### Whole robots\n\n{table(['case', 'processor', 'at most'], rows)}"
+
+
+def images(measured: Images) -> str:
+    """A camera on a hand, beside Ceres."""
+    rows = []
+    for case, seconds, most in (
+        ("sds stated", measured.stated, images_fit.DEMANDED),
+        ("all sds learnt", measured.learnt, images_fit.DEMANDED_LEARNT),
+    ):
+        rows.append([case, f"{seconds:.1f}", f"{most:g} s: {met(seconds <= most)}"])
+    if measured.ceres is not None and measured.callbacks is not None:
+        own = measured.ceres - measured.callbacks
+        rows.append(["sds stated, Ceres", f"{measured.ceres:.1f}", ""])
+        rows.append(["the same without its callbacks in Python", f"{own:.1f}", ""])
+    title = f"### {measured.images:,} images of {measured.corners} corners"
+    words = (
+        "A camera on a hand whose poses are uncertain; both programs end at the same parameters."
+    )
+    return f"{title}\n\n{words}\n\n{table(['case', 'processor [s]', 'at most'], rows)}"
 
 
 def platform(found: Sequence[platform_poses.Platform]) -> str:

@@ -22,6 +22,7 @@ import figure
 import flatness
 import floor
 import floor_report
+import images
 import learning
 import memory
 import platform_poses
@@ -142,6 +143,13 @@ def trees(found: Found, asked: argparse.Namespace) -> None:
     found.texts.append(report.trees(measured))
 
 
+def many_images(found: Found, asked: argparse.Namespace) -> None:
+    """A camera on a hand, beside Ceres."""
+    measured = images.measure()
+    found.numbers["images"] = asdict(measured)
+    found.texts.append(report.images(measured))
+
+
 PARTS: dict[str, Callable[[Found, argparse.Namespace], None]] = {
     "programs": programs,
     "engines": engines,
@@ -153,8 +161,9 @@ PARTS: dict[str, Callable[[Found, argparse.Namespace], None]] = {
     "learning": learnt,
     "default": defaults,
     "trees": trees,
+    "images": many_images,
 }
-CHECKED = {"programs", "engines", "small"}
+CHECKED = {"programs", "engines", "small", "images"}
 """Parts that compare results: nothing is told before all of them have."""
 
 

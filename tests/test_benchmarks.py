@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -188,3 +189,30 @@ def test_a_tree_is_measured_beside_the_same_arm_as_a_chain(run: Any, tmp_path: P
     told = run.report.trees(robots.Trees({200: 1.01}, len(robot.parameters.free), 6.0))
     assert "1.010 of a chain" in told
     assert "6.0 s" in told
+
+
+def test_images_are_told_beside_ceres(run: Any) -> None:
+    images = import_module("images")
+    told = run.report.images(images.Images(1_000, 100, 0.7, 30.0, 9.0, 6.0))
+    assert "1,000 images of 100 corners" in told
+    assert "without its callbacks in Python" in told
+    measured = images.measure(12)
+    assert measured.stated > 0.0
+    assert measured.learnt > 0.0
+
+
+def test_pixels_change_as_their_derivatives_say(run: Any) -> None:
+    assert run
+    images = import_module("images")
+    P, step = np.array([[0.05, -0.03, 0.4], [-0.1, 0.08, 0.35]]), 1e-6
+    _, by_point, by_lens = images.projected(P, images.LENS)
+    for axis in range(3):
+        ahead, behind = (
+            images.projected(P + s * np.eye(3)[axis], images.LENS)[0] for s in (step, -step)
+        )
+        assert np.allclose((ahead - behind) / (2 * step), by_point[..., axis], rtol=1e-6, atol=1e-4)
+    for i in range(9):
+        ahead, behind = (
+            images.projected(P, images.LENS + s * np.eye(9)[i])[0] for s in (step, -step)
+        )
+        assert np.allclose((ahead - behind) / (2 * step), by_lens[..., i], rtol=1e-6, atol=1e-4)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import shutil
 from types import ModuleType
 
@@ -98,3 +99,11 @@ def test_a_program_that_is_absent_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(report, "PROGRAMS", [there, absent])
     assert "wanted (no-such-program)" in report.absent()
     assert "present" not in report.absent()
+
+
+@pytest.mark.usefixtures("benchmarks")
+def test_ceres_ends_where_loopcal_does_on_images() -> None:
+    if importlib.util.find_spec("pyceres") is None:
+        pytest.skip("pyceres is not installed; `make benchmark` tries to install packages")
+    measured = _module("images").measure(30)  # raises where they are apart
+    assert measured.ceres > measured.callbacks > 0.0
