@@ -20,6 +20,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import solve
+from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.presentation.shown import significant, with_unit
 
 # The arc leaves its tangent by 0.02^2 / 2 of the lever, 0.2 mm of a metre: chosen, not derived.
@@ -44,11 +45,12 @@ def other_optima(result: FitResult) -> tuple[OtherOptimum, ...]:
     """Optima of the implicit loop with two parameters exchanged that fit about as well.
 
     Sought where an angle is read with an sd of at least VAGUE, or not at all; elsewhere, and for
-    other methods and losses, none. A machine that states its home states with it the form in which
-    it stands. An optimum with the same chi-squared is the same machine written otherwise, and is
+    other methods and losses, none, and none of images, each of which shows where the whole body
+    stands. A machine that states its home states with it the form in which it stands. An optimum with the same chi-squared is the same machine written otherwise, and is
     not told of.
     """
     usable = result.fit.solver.solve is solve and result.fit.robust_loss is None
+    usable = usable and all(family.form != PIXELS for family in result.mechanism.families)
     if not (usable and result.status.converged and result.chi_squared and _vague(result)):
         return ()
     best = result.chi_squared.value
