@@ -46,8 +46,8 @@ def other_optima(result: FitResult) -> tuple[OtherOptimum, ...]:
 
     Sought where an angle is read with an sd of at least VAGUE, or not at all; elsewhere, and for
     other methods and losses, none, and none of images, each of which shows where the whole body
-    stands. A machine that states its home states with it the form in which it stands. An optimum with the same chi-squared is the same machine written otherwise, and is
-    not told of.
+    stands. A machine that states its home states with it the form in which it stands. An optimum
+    with the same chi-squared is the same machine written otherwise, and is not told of.
     """
     usable = result.fit.solver.solve is solve and result.fit.robust_loss is None
     usable = usable and all(family.form != PIXELS for family in result.mechanism.families)
