@@ -57,8 +57,8 @@ class Prediction:
     belong together: those of one unit that one instrument reads. freedom (N, o), denominator (N,):
     degrees of freedom of Student's t of each output, and of the denominator of F of all; inf where
     the sds are known and none was learnt from the calibration. by_residuals: whether the residuals
-    of the fit stand for the noise of the readings; unlike: what is said of conditions that the
-    calibration did not see (`Predictor.unlike`).
+    of the fit stand for the noise of the readings; unlike: warnings of temperatures and loads
+    outside the range of the calibration (`Predictor.unlike`).
     """
 
     __repr__ = brief

@@ -84,7 +84,8 @@ class FileTable(Layout, _NamedColumns):
 
 @dataclass(frozen=True)
 class JoinTable(FileTable):
-    """One of several files: of the same poses, joined by their ids, or each of its own."""
+    """One of several files. Pose ids join the files of `[[data.join]]`; each file of
+    `[[data.file]]` has other poses."""
 
     instrument: Annotated[
         tuple[str, ...],
@@ -104,8 +105,10 @@ class JoinTable(FileTable):
 
 @dataclass(frozen=True)
 class DataTable(FileTable):
-    """The readings: a file, perhaps others joined by pose id, or several of poses each of its own;
-    and what is left out."""
+    """Where the readings are, and which poses are left out.
+
+    Either one file, to which pose ids may join others, or several files with different poses.
+    """
 
     file: Annotated[  # type: ignore[assignment]
         str | tuple[JoinTable, ...],
@@ -148,7 +151,7 @@ class DataTable(FileTable):
 
     @property
     def apart(self) -> bool:
-        """Whether each of several files has poses of its own."""
+        """Whether there are several files with different poses."""
         return not isinstance(self.file, str)
 
     def columns_of(

@@ -1,4 +1,4 @@
-"""Each of several files of readings, and files one below another, each with poses of its own."""
+"""Reads each of several files of readings, and puts files with different poses together."""
 
 from __future__ import annotations
 

@@ -239,7 +239,7 @@ def _groups(project: Project, column: str | int, poses: Sequence[str]) -> tuple[
         read = read_dataset(source, asked, pose=part.pose or spec.pose, **part.keywords)
         values, ids = read["group"].tolist(), read.poses
         if spec.apart:
-            # Groups are told apart, not counted.
+            # Numbers of groups differ between files; their size means nothing.
             offset = 1.0 + max((abs(v) for v in groups.values() if v == v), default=0.0)
             values = [offset + v - np.nanmin(values) for v in values]
             ids = tuple(f"{path.stem}:{pose}" for pose in ids)

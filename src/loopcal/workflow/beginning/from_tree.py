@@ -213,7 +213,7 @@ def _seen_by_cameras(
     assert mechanism.tree is not None
     cameras = [one for one in looking if one.table["type"] == "camera"]
     for one in cameras:
-        # Of several boards each is an instrument of its own, NAME_BOARD, on the same bodies.
+        # A camera that sees several boards has an instrument for each, named NAME_BOARD.
         of_one = [f for f in mechanism.families if f"{f.name}_".startswith(f"{one.name}_")]
         family = min(of_one, key=lambda f: (f.form != PIXELS, len(f.name)))
         mine = [p for p in pictures if p.is_of(one)]
