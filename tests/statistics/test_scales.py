@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
-from analyses.scales import begun, drawn, within
+import numpy as np
+import pytest
+
+from analyses.scales import POSES, begun, drawn, within
+from loopcal.statistics.change_points import Search
 from loopcal.statistics.ordered_system import OrderedSystem
 from loopcal.statistics.possible_changes import BETWEEN_DAYS, possible
 from loopcal.statistics.scales import scales
@@ -27,6 +32,24 @@ def test_the_scale_of_a_second_station_has_its_size_and_sign() -> None:
     # 0.1 mm at a metre; and the drawing of this arm is no such scale.
     assert 5e-5 < station.moves < 5e-4
     assert (drawing.instruments, drawing.p_value > 1e-3) == ((), True)
+
+
+@pytest.mark.parametrize("number", [1, 3, 4])
+def test_a_second_station_that_measures_too_long_is_no_change_along_the_run(number: int) -> None:
+    """Without that scale beside it, these machines warm up, bend a link or drop a load."""
+    shifts, fit = Search(begun(number, 2, PLANTED)).run()
+    assert not shifts.found
+    assert scales(fit)[0].p_value < 1e-6
+
+
+def test_a_slip_at_the_change_of_stations_is_named_beside_their_scales() -> None:
+    system = two_stations()
+    half, slip = POSES // 2, np.array([3e-4, -2e-4, 2e-4])
+    E = system.E.copy()
+    E[half:] += system.columns(["tool_x", "tool_y", "tool_z"])[half:] @ slip
+    shifts, _ = Search(replace(system, E=E)).run()
+    (slipped,) = shifts.found
+    assert (slipped.moved, slipped.number) == ("target", half + 1)
 
 
 def test_the_scale_of_all_readings_shows_beside_a_drawing_that_is_kept_to() -> None:

@@ -42,7 +42,7 @@ from loopcal.statistics.possible_changes import (
     unit_of,
 )
 from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines, told_by_joints
-from loopcal.statistics.scales import scales
+from loopcal.statistics.scales import scale_columns, scales
 
 # Chosen, not derived: time and memory of the search.
 MOST_POSES = 5000
@@ -213,6 +213,9 @@ class Search:
     ) -> None:
         self.problem, self.level, self.system = system.problem, level, system
         changes = possible(self.problem, causes)
+        # Stations may have unlike scales all along, which looks like a step between them.
+        scaled = [column for _, column in scale_columns(system)[1:]]
+        self.unlike = np.concatenate([system.Z[:, :, :0], *scaled], axis=2)
         self.candidates = [_Candidate(one, one.columns(system.columns)) for one in changes]
         steps = len(self.system.E) * sum(one.steps for one in changes)
         ramps = sum(one.ramps for one in changes)
@@ -220,8 +223,10 @@ class Search:
         self.tests = {False: 2.0 * max(steps, 1), True: 2.0 * max(ramps, 1)}
 
     def run(self, most: int = MOST) -> tuple[Shifts, Fitted]:
-        """The change points in order, and the fit that has them."""
+        """The change points in order, and the fit that has them, all stations of one scale."""
         steps, fit = list[_Step](), self.system.fitted()
+        if self.unlike.shape[2]:
+            fit = fit.beside(self.unlike).again()
         while len(steps) < most:
             best, log_p = self._best(fit, steps, self.candidates)
             if best is None or log_p > math.log(self.level):
@@ -233,7 +238,7 @@ class Search:
         # Sized beside all others, before any of them leaves the fit.
         unsure = tuple(self._point(fit, steps, step) for step in smooth)
         for step in smooth:
-            fit = _without(fit, steps, step)
+            fit = self._without(fit, steps, step)
             steps.remove(step)
         fit = fit.again() if smooth else fit
         fit, steps = self._placed(fit, steps)
@@ -251,14 +256,21 @@ class Search:
             unsure,
             tuple(point for point, step in zip(points, steps, strict=True) if step in apart),
         )
-        return shifts, fit
+        alike = fit.without(fit.further - self.unlike.shape[2], self.unlike.shape[2])
+        return shifts, alike
+
+    def _without(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> Fitted:
+        """A fit with these steps, without one of them."""
+        sizes = [one.candidate.columns.shape[2] for one in steps]
+        at = steps.index(step)
+        return fit.without(fit.further - self.unlike.shape[2] - sum(sizes[at:]), sizes[at])
 
     def _placed(self, fit: Fitted, steps: Sequence[_Step]) -> tuple[Fitted, list[_Step]]:
         """Each step at its best pose beside the others."""
         placed = [*steps]
         for step in steps:
             if not step.ramp:
-                rest = _without(fit, placed, step)
+                rest = self._without(fit, placed, step)
                 placed.remove(step)
                 new = self._best(rest, placed, [step.candidate], ramps=False)[0] or step
                 placed, fit = [new, *placed], rest.beside(new.columns)
@@ -269,7 +281,7 @@ class Search:
         like a ramp at first."""
         for ramp in [step for step in steps if step.ramp]:
             rest, others = self._placed(
-                _without(fit, steps, ramp), [step for step in steps if step is not ramp]
+                self._without(fit, steps, ramp), [step for step in steps if step is not ramp]
             )
             log_p = rest.step(ramp.columns).log_p() + math.log(self.tests[True])
             if others and log_p >= math.log(self.level):
@@ -299,14 +311,14 @@ class Search:
         if not sudden:
             return []
         waved = fit.beside(np.concatenate(self.system.waves(cosines), axis=2))
-        edges = [_without(waved, steps, step).step(step.columns) for step in sudden]
+        edges = [self._without(waved, steps, step).step(step.columns) for step in sudden]
         unclear = [edge.log_p(fit.spare) >= math.log(_EDGE) for edge in edges]
         return [step for step, smooth in zip(sudden, unclear, strict=True) if smooth]
 
     def _point(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> ChangePoint:
         """One of the steps of a fit beside all others, with its size; parts of the machine that
         explain it about as well are one cause."""
-        rest, spare = _without(fit, steps, step), fit.spare
+        rest, spare = self._without(fit, steps, step), fit.spare
         alike = self._alike(rest, step)
         parts = [c for c in alike if c.change.kind in _RARE]
         if step.candidate.change.kind in _RARE and parts:
@@ -387,10 +399,3 @@ class Search:
             return None, 0.0
         _, log_p, best = min(trials, key=lambda one: one[0])
         return best, log_p
-
-
-def _without(fit: Fitted, steps: Sequence[_Step], step: _Step) -> Fitted:
-    """A fit with these steps, without one of them."""
-    sizes = [one.candidate.columns.shape[2] for one in steps]
-    at = steps.index(step)
-    return fit.without(fit.further - sum(sizes[at:]), sizes[at])
