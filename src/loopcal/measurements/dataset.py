@@ -39,6 +39,8 @@ class Dataset:
     sds: Mapping[str, Array] = field(default_factory=dict)
     """Quantity -> (N,) sd [SI] of each reading, for those that came with their own."""
     source: Source = field(default_factory=Source)
+    places: Mapping[str, float] = field(default_factory=dict)
+    """Parameter -> roughly its value [SI], as images alone say where boards and cameras stand."""
 
     def __post_init__(self) -> None:
         empty = isinstance(self.readings, Mapping) and not any(map(np.size, self.readings.values()))

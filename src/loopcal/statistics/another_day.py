@@ -33,13 +33,14 @@ class Day:
     """The poses of another day, at a machine that is held but for what may stand elsewhere.
 
     problem: at the calibrated parameters, all of which count as estimated; freed: names of what
-    is found anew; moved: what changed along the run, by any size; drift: what may have drifted
-    along it, by name, with its sd [SI].
+    is found anew; places: of these roughly, by images alone; moved: what changed along the run, by
+    any size; drift: what may have drifted along it, by name, with its sd [SI].
     """
 
     calibrated: Calibrated
     problem: Problem
     freed: tuple[str, ...]
+    places: Mapping[str, float] = field(default_factory=dict)
     moved: tuple[ChangePoint, ...] = ()
     drift: Mapping[str, float] = field(default_factory=dict)
 
@@ -57,7 +58,8 @@ class Day:
         a name that is not there.
         """
         names = freed(calibrated.mechanism, remounted)
-        return cls(calibrated, day_problem(calibrated, data, noise), names)
+        places = {name: data.places[name] for name in names if name in data.places}
+        return cls(calibrated, day_problem(calibrated, data, noise), names, places)
 
     @property
     def drifting(self) -> Day | None:
@@ -92,7 +94,9 @@ class Day:
                 start[names.index(name)] += change
         changed = _with_values(replace(problem, readings=readings), start)
         components = components_of(self.calibrated, order)
-        return replaced(changed, self.freed, variance=self.variance, components=components)
+        return replaced(
+            changed, self.freed, self.places, variance=self.variance, components=components
+        )
 
     def linearised(self, changes: Mapping[str, float] = {}) -> Linearised:
         """The equations of the held machine where it is placed anew after these changes."""

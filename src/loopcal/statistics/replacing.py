@@ -11,7 +11,7 @@ Instruments that see points begin where these are best aligned.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -196,20 +196,22 @@ class Replaced:
 def replaced(
     problem: Problem,
     names: Sequence[str],
+    places: Mapping[str, float] = {},
     *,
     variance: float | None = None,
     components: Sequence[Sequence[int]] = (),
 ) -> Replaced:
     """The machine of a problem, at its start, placed anew by the problem's poses.
 
-    problem: of which every parameter counts as estimated; names: of what is found anew; variance:
-    of every loop equation, where the readings are taken as exact; components: quantities whose
-    noise is told apart in the rows. Raises NoTrustworthyResult where a loop has no value.
+    problem: of which every parameter counts as estimated; names: of what is found anew; places:
+    roughly, of some of it, where another search may begin; variance: of every loop equation, where
+    the readings are taken as exact; components: quantities whose noise is told apart in the rows.
+    Raises NoTrustworthyResult where a loop has no value.
     """
     search = _Search(problem, names, variance, components)
     lowest = search.lowest(search.begun())
     if lowest.merit > ASTRAY * len(lowest.e):
-        starts = search.elsewhere(lowest.parameters)
+        starts = search.elsewhere(lowest.parameters, places)
         others = [search.lowest(start, _ROUGHLY) for start in starts]
         near = min(others, key=lambda one: one.merit, default=None)
         if near is not None and (end := search.lowest(near.parameters)).merit < lowest.merit:
@@ -294,9 +296,15 @@ class _Search:
                 damping *= 10.0
         return lowest
 
-    def elsewhere(self, place: Array) -> Iterator[Array]:
-        """Other starts, for points such as anchors that no aligned points say anything of."""
+    def elsewhere(self, place: Array, places: Mapping[str, float]) -> Iterator[Array]:
+        """Other starts: as images alone say, or else for points such as anchors that no aligned
+        points say anything of."""
         mechanism = self.problem.mechanism
+        if places:
+            values = place.copy()
+            values[[mechanism.parameters.names.index(name) for name in places]] = [*places.values()]
+            yield values
+            return
         names = [n for f in mechanism.families if f.placement is None for n in f.standing]
         free = [i for i in self._free if mechanism.parameters.names[i] in names]
         draw = np.random.default_rng(0)

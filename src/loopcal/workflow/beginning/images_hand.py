@@ -96,17 +96,22 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
             code="no-data",
             remedy="add a table with a row for each image: pose and its joints",
         )
-    source = sources_of(files.poses[0], 0)[0]
-    fields = source.fields
-    columns = joint_columns(fields, joints) if joints else ()
-    robot = describe(columns or fields)
-    every = [(columns, "as stated")] if columns else joint_sets(fields, robot.joints, robot.names)
-    if not every:
+    # A folder may hold more than the joints, such as the robot's table.
+    for path in files.poses:
+        source = sources_of(path, 0)[0]
+        columns = joint_columns(source.fields, joints) if joints else ()
+        robot = describe(columns or source.fields)
+        every = [(columns, "as stated")] if columns else []
+        every = every or joint_sets(source.fields, robot.joints, robot.names)
+        if every:
+            break
+    else:
+        names = listed([path.name for path in files.poses], 3)
         raise InputError(
-            f"{source.name} has no {robot.joints} columns that may be joints",
+            f"{names} has no {robot.joints} columns that may be joints",
             code="missing-column",
             remedy="name them: --joints COLUMNS; there are "
-            + listed([f.label for f in fields], 20),
+            + listed([f.label for f in source.fields], 20),
         )
     columns, how = every[0]
     mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))

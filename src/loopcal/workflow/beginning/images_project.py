@@ -22,7 +22,7 @@ from loopcal.files.toml.reader import SCHEMA
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.instruments.camera import PIXEL
 from loopcal.mechanisms.placement import yaw_pitch_roll
-from loopcal.units import from_si
+from loopcal.units import from_si, to_si
 from loopcal.workflow.beginning.begun import READINGS
 from loopcal.workflow.beginning.images_hand import Hand
 
@@ -47,6 +47,10 @@ _MOUNTED, _TURNED = 20.0, 3.0
 shows, beside where the start puts it."""
 _FEWEST = 3
 """Points that an image needs to show where a board of unknown pose is."""
+
+
+SIX = ("x", "y", "z", "rz", "ry", "rx")
+"""Endings of the parameters of a place."""
 
 
 def word(name: str, kind: str) -> str:
@@ -227,6 +231,15 @@ class ImagesProject:
         return np.array(marks, dtype=bool)
 
     @property
+    def places(self) -> dict[str, float]:
+        """Where the start puts cameras and boards: parameter -> value [SI]."""
+        six = [
+            f"{owner}_{p}" for owner in (*self.eyes.values(), *self.boards.values()) for p in SIX
+        ]
+        stated = self._parameters()
+        return {n: float(to_si(stated[n]["value"], stated[n]["unit"])) for n in six if n in stated}
+
+    @property
     def dataset(self) -> Dataset:
         """The readings, under the names that they have in the project."""
         corners, kept = self.begun.corners, self.kept
@@ -272,7 +285,7 @@ def _six(
     entries = [(axis, 1e3 * float(v), "mm", 0) for axis, v in zip("xyz", T[:3, 3], strict=True)]
     entries += [
         (name, float(from_si(np.array(v), "deg")), "deg", 1)
-        for name, v in zip(("rz", "ry", "rx"), turns, strict=True)
+        for name, v in zip(SIX[3:], turns, strict=True)
     ]
     further = {"fixed": True} if fixed else {}
     return {

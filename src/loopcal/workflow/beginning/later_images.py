@@ -12,6 +12,8 @@ import numpy as np
 
 from loopcal.errors import InputError, listed
 from loopcal.files.cameras.folder import read_files
+from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.files.machines.mechanism_writer import mechanism_table
 from loopcal.files.recognition.robots import Robot
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
@@ -42,18 +44,26 @@ def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
     for eye in eyes.values():
         refuse_unknown_eye(eye, lenses)
     files = replace(files, lenses={camera: lenses[eye] for camera, eye in eyes.items()})
-    joints = tuple(mechanism.joints)
-    described = mechanism.description or {}
-    arm = {key: value for key, value in described.items() if key != "instrument"}
-    robot = Robot(arm, len(joints), joints)
-    hand = hand_of(files, (lambda _: robot) if joints else None, None, Path())
+    hand = hand_of(files, (lambda _: _bare(mechanism)) if mechanism.joints else None, None, Path())
     project, _ = understood(files, hand, not cameras[0].on_body)
     for words in doubts(project):
         warnings.warn(words, stacklevel=2)
     data = project.dataset
     pixels = {q for family in mechanism.families for q in family.readings}
     unseen = {q: np.full(len(data), np.nan) for q in pixels - data.readings.keys()}
-    return data.with_readings(unseen)
+    return replace(data.with_readings(unseen), places=project.places)
+
+
+def _bare(mechanism: Mechanism) -> Robot:
+    """The robot as calibrated, without its instruments and its model error."""
+    table = mechanism_table(mechanism)
+    values = table.pop("parameters")
+    for beyond in ("instrument", "effect", "structure", "same"):
+        table.pop(beyond, None)
+    names = mechanism_from_data(table, mechanism.name).parameters.names
+    table["parameters"] = {name: values[name] for name in names if name in values}
+    joints = tuple(mechanism.joints)
+    return Robot(table, len(joints), joints)
 
 
 def refuse_unknown_eye(eye: str, eyes: Collection[str]) -> None:

@@ -1,0 +1,72 @@
+"""Another day of an arm with a camera on its hand: joints are read, the board lies elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.cameras_truth import Rig, Shots, motion, poses, shots
+from analyses.gauntlet_truth import turned_by
+from loopcal.statistics.verified import Verification
+
+IMAGES = 8
+
+
+def files(rig: Rig, seed: int, folder: Path) -> Path:
+    """A folder of images of a rig, with the table of the robot among them."""
+    rng = np.random.default_rng([48, seed])
+    q = poses(rig, IMAGES, rng)
+    uv = rig.pixels(rig.flange(q))
+    read = q + rig.encoder * rng.normal(size=q.shape)
+    Shots(rig, q, read, uv + rig.corner * rng.normal(size=uv.shape)).write(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Rig, Path]:
+    """A rig and its calibration."""
+    folder = tmp_path_factory.mktemp("arm")
+    made = shots(37, held=False, images=25)
+    made.write(folder / "day-1")
+    lc.init(folder / "day-1", dh=folder / "day-1" / "dh.csv", out=folder / "c")
+    result = lc.calibrate(folder / "c" / "project.toml", method="implicit-loop")
+    result.save(folder / "result")
+    return made.rig, folder / "result"
+
+
+def verified(first: Path, folder: Path) -> Verification:
+    return lc.verify(lc.read_result(first), folder)
+
+
+def turned(rig: Rig, angle: float, shift: tuple[float, float, float]) -> Rig:
+    """The same with its board turned about its normal, and moved."""
+    moved = motion(np.eye(3), np.array(shift)) @ rig.fixed
+    turn = turned_by(np.array([[0.0, 0.0, angle]]))[0]
+    return replace(rig, fixed=moved @ motion(turn, np.zeros(3)))
+
+
+@pytest.mark.parametrize("angle", [0.0, 3.1])
+def test_wherever_the_board_is_put_the_arm_is_as_calibrated(
+    first: tuple[Rig, Path], angle: float, tmp_path: Path
+) -> None:
+    rig, result = first
+    done = verified(result, files(turned(rig, angle, (0.1, -0.3, -0.2)), 1, tmp_path / "day-2"))
+    assert done.verdict["consistent"].passed
+    assert done.calibrated is not None
+    assert done.calibrated.rms < 6.0 * rig.corner
+
+
+def test_a_zero_that_moved_is_named(first: tuple[Rig, Path], tmp_path: Path) -> None:
+    rig, result = first
+    links = list(rig.arm.links)
+    links[2] = replace(links[2], offset=links[2].offset + np.radians(0.2))
+    bent = replace(turned(rig, 0.5, (0.0, 0.1, 0.0)), arm=replace(rig.arm, links=tuple(links)))
+    done = verified(result, files(bent, 2, tmp_path / "day-2"))
+    assert not done.verdict["consistent"].passed
+    assert done.changes is not None
+    (change, *_) = done.changes.found
+    assert "theta_3" in change.zeros
