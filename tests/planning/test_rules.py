@@ -119,7 +119,13 @@ def test_ranges_that_nothing_states_are_asked_for() -> None:
 
 
 def test_cameras_without_a_robot_are_not_planned() -> None:
-    eye = {"type": "camera", "name": "eye", "board": "o", "on": "base", "lens": "brown5"}
+    eye: dict[str, object] = {
+        "type": "camera",
+        "name": "eye",
+        "board": "o",
+        "on": "base",
+        "lens": "brown5",
+    }
     eye |= {"points": {"1": [0, 0, 0], "2": [1, 0, 0], "3": [0, 1, 0], "4": [1, 1, 0]}}
     alone = mechanism_from_data({"type": "free-body", "read": False, "instrument": [eye]}, "x.toml")
     with refused("undetermined-quantities", "no robot moves camera or board"):

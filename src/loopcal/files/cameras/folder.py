@@ -19,7 +19,7 @@ from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.corners import is_corners, read_corners
 from loopcal.files.cameras.images import ENDINGS, detect
 from loopcal.files.cameras.intrinsics import read_intrinsics
-from loopcal.files.cameras.places import read_places, read_samples
+from loopcal.files.cameras.places import lists_poses, read_places, read_samples
 from loopcal.files.recognition.headers import words
 from loopcal.files.tables.readers import column_labels
 from loopcal.files.tables.registry import reader_of
@@ -247,7 +247,7 @@ def _document(
         except InputError:
             continue
     if taken:
-        return False
+        return lists_poses(path)  # as files of industrial_calibration do beside the lens
     for probe in (read_samples, read_places):
         try:
             probe(path)
