@@ -51,7 +51,7 @@ from loopcal.mechanisms.masses import in_space
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points
 from loopcal.presentation.shown import columns as in_columns
-from loopcal.presentation.shown import enumerated, significant, unit_shown, with_unit
+from loopcal.presentation.shown import significant, unit_shown, with_unit
 from loopcal.statistics.case import Case
 from loopcal.statistics.wrong_corners import wrong_corners
 from loopcal.units import from_si
@@ -81,8 +81,6 @@ USUAL = 20e-3
 _ROWS, _WORST = 5, 5
 _IMAGES = 3
 """Fewer images calibrate no camera."""
-_NAMED = 5
-"""As many images with wrong corners are named; more stand in a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -426,13 +424,12 @@ def _wrong_corners(
     if not wrong.corners:
         return None
     images = [dataset.poses[i] for i in np.flatnonzero(wrong.single.any(axis=0))]
-    where = f"{len(images)} of {len(dataset)} images"
-    if len(images) <= _NAMED:
-        where = f"image{'s' if len(images) > 1 else ''} {enumerated(images)}"
+    few = ", ".join(images[:_WORST]) + (", ..." if len(images) > _WORST else "")
     sds = ", ".join(f"{sd:.2g} px" for sd in wrong.sd.values())
     words = (
-        f"Left out {wrong.corners} of {wrong.count} corners, in {where}: "
-        f"they do not fit the others of their images, whose sd is {sds}. {WRONG} lists them."
+        f"Left out {wrong.corners} of {wrong.count} corners, in {len(images)} of {len(dataset)} "
+        f"images ({few}): they do not fit the others of their images, whose sd is {sds}. "
+        f"{WRONG} lists them."
     )
     return dict(zip(result.problem.mechanism.tape.quantities, wrong.single, strict=True)), words
 
