@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -214,3 +215,29 @@ def test_the_robot_of_hand_eye_samples_stands_beside_corners(tmp_path: Path) -> 
     (tmp_path / "samples.yaml").write_text("samples:\n" + "".join(samples), encoding="utf-8")
     project = lc.init(tmp_path)
     np.testing.assert_allclose(project.dataset.readings["x"], T[:, 0, 3], atol=1e-12)
+
+
+def test_a_folder_of_detected_tags(tmp_path: Path) -> None:
+    """With the target of Kalibr and the poses of the robot, and no table of corners."""
+    T = hands(12, 5)
+    side, apart = 0.06, 0.078
+    around = side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    tags = [apart * np.array([i % 3, i // 3]) + around for i in range(6)]
+    points = {
+        f"{i}.{k}": (*map(float, p), 0.0) for i, tag in enumerate(tags) for k, p in enumerate(tag)
+    }
+    uv = pixels(T, on="base", points=points)
+    found = {
+        f"img_{i}.png": [
+            {"tag_id": tag, "corners": uv[4 * tag : 4 * tag + 4, :, i].tolist()} for tag in range(6)
+        ]
+        for i in range(12)
+    }
+    written(tmp_path, pixels(T, on="base"), T)
+    for name in ("corners.csv", "points.csv"):
+        (tmp_path / name).unlink()
+    (tmp_path / "detections.json").write_text(json.dumps(found), encoding="utf-8")
+    (tmp_path / "target.yaml").write_text(
+        "target_type: aprilgrid\ntagCols: 3\ntagRows: 2\ntagSize: 0.06\ntagSpacing: 0.3\n", "utf-8"
+    )
+    assert "12 images with 288 corners" in str(lc.init(tmp_path))
