@@ -103,7 +103,8 @@ def _dated(planted: dict[str, Any], words: str, findings: Sequence[dict[str, Any
     """Whether the pose of a change is spoken of, where it has one."""
     if planted["pose"] is None:
         return True
-    spoken = re.findall(r"poses? (\d+)", words)
+    spoken = re.findall(r"(?:pose|image)s? \(?(\d+(?:(?:, | and )\d+)*)", words, re.IGNORECASE)
+    spoken = [number for one in spoken for number in re.findall(r"\d+", one)]
     placed = [p for one in findings for p in (one["place"] or {}).get("poses", ())]
     poses = {int(p) for p in [*spoken, *placed] if str(p).isdigit()}
     return any(abs(pose - planted["pose"]) <= NEAR for pose in poses)

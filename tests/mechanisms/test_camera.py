@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,10 +46,10 @@ def hands(count: int, seed: int) -> np.ndarray:
     return T
 
 
-def pixels(T: np.ndarray, *, on: str) -> np.ndarray:
+def pixels(T: np.ndarray, *, on: str, points: Mapping[str, Sequence[float]] = POINTS) -> np.ndarray:
     """(points, 2, N), from the definition."""
     far, near = placed(FAR), placed(NEAR)
-    X = np.array([(*p, 1.0) for p in POINTS.values()]).T
+    X = np.array([(*p, 1.0) for p in points.values()]).T
     if on == "base":  # T_camera_base T_base_flange T_flange_board
         seen = far @ T @ near @ X
     else:  # T_flange_camera^-1 T_base_flange^-1 T_board_base^-1

@@ -10,6 +10,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.companions.planning.candidates import drawn, ranges_of, stated_candidates
+from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.measurements.plan_settings import Box, PlanSettings, Sight
 from tests.refusals import refused
 
@@ -115,6 +116,20 @@ def test_loops_that_cannot_close_are_counted() -> None:
 def test_ranges_that_nothing_states_are_asked_for() -> None:
     with refused("missing-key", "q1"):
         ranges_of(arm(), {}, None)
+
+
+def test_cameras_without_a_robot_are_not_planned() -> None:
+    eye: dict[str, object] = {
+        "type": "camera",
+        "name": "eye",
+        "board": "o",
+        "on": "base",
+        "lens": "brown5",
+    }
+    eye |= {"points": {"1": [0, 0, 0], "2": [1, 0, 0], "3": [0, 1, 0], "4": [1, 1, 0]}}
+    alone = mechanism_from_data({"type": "free-body", "read": False, "instrument": [eye]}, "x.toml")
+    with refused("undetermined-quantities", "no robot moves camera or board"):
+        lc.plan(alone, 5, noise={"*": 1e-4})
 
 
 def test_rules_need_a_point() -> None:

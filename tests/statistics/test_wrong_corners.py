@@ -96,3 +96,12 @@ def test_corners_that_were_not_detected_are_no_equations(
     _, _, tests = search.run()
     points = uv.shape[1]
     assert tests.freedom.tolist() == [2 * (4 if i == 3 else points) for i in range(len(uv))]
+
+
+def test_images_with_wrong_corners_are_named(tmp_path: Path) -> None:
+    one = shots(SEED, held=True, images=12)
+    uv = one.uv.copy()
+    uv[7, 3] += 20.0
+    one.write(tmp_path, uv=uv, T=one.rig.flange(one.read))
+    (words,) = [text for text in lc.init(tmp_path).remarks if "Left out" in text]
+    assert "Left out 1 of 576 corners, in 1 of 12 images (8): " in words

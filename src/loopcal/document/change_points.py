@@ -13,7 +13,7 @@ from loopcal.presentation.shown import enumerated, p_words, percent, significant
 Moved = Literal["target", "station", "joint", "reading", "load", "expansion", "link"]
 _WORDS = {
     "target": ("the target {names}", "moved", "on the body"),
-    "station": ("the instrument or the machine's base", "moved", "({names})"),
+    "station": ("the place of the instrument", "changed", "({names})"),
     "joint": ("the zero of the joint {names}", "changed", ""),
     "reading": ("the zero of {names}", "changed", ""),
     "load": ("the load on the tool", "changed", ""),

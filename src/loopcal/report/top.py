@@ -92,7 +92,7 @@ def _tolerance(document: ResultDocument) -> float | None:
 
 
 def region_bars(source: Source) -> list[Bar]:
-    """The measured part of each joint's working range."""
+    """The measured part of the working range, of each joint or coordinate of the flange."""
     prediction = source.document.prediction
     region = None if prediction is None else prediction.region
     bars = []

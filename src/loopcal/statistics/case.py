@@ -170,7 +170,10 @@ def entrants(
     fit, lossless = case.fit, case.fit.robust_loss is None
     methods = fit.among(case.data, case.noise)
     machine, with_error = fit.with_prior(case.mechanism), fit.changed(model_error="structured")
-    images = any(f.form == PIXELS for f in case.mechanism.families)
+    pixels = {q for f in case.mechanism.families if f.form == PIXELS for q in f.readings}
+    images = bool(pixels)
+    # Cameras alone: no joint and no pose is read that could count as exact.
+    alone = images and not any(q in case.data.readings for q in {*machine.quantities} - pixels)
     if made is None and images:
         made = machine  # what is smooth in pixels is the lens's as well as the arm's
     if made is None:
@@ -183,7 +186,9 @@ def entrants(
         name = f"{method.name} with model error"
         yield Entrant(name, replace(case, mechanism=made, fit=error_fit), True)
     for method in methods:
-        if images and (method.weighting is Weighting.READ or (method.exact and machine.joints)):
+        if images and (
+            method.weighting is Weighting.READ or (method.exact and (machine.joints or alone))
+        ):
             # The weights of images cost as much as a fit; without its drawing's priors an arm that
             # pixels alone see lies in a valley.
             continue

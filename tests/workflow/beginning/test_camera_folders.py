@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -163,3 +164,80 @@ def test_where_the_start_puts_what_the_hand_carries_is_no_drawing(tmp_path: Path
     assert len(carried) == 6
     assert {(p.unit, round(p.prior_sd, 3)) for p in carried} == {("m", 0.2), ("rad", 1.0)}
     assert all(np.isinf(p.prior_sd) for p in parameters if p.role == "placement")
+
+
+def listed_beside_a_lens(folder: Path, poses: list[str]) -> None:
+    """As industrial_calibration keeps lens, images and poses."""
+    one_each(folder, poses)
+    rows = [f"- image: images/{i}.png\n  pose: poses/{i}.yaml\n" for i in range(len(poses))]
+    lens = "intrinsics:\n  fx: 900.0\n  fy: 900.0\n  cx: 640.0\n  cy: 480.0\n"
+    (folder / "data.yaml").write_text(f"{lens}data:\n{''.join(rows)}", encoding="utf-8")
+
+
+def one_each(folder: Path, poses: list[str]) -> None:
+    (folder / "poses").mkdir()
+    for i, pose in enumerate(poses):
+        (folder / "poses" / f"{i}.yaml").write_text(pose, encoding="utf-8")
+
+
+@pytest.mark.parametrize("keep", [listed_beside_a_lens, one_each])
+def test_poses_in_files_of_their_own(
+    tmp_path: Path, keep: Callable[[Path, list[str]], None]
+) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    (tmp_path / "robot.csv").unlink()
+    quaternions = Rotation.from_matrix(T[:, :3, :3]).as_quat()
+    names = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    numbers = np.column_stack([T[:, :3, 3], quaternions]).tolist()
+    keep(
+        tmp_path,
+        ["".join(f"{n}: {v}\n" for n, v in zip(names, row, strict=True)) for row in numbers],
+    )
+    project = lc.init(tmp_path)
+    assert len(project.dataset) == 12
+    np.testing.assert_allclose(project.dataset.readings["x"], T[:, 0, 3], atol=1e-12)
+
+
+def test_the_robot_of_hand_eye_samples_stands_beside_corners(tmp_path: Path) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    (tmp_path / "robot.csv").unlink()
+    rewritten(tmp_path / "corners.csv", lambda row: [str(int(row[0]) + 1), *row[1:]])
+
+    def motion(one: np.ndarray) -> str:
+        x, y, z, w = Rotation.from_matrix(one[:3, :3]).as_quat()
+        place = dict(zip("xyz", one[:3, 3].tolist(), strict=True))
+        turn = {"x": float(x), "y": float(y), "z": float(z), "w": float(w)}
+        return str({"translation": place, "rotation": turn}).replace("'", "")
+
+    samples = [f"- robot: {motion(one)}\n  tracking: {motion(np.eye(4))}\n" for one in T]
+    (tmp_path / "samples.yaml").write_text("samples:\n" + "".join(samples), encoding="utf-8")
+    project = lc.init(tmp_path)
+    np.testing.assert_allclose(project.dataset.readings["x"], T[:, 0, 3], atol=1e-12)
+
+
+def test_a_folder_of_detected_tags(tmp_path: Path) -> None:
+    """With the target of Kalibr and the poses of the robot, and no table of corners."""
+    T = hands(12, 5)
+    side, apart = 0.06, 0.078
+    around = side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    tags = [apart * np.array([i % 3, i // 3]) + around for i in range(6)]
+    points = {
+        f"{i}.{k}": (*map(float, p), 0.0) for i, tag in enumerate(tags) for k, p in enumerate(tag)
+    }
+    uv = pixels(T, on="base", points=points)
+    found = {
+        f"img_{i}.png": [
+            {"tag_id": tag, "corners": uv[4 * tag : 4 * tag + 4, :, i].tolist()} for tag in range(6)
+        ]
+        for i in range(12)
+    }
+    written(tmp_path, pixels(T, on="base"), T)
+    for name in ("corners.csv", "points.csv"):
+        (tmp_path / name).unlink()
+    (tmp_path / "detections.json").write_text(json.dumps(found), encoding="utf-8")
+    (tmp_path / "target.yaml").write_text(
+        "target_type: aprilgrid\ntagCols: 3\ntagRows: 2\ntagSize: 0.06\ntagSpacing: 0.3\n", "utf-8"
+    )
+    assert "12 images with 288 corners" in str(lc.init(tmp_path))

@@ -46,6 +46,23 @@ def test_markers_on_a_hand_that_does_not_turn(
     assert "In all 216 images the hand is turned alike" in said
 
 
+def test_two_cameras_before_markers_without_a_robot(shared_data: Callable[[str], Path]) -> None:
+    project = lc.init(shared_data("camera/motoman_right"))
+    assert "not fit" not in " ".join(project.remarks)
+    result = lc.calibrate(project.mechanism, project.dataset, noise=project.noise)
+    assert result.accuracy_after is not None
+    assert result.accuracy_after.rms < 1.0
+    # As an independent fit with the robot in the loop has the principal points.
+    for camera in ("camera_1", "camera_2"):
+        for name, value in (("cx", 2990.0), ("cy", 2000.0)):
+            sd = result.sd[f"{camera}_{name}"]
+            assert sd is not None
+            assert abs(result.value[f"{camera}_{name}"] - value) < 3.0 * sd
+    # No joint and no pose is read that least squares could take as exact.
+    assert result.chosen is not None
+    assert {one.name for one in result.chosen.over} == {"implicit-loop", "nominal"}
+
+
 def test_two_cameras_before_a_board_at_one_distance(shared_data: Callable[[str], Path]) -> None:
     said = " ".join(lc.init(shared_data("camera/stereo_chessboard")).remarks)
     for camera in "12":

@@ -31,7 +31,7 @@ from loopcal.measurements.noise import Noise
 from loopcal.measurements.plan_settings import PlanSettings, Span
 from loopcal.mechanisms.chain import Step, frames, product
 from loopcal.mechanisms.limits import joint_limits
-from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
 from loopcal.mechanisms.outputs import POLAR, cartesian_slopes, point_outputs, points
 from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.skeleton import target_names
@@ -114,6 +114,14 @@ def ranges_of(
                 middle = 0.5 * (low + high)
                 low, high = min(low, middle - _QUARTER), max(high, middle + _QUARTER)
             ranges[q] = (low, high)
+    images = any(family.form == PIXELS for family in mechanism.families)
+    if images and not any(q in ranges for q in mechanism.quantities):
+        raise InputError(
+            "no robot moves camera or board, so poses cannot be planned",
+            code="undetermined-quantities",
+            remedy="take images with the board tilted by 20 to 45 deg either way, at several "
+            "distances and in all parts of the image",
+        )
     free = len(mechanism.tape.loops) - len(mechanism.outputs)
     missing = [q for q in missing if q not in ranges and q not in mechanism.unused]
     if len(missing) > free or any(q in mechanism.pose_constants for q in missing):

@@ -78,17 +78,22 @@ def placed(
     iterations: int = 15,
     hopeless: float = np.inf,
     draws: int = 8,
+    rig: Array | None = None,
 ) -> Adjusted | None:
     """The best adjusted scene of a reading.
 
     None where no view has a pose, or where the closed forms leave more than `hopeless` px; draws:
-    random starts of the closed forms beside those from all images.
+    random starts of the closed forms beside those from all images. rig: (cameras, 4, 4) where the
+    cameras may stand to each other, which without a robot few images tell.
     """
     if not poses.usable.any():
         return None
     if reading.A is None:
         seen, poses = usable_part(reading, poses)
-        return _settled(seen, _free(seen, poses), lens, iterations)
+        rigs = [X for X in (rig, _rig(seen, poses)) if X is not None]
+        scenes = [_free(seen, poses, X) for X in rigs]
+        best = min(scenes, key=lambda scene: _core(seen.corners, scene))
+        return _settled(seen, best, lens, iterations)
     few = reading.thinned(60, 8)
     scenes = [_extended(reading, poses, start) for start in closed_forms(reading, poses, draws)]
     sizes = [_core(few.corners, scene) for scene in scenes]
@@ -209,8 +214,8 @@ def agreed(T: Array, usable: NDArray[np.bool_]) -> Array:
     return mean_motion(every, 1.0 / (1.0 + (distance / (2.0 * scale)) ** 2) ** 2)
 
 
-def _free(reading: Reading, poses: BoardPoses) -> Scene:
-    """Rigs and free poses without a robot."""
+def _rig(reading: Reading, poses: BoardPoses) -> Array:
+    """(cameras, 4, 4) where the cameras stand to the first, by boards that two of them see."""
     views = reading.corners.views
     group = groups(views)
     X = np.broadcast_to(np.eye(4), (len(reading.lenses), 4, 4)).copy()
@@ -231,10 +236,29 @@ def _free(reading: Reading, poses: BoardPoses) -> Scene:
             both = np.isfinite(poses.error[i])[:, :, None] & np.isfinite(poses.error[j])[:, None]
             X[c] = agreed(relative.reshape(len(i), 4, 4, 4), both.reshape(len(i), 4))
             placed_cameras.add(c)
+    return X
+
+
+def _free(reading: Reading, poses: BoardPoses, X: Array) -> Scene:
+    """Of the poses that each view allows, the one that all views of its image fit best.
+
+    A view of few corners often fits a wrong pose as well: the other cameras decide.
+    """
+    corners, views = reading.corners, reading.corners.views
+    group = groups(views)
     F = np.broadcast_to(np.eye(4), (int(group.max()) + 1, 4, 4)).copy()
-    # The view with the smallest error is written last.
-    order = np.argsort(-poses.error[:, 0], kind="stable")
-    F[group[order]] = inverse(X[views.camera[order]]) @ poses.T_camera_board[order, 0]
+    least = np.full(len(F), np.inf)
+    for camera in range(len(X)):
+        mine = np.flatnonzero(views.camera == camera)
+        for branch in (0, 1):
+            some = mine[np.isfinite(poses.error[mine, branch])]
+            trial = F.copy()
+            trial[group[some]] = inverse(X[camera]) @ poses.T_camera_board[some, branch]
+            r = Scene(reading.lenses, X, np.eye(4)[None], F=trial).residuals(corners)
+            size = np.bincount(group, views.sums(np.linalg.norm(r, axis=1)), len(F))
+            better = np.zeros(len(F), dtype=bool)
+            better[group[some]] = size[group[some]] < least[group[some]]
+            F[better], least[better] = trial[better], size[better]
     return Scene(reading.lenses, X, np.eye(4)[None], F=F)
 
 

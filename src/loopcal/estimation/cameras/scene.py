@@ -29,6 +29,8 @@ TURN = 0.0175
 """Turns of less than 1 degree, rms: an error of 1 mm would move what they tell by 57 mm."""
 HELD = 1e-4
 """Prior sd [m] of a place on the flange that no image tells: it does not move."""
+LEFT = 0.1
+"""The least share of squares that residuals keep beside the unknowns."""
 PRIOR_CENTRE = 0.1
 """Prior sd of a principal point from its start, as a share of the image's width."""
 
@@ -171,7 +173,7 @@ def adjusted(
     damping, start = 1e-4, scene
     for step in range(iterations):
         if step in (0, 4, 10):
-            scale = _scale(r)
+            scale = columns.scale(r)
         cost = loss.cost(r, scale) + columns.prior(scene, start, scale)[0]
         system = columns.system(scene, start, P, r, scale, loss)
         while True:
@@ -187,14 +189,10 @@ def adjusted(
         # Relative gains below 1e-7 change no parameter by a hundredth of its sd.
         if step > 10 and gain < 1e-7 * cost:
             break
-        if gain < 1e-7 * cost and step < 10 and abs(_scale(r) - scale) < 1e-3 * scale:
+        if gain < 1e-7 * cost and step < 10 and abs(columns.scale(r) - scale) < 1e-3 * scale:
             break
     sds = columns.sds(columns.system(scene, start, P, r, scale, loss)) if columns.names else {}
     return Adjusted(scene, r, sds)
-
-
-def _scale(r: Array) -> float:
-    return max(3.0 * float(np.median(np.linalg.norm(r, axis=1))), 1e-6)
 
 
 @dataclass(frozen=True)
@@ -234,6 +232,16 @@ class _Columns:
             *((c, name, self.K[c] + j) for c in range(cameras) for j, name in enumerate(lens)),
             *((-1, name, self.S + j) for j, name in enumerate(board)),
         ]
+
+    def scale(self, r: Array) -> float:
+        """Three median errors [px]: residuals are smaller by what the unknowns take up.
+
+        Four corners with a free pose leave a quarter of their squares, and the largest of them
+        would count as wrong.
+        """
+        unknown = self.size + (0 if self.robot else 6 * (int(self.group.max()) + 1))
+        left = max(1.0 - unknown / r.size, LEFT)
+        return max(3.0 * float(np.median(np.linalg.norm(r, axis=1)) / np.sqrt(left)), 1e-6)
 
     def prior(self, scene: Scene, start: Scene, scale: float) -> tuple[float, Array, Array]:
         """Cost, curvature and descent of the priors of a start, in px^2."""

@@ -197,7 +197,8 @@ def _adjusted(reading: Reading, rough: Adjusted) -> Adjusted:
         result = adjusted(few.corners, scene, free, iterations=10)
     else:
         adapted = replace(few, lenses=rough.scene.intrinsics)
-        placement = placed(adapted, view_poses(adapted), free, iterations=8)
+        rig = rough.scene.X
+        placement = placed(adapted, view_poses(adapted), free, iterations=8, rig=rig)
         assert placement is not None
         result = placement
     result = adjusted(few.corners, result.scene, free, iterations=15, loss=REDESCENDING)

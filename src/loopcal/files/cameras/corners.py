@@ -283,12 +283,14 @@ def _tags(document: Part) -> tuple[_Columns, Array, Array, None, None]:
     return columns, u, v, None, None
 
 
+TAGS = ("tag_id", "id", "marker_id")
+"""How the number of a tag is named."""
 _IMAGE = ("image", "file", "filename", "frame", "image_id", "name", "timestamp")
 
 
 def _detections(part: Part, image: str, depth: int) -> Iterator[tuple[str, str, float, float]]:
     """Image, point, u and v of all detections in lists and mappings by image."""
-    tag = part.get("tag_id", "id", "marker_id")
+    tag = part.get(*TAGS)
     corners = part.get("corners", "p", "points")
     if tag is not None and corners is not None:
         for k, corner in enumerate(corners.parts()):

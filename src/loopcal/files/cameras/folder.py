@@ -16,10 +16,10 @@ import numpy as np
 from loopcal.errors import InputError, listed
 from loopcal.files.cameras.boards import read_boards
 from loopcal.files.cameras.corner_table import CornerTable
-from loopcal.files.cameras.corners import is_corners, read_corners
+from loopcal.files.cameras.corners import TAGS, is_corners, read_corners
 from loopcal.files.cameras.images import ENDINGS, detect
 from loopcal.files.cameras.intrinsics import read_intrinsics
-from loopcal.files.cameras.places import read_places, read_samples
+from loopcal.files.cameras.places import lists_poses, read_places, read_samples
 from loopcal.files.recognition.headers import words
 from loopcal.files.tables.readers import column_labels
 from loopcal.files.tables.registry import reader_of
@@ -88,6 +88,8 @@ def tables_of(entries: Sequence[Any]) -> list[Any]:
     return opened
 
 
+_BEGIN = 10_000
+"""Characters of a JSON file after which it has named what it holds."""
 _OF_BOARD = 6
 """Columns of a table of a board's points at most: a table with joints has more."""
 
@@ -126,7 +128,7 @@ def _kind(path: Path) -> str:
     if ending == ".vnl":
         return "corners"
     if ending in (".yaml", ".yml", ".json"):
-        return "document"
+        return "corners" if ending == ".json" and _shows_tags(path) else "document"
     if ending not in _TABLES or not path.is_file():
         return ""
     names = _header(path)
@@ -143,6 +145,16 @@ def _kind(path: Path) -> str:
     if few and ({"x", "y", "point"} <= stems or {"x", "y", "id"} <= stems):
         return "board"
     return "poses"
+
+
+def _shows_tags(path: Path) -> bool:
+    """Whether a file lists detections of tags, each with its number and its corners."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            begin = file.read(_BEGIN)
+    except (OSError, UnicodeDecodeError):
+        return False
+    return '"corners"' in begin and any(f'"{name}"' in begin for name in TAGS)
 
 
 def _header(path: Path) -> tuple[str, ...]:
@@ -247,7 +259,7 @@ def _document(
         except InputError:
             continue
     if taken:
-        return False
+        return lists_poses(path)  # as files of industrial_calibration do beside the lens
     for probe in (read_samples, read_places):
         try:
             probe(path)

@@ -56,7 +56,8 @@ class Samples:
 
 
 def read_places(path: str | Path) -> PlaceTable:
-    """The poses of a file by name; a table, or YAML and JSON of industrial_calibration.
+    """The poses of a file by name; a table, or YAML and JSON of industrial_calibration; of hand-eye
+    samples the robot's, counted from 1.
 
     Raises InputError for a file without poses, and for quaternions and matrices that are none.
     """
@@ -64,6 +65,9 @@ def read_places(path: str | Path) -> PlaceTable:
     if path.suffix.lower() not in (".yaml", ".yml", ".json"):
         return _of_table(path)
     document = read_document(path)
+    if document.get("samples", "hand_world_samples") is not None:
+        robot = read_samples(path).robot
+        return PlaceTable(tuple(map(str, range(1, len(robot) + 1))), robot, path.name)
     every = list(_of_document(document, path, "1"))
     if not every:
         raise InputError(
@@ -73,6 +77,12 @@ def read_places(path: str | Path) -> PlaceTable:
             remedy="state x, y, z [m] and qx, qy, qz, qw of each pose",
         )
     return PlaceTable(tuple(name for name, _ in every), np.array([T for _, T in every]), path.name)
+
+
+def lists_poses(path: Path) -> bool:
+    """Whether a YAML or JSON file lists poses, whatever else it states."""
+    listed = read_document(path).get("data", "poses")
+    return listed is not None and isinstance(listed.data, list)
 
 
 def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[tuple[str, Array]]:

@@ -15,7 +15,7 @@ from loopcal.estimation.cameras.start import (
     CameraStart,
 )
 from loopcal.files.cameras.folder import Files
-from loopcal.files.cameras.places import read_places
+from loopcal.files.cameras.places import PlaceTable, read_places
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.expressions import joint_columns
 from loopcal.files.recognition.fields import Field, in_si, taken_in
@@ -59,24 +59,21 @@ def hand_of(files: Files, describe: Describe | None, joints: str | None, folder:
     """The robot's part of the files."""
     if describe is not None:
         return _joints(files, describe, joints, folder)
-    for path in files.poses:
-        try:
-            samples = read_places(path)
-        except InputError:
-            continue
+    stated = _stated(files.poses)
+    if stated is not None:
         noise = {
             "[xyz]": {"sd": 1e3 * PLACE, "unit": "mm", "estimate": "group"},
             "w[xyz]": {"sd": 1e3 * TURN, "unit": "mrad", "estimate": "group"},
         }
-        words = f"{path.name} states the pose of the flange"
+        words = f"{stated.file} states the pose of the flange"
         return Hand(
-            samples.name,
+            stated.name,
             {"type": "free-body"},
-            flange_columns(samples.T),
-            samples.T,
+            flange_columns(stated.T),
+            stated.T,
             noise,
             (words,),
-            ways=samples.ways,
+            ways=stated.ways,
         )
     remarks: tuple[str, ...] = ()
     if files.poses:
@@ -86,6 +83,24 @@ def hand_of(files: Files, describe: Describe | None, joints: str | None, folder:
             "the cameras alone are calibrated",
         )
     return Hand((), {"type": "free-body", "read": False}, {}, None, {}, remarks)
+
+
+def _stated(paths: Sequence[Path]) -> PlaceTable | None:
+    """The poses of the flange: of the file with most of them, or of files with one pose each, which
+    are named as these."""
+    tables: list[PlaceTable] = []
+    for path in paths:
+        try:
+            tables.append(read_places(path))
+        except InputError:
+            continue
+    most = max(tables, key=lambda table: len(table.name), default=None)
+    if most is None or len(most.name) > 1 or len(tables) == 1:
+        return most
+    by_name = {Path(table.file).stem: table.T for table in tables}
+    names = tuple(sorted(by_name, key=lambda name: (len(name), name)))  # 9 before 10
+    T = np.concatenate([by_name[name] for name in names])
+    return PlaceTable(names, T, f"each of {len(tables)} files")
 
 
 def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) -> Hand:

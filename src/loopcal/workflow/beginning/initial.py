@@ -423,11 +423,13 @@ def _wrong_corners(
     wrong = wrong_corners(result)
     if not wrong.corners:
         return None
-    images = int(wrong.single.any(axis=0).sum())
+    images = [dataset.poses[i] for i in np.flatnonzero(wrong.single.any(axis=0))]
+    few = ", ".join(images[:_WORST]) + (", ..." if len(images) > _WORST else "")
     sds = ", ".join(f"{sd:.2g} px" for sd in wrong.sd.values())
     words = (
-        f"Left out {wrong.corners} of {wrong.count} corners, in {images} of {len(dataset)} images: "
-        f"they do not fit the others of their images, whose sd is {sds}. {WRONG} lists them."
+        f"Left out {wrong.corners} of {wrong.count} corners, in {len(images)} of {len(dataset)} "
+        f"images ({few}): they do not fit the others of their images, whose sd is {sds}. "
+        f"{WRONG} lists them."
     )
     return dict(zip(result.problem.mechanism.tape.quantities, wrong.single, strict=True)), words
 
