@@ -140,6 +140,25 @@ def fix_redundant(
     return without_redundant(mechanism, superfluous, but=kept)
 
 
+def distinguished(mechanism: Mechanism) -> Mechanism:
+    """The mechanism with those parameters fixed that their prior sds alone hold, in any poses.
+
+    Prior knowledge keeps the others of a redundant set free in `fix_redundant`; poses are judged by
+    what they could tell without it. Whatever is no dimension of the machine stays as it is.
+    """
+    drawn = [
+        p.name
+        for p in mechanism.parameters
+        if not p.fixed and p.prior_sd < math.inf and p.role not in BEYOND
+    ]
+    if not drawn or mechanism.home:
+        return mechanism
+    flat = mechanism.parameters.with_prior(dict.fromkeys(drawn, math.inf))
+    held = fix_redundant(mechanism.with_parameters(flat)).parameters
+    names = [p.name for p in mechanism.parameters if held[p.name].fixed and not p.fixed]
+    return mechanism.with_parameters(mechanism.parameters.with_fixed(names))
+
+
 def _station(family: Family) -> tuple[str, ...]:
     return family.placement.parameters if isinstance(family.placement, Station) else ()
 

@@ -219,7 +219,8 @@ def _seen_by_cameras(
         mine = [p for p in pictures if p.is_of(one)]
         for picture in mine:
             source = picture.source
-            joints = joints_in(source, mechanism, looking)
+            named = [one for one in looking if one.of_file(source.path)]
+            joints = joints_in(source, mechanism, named)
             if missing := sorted(reach(mechanism, family) - joints.keys()):
                 raise InputError(
                     f"no column holds the joint {missing[0]!r} between "
