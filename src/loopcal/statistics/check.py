@@ -19,6 +19,7 @@ from loopcal.document.findings import Observability, UsualSd
 from loopcal.document.plain import plain
 from loopcal.document.verdict import Fact, Finding, Where, fact
 from loopcal.estimation.dependence.dependence import joint_rows
+from loopcal.estimation.faults.misfit import mounted
 from loopcal.estimation.fit import Fit, Start
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.plausible import refuse_contradiction
@@ -32,7 +33,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import PriorLike
-from loopcal.mechanisms.redundancy import distinguished
+from loopcal.mechanisms.redundancy import distinguished, guessed
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import SHOWN, columns, significant
 from loopcal.small_samples import LearntCovariance
@@ -220,6 +221,8 @@ def check(
         problem = started(mechanism, data, stated_noise, fit.start)
         if stated_noise is not None:
             refuse_contradiction(problem, data)
+        if guessed(problem.mechanism):
+            problem = mounted(problem)  # a target on the axis that turns it would seem to tell less
         sweeper = Sweeper(problem)
         # Weighted alike, loops correct only what no sensor reads: the readings stay as they stand.
         exact = Sweeper(problem.weighted(Weighting.ALIKE))

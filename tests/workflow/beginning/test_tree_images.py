@@ -174,6 +174,27 @@ def test_images_of_two_folders_are_of_one_camera(folder: Path) -> None:
     assert [int(np.isfinite(one).sum()) for one in seen] == [30, 60]
 
 
+def test_a_file_of_corners_may_hold_the_joints_in_every_row(folder: Path) -> None:
+    images = folder / "images"
+    header, *rows = (images / "poses.csv").read_text("utf-8").splitlines()
+    joints = {row.split(",")[0]: row.split(",", 1)[1] for row in rows}
+    first, *seen = (images / "readings.csv").read_text("utf-8").splitlines()
+    both = [f"{first},{header.split(',', 1)[1]}"]
+    both += [f"{row},{joints[row.split(',')[0]]}" for row in seen]
+    (folder / "flat.csv").write_text("\n".join(both) + "\n", "utf-8")
+    apart = lc.init(images, dh=folder / "bodies.csv", observe=[CAMERA], out=folder / "apart")
+    (folder / "board.csv").write_bytes((images / "board.csv").read_bytes())
+    made = lc.init(
+        folder / "flat.csv",
+        folder / "board.csv",
+        dh=folder / "bodies.csv",
+        observe=[CAMERA],
+        out=folder / "flat",
+    )
+    for name in apart.mechanism.quantities:
+        np.testing.assert_allclose(made.dataset[name], apart.dataset[name])
+
+
 def test_a_camera_without_corners_is_refused(folder: Path) -> None:
     with refused("no-data", "'sight' sees"):
         lc.init(folder / "points.csv", dh=folder / "bodies.csv", observe=[CAMERA, POINT])
