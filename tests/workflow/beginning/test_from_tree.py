@@ -113,7 +113,7 @@ def test_a_target_is_where_the_drawing_has_a_body_for_it_unless_points_deny_it(
 
 
 @pytest.mark.parametrize(
-    ("observe", "sd"), [(TOUCH, 2e-3), ("contact name=touch between=l2,r2", np.inf)]
+    ("observe", "sd"), [(TOUCH, 2e-3), ("contact name=touch between=l2,r2", 0.2)]
 )
 def test_balls_are_centred_where_the_drawing_has_bodies_for_them(
     folder: Path, observe: str, sd: float
@@ -121,6 +121,13 @@ def test_balls_are_centred_where_the_drawing_has_bodies_for_them(
     parameters = begun(folder, ("both.csv",), observe).mechanism.parameters
     assert parameters["touch_1_x"].prior_sd == sd
     assert parameters["touch_2_x"].prior_sd == sd
+
+
+def test_an_inclinometer_is_turned_by_an_unknown_angle(folder: Path) -> None:
+    rows = ["lq1 [deg],lq2 [deg],ax [deg],ay [deg]", *(f"{a},30,0,{a / 2}" for a in range(9))]
+    (folder / "level.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    made = begun(folder, ("level.csv",), "inclinometer name=level on=lh columns=ax,ay")
+    assert made.mechanism.parameters["level_rx"].prior_sd == pytest.approx(np.pi / 3)
 
 
 def test_a_large_robot_begins_with_one_method(
