@@ -2,7 +2,7 @@
 
 Robots are simulated by code of their own: two arms that touch each other under a tracker; a head
 camera that sees boards on both hands; two robots that hold one part; an arm that reaches points of
-the plate of a positioner. Of each draw the files of a user go through
+the plate of a positioner, and one on a rail that does. Of each draw the files of a user go through
 
     loopcal init FILES --dh bodies.csv --observe ...
 
@@ -26,6 +26,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,6 +46,8 @@ LENGTH, TWIST, ZERO = 0.4e-3, 1e-3, 2e-3
 ENCODER, TRACKER, GAP, CORNER, HOLE = 3e-5, 2e-5, 5e-5, 0.2, 3e-5
 """Sds of readings [rad, m, m, px, m]."""
 F, CENTRE = 900.0, np.array([640.0, 480.0])
+RAIL = -0.4, 0.4
+"""How far the foot of an arm slides [m]."""
 POSES, FRESH = 70, 40
 
 
@@ -60,10 +63,12 @@ def steps(theta: Array, a: Array, d: Array, alpha: Array) -> Array:
 
 @dataclass(frozen=True)
 class Limb:
-    """rows: (n, 4) theta, a, d, alpha of the true limb, the first one that of what carries it."""
+    """rows: (n, 4) theta, a, d, alpha of the true limb, the first one that of what carries it;
+    rail: whether its first joint slides."""
 
     name: str
     rows: Array
+    rail: bool = False
 
     @property
     def joints(self) -> list[str]:
@@ -71,32 +76,41 @@ class Limb:
 
     def hand(self, q: Array) -> Array:
         """T_base_hand (..., 4, 4) at joints (..., n)."""
-        theta, *rest = self.rows.T
-        # Of what carries it nothing turns.
-        turned = theta + np.concatenate([np.zeros((*q.shape[:-1], 1)), q], axis=-1)
-        T, *others = np.moveaxis(steps(turned, *rest), -3, 0)
+        theta, a, d, alpha = self.rows.T
+        # Of what carries it nothing moves.
+        moves = np.concatenate([np.zeros((*q.shape[:-1], 1)), q], axis=-1)
+        slides = np.arange(len(theta)) == (1 if self.rail else -1)
+        turned, slid = theta + np.where(slides, 0.0, moves), d + np.where(slides, moves, 0.0)
+        T, *others = np.moveaxis(steps(turned, a, slid, alpha), -3, 0)
         for other in others:
             T = T @ other
         return np.asarray(T)
 
 
 def limb(
-    name: str, at: tuple[float, float, float], rows: Sequence[tuple[float, float, float]]
+    name: str,
+    at: tuple[float, float, float],
+    rows: Sequence[tuple[float, float, float]],
+    *,
+    rail: bool = False,
 ) -> tuple[Limb, list[str]]:
-    """A limb as drawn, and its lines of the table of bodies; at: theta [deg], a, d of its foot."""
-    drawn = [(at[0], at[1], at[2], 0.0), *((0.0, *row) for row in rows)]
+    """A limb as drawn, and its lines of the table of bodies; at: theta [deg], a, d of its foot;
+    rail: its foot slides along y."""
+    slide = [(0.0, 0.0, 0.0, 90.0)] if rail else []
+    drawn = [(*at, -90.0 if rail else 0.0), *slide, *((0.0, *row) for row in rows)]
     lines = []
     for i, (theta, a, d, alpha) in enumerate(drawn):
         parent, joint = ("base", "") if i == 0 else (f"{name}_{i - 1}", f"{name}{i}")
-        lines.append(f"{name}_{i},{parent},{joint},{1e3 * a},{1e3 * d},{alpha},{theta}")
+        kind = "prismatic" if rail and i == 1 else ""
+        lines.append(f"{name}_{i},{parent},{joint},{1e3 * a},{1e3 * d},{alpha},{theta},{kind}")
     made = np.array([(np.radians(t), a, d, np.radians(al)) for t, a, d, al in drawn])
-    return Limb(name, made), lines
+    return Limb(name, made, rail), lines
 
 
 def off(one: Limb, random: np.random.Generator) -> Limb:
     """The limb as it really is."""
     sds = np.array([ZERO, LENGTH, LENGTH, TWIST])
-    return Limb(one.name, one.rows + sds * random.standard_normal(one.rows.shape))
+    return Limb(one.name, one.rows + sds * random.standard_normal(one.rows.shape), one.rail)
 
 
 def placed(xyz: ArrayLike, turn: ArrayLike) -> Array:
@@ -150,7 +164,7 @@ class World:
     truth: dict[str, Array]
 
 
-HEADER = "body,parent,joint,a [mm],d [mm],alpha [deg],theta [deg]"
+HEADER = "body,parent,joint,a [mm],d [mm],alpha [deg],theta [deg],type"
 
 
 def table(columns: Mapping[str, Array | Sequence[str]]) -> str:
@@ -266,9 +280,9 @@ def holding(random: np.random.Generator) -> World:
     return World("\n".join([HEADER, *lines]), files, observe, joints, truth)
 
 
-def reaching(random: np.random.Generator) -> World:
+def reaching(random: np.random.Generator, *, rail: bool = False) -> World:
     """An arm puts its ball into holes of the plate of a positioner, whose places are known."""
-    arm, lines = limb("l", (0.0, 0.0, 0.0), (*ARM, (0.02, 0.12, 0)))
+    arm, lines = limb("l", (0.0, 0.0, 0.0), (*ARM, (0.02, 0.12, 0)), rail=rail)
     plate, more = limb("t", (0.0, 0.75, 0.1), TABLE)
     arm, plate = off(arm, random), off(plate, random)
     T = placed(random.normal(0.0, 5e-3, 3), random.normal(0.0, 0.02, 3))
@@ -278,14 +292,27 @@ def reaching(random: np.random.Generator) -> World:
         turns = random.uniform(-1.0, 1.0, 2)
         hole = np.append(random.uniform(-0.15, 0.15, 2), [0.05, 1.0])
         goal = (plate.hand(turns) @ T @ hole)[:3]
-        q = reached(to(arm, ball, goal), random.uniform(-1.5, 1.5, (3, 6)))
+        starts = random.uniform(-1.5, 1.5, (3, 6))
+        if rail:
+            along = random.uniform(*RAIL)
+            away = to(arm, ball, goal)
+
+            def beside(q: Array, along: float = along, away: Any = away) -> Array:
+                """The same, where the arm stands there on its rail."""
+                return np.asarray(away(np.insert(q, 0, along, axis=-1)))
+
+            q = reached(beside, starts)
+            q = q if q is None else np.insert(q, 0, along)
+        else:
+            q = reached(to(arm, ball, goal), starts)
         if q is not None:
             rows.append((q, turns, hole[:3]))
     q, turns, holes = (np.array(part) for part in zip(*rows, strict=True))
     columns = read(random, (arm, q), (plate, turns))
     near = named("hole", holes + random.normal(0.0, HOLE, holes.shape))
     used = {k: v[:POSES] for k, v in {**columns, **near}.items()}
-    observe = ("point name=hole on=l_6 against=t_2 station=plate columns=hole_x,hole_y,hole_z",)
+    hand = f"l_{len(arm.joints)}"
+    observe = (f"point name=hole on={hand} against=t_2 station=plate columns=hole_x,hole_y,hole_z",)
     fresh = {k: v[POSES:] for k, v in columns.items()}
     lines = [HEADER, *lines, *more]
     truth = named("hole", holes[POSES:])
@@ -370,6 +397,7 @@ KINDS: dict[str, Callable[[np.random.Generator], World]] = {
     "one part": holding,
     "positioner": reaching,
     "head camera": watching,
+    "rail": partial(reaching, rail=True),
 }
 
 

@@ -13,12 +13,19 @@ from loopcal.companions.app.pictures import Errors, joints_of
 from loopcal.companions.app.predicting import Probe
 from loopcal.companions.app.session import Session
 from loopcal.companions.app.sizes import SIZE, errors_by_name
+from loopcal.companions.app.view import View
 from loopcal.companions.app.views.data import corners_read
+from loopcal.companions.app.views.deploy import limbs_of
 from loopcal.document.result_document import MechanismEntry
 from loopcal.files.project.project_file import read_project
 from loopcal.files.result.pose_table import PoseTable
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.bodies import Hanging, tree_machine
+from loopcal.mechanisms.instruments.point import point
+from loopcal.mechanisms.machine import assemble
+from loopcal.mechanisms.origins import LinkJoint
 from loopcal.mechanisms.outputs import cartesian, levers, point_family, seen_outputs
+from loopcal.mechanisms.serial import Joint, serial_machine
 from loopcal.report.drawn import distances
 from loopcal.report.source import Source, read_source
 from tests.app.plain_command import command
@@ -144,3 +151,14 @@ def test_the_map_shows_points_and_sds_of_lengths(source: Source) -> None:
     lengths = [np.linalg.norm(slope) for slope in slopes]
     assert np.allclose(levers(family, one)[:, 0], lengths, rtol=1e-6)
     assert float(np.median(found.sd)) < 1e-3
+
+
+def test_a_robot_of_several_limbs_is_exported_and_corrected_by_one_of_them() -> None:
+    def view(mechanism: object) -> View:
+        project = SimpleNamespace(mechanism=mechanism)
+        return cast(View, SimpleNamespace(session=SimpleNamespace(project=lambda: project)))
+
+    bodies = [Hanging(name, "base", LinkJoint(f"q_{name}", axis=(0.0, 0.0, 1.0))) for name in "ab"]
+    robot = assemble(tree_machine(bodies, root="base"), [point("p", on="a", against="b")])
+    assert limbs_of(view(robot)) == ("a", "b")
+    assert limbs_of(view(assemble(serial_machine([Joint("q1"), Joint("q2")]), [point("p")]))) == ()

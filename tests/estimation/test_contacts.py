@@ -28,6 +28,7 @@ from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.parallel.four_bar import four_bar
+from loopcal.workflow.checking import run_check
 from tests.refusals import refused
 
 Array = NDArray[np.float64]
@@ -178,3 +179,22 @@ def test_hands_that_only_touch_each_other_say_how_little_they_know_of_their_size
     share = 100.0 * float(drawn.std()) / float(along @ along)
     (stated,) = re.findall(r"an sd of ([\d.]+) %", valid.words)
     assert float(stated) == pytest.approx(share, rel=0.05)
+
+
+def test_a_plate_on_a_positioner_is_off_no_drawing_and_good_poses_are_good(tmp_path: Path) -> None:
+    """Where it sits is found from its readings alone; what all poses leave to priors is no fault
+    of these poses."""
+    world = trees.KINDS["rail"](np.random.default_rng([0, 4]))
+    (tmp_path / "bodies.csv").write_text(f"{world.bodies}\n", "utf-8")
+    (tmp_path / "holes.csv").write_text(world.files["holes.csv"], "utf-8")
+    cell, dh = tmp_path / "cell", tmp_path / "bodies.csv"
+    lc.init(tmp_path / "holes.csv", dh=dh, observe=world.observe, out=cell)
+    project = cell / "project.toml"
+    document = lc.calibrate(project, method="implicit-loop").document
+    assert "off-the-drawing" not in {one.code for one in document.findings or ()}
+    assert document.mechanism is not None
+    assert any("plate_x" in names for names in document.mechanism.unstated)
+    checked = run_check(project).check
+    # 7 turning joints and a slide, the plate seen as points (trees.md: 4 R + 2 P + 3)
+    assert len(checked.superfluous) == len(document.covariance.names) - (4 * 8 + 2 + 3)
+    assert checked.identifiability.condition_number == pytest.approx(138.0, rel=0.02)

@@ -85,6 +85,31 @@ def test_a_family_left_out_is_one_whose_readings_are_eliminated(method: str) -> 
     assert q[0] == pytest.approx(q[1], abs=1e-10)
 
 
+def test_a_coordinate_left_out_is_one_that_is_eliminated_and_no_fault_of_the_file() -> None:
+    """As where a probe touches the faces of a cube."""
+    machine = arm()
+    data = simulated(machine, 3).dataset
+    number = np.arange(len(data))
+    blank = {
+        f"{axis}_west": np.where(number % 3 == i, data[f"{axis}_west"], np.nan)
+        for i, axis in enumerate("xyz")
+    }
+    data = data.with_readings(blank)
+    read, eliminated = (
+        calibrate(one.with_nominal(STATIONS), data, noise=Noise(NOISE), start="nominal")
+        for one in (machine, replace(machine, families=()))
+    )
+    assert read.faults == ()
+    assert not any(pattern.unmeasured for pattern in read.problem.patterns)
+    assert any(pattern.unmeasured for pattern in eliminated.problem.patterns)
+    assert read.problem.equations == eliminated.problem.equations == 60 * 4
+    for name in read.estimated:
+        sd = eliminated.sd[name]
+        assert sd
+        assert read.value[name] == pytest.approx(eliminated.value[name], abs=1e-2 * sd)
+        assert read.sd[name] == pytest.approx(sd, rel=1e-3)
+
+
 def test_loops_are_there_only_where_their_instrument_read() -> None:
     machine = arm().with_nominal(STATIONS)
     data = seen_in_part(simulated(machine, 4).dataset)

@@ -19,6 +19,7 @@ from loopcal.estimation.document_parts import (
     parameter_entry,
 )
 from loopcal.estimation.noise.learning import joint_covariances
+from loopcal.estimation.problem.alignment import sought
 from loopcal.estimation.redundancy import Redundancy, redundancy
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -32,11 +33,13 @@ def fit_document(result: FitResult) -> ResultDocument:
     shares, names = result.chi_squared_shares, result.mechanism.tape.quantities
     noise = noise_entries(result.noise, shares, names, _redundancy(result))
     coarse = coarse_readings(result.dataset, noise, result.problem, result.pose_equations())
+    entry = MechanismEntry.of(result.mechanism)
+    unstated = (*entry.unstated, *sought(result.mechanism))
     return ResultDocument(
         schema=SCHEMA,
         loopcal="",
         title=None,
-        mechanism=MechanismEntry.of(result.mechanism),
+        mechanism=replace(entry, unstated=tuple(dict.fromkeys(unstated))),
         method=result.method,
         method_label=result.fit.label,
         loss=result.loss,

@@ -125,7 +125,7 @@ def fix_redundant(
     if stated is None:
         stated = [p.name for p in mechanism.parameters if p.fixed or p.nominal != 0.0]
     # A guess of 0 is none of a value: a target there may sit on axes that then seem to do nothing.
-    guesses = {n for n in _guessed(mechanism) if mechanism.parameters[n].nominal == 0.0}
+    guesses = {n for n in guessed(mechanism) if mechanism.parameters[n].nominal == 0.0}
     believed = {*(n for n in stated if n not in guesses)}
     believed |= {n for f in mechanism.families for n in _station(f)}
     joints = listed_joints(mechanism)
@@ -138,6 +138,25 @@ def fix_redundant(
         unmeasured=[q for key in unmeasured for q in mechanism.quantity_group(key)],
     )
     return without_redundant(mechanism, superfluous, but=kept)
+
+
+def distinguished(mechanism: Mechanism) -> Mechanism:
+    """The mechanism with those parameters fixed that their prior sds alone hold, in any poses.
+
+    Prior knowledge keeps the others of a redundant set free in `fix_redundant`; poses are judged by
+    what they could tell without it. Whatever is no dimension of the machine stays as it is.
+    """
+    drawn = [
+        p.name
+        for p in mechanism.parameters
+        if not p.fixed and p.prior_sd < math.inf and p.role not in BEYOND
+    ]
+    if not drawn or mechanism.home:
+        return mechanism
+    flat = mechanism.parameters.with_prior(dict.fromkeys(drawn, math.inf))
+    held = fix_redundant(mechanism.with_parameters(flat)).parameters
+    names = [p.name for p in mechanism.parameters if held[p.name].fixed and not p.fixed]
+    return mechanism.with_parameters(mechanism.parameters.with_fixed(names))
 
 
 def _station(family: Family) -> tuple[str, ...]:
@@ -165,8 +184,8 @@ def redundant(
     moved by chance or to where they can be touched; unmeasured: quantities without a sensor.
     """
     free = [p.name for p in mechanism.parameters if not p.fixed and math.isinf(p.prior_sd)]
-    guessed = _guessed(mechanism)
-    order = [n for n in dict.fromkeys((*first, *free)) if n in free or n in guessed]
+    wide = guessed(mechanism)
+    order = [n for n in dict.fromkeys((*first, *free)) if n in free or n in wide]
     if not free:
         return ()
     looked_at = samples(mechanism, ranges=ranges or {}, unsure=unsure, readings=readings or {})
@@ -177,7 +196,7 @@ def redundant(
     return tuple(sorted(superfluous, key=lambda one: free.index(one.parameter)))
 
 
-def _guessed(mechanism: Mechanism) -> list[str]:
+def guessed(mechanism: Mechanism) -> list[str]:
     """The parameters whose prior is wider than `GUESSED`."""
     return [
         p.name

@@ -54,12 +54,16 @@ class Day:
     ) -> Day:
         """From the readings of that day; noise: theirs, else that of the calibration.
 
+        An instrument without any readings stays where it was calibrated.
+
         remounted: as in `freed`. Raises InputError where readings or sds are missing, and for
         a name that is not there.
         """
-        names = freed(calibrated.mechanism, remounted)
+        problem = day_problem(calibrated, data, noise)
+        unread = _unread(problem)
+        names = [n for n in freed(calibrated.mechanism, remounted) if n not in unread]
         places = {name: data.places[name] for name in names if name in data.places}
-        return cls(calibrated, day_problem(calibrated, data, noise), names, places)
+        return cls(calibrated, problem, tuple(names), places)
 
     @property
     def drifting(self) -> Day | None:
@@ -147,6 +151,15 @@ class Day:
     def as_drawn(self) -> Day:
         """The same poses at the machine as drawn."""
         return replace(self, problem=_with_values(self.problem, self.calibrated.nominal))
+
+
+def _unread(problem: Problem) -> set[str]:
+    """Where instruments stand that read nothing on this day."""
+    loops = {problem.mechanism.tape.loops[i] for p in problem.patterns for i in p.loops}
+    stands: dict[bool, set[str]] = {True: set(), False: set()}
+    for family in problem.mechanism.families:
+        stands[loops.isdisjoint(family.loops)] |= {*family.standing}
+    return stands[True] - stands[False]
 
 
 def _with_values(problem: Problem, values: NDArray[np.float64]) -> Problem:

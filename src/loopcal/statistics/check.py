@@ -19,10 +19,11 @@ from loopcal.document.findings import Observability, UsualSd
 from loopcal.document.plain import plain
 from loopcal.document.verdict import Fact, Finding, Where, fact
 from loopcal.estimation.dependence.dependence import joint_rows
+from loopcal.estimation.faults.misfit import mounted
 from loopcal.estimation.fit import Fit, Start
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.plausible import refuse_contradiction
-from loopcal.estimation.problem.problem import Problem, Weighting
+from loopcal.estimation.problem.problem import Problem, Weighting, build_problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.solve.reduction import Spectrum, spectrum, undetermined
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -32,6 +33,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import PriorLike
+from loopcal.mechanisms.redundancy import distinguished, guessed
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import SHOWN, columns, significant
 from loopcal.small_samples import LearntCovariance
@@ -57,6 +59,8 @@ ORDERED = "order-by-joints"
 """Code of the finding on such an order."""
 # Chosen, not derived: a rule of thumb; below, residuals follow the model more than the noise.
 FEW = 3.0
+# At most so many names in a sentence.
+_NAMED = 4
 """Loop equations per parameter below which there is little to check the model against."""
 
 
@@ -78,8 +82,9 @@ class Check:
 
     expected_sd: of every parameter [SI], None where fixed or where no sds of sensors are stated,
     inf where undetermined; predictor: with the covariance to expect, None where no sds are stated
-    or nothing is predicted; facts: what these poses determine first; files: name of the project,
-    for command lines.
+    or nothing is predicted; facts: what these poses determine first; superfluous: parameters that
+    do to the readings what others do in any poses, and that their priors alone hold; files: name
+    of the project, for command lines.
     """
 
     __repr__ = brief
@@ -92,6 +97,7 @@ class Check:
     expected_sd: Mapping[str, float | None]
     predictor: Predictor | None
     facts: tuple[Fact, ...]
+    superfluous: tuple[str, ...] = ()
     files: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -179,6 +185,10 @@ class Check:
             for words in usual_words(self.expected_at_poses)
         ]
         lines += [one.words for one in self.findings if one.question != "valid"]
+        if self.superfluous:
+            some, more = self.superfluous[:_NAMED], len(self.superfluous) - _NAMED
+            names = ", ".join(map(repr, some)) + (f" and {more} more" if more > 0 else "")
+            lines.append(f"only priors hold {names}: in any poses others do the same")
         return lines + self.identifiability.words()
 
     def __str__(self) -> str:
@@ -211,6 +221,8 @@ def check(
         problem = started(mechanism, data, stated_noise, fit.start)
         if stated_noise is not None:
             refuse_contradiction(problem, data)
+        if guessed(problem.mechanism):
+            problem = mounted(problem)  # a target on the axis that turns it would seem to tell less
         sweeper = Sweeper(problem)
         # Weighted alike, loops correct only what no sensor reads: the readings stay as they stand.
         exact = Sweeper(problem.weighted(Weighting.ALIKE))
@@ -227,11 +239,17 @@ def check(
             predictor = predictor_at(
                 problem, problem.mechanism, covariance, system, x, ReadingNoise()
             )
-    index = calibration_index(problem, problem.count, problem.equations)
+        core = distinguished(problem.mechanism)
+        judged = problem
+        if core is not problem.mechanism:
+            judged = build_problem(core, data, stated_noise)
+            information = Sweeper(judged).sweep(judged.start, corrections, triangular=True).data
+    index = calibration_index(judged, judged.count, judged.equations)
     # Whitened by stated sds, an equation has the sd 1.
     said = what_data_say(
-        problem, information, sds, index, unit_sd=None if stated_noise is None else 1.0
+        judged, information, sds, index, unit_sd=None if stated_noise is None else 1.0
     )
+    superfluous = tuple(name for name in problem.names if core.parameters[name].fixed)
     return Check(
         problem.mechanism,
         len(data),
@@ -240,7 +258,8 @@ def check(
         observability(information, len(data)),
         sds,
         predictor,
-        (_determined(problem, said, loose), *_order(problem, mechanism, data, stated_noise)),
+        (_determined(judged, said, loose), *_order(problem, mechanism, data, stated_noise)),
+        superfluous,
     )
 
 

@@ -47,7 +47,8 @@ DETERMINED = 1e-9
 def freed(mechanism: Mechanism, remounted: bool | Sequence[str] = False) -> tuple[str, ...]:
     """The parameters that are found anew: where every instrument stands, and what was mounted anew.
 
-    Cameras stay where they were calibrated. remounted: True for everything that instruments look
+    Cameras stay where they were calibrated, and so does what sits on a moving body: a ball that
+    another one touches, a plate. remounted: True for everything that instruments look
     at; or names of instruments, targets or parameters (globs). Raises InputError for a name that is
     none of these.
     """
@@ -57,6 +58,7 @@ def freed(mechanism: Mechanism, remounted: bool | Sequence[str] = False) -> tupl
     # Where a camera stands beside the machine is what was calibrated.
     cameras = {p.owner for p in mechanism.parameters if p.role == "lens"}
     names = [n for n in names if mechanism.parameters[n].owner not in cameras]
+    names = [n for n in names if mechanism.parameters[n].role != "mounting"]
     patterns = remounted if not isinstance(remounted, bool) else mounted(mechanism, remounted)
     for name in (patterns,) if isinstance(patterns, str) else patterns:
         names += _named(mechanism, name)

@@ -228,7 +228,10 @@ def _overfitted(document: ResultDocument) -> Fact | None:
 
 
 def _mounting(document: ResultDocument) -> Fact | None:
-    unstated = () if document.mechanism is None else document.mechanism.unstated
+    if document.mechanism is None:
+        return None
+    moved = {p.name for p in document.parameters if p.nominal}
+    unstated = [names for names in document.mechanism.unstated if moved.isdisjoint(names)]
     if not unstated:
         return None
     place = Where(parameters=tuple(name for group in unstated for name in group))

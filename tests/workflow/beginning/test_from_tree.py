@@ -113,7 +113,7 @@ def test_a_target_is_where_the_drawing_has_a_body_for_it_unless_points_deny_it(
 
 
 @pytest.mark.parametrize(
-    ("observe", "sd"), [(TOUCH, 2e-3), ("contact name=touch between=l2,r2", np.inf)]
+    ("observe", "sd"), [(TOUCH, 2e-3), ("contact name=touch between=l2,r2", 0.2)]
 )
 def test_balls_are_centred_where_the_drawing_has_bodies_for_them(
     folder: Path, observe: str, sd: float
@@ -121,6 +121,13 @@ def test_balls_are_centred_where_the_drawing_has_bodies_for_them(
     parameters = begun(folder, ("both.csv",), observe).mechanism.parameters
     assert parameters["touch_1_x"].prior_sd == sd
     assert parameters["touch_2_x"].prior_sd == sd
+
+
+def test_an_inclinometer_is_turned_by_an_unknown_angle(folder: Path) -> None:
+    rows = ["lq1 [deg],lq2 [deg],ax [deg],ay [deg]", *(f"{a},30,0,{a / 2}" for a in range(9))]
+    (folder / "level.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    made = begun(folder, ("level.csv",), "inclinometer name=level on=lh columns=ax,ay")
+    assert made.mechanism.parameters["level_rx"].prior_sd == pytest.approx(np.pi / 3)
 
 
 def test_a_large_robot_begins_with_one_method(
@@ -205,8 +212,27 @@ def test_a_file_of_one_arm_is_read_on_another_day_as_on_the_first(tmp_path: Path
     assert day.calibrated is not None
     assert day.calibrated.rms < 1e-4
     assert not any(one.name.startswith("touch") for one in day.placed)
+    updated = lc.update(result, [tmp_path / "seen_a_monday.csv"])
+    assert not [words for words in updated.warnings if "Not identifiable" in words]
     with refused("missing-column", "no observation stands in this file"):
         result.predict(tmp_path / "bodies.csv")
+
+
+def test_a_later_file_of_another_name_is_read_by_its_joints_and_columns(folder: Path) -> None:
+    """The words of file names tell files of the first day apart."""
+    rows = ["A1 [deg],A2 [deg],x,y,z", *(f"{a},30,{a},0,0" for a in range(-60, 60, 10))]
+    (folder / "alone.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    alone = "point name=one on=lh columns=x,y,z joints=lq1:A1,lq2:A2 file=alone"
+    both = "point name=two on=rh columns=x,y,z file=both"
+    made = begun(folder, ("alone.csv", "both.csv"), alone, both)
+    project = lc.read_project(folder / "cell" / "project.toml")
+    (folder / "monday.csv").write_bytes((folder / "alone.csv").read_bytes())
+    later = new_readings(folder / "monday.csv", project.inputs, made.mechanism, whole=True)
+    assert np.isfinite(later["one_x"]).all()
+    assert np.isnan(later["two_x"]).all()
+    (folder / "monday.csv").write_text("a,b\n1,2\n3,4\n", encoding="utf-8")
+    with refused("missing-column", "its name then held 'alone' or 'both'"):
+        new_readings(folder / "monday.csv", project.inputs, made.mechanism, whole=True)
 
 
 def test_a_project_that_was_changed_is_replaced_by_force_alone(folder: Path) -> None:

@@ -28,6 +28,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.measurements.plan_settings import PlanSettings
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.redundancy import distinguished
 from loopcal.presentation.shown import SHOWN, columns, significant
 from loopcal.statistics.check import FEW
 from loopcal.statistics.identifiability import SCHROER
@@ -149,5 +150,5 @@ def cure_of(checked: Checked) -> Cure | None:
         return None
     project = checked.project
     with suppress(InputError):
-        return cure(project.mechanism, checked.data, checked.noise, project.plan)
+        return cure(distinguished(project.mechanism), checked.data, checked.noise, project.plan)
     return None

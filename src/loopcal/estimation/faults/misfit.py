@@ -193,6 +193,17 @@ def _placed(problem: Problem, scales: _Scales) -> tuple[_Linear, Array]:
     return _Linear.at(problem, start, names, scales), start
 
 
+def mounted(problem: Problem) -> Problem:
+    """The problem, begun where most poses place instruments and targets."""
+    try:
+        _, start = _placed(problem, _scales(problem))
+    except InputError:
+        return problem
+    names = problem.mechanism.parameters.names
+    values = dict(zip(names, start.tolist(), strict=True))
+    return problem.with_nominal(problem.mechanism.with_nominal(values))
+
+
 def mounting(problem: Problem) -> float:
     """The share that what is mounted on a body may be off, where it is not fitted."""
     return _MOUNTED / _scales(problem).size if unread(problem) else 0.0

@@ -109,6 +109,23 @@ def can_be_placed(mechanism: Mechanism) -> bool:
     return bool(parameters) and all(not p.fixed and np.isinf(p.prior_sd) for p in parameters)
 
 
+def sought(mechanism: Mechanism) -> tuple[tuple[str, ...], ...]:
+    """The parameters of each place on a body from which points are read: no drawing states it,
+    and readings say where a fit begins."""
+    standing = {family.standing: None for family, _ in _stations(mechanism)}
+    return tuple(
+        names
+        for names in standing
+        if names
+        and all(
+            (p := mechanism.parameters[name]).role == "mounting"
+            and not p.fixed
+            and np.isinf(p.prior_sd)
+            for name in names
+        )
+    )
+
+
 def begun(problem: Problem, start: str | Mapping[str, float]) -> Mechanism:
     """The machine where a fit with this start begins: as stated, or placed.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import compress
@@ -122,7 +124,13 @@ def _pattern(mechanism: Mechanism, code: NDArray[np.bool_], predicted: tuple[int
     unread = set(compress(tape.quantities, blind))
     silent = {loop for f in mechanism.families if unread.issuperset(f.readings) for loop in f.loops}
     inputs = tape.depends_on("quantity")
-    loops = [i for i, loop in enumerate(tape.loops) if loop not in silent]
+    # One coordinate of several, not read: its loop gives its value and says nothing else.
+    once = Counter(itertools.chain.from_iterable(inputs))
+    alone = {q for f in mechanism.families for q in unread.intersection(f.readings)}
+    alone = {q for q in alone if once[q] == 1}
+    loops = [
+        i for i, loop in enumerate(tape.loops) if loop not in silent and alone.isdisjoint(inputs[i])
+    ]
     present = frozenset().union(*(inputs[i] for i in loops))
     places = enumerate(tape.quantities)
     return Pattern(

@@ -67,30 +67,45 @@ def rows_of(
     mechanism: Mechanism,
     looking: Sequence[Observation],
     pixels: Pixels,
+    *,
+    later: bool = False,
 ) -> tuple[Rows, tuple[str, ...]]:
     """The poses of all files, and what was read in which, in words.
 
-    pixels: by the identity of a source, those of its rows.
+    pixels: by the identity of a source, those of its rows; later: the files are of another day,
+    and may have other names.
     """
     rows, words = Rows(), list[str]()
     families = {family.name: family for family in mechanism.families}
     units = {**mechanism.quantities, **mechanism.pose_constants}
     several = len(sources) > 1
     for source in sources:
-        joints = joints_in(source, mechanism, looking)
+        mine = [one for one in looking if one.of_file(source.path)]
+        if later and not any(one.table["type"] != "camera" for one in mine):
+            mine += _by_layout(source, looking, mechanism)
+        joints = joints_in(source, mechanism, mine)
         read: dict[str, Field] = {}
         seen: dict[str, Array] = {}
-        for one in looking:
+        for one in mine:
             family = families[one.name]
             if one.table["type"] == "camera":
-                mine = pixels.get(id(source), {})
-                seen |= {q: mine[q] for q in family.readings if q in mine}
-            elif one.of_file(source.path) and reach(mechanism, family) <= joints.keys():
+                corners = pixels.get(id(source), {})
+                seen |= {q: corners[q] for q in family.readings if q in corners}
+            elif reach(mechanism, family) <= joints.keys():
                 columns = _columns(source, one, family, mechanism)
                 if columns is not None:
                     read |= columns
                     seen |= _seen(columns, _where(source, one), family, mechanism)
         if not seen:
+            in_names = dict.fromkeys(one.file for one in looking if one.file)
+            if later and in_names and not mine:
+                raise InputError(
+                    "nothing says which observations stand in this file",
+                    code="missing-column",
+                    place=source.name,
+                    remedy="name it as on the first day: its name then held "
+                    + " or ".join(map(repr, in_names)),
+                )
             raise InputError(
                 "no observation stands in this file",
                 code="missing-column",
@@ -120,6 +135,25 @@ def rows_of(
     return rows, tuple(words)
 
 
+def _by_layout(
+    source: Source, looking: Sequence[Observation], mechanism: Mechanism
+) -> list[Observation]:
+    """What was observed in the one file of the first day that had this one's joints and columns."""
+    families = {family.name: family for family in mechanism.families}
+    labels = {label for field in source.fields for label in (field.label.lower(), field.stem)}
+    fitting = []
+    for word in dict.fromkeys(one.file for one in looking if one.file):
+        some = [one for one in looking if one.file == word]
+        joints = joints_in(source, mechanism, some).keys()
+        if all(
+            reach(mechanism, families[one.name]) <= joints
+            and labels.issuperset(c.lower() for c in (*one.columns, *(one.joints or {}).values()))
+            for one in some
+        ):
+            fitting.append(some)
+    return fitting[0] if len(fitting) == 1 else []
+
+
 def reach(mechanism: Mechanism, family: Family) -> set[str]:
     """The joints between the two bodies of an observation."""
     assert mechanism.tree is not None
@@ -136,7 +170,7 @@ def joints_in(
     """
     stated: dict[str, Field] = {}
     for one in looking:
-        columns = (one.joints or {}) if one.of_file(source.path) else {}
+        columns = one.joints or {}
         by_column = named_joints(source.fields, columns.values())
         stated |= {
             joint: by_column[column]
@@ -230,7 +264,7 @@ def later_rows(
     does not hold was not read there. Raises InputError where nothing stands in a file.
     """
     looking = [replace(one, table=with_readings(one)) for one in observe]
-    rows, _ = rows_of(sources, mechanism, looking, pixels)
+    rows, _ = rows_of(sources, mechanism, looking, pixels, later=True)
     units = {**mechanism.quantities, **mechanism.pose_constants}
     seen = [q for one in mechanism.families for q in one.readings]
     names = dict.fromkeys((*mechanism.joints, *seen, *rows.columns))

@@ -44,6 +44,8 @@ GUESSED = {"m": (0.1, "mm"), "rad": (0.5, "mrad"), "px": (0.3, "px")}
 DRAWN_MM, DRAWN_MRAD = 2.0, 5.0
 """How far a robot is from its drawing, as sds: what stands between two hands tells some directions
 apart by nothing else. Chosen: twice and more what arms of many makers are off by."""
+TURNED_DEG = 60.0
+"""How far an inclinometer is turned on its body, as an sd: as of any mounting."""
 MOUNTED_MM = 200.0
 """How far a target is from the origin of its body where no drawing says, as an sd: as of an arm's
 tool."""
@@ -219,7 +221,8 @@ def _seen_by_cameras(
         mine = [p for p in pictures if p.is_of(one)]
         for picture in mine:
             source = picture.source
-            joints = joints_in(source, mechanism, looking)
+            named = [one for one in looking if one.of_file(source.path)]
+            joints = joints_in(source, mechanism, named)
             if missing := sorted(reach(mechanism, family) - joints.keys()):
                 raise InputError(
                     f"no column holds the joint {missing[0]!r} between "
@@ -321,24 +324,26 @@ def _sitting(
     nominal = {p.name: p.nominal for p in mechanism.parameters}
     families = {family.name: family for family in mechanism.families}
     bodies: dict[str, str] = {}
-    # Of these, poses that hardly turn a hand leave the target open by hundreds of metres.
-    seen = {one.table.get("target") for one in looking if one.table["type"] != "contact"}
+    entries: dict[str, Any] = {}
     for one in looking:
         family, target = families[one.name], one.table.get("target")
+        if one.table["type"] == "inclinometer":
+            turns = [f"{one.name}_{axis}" for axis in ("rz", "ry", "rx")]
+            stated = {"value": 0.0, "unit": "deg", "sd": TURNED_DEG}
+            entries |= {name: stated for name in turns if name in nominal}
         if one.table["type"] == "contact":
             bodies[one.table.get("centre", f"{one.name}_2")] = family.against
             target = target or f"{one.name}_1"
         if target:
             bodies[target] = family.on if _as_drawn(mechanism, family, readings) else ""
-    entries: dict[str, Any] = {}
     words = []
     for target, body in bodies.items():
         link = mechanism.tree.links.get(body)
         names = [f"{target}_{axis}" for axis in "xyz"]
         if not nominal.keys() >= {*names}:
             continue
-        if target in seen:
-            entries |= {name: {"value": 0.0, "unit": "mm", "sd": MOUNTED_MM} for name in names}
+        # Poses that hardly turn a hand leave its target open by hundreds of metres.
+        entries |= {name: {"value": 0.0, "unit": "mm", "sd": MOUNTED_MM} for name in names}
         if link is None or any(step.joint for step in link.steps):
             continue
         if np.abs(bodies_of(ChainFrame(link.steps, {}, nominal), 1).origins).max() > NOWHERE:

@@ -97,11 +97,20 @@ def sources_and_pictures(
     read(entry for entry in entries if id(entry) not in apart)
     if described:
         files = read_files(described, usual)
+        if not any({*files.corners.images}.intersection(one.ids or ()) for one in sources):
+            sources += _beside_corners(files, described, len(sources))
         pictures.append(Pictures(files, _with_poses(files, sources)))
     for folder in pictured:
         files = read_files([folder], usual)
         pictures.append(Pictures(files, _with_poses(files, read(files.poses))))
     return sources, pictures
+
+
+def _beside_corners(files: Files, entries: Sequence[Any], number: int) -> list[Source]:
+    """The table of poses that a file of corners is itself, with the joints in every row."""
+    path = next((Path(one) for one in entries if Path(one).name == files.corners.file), None)
+    made = () if path is None else sources_of(path, number)
+    return [one for one in made if {*files.corners.images} == {*(one.ids or ())}]
 
 
 def _with_poses(files: Files, sources: Sequence[Source]) -> Source:

@@ -62,6 +62,9 @@ def _export(view: View) -> None:
         if "vendor" in one.options:
             vendors = {name: orientation.label for name, orientation in ORIENTATIONS.items()}
             choice(view, "export.vendor", words.ORIENTATIONS, vendors)
+        limbs = limbs_of(view) if one.needs == "chain" else ()
+        if limbs:
+            choice(view, "export.limb", words.LIMB, limbs)
 
     def line(*more: str) -> Sequence[str]:
         asked = ["export", folder.result.name, "--to", one.name]
@@ -71,6 +74,8 @@ def _export(view: View) -> None:
             asked += ["--offsets", str(view.kept["export.offsets"])]
         if "vendor" in one.options and view.kept["export.vendor"]:
             asked += ["--vendor", str(view.kept["export.vendor"])]
+        if limbs:
+            asked += ["--limb", str(view.kept["export.limb"])]
         return [*asked, *more]
 
     ui.label(words.EXPORT_FIRST).classes("text-body2")
@@ -100,6 +105,13 @@ def _formats(view: View) -> dict[str, str]:
     return {name: EXPORTS[name].label for name in (first, *EXPORTS)}
 
 
+def limbs_of(view: View) -> tuple[str, ...]:
+    """The bodies at the ends of a robot of several limbs; none of an arm."""
+    project = view.session.project()
+    tree = None if project is None or project.mechanism.chain else project.mechanism.tree
+    return () if tree is None else tree.leaves
+
+
 def _correct(view: View) -> None:
     heading(words.CORRECT_PROGRAM)
     ui.label(words.CORRECT).classes("text-body2")
@@ -109,6 +121,9 @@ def _correct(view: View) -> None:
         return
     with ui.row().classes("items-end"):
         choice(view, "correct.file", words.PROGRAM_OR_TARGETS, files)
+        limbs = limbs_of(view)
+        if limbs:
+            choice(view, "correct.limb", words.LIMB, limbs)
         choice(view, "correct.tool", words.TOOL_PROGRAM, words.TOOLS)
         text(view, "correct.frame", words.PROGRAM_FRAME)
         pulses_field(view, "correct.file")
@@ -119,6 +134,8 @@ def _correct(view: View) -> None:
 
     def line() -> Sequence[str]:
         asked = ["correct", view.session.folder.result.name, str(view.kept["correct.file"])]
+        if limbs:
+            asked += ["--limb", str(view.kept["correct.limb"])]
         if view.kept["correct.tool"] != "calibrated":
             asked += ["--tool", str(view.kept["correct.tool"])]
         if view.kept["correct.frame"].strip():
