@@ -104,10 +104,22 @@ def _by_sensors(one: Judged, whole: FitResult) -> Entrant | None:
         return None
     if any(term.name == DISCREPANCY for term in case.mechanism.terms):
         return None
-    gains = [n.likelihood_ratio for n in whole.noise if n.role == "disturbance" and n.sd > 0.0]
-    if not gains or gains[0] is None or gains[0] > _ONE_SD:
+    gain = _gain_of_model(whole)
+    if gain is None or gain > _ONE_SD:
         return None
     return replace(one.entrant, case=replace(case, noise=case.noise.with_exact(MODEL)))
+
+
+def _gain_of_model(whole: FitResult) -> float | None:
+    """What the white error of the machine gains; None where nothing was learnt of it."""
+    if whole.estimate is None:
+        return None
+    quantities = whole.mechanism.tape.quantities
+    white = {quantities.index(name) for name in whole.mechanism.disturbances}
+    for i, component in enumerate(whole.estimate.stated):
+        if white & set(component.quantities) and whole.estimate.factors[component.name] > 0.0:
+            return whole.estimate.gain(i)
+    return None
 
 
 def _begun_with(mechanism: Mechanism, whole: FitResult) -> Mechanism:
