@@ -62,7 +62,6 @@ def fitted(
         return Judged(one, None, failed=error.message, error=error)
     if not whole.status.converged:
         return Judged(one, whole, failed=f"the fit did not converge ({whole.status.reason})")
-    _ = whole.chi_squared  # asked of every candidate: here beside the fits of the others
     return Judged(one, whole)
 
 
@@ -84,6 +83,8 @@ def lean(case: Case, one: Judged, least: float = 0.0) -> Judged:
         if again.failed:
             break
         one = replace(again, entrant=replace(fewer, case=replace(fewer.case, trusted=True)))
+    # asked of every candidate that is left: here beside those of the others
+    _ = one.whole and not one.failed and one.whole.chi_squared
     return one
 
 
