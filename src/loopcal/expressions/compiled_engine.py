@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,13 +143,12 @@ def _codes() -> dict[str, int]:
 def _instructions(program: Program, place: dict[int, int]) -> NDArray[np.int32]:
     """For each instruction its code, two rows for results, and where its four arguments stand."""
     codes = _codes()
-    table = np.zeros((len(program.instructions), 7), dtype=np.int32)
-    for row, one, results in zip(table, program.instructions, program.results, strict=True):
+    table: list[int] = []
+    for one, results in zip(program.instructions, program.results, strict=True):
         arguments = [place[a] for a in one.arguments]
-        row[0] = codes[one.name]
-        row[1:3] = results  # of one result: twice
-        row[3:] = arguments + arguments[:1] * (4 - len(arguments))
-    return table
+        table += codes[one.name], results[0], results[-1]  # of one result: twice
+        table += arguments + arguments[:1] * (4 - len(arguments))
+    return np.array(table, dtype=np.int32).reshape(-1, 7)
 
 
 class _Once:
@@ -192,8 +191,7 @@ Position = int
 """Of an operation on the tape."""
 
 
-@dataclass(frozen=True)
-class Instruction:
+class Instruction(NamedTuple):
     """One step: the values it makes, from those it takes, all as positions on the tape.
 
     An unwanted second result is None.

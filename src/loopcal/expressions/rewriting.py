@@ -76,14 +76,22 @@ def in_stages(tape: Tape, ends: Sequence[int]) -> Tape:
 
     An engine that needs the first outputs alone stops after their last operation.
     """
-    order: dict[int, int] = {}
-    for end in ends:
-        needed = set(tape.needed_by(tape.outputs[:end])) - order.keys()
-        order |= {position: len(order) + i for i, position in enumerate(sorted(needed))}
+    stage = [len(ends)] * len(tape.operations)
+    for number, end in reversed(list(enumerate(ends))):
+        for output in tape.outputs[:end]:
+            stage[output] = number
+    for position in range(len(stage) - 1, -1, -1):  # arguments stand before what they make
+        name, payload = tape.operations[position]
+        if name not in LEAVES:
+            for a in payload:
+                if stage[int(a)] > stage[position]:
+                    stage[int(a)] = stage[position]
+    used = sorted((i for i, s in enumerate(stage) if s < len(ends)), key=stage.__getitem__)
+    order = {position: i for i, position in enumerate(used)}
     operations = tuple(
         [
             (name, payload if name in LEAVES else tuple([order[int(a)] for a in payload]))
-            for name, payload in [tape.operations[position] for position in order]
+            for name, payload in [tape.operations[position] for position in used]
         ]
     )
     return replace(tape, operations=operations, outputs=tuple([order[o] for o in tape.outputs]))

@@ -117,10 +117,6 @@ class Tape:
             loops=[self.loops[i] for i in loops],
         )
 
-    def needed_by(self, outputs: Sequence[int]) -> list[int]:
-        """The positions of all operations that these are made of, and of these, in order."""
-        return _reachable(self.operations, outputs)
-
     def _input(self, kind: str, payload: tuple[float, ...]) -> str:
         table = {
             "quantity": self.quantities,

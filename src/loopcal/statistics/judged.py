@@ -62,7 +62,6 @@ def fitted(
         return Judged(one, None, failed=error.message, error=error)
     if not whole.status.converged:
         return Judged(one, whole, failed=f"the fit did not converge ({whole.status.reason})")
-    _ = whole.chi_squared  # asked of every candidate: here beside the fits of the others
     return Judged(one, whole)
 
 
@@ -84,6 +83,8 @@ def lean(case: Case, one: Judged, least: float = 0.0) -> Judged:
         if again.failed:
             break
         one = replace(again, entrant=replace(fewer, case=replace(fewer.case, trusted=True)))
+    # asked of every candidate that is left: here beside those of the others
+    _ = one.whole and not one.failed and one.whole.chi_squared
     return one
 
 
@@ -104,10 +105,22 @@ def _by_sensors(one: Judged, whole: FitResult) -> Entrant | None:
         return None
     if any(term.name == DISCREPANCY for term in case.mechanism.terms):
         return None
-    gains = [n.likelihood_ratio for n in whole.noise if n.role == "disturbance" and n.sd > 0.0]
-    if not gains or gains[0] is None or gains[0] > _ONE_SD:
+    gain = _gain_of_model(whole)
+    if gain is None or gain > _ONE_SD:
         return None
     return replace(one.entrant, case=replace(case, noise=case.noise.with_exact(MODEL)))
+
+
+def _gain_of_model(whole: FitResult) -> float | None:
+    """What the white error of the machine gains; None where nothing was learnt of it."""
+    if whole.estimate is None:
+        return None
+    quantities = whole.mechanism.tape.quantities
+    white = {quantities.index(name) for name in whole.mechanism.disturbances}
+    for i, component in enumerate(whole.estimate.stated):
+        if white & set(component.quantities) and whole.estimate.factors[component.name] > 0.0:
+            return whole.estimate.gain(i)
+    return None
 
 
 def _begun_with(mechanism: Mechanism, whole: FitResult) -> Mechanism:

@@ -15,7 +15,9 @@ from loopcal.errors import Code
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.result import FitResult
+from loopcal.estimation.solve.gauss_newton import Closed
 from loopcal.estimation.solve.solver import solve
+from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -170,6 +172,19 @@ def test_a_fit_from_the_truth_ends_no_higher_than_the_true_corrections(
     began = solve(problem, max_iterations=0)
     assert began.chi_squared <= true
     assert solve(problem).chi_squared <= began.chi_squared * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("last", "swelling"), [(1e-3, True), (1e-12, False)])
+def test_steps_of_rounding_need_not_shrink(monkeypatch, last: float, swelling: bool) -> None:
+    """Only steps that move a reading say that a pose may close nearer."""
+    simulated = arm_at(planar_arm(1).truth, np.random.default_rng(0).uniform(-2.0, 2.0, (2, 50)))
+    sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-2, "phi3": 1e-2}
+    sweeper = Sweeper(build_problem(simulated.truth, simulated.read(sds), Noise(sds)))
+    closed = Closed(np.zeros((4, 50)), np.zeros(50, dtype=bool), step=last)
+    monkeypatch.setattr(Sweeper, "_close", lambda *_, **__: closed)
+    at = sweeper.sweep(sweeper.problem.start, np.zeros((4, 50)), closing=1e-3)
+    assert at.contraction == 1.0
+    assert at.swelling == swelling
 
 
 def test_open_loops_are_never_the_lowest_point() -> None:

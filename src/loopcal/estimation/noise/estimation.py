@@ -184,6 +184,15 @@ class NoiseEstimate:
             for i, component in enumerate(self.stated)
         )
 
+    def gain(self, which: int) -> float | None:
+        """By how much one component lowers -2 log of the likelihood; None where that is not known.
+
+        Beside what `components` says of it, its bounds with it, this costs little.
+        """
+        if self.variances.by_sums or not self.solution.status.converged:
+            return None
+        return gain_of(self.model, self.sensor_estimate, which)
+
 
 def estimate_noise(
     problem: Problem,
@@ -400,8 +409,13 @@ def judged(
     if unsure or sd is None or sd > _UNCERTAIN * ratio:
         bound = upper_bound(model, estimate, which)
         upper = None if bound is None else math.sqrt(bound)
-    without = None if len(estimate.ratios) == 1 else without_component(model, estimate, which)
-    rise = None if without is None else max(without - estimate.criterion, 0.0)
+    rise = gain_of(model, estimate, which)
     # at the boundary the rise is zero in half of all cases (Self and Liang 1987)
     p_value = None if rise is None else 0.5 * float(chdtrc(1, rise)) if rise > 0.0 else 1.0
     return EstimatedSd(component.name, component.quantities, ratio, sd, upper, rise, p_value)
+
+
+def gain_of(model: LinearModel, estimate: Estimate, which: int) -> float | None:
+    """By how much one component of several lowers -2 log of the likelihood."""
+    without = None if len(estimate.ratios) == 1 else without_component(model, estimate, which)
+    return None if without is None else max(without - estimate.criterion, 0.0)

@@ -47,7 +47,8 @@ class Evaluation(Generic[State]):
     were closed, None if they were not; rounding: what rounding of loop values does to the
     whitened residuals of a pose; equations: how many; sizes: poses of each chunk, in memory of the
     only one; singular, late: poses whose loops cannot be closed at all, or were not within the
-    iterations allowed; surplus: what the loss adds to the weighted squares in `data`.
+    iterations allowed; surplus: what the loss adds to the weighted squares in `data`; swelling:
+    whether steps that closed the loops did not shrink, although more than rounding.
     """
 
     data: Accumulator
@@ -62,6 +63,7 @@ class Evaluation(Generic[State]):
     singular: Failed = NONE_FAILED
     late: Failed = NONE_FAILED
     surplus: float = 0.0
+    swelling: bool = False
 
     @property
     def poses(self) -> int:

@@ -241,7 +241,7 @@ class _Solver(Generic[State]):
 
         It is tried where the steps that closed the loops did not shrink.
         """
-        if point.closed is None or point.evaluation.contraction < 1.0:
+        if point.closed is None or not point.evaluation.swelling:
             return None
         state = self.merit.nearer(point.parameters, point.evaluation.state)
         if state is None:

@@ -107,7 +107,7 @@ class Sweeper:
         steps, ratios = [0.0], [0.0]
         singular: list[NDArray[np.intp]] = []
         late: list[NDArray[np.intp]] = []
-        surplus = 0.0
+        surplus, swelling = 0.0, False
         summed = not triangular and self.loss is None
         for pattern, block in self.blocks(parameters, corrections, self._block):
             if self.rounding is None:
@@ -137,6 +137,8 @@ class Sweeper:
                 if start is not None:
                     last = steps[-1] / start.step if start.step > 0.0 else 0.0
                     ratios.append(min(max(last, start.contraction), 1.0))
+                    swelling |= start.contraction >= 1.0
+                    swelling |= start.step > NEGLIGIBLE and last >= 1.0
         return Evaluation(
             data,
             used,
@@ -150,6 +152,7 @@ class Sweeper:
             self._failed(singular),
             self._failed(late),
             surplus,
+            swelling,
         )
 
     @overflowing
