@@ -119,35 +119,12 @@ def scoring_step(at: MixedFit, bounds: Bounds) -> Array:
 
 
 def _least_above_zero(A: Array, b: Array) -> Array:
-    """The u >= 0 of least |A u - b| that is not the least of all; A: square, of full rank.
+    """The u >= 0 of least |A u - b| that is not the least of all; A: square, of full rank."""
+    if len(b) == 1:
+        return np.zeros(1)
+    from scipy.optimize import nnls  # slow to load, and seldom needed
 
-    Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23. SciPy's takes longer to
-    load than all searches of a calibration to run.
-    """
-    u, free = np.zeros(len(b)), np.zeros(len(b), dtype=bool)
-    least = 10.0 * len(b) * np.finfo(float).eps * float(np.abs(A).sum(axis=0).max())
-    for _ in range(3 * len(b)):  # rounding may offer the same one again
-        slope = np.where(free, -np.inf, A.T @ (b - A @ u))
-        j = int(np.argmax(slope))
-        if slope[j] <= least:
-            break
-        free[j] = True
-        aim = _within(A, b, free)
-        while (short := free & (aim <= 0.0)).any():
-            part = float((u[short] / np.maximum(u[short] - aim[short], 1e-300)).min())
-            u = u + part * (aim - u)
-            free &= u > least
-            u[~free] = 0.0
-            aim = _within(A, b, free)
-        u = aim
-    return u
-
-
-def _within(A: Array, b: Array, free: NDArray[np.bool_]) -> Array:
-    """The u of least |A u - b| that is zero where it is not free."""
-    u = np.zeros(len(b))
-    u[free] = np.linalg.lstsq(A[:, free], b, rcond=None)[0]
-    return u
+    return np.asarray(nnls(A, b)[0])
 
 
 def _lower(likelihood: Likelihood[Place], at: Place, step: Array, bounds: Bounds) -> Place | None:
