@@ -133,7 +133,7 @@ HEAD = (
 def tables(draws: Sequence[Draw]) -> str:
     """Rates of each kind, over all, and what `update` made of a later day."""
     by: dict[str, list[Draw]] = defaultdict(list)
-    for draw in draws:
+    for draw in _usable(draws):
         by[draw["kind"]].append(draw)
     clean = [draw for kind in CLEAN for draw in by[kind.name]]
     lines = []
@@ -158,22 +158,26 @@ def tables(draws: Sequence[Draw]) -> str:
     return "\n".join(lines)
 
 
+def _usable(draws: Sequence[Draw]) -> list[Draw]:
+    """Those that were made and answered."""
+    return [d for d in draws if "failed" not in d and "unmade" not in d]
+
+
 def row(kind: Kind, draws: Sequence[Draw]) -> str:
     """One line of a table."""
-    usable = [d for d in draws if "failed" not in d and "unmade" not in d]
-    names = [named(d) for d in usable] if kind.names is not None else []
+    names = [named(d) for d in draws] if kind.names is not None else []
     if kind.later:
-        ratios = [d["true"] / d["accuracy"]["expected"] for d in usable if _expects(d)]
-        over = {rival: _over(usable, "true", rival) for rival in ("nominal", "least squares")}
+        ratios = [d["true"] / d["accuracy"]["expected"] for d in draws if _expects(d)]
+        over = {rival: _over(draws, "true", rival) for rival in ("nominal", "least squares")}
         better = ""
     else:
-        ratios = [_ratio(d, "inside") for d in usable if d.get("inside")]
-        over = {rival: _over(usable, "inside", rival) for rival in ("nominal", "least squares")}
-        better = f"{100 * sum(map(called_better, usable)) / max(len(usable), 1):.0f}"
-    held = [d["inside"]["held"] for d in usable if not kind.later and d.get("inside")]
+        ratios = [_ratio(d, "inside") for d in draws if d.get("inside")]
+        over = {rival: _over(draws, "inside", rival) for rival in ("nominal", "least squares")}
+        better = f"{100 * sum(map(called_better, draws)) / max(len(draws), 1):.0f}"
+    held = [d["inside"]["held"] for d in draws if not kind.later and d.get("inside")]
     return (
-        f"{kind.name:34}{len(draws):5d} {_rate(map(alarmed, usable)):>15} {_rate(names):>15}"
-        f" {_rate(map(wrong, usable)):>14} {better:>8} {sum(map(worse, usable)) or '':>5}"
+        f"{kind.name:34}{len(draws):5d} {_rate(map(alarmed, draws)):>15} {_rate(names):>15}"
+        f" {_rate(map(wrong, draws)):>14} {better:>8} {sum(map(worse, draws)) or '':>5}"
         f" {_mean(ratios):>8} {_mean(held, 100.0, 1):>6} {over['nominal']:>8}"
         f" {over['least squares']:>8}"
     )
@@ -212,7 +216,7 @@ def _line(what: str, of: Iterable[bool]) -> str:
 
 
 def _rates(day: str, clean: Sequence[Draw], other: Sequence[Draw]) -> list[str]:
-    every = [d for d in {id(d): d for d in [*clean, *other]}.values() if "failed" not in d]
+    every = [*{id(d): d for d in [*clean, *other]}.values()]
     if not every:
         return []
     faulty = [d for d in every if not KINDS[d["kind"]].clean]
