@@ -46,10 +46,12 @@ def hands(count: int, seed: int) -> np.ndarray:
     return T
 
 
-def pixels(T: np.ndarray, *, on: str, points: Mapping[str, Sequence[float]] = POINTS) -> np.ndarray:
+def pixels(
+    T: np.ndarray, *, on: str, points: Mapping[str, Sequence[float]] | None = None
+) -> np.ndarray:
     """(points, 2, N), from the definition."""
     far, near = placed(FAR), placed(NEAR)
-    X = np.array([(*p, 1.0) for p in points.values()]).T
+    X = np.array([(*p, 1.0) for p in (points or POINTS).values()]).T
     if on == "base":  # T_camera_base T_base_flange T_flange_board
         seen = far @ T @ near @ X
     else:  # T_flange_camera^-1 T_base_flange^-1 T_board_base^-1

@@ -144,14 +144,15 @@ def distinguished(mechanism: Mechanism) -> Mechanism:
     """The mechanism with those parameters fixed that their prior sds alone hold, in any poses.
 
     Prior knowledge keeps the others of a redundant set free in `fix_redundant`; poses are judged by
-    what they could tell without it. Whatever is no dimension of the machine stays as it is.
+    what they could tell without it. Whatever is no dimension of the machine stays as it is, and so
+    does a loop of the user's: its parameters are those that the user asks for.
     """
     drawn = [
         p.name
         for p in mechanism.parameters
         if not p.fixed and p.prior_sd < math.inf and p.role not in BEYOND
     ]
-    if not drawn or mechanism.home:
+    if not drawn or mechanism.home or mechanism.tree is None:
         return mechanism
     flat = mechanism.parameters.with_prior(dict.fromkeys(drawn, math.inf))
     held = fix_redundant(mechanism.with_parameters(flat)).parameters

@@ -59,9 +59,9 @@ ORDERED = "order-by-joints"
 """Code of the finding on such an order."""
 # Chosen, not derived: a rule of thumb; below, residuals follow the model more than the noise.
 FEW = 3.0
+"""Loop equations per parameter below which there is little to check the model against."""
 # At most so many names in a sentence.
 _NAMED = 4
-"""Loop equations per parameter below which there is little to check the model against."""
 
 
 @dataclass(frozen=True)
