@@ -155,7 +155,7 @@ class MechanismEntry:
     remarks: tuple[str, ...]
     """What a user should know of it, such as why a parameter is fixed."""
     unstated: tuple[tuple[str, ...], ...] = ()
-    """The parameters of each thing on a body whose place nobody stated: all free and flat, at 0 or
+    """The parameters of each thing on a body without a stated place: all free and flat, at 0 or
     begun where readings suggest."""
 
     @classmethod
