@@ -207,7 +207,7 @@ def replaced(
 
     problem: of which every parameter counts as estimated; names: of what is found anew; places:
     roughly, of some of it, where another search may begin; variance: of every loop equation, where
-    the readings are taken as exact; components: quantities whose noise is told apart in the rows.
+    the readings are taken as exact; components: quantities whose noise is kept apart in the rows.
     Raises NoTrustworthyResult where a loop has no value.
     """
     search = _Search(problem, names, variance, components)
