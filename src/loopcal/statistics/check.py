@@ -18,6 +18,7 @@ from loopcal.document.catalogue import findings
 from loopcal.document.findings import Observability, UsualSd
 from loopcal.document.plain import plain
 from loopcal.document.verdict import Fact, Finding, Where, fact
+from loopcal.errors import listed
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.faults.misfit import mounted
 from loopcal.estimation.fit import Fit, Start
@@ -186,9 +187,10 @@ class Check:
         ]
         lines += [one.words for one in self.findings if one.question != "valid"]
         if self.superfluous:
-            some, more = self.superfluous[:_NAMED], len(self.superfluous) - _NAMED
-            names = ", ".join(map(repr, some)) + (f" and {more} more" if more > 0 else "")
-            lines.append(f"only priors hold {names}: in any poses others do the same")
+            names = listed(self.superfluous, _NAMED)
+            lines.append(
+                f"only priors hold {names}: no poses distinguish them from other parameters"
+            )
         return lines + self.identifiability.words()
 
     def __str__(self) -> str:
