@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from loopcal.companions.robot.corrected import CorrectionBounds
     from loopcal.companions.robot.correction import Correction
     from loopcal.companions.robot.export_files import Export, export
-    from loopcal.document.change_points import ChangePoint, Dependence
+    from loopcal.document.change_points import ChangePoint, Dependence, Shifts
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
     from loopcal.document.fit import ChiSquared, NoiseEntry
     from loopcal.document.parameter_table import ParameterTable
@@ -94,7 +94,6 @@ if TYPE_CHECKING:
     from loopcal.report.writing import report
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
-    from loopcal.statistics.change_points import Shifts
     from loopcal.statistics.changed import WhatChanged
     from loopcal.statistics.changes import Shifted, with_shifts
     from loopcal.statistics.check import Check
@@ -136,7 +135,7 @@ if TYPE_CHECKING:
 _HOME = {
     "companions.robot.corrected": ("CorrectionBounds",),
     "companions.robot.correction": ("Correction",),
-    "document.change_points": ("ChangePoint", "Dependence"),
+    "document.change_points": ("ChangePoint", "Dependence", "Shifts"),
     "document.findings": ("ColumnFault", "Identifiability", "Outlier", "Undetermined"),
     "document.fit": ("ChiSquared", "NoiseEntry"),
     "document.result_document": ("ResultDocument", "WrittenResult"),
@@ -186,7 +185,6 @@ _HOME = {
     "statistics.changed": ("WhatChanged",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison"),
-    "statistics.change_points": ("Shifts",),
     "statistics.outliers": ("Outliers",),
     "statistics.reliability": ("ReadingReliability",),
     "statistics.changes": ("Shifted", "with_shifts"),

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from loopcal.document.bounds import Count, Probability, Size
+from loopcal.document.findings import ScaleEntry
 from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import enumerated, p_words, percent, significant, with_unit
+from loopcal.presentation.shown import enumerated, p_words, percent, significant, with_unit, wrapped
 
 Moved = Literal["target", "station", "joint", "reading", "load", "expansion", "link"]
 _WORDS = {
@@ -115,6 +116,48 @@ class ChangePoints:
     """The lines of a project or mechanism file that model them."""
     unsure: tuple[ChangePoint, ...] = ()
     """Steps without a sharp edge: a slow drift or a smooth model error explains them as well."""
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """What a search along the run found.
+
+    found: change points in order; level: probability of finding any in independent errors; tested:
+    poses that were searched, 0 where there are too many or too few; explained: ids of the poses
+    that fit once the shifts are modelled, empty where none was found; unsure: steps without a sharp
+    edge, which slow changes over the run explain as well; told_apart: those found that an error of
+    the machine model cannot imitate: steps with an edge sharper than the path of the joints, and
+    drifts of an instrument in an order that the joints do not follow; scales: of the instruments,
+    beside what was found.
+    """
+
+    found: tuple[ChangePoint, ...]
+    level: float
+    tested: int
+    explained: frozenset[str] = frozenset()
+    unsure: tuple[ChangePoint, ...] = ()
+    told_apart: tuple[ChangePoint, ...] = ()
+    scales: tuple[ScaleEntry, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.found)
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def lines(self) -> list[str]:
+        """In words."""
+        if not self.tested:
+            return ["shifts: not searched (too few or too many poses)"]
+        rule = f"{self.tested} poses in order, family-wise level {100 * self.level:g} %"
+        if not self.found:
+            return [f"shifts: none ({rule})"]
+        points = [line for point in self.found for line in wrapped(str(point), "  ", "    ")]
+        return [f"shifts: {len(self.found)} ({rule})", *points]
+
+
+# The level is that of the search, 1 % family-wise (record 0051).
+NOT_SEARCHED = Shifts((), 0.01, 0)
 
 
 def when(points: Sequence[ChangePoint]) -> str:

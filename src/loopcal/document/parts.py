@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from loopcal.document.accuracy import Distances, ModelEntry, ValidationEntry
-from loopcal.document.change_points import ChangePoints
+from loopcal.document.change_points import ChangePoints, Shifts
 from loopcal.document.choice import Candidate, Chosen
 from loopcal.document.findings import HalvesEntry, Outlier
 from loopcal.document.fit import IntervalEntry
@@ -22,6 +22,7 @@ class Parts:
     method: as it was asked for, where the choice made another one of it; nominal, noise_floor: of
     the choice; culprits: what it says of robot, lens and board; halves: of the lens by two halves
     of the images; change_points, discarded: what it modelled, and the outliers that it left out;
+    shifts: what it saw along the run where it modelled nothing;
     intervals: profile intervals by parameter; tolerance [SI], region: what the verdict judges;
     files: names of project and result, for command lines; None where there are no names.
     """
@@ -39,6 +40,7 @@ class Parts:
     noise_floor: float | None = None
     change_points: ChangePoints | None = None
     discarded: tuple[Outlier, ...] = ()
+    shifts: Shifts | None = None
     validation: ValidationEntry | None = None
     models: tuple[ModelEntry, ...] | None = None
     intervals: Mapping[str, IntervalEntry] = field(default_factory=dict)

@@ -23,14 +23,12 @@ from typing import cast
 import numpy as np
 
 from loopcal.arrays import Array
-from loopcal.document.change_points import Change, ChangePoint, Moved
-from loopcal.document.findings import ScaleEntry
+from loopcal.document.change_points import NOT_SEARCHED, Change, ChangePoint, Moved, Shifts
 from loopcal.errors import InputError
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.lazy import cached_property
-from loopcal.presentation.shown import wrapped
 from loopcal.statistics.estimated import log_tail
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
 from loopcal.statistics.possible_changes import (
@@ -71,48 +69,6 @@ the axis of the last joint does the same, and does it more often."""
 # A factor of e^7, about 1000, in p: chosen, not derived.
 _ALIKE = 7.0
 """An alternative whose log p is within this of the best explains the change about as well."""
-
-
-@dataclass(frozen=True)
-class Shifts:
-    """What find_shifts found.
-
-    found: change points in order; level: probability of finding any in independent errors; tested:
-    poses that were searched, 0 where there are too many or too few; explained: ids of the poses
-    that fit once the shifts are modelled, empty where none was found; unsure: steps without a sharp
-    edge, which slow changes over the run explain as well; told_apart: those found that an error of
-    the machine model cannot imitate: steps with an edge sharper than the path of the joints, and
-    drifts of an instrument in an order that the joints do not follow; scales: of the instruments,
-    beside what was found.
-    """
-
-    found: tuple[ChangePoint, ...]
-    level: float
-    tested: int
-    explained: frozenset[str] = frozenset()
-    unsure: tuple[ChangePoint, ...] = ()
-    told_apart: tuple[ChangePoint, ...] = ()
-    scales: tuple[ScaleEntry, ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.found)
-
-    def __str__(self) -> str:
-        return "\n".join(self.lines())
-
-    def lines(self) -> list[str]:
-        """In words."""
-        if not self.tested:
-            return ["shifts: not searched (too few or too many poses)"]
-        rule = f"{self.tested} poses in order, family-wise level {100 * self.level:g} %"
-        if not self.found:
-            return [f"shifts: none ({rule})"]
-        points = [line for point in self.found for line in wrapped(str(point), "  ", "    ")]
-        return [f"shifts: {len(self.found)} ({rule})", *points]
-
-
-# The level is that of the search, 1 % family-wise (record 0051).
-NOT_SEARCHED = Shifts((), 0.01, 0)
 
 
 @dataclass(frozen=True, eq=False)

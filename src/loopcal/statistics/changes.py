@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.change_points import ChangePoint, ChangePoints, when
+from loopcal.document.change_points import ChangePoint, ChangePoints, Shifts, when
 from loopcal.document.findings import Outlier
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.fit import Fit, modelled
@@ -25,7 +25,7 @@ from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.station import standing
 from loopcal.statistics.case import Case
-from loopcal.statistics.change_points import Shifts, apart, find_shifts
+from loopcal.statistics.change_points import apart, find_shifts
 from loopcal.statistics.outliers import find_poses
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class Changes:
     case: with effects for the changes, without the outliers; kept: positions of its poses in the
     case as asked for; plain: that case without the effects; points: what was modelled; outliers:
     what was discarded; searched: the last search; toml: the lines that state the changes; whole:
-    the fit of the case, made: its machine with the model error, None where nothing happened.
+    the fit of the case; made: its machine with the model error, None where nothing happened.
     """
 
     case: Case
@@ -98,20 +98,21 @@ def unchanged(case: Case) -> Changes:
     return Changes(case, case, np.arange(len(case.data)))
 
 
-def changes(case: Case, way: Fit, whole: FitResult) -> Changes:
-    """What is certain to have happened during the run of a case.
+def changes(case: Case, way: Fit, whole: FitResult, level: float = CERTAIN) -> Changes:
+    """What happened during the run of a case, beyond doubt or with p-values below a level.
 
     way: how a structured candidate is fitted; whole: that fit of all poses. Where
     the machine cannot have such effects, or is not fitted better by them, nothing.
     """
-    run_changes, way = unchanged(case), way.changed(prior=case.fit.prior)
+    run_changes, way = replace(unchanged(case), whole=whole), way.changed(prior=case.fit.prior)
     rounds = ROUNDS
     while rounds:
         rounds -= 1
         searched = find_shifts(whole)
+        run_changes = replace(run_changes, searched=searched)
         # No effect of the plain machine is a load: it stays a finding, and a column can state it.
         moved = [p for p in searched.told_apart if p.moved != "load"]
-        new = [p for p in moved if _certain(p, run_changes.points)]
+        new = [p for p in moved if p.p_value < level and apart(p, run_changes.points)]
         if not new:
             break
         # Before what slipped is modelled, a slip looks like a drift of the same things.
@@ -120,17 +121,12 @@ def changes(case: Case, way: Fit, whole: FitResult) -> Changes:
         if len(kept) < len(run_changes.points):
             rounds, run_changes = rounds + 1, replace(run_changes, points=kept)
         try:
-            run_changes = _modelled(case, way, replace(run_changes, searched=searched), new)
+            run_changes = _modelled(case, way, run_changes, new)
         except (InputError, NoTrustworthyResult):
             break
         assert run_changes.whole is not None
         whole = run_changes.whole
     return run_changes
-
-
-def _certain(point: ChangePoint, points: Sequence[ChangePoint]) -> bool:
-    """Whether a change is beyond doubt, and none of these points with its date a little off."""
-    return point.p_value < CERTAIN and apart(point, points)
 
 
 def _modelled(case: Case, way: Fit, run_changes: Changes, new: Sequence[ChangePoint]) -> Changes:

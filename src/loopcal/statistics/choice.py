@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.arrays import Array
+from loopcal.document.change_points import NOT_SEARCHED
 from loopcal.document.choice import DECISIVE, Candidate, Chosen
 from loopcal.estimation.dependence.dependence import likenesses
 from loopcal.estimation.plausible import CODE as CONTRADICTED
@@ -41,7 +42,7 @@ from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import helping, process_cores
 from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
 from loopcal.statistics.case import Case, Entrant, entrants
-from loopcal.statistics.changes import Changes, changes, unchanged
+from loopcal.statistics.changes import CERTAIN, Changes, changes, unchanged
 from loopcal.statistics.culprits import culprits
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
@@ -124,18 +125,80 @@ def choose(
             return Choice(_chosen(case, whole, Chosen(entrant.name, (), words, ())), None)
     case = replace(case, trusted=True)
     judged, run_changes, by = _searched(case, judged, [begun(e, None) for e in waiting], iterated)
+    other = scheme if scheme and scheme.other is not None else None
+
+    def compared(by: str, judged: Sequence[Judged], waiting: Sequence[Entrant]) -> _Compared:
+        kept = None if other else _of(scheme, run_changes)
+        return _compared(case, run_changes, by, judged, waiting, kept, executor, progress, iterated)
+
+    over = compared(by, judged, [one for one in waiting if not one.structured])
+    taken = over.taken
+    if taken.entrant.structured and not run_changes.points:
+        # What is taken may show what the candidate that was searched does not.
+        run_changes = _changes(case, taken, NOT_SEARCHED.level) or run_changes
+        if run_changes.points:
+            over = compared(taken.name, [], [])
+    case, plan, taken, validation = over.case, over.plan, over.taken, over.validation
+    about_images: dict[str, Any] = {}
+    if plan is not None:
+        accused = culprits(over.case, over.judged, taken, plan, run_changes.moved, executor)
+        about_images = {"culprits": accused, "halves": lens_halves(taken, plan, executor)}
+        if validation is not None:
+            validation = replace(validation, images=image_validation(taken, plan, executor))
+    assert taken.whole is not None
+    exact = (one.failed for one in over.judged if one.error and one.error.code == CONTRADICTED)
+    words = over.chosen.words + run_changes.words()
+    chosen = replace(over.chosen, words=words, contradicted=next(exact, None))
+    if other is not None:
+        validation = validated(taken.entrant.case, taken.whole, other)
+    nominal = next((one.whole for one in over.judged if one.entrant.drawn and not one.failed), None)
+    placed = nominal and nominal.accuracy_after
+    result = _chosen(case, taken.whole, chosen).with_parts(
+        nominal=placed and placed.distances,
+        change_points=run_changes.entry,
+        discarded=run_changes.discarded,
+        shifts=None if run_changes.points else run_changes.searched,
+        **about_images,
+        validation=validation and validation.entry,
+    )
+    return Choice(result, validation)
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """Candidates of a case on the parts of a plan, and which one is taken."""
+
+    case: Case
+    judged: Sequence[Judged]
+    plan: Plan | None
+    taken: Judged
+    chosen: Chosen
+    validation: Validation | None
+
+
+def _compared(
+    case: Case,
+    run_changes: Changes,
+    by: str,
+    judged: Sequence[Judged],
+    waiting: Sequence[Entrant],
+    scheme: Scheme | None,
+    executor: Executor | None,
+    progress: Progress | None,
+    iterated: Iterated | None,
+) -> _Compared:
+    """All candidates of a case, with what happened during its run by the fit of `by`.
+
+    judged: those at hand, waiting: the others. Where something happened, all are made anew.
+    """
     near = next((one.whole for one in judged if one.whole and not one.failed), None)
     whole_fits: dict[str, FitResult | None] = {}
     if run_changes.points:
         case, near, whole_fits = run_changes.case, run_changes.whole, {by: run_changes.whole}
         judged, waiting = [], list(entrants(case, run_changes.moved, run_changes.made))
-    else:
-        waiting = [one for one in waiting if not one.structured]
-    other = scheme if scheme and scheme.other is not None else None
-    kept_scheme = None if other else _of(scheme, run_changes)
 
     def planned() -> Plan | None:
-        return _plan(run_changes.plain, kept_scheme)
+        return _plan(run_changes.plain, scheme)
 
     # those without a model error are fitted once, where what happened during the run is known
     more, plan = _all_fitted([begun(one, near) for one in waiting], iterated, whole_fits, planned)
@@ -146,29 +209,7 @@ def choose(
         judged = _validated(judged, plan, executor, progress)
         judged = _with_fewer(case, judged, plan, executor, progress)
         judged = _refitted(judged, plan, len(case.data), executor)
-    taken, chosen, validation = _choice(judged, plan, len(case.data))
-    about_images: dict[str, Any] = {}
-    if plan is not None:
-        accused = culprits(case, judged, taken, plan, run_changes.moved, executor)
-        about_images = {"culprits": accused, "halves": lens_halves(taken, plan, executor)}
-        if validation is not None:
-            validation = replace(validation, images=image_validation(taken, plan, executor))
-    assert taken.whole is not None
-    exact = (one.failed for one in judged if one.error and one.error.code == CONTRADICTED)
-    words = chosen.words + run_changes.words()
-    chosen = replace(chosen, words=words, contradicted=next(exact, None))
-    if other is not None:
-        validation = validated(taken.entrant.case, taken.whole, other)
-    nominal = next((one.whole for one in judged if one.entrant.drawn and not one.failed), None)
-    placed = nominal and nominal.accuracy_after
-    result = _chosen(case, taken.whole, chosen).with_parts(
-        nominal=placed and placed.distances,
-        change_points=run_changes.entry,
-        discarded=run_changes.discarded,
-        **about_images,
-        validation=validation and validation.entry,
-    )
-    return Choice(result, validation)
+    return _Compared(case, judged, plan, *_choice(judged, plan, len(case.data)))
 
 
 def _chosen(case: Case, result: FitResult, chosen: Chosen) -> FitResult:
@@ -235,11 +276,11 @@ def _searched(
     return judged, run_changes or unchanged(case), by
 
 
-def _changes(case: Case, by: Judged) -> Changes | None:
+def _changes(case: Case, by: Judged, level: float = CERTAIN) -> Changes | None:
     """What happened during the run by a candidate's fit; None where it has none."""
     if by.whole is None or by.failed:
         return None
-    return changes(case, by.entrant.case.fit, by.whole)
+    return changes(case, by.entrant.case.fit, by.whole, level)
 
 
 def _of(scheme: Scheme | None, run_changes: Changes) -> Scheme | None:

@@ -18,10 +18,11 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.chi_squared import tail
+from loopcal.document.change_points import NOT_SEARCHED, Shifts
 from loopcal.document.findings import ColumnFault
 from loopcal.estimation.faults.search import column_faults
 from loopcal.statistics.another_day import Day
-from loopcal.statistics.change_points import NOT_SEARCHED, Search, Shifts, searchable
+from loopcal.statistics.change_points import Search, searchable
 from loopcal.statistics.change_tests import Explained
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem

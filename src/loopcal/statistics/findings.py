@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from loopcal.document.accuracy import Distances
-from loopcal.document.change_points import ChangePoint, ChangePoints
+from loopcal.document.change_points import NOT_SEARCHED, ChangePoint, ChangePoints, Shifts
 from loopcal.document.findings import ConflictEntry, Observability, OtherOptimum, RegionEntry
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import accuracy
@@ -28,7 +28,7 @@ from loopcal.execution.forked import process_cores
 from loopcal.mechanisms.station import standing
 from loopcal.presentation.brief import brief
 from loopcal.statistics.case import Case, nominal_case
-from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
+from loopcal.statistics.change_points import apart, find_shifts
 from loopcal.statistics.changes import shift_lines
 from loopcal.statistics.conflicts import conflicts
 from loopcal.statistics.identifiability import (
@@ -147,8 +147,10 @@ def _searched(result: FitResult, search: Callable[[FitResult], Any]) -> Any:
 
 def _shifts(result: FitResult) -> Shifts:
     """What changed during the run, where no column is at fault."""
-    able = result.status.converged and not result.faults
-    return find_shifts(result) if able else NOT_SEARCHED
+    if not result.status.converged or result.faults:
+        return NOT_SEARCHED
+    searched = result.parts.shifts
+    return find_shifts(result) if searched is None else searched
 
 
 def _unit_sd(result: FitResult) -> float | None:

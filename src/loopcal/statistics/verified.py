@@ -9,6 +9,7 @@ from typing import Any
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.catalogue import findings
+from loopcal.document.change_points import NOT_SEARCHED, Shifts
 from loopcal.document.findings import ColumnFault
 from loopcal.document.tables import machine_table
 from loopcal.document.verdict import (
@@ -24,7 +25,6 @@ from loopcal.document.verdict import (
 from loopcal.lazy import cached_property
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import Table, by_sd, p_words, significant, size, unit_shown
-from loopcal.statistics.change_points import NOT_SEARCHED, Shifts
 from loopcal.statistics.changed import LEVEL, WhatChanged
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Innovation
