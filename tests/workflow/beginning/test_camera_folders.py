@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from analyses.cameras_truth import shots
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.mistakes import corrected
 from loopcal.estimation.cameras.placing import Reading
@@ -241,3 +243,12 @@ def test_a_folder_of_detected_tags(tmp_path: Path) -> None:
         "target_type: aprilgrid\ntagCols: 3\ntagRows: 2\ntagSize: 0.06\ntagSpacing: 0.3\n", "utf-8"
     )
     assert "12 images with 288 corners" in str(lc.init(tmp_path))
+
+
+def test_joints_of_the_row_that_the_images_fit_are_used(tmp_path: Path) -> None:
+    made = shots(37, held=False, images=12)
+    made.write(tmp_path / "images", uv=np.roll(made.uv, 1, axis=0))
+    begun = lc.init(tmp_path / "images", dh=tmp_path / "images" / "dh.csv", out=tmp_path / "c")
+    assert any("one row earlier, which is used" in remark for remark in begun.remarks)
+    assert list(begun.dataset.poses) == [str(i) for i in range(2, 13)]  # the first has no pose
+    assert_allclose(begun.dataset.readings["theta_1"], made.read[:-1, 0], atol=1e-8)

@@ -422,8 +422,8 @@ def _hand_suspicions(held: bool | None) -> Iterator[Suspicion]:
         rows = "one row" if abs(shift) == 1 else f"{abs(shift)} rows"
         yield Suspicion(
             "poses-shifted",
-            f"Each image fits the pose that stands {rows} {where}. Check which pose belongs to "
-            "which image.",
+            f"Each image fits the pose that stands {rows} {where}, which is used. Check which pose "
+            "belongs to which image.",
             lambda one, shift=shift: _shifted(one, shift),  # type: ignore[misc]
         )
 

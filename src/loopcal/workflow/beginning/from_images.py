@@ -22,7 +22,7 @@ from loopcal.files.cameras.folder import Files, read_files
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.workflow.beginning.begun import READINGS, Begun
-from loopcal.workflow.beginning.images_hand import Describe, Hand, flange_columns, hand_of, unread
+from loopcal.workflow.beginning.images_hand import Describe, Hand, hand_of, unread
 from loopcal.workflow.beginning.images_project import CORNERS, WRONG, ImagesProject
 from loopcal.workflow.beginning.matching import matched
 
@@ -107,8 +107,8 @@ def understood(
         begun = with_stated_lenses(begun)
     if hand.T_base_flange is None:
         hand = unread(begun, hand)
-    elif begun.T_base_flange is not None and "x" in hand.readings:
-        hand = replace(hand, readings=flange_columns(begun.T_base_flange))
+    elif begun.T_base_flange is not None:
+        hand = hand.corrected(begun.T_base_flange)
     return ImagesProject(begun, hand, table, lenses, title=files.title), (*renamed, *turned)
 
 

@@ -54,6 +54,17 @@ class Hand:
         remarks = (*self.remarks, f"turns of the flange: {way}")
         return replace(self, T_base_flange=T, readings=flange_columns(T), remarks=remarks)
 
+    def corrected(self, T: Array) -> Hand:
+        """With the poses that the images fit: joints are those of the row that stands there."""
+        if "x" in self.readings:
+            return replace(self, readings=flange_columns(T))
+        assert self.T_base_flange is not None
+        same = (T[:, None] == self.T_base_flange).all(axis=(2, 3))
+        rows = np.where(same.any(axis=1), same.argmax(axis=1), np.arange(len(T)))
+        return replace(
+            self, readings={name: values[rows] for name, values in self.readings.items()}
+        )
+
 
 def hand_of(files: Files, describe: Describe | None, joints: str | None, folder: Path) -> Hand:
     """The robot's part of the files."""
