@@ -13,8 +13,9 @@ import loopcal as lc
 from loopcal.files.result import result_file
 from loopcal.statistics import choice
 from loopcal.statistics.case import Case, Entrant
-from loopcal.statistics.changes import NUMBER, Changes, changes
+from loopcal.statistics.changes import CERTAIN, NUMBER, Changes, changes, unchanged
 from loopcal.statistics.choice import choose
+from loopcal.statistics.findings import findings as statistics_findings
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.judged import Judged, fitted
 from loopcal.statistics.verdict import findings_of
@@ -108,6 +109,33 @@ def test_a_slip_is_modelled_and_an_outlier_discarded_and_both_are_said(result: l
     assert document.validation is not None
     assert document.validation.accuracy is not None
     assert document.validation.accuracy.rms < 4e-4
+
+
+def test_what_the_chosen_fit_alone_shows_is_modelled(monkeypatch: pytest.MonkeyPatch) -> None:
+    levels = []
+
+    def late(case: Case, way: lc.Fit, whole: Any, level: float) -> Changes:
+        levels.append(level)
+        return changes(case, way, whole, level) if len(levels) > 1 else unchanged(case)
+
+    monkeypatch.setattr(choice, "changes", late)
+    monkeypatch.setenv("LOOPCAL_THREADS", "1")  # what a forked copy does is not seen here
+    result = told(slipped())
+    assert levels == [CERTAIN, 0.01]
+    assert result.document.change_points is not None
+    (point,) = result.document.change_points.found
+    assert point.modelled
+    assert abs(point.number - 29) <= 1
+    assert result.document.accuracy is not None
+    assert result.document.accuracy.after.rms < 3e-4
+
+
+def test_a_run_in_which_nothing_happened_is_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    where = joints(48, 3)
+    case = Case(ARM, sagging(read(where, 3)), None, lc.Fit(method="auto"))
+    result = choose(case, Scheme(folds=2, blocks=0)).result
+    monkeypatch.delattr("loopcal.statistics.findings.find_shifts")
+    assert not statistics_findings(result).shifts.found
 
 
 @pytest.fixture(scope="module")
