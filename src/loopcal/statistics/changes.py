@@ -51,7 +51,8 @@ class Changes:
     case: with effects for the changes, without the outliers; kept: positions of its poses in the
     case as asked for; plain: that case without the effects; points: what was modelled; outliers:
     what was discarded; searched: the last search; toml: the lines that state the changes; whole:
-    the fit of the case; made: its machine with the model error, None where nothing happened.
+    the fit of the case, of the candidate `by`; made: its machine with the model error, None where
+    nothing happened.
     """
 
     case: Case
@@ -62,6 +63,7 @@ class Changes:
     searched: Shifts | None = None
     toml: str = ""
     whole: FitResult | None = None
+    by: str = ""
     made: Mechanism | None = None
 
     @property

@@ -124,20 +124,20 @@ def choose(
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             return Choice(_chosen(case, whole, Chosen(entrant.name, (), words, ())), None)
     case = replace(case, trusted=True)
-    judged, run_changes, by = _searched(case, judged, [begun(e, None) for e in waiting], iterated)
+    judged, run_changes = _searched(case, judged, [begun(e, None) for e in waiting], iterated)
     other = scheme if scheme and scheme.other is not None else None
 
-    def compared(by: str, judged: Sequence[Judged], waiting: Sequence[Entrant]) -> _Compared:
+    def compared(judged: Sequence[Judged], waiting: Sequence[Entrant]) -> _Compared:
         kept = None if other else _of(scheme, run_changes)
-        return _compared(case, run_changes, by, judged, waiting, kept, executor, progress, iterated)
+        return _compared(case, run_changes, judged, waiting, kept, executor, progress, iterated)
 
-    over = compared(by, judged, [one for one in waiting if not one.structured])
+    over = compared(judged, [one for one in waiting if not one.structured])
     taken = over.taken
     if taken.entrant.structured and not run_changes.points:
         # What is taken may show what the candidate that was searched does not.
         run_changes = _changes(case, taken, NOT_SEARCHED.level) or run_changes
         if run_changes.points:
-            over = compared(taken.name, [], [])
+            over = compared([], [])
     case, plan, taken, validation = over.case, over.plan, over.taken, over.validation
     about_images: dict[str, Any] = {}
     if plan is not None:
@@ -179,7 +179,6 @@ class _Compared:
 def _compared(
     case: Case,
     run_changes: Changes,
-    by: str,
     judged: Sequence[Judged],
     waiting: Sequence[Entrant],
     scheme: Scheme | None,
@@ -187,14 +186,18 @@ def _compared(
     progress: Progress | None,
     iterated: Iterated | None,
 ) -> _Compared:
-    """All candidates of a case, with what happened during its run by the fit of `by`.
+    """All candidates of a case, with what happened during its run.
 
     judged: those at hand, waiting: the others. Where something happened, all are made anew.
     """
     near = next((one.whole for one in judged if one.whole and not one.failed), None)
     whole_fits: dict[str, FitResult | None] = {}
     if run_changes.points:
-        case, near, whole_fits = run_changes.case, run_changes.whole, {by: run_changes.whole}
+        case, near, whole_fits = (
+            run_changes.case,
+            run_changes.whole,
+            {run_changes.by: run_changes.whole},
+        )
         judged, waiting = [], list(entrants(case, run_changes.moved, run_changes.made))
 
     def planned() -> Plan | None:
@@ -246,9 +249,9 @@ def _closest(judged: Sequence[Judged]) -> Judged | None:
 
 def _searched(
     case: Case, judged: Sequence[Judged], waiting: Sequence[Entrant], iterated: Iterated | None
-) -> tuple[list[Judged], Changes, str]:
-    """Those at hand and all structured candidates with their fits; what happened during the run,
-    and by whose fit: that of exact readings, which comes closest to the outputs, else the closest.
+) -> tuple[list[Judged], Changes]:
+    """Those at hand and all structured candidates with their fits; what happened during the run, by
+    the fit of exact readings, which comes closest to the outputs, else by the closest.
 
     Where something happened, the other fits are in vain and left.
     """
@@ -266,21 +269,21 @@ def _searched(
             one, fit_changes = outcome.value
             done[one.name] = one
             if fit_changes is not None:
-                run_changes, by = fit_changes, one.name
+                run_changes = fit_changes
                 if run_changes.points:
                     break
     judged = [*judged, *(done[one.name] for one in structured if one.name in done)]
     if run_changes is None:
         best = _closest(judged)
-        run_changes, by = (_changes(case, best), best.name) if best else (None, "")
-    return judged, run_changes or unchanged(case), by
+        run_changes = _changes(case, best) if best else None
+    return judged, run_changes or unchanged(case)
 
 
 def _changes(case: Case, by: Judged, level: float = CERTAIN) -> Changes | None:
     """What happened during the run by a candidate's fit; None where it has none."""
     if by.whole is None or by.failed:
         return None
-    return changes(case, by.entrant.case.fit, by.whole, level)
+    return replace(changes(case, by.entrant.case.fit, by.whole, level), by=by.name)
 
 
 def _of(scheme: Scheme | None, run_changes: Changes) -> Scheme | None:
