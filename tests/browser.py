@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import atexit
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 
 import pytest
@@ -32,6 +34,11 @@ DECODED = "Promise.all([...document.images].map((image) => image.decode()))"
 """Until every picture of a page has its size."""
 _STARTED: list[Any] = []
 """The browser of this process: playwright starts once only."""
+_FIRST: list[Any] = []
+"""The page that opens all others from the disk, which share its process."""
+_SHOWN = Path(gettempdir()).resolve() / f"loopcal-page-{os.getpid()}.html"
+"""The name of all of them: so Chromium knows plotly's 5 MB again, which it compiles for longer than
+all else of most pages takes."""
 
 
 @contextmanager
@@ -71,13 +78,27 @@ def until(page: Any, so: Callable[[], bool]) -> None:
 
 @contextmanager
 def opened(
-    browser: Any, path: Path, *, width: int = 1440, drawn: bool = True, **context: Any
+    browser: Any,
+    path: Path,
+    *,
+    width: int = 1440,
+    drawn: bool = True,
+    scheme: str = "light",
 ) -> Iterator[Seen]:
-    """A page from the disk, all its figures drawn where it has any."""
-    where = browser.new_context(viewport={"width": width, "height": 900}, **context)
-    where.set_default_timeout(PATIENCE)
-    seen = Seen(where.new_page())
-    address = path.resolve().as_uri()
+    """A page from the disk, all its figures drawn where it has any; its reader may copy."""
+    if not _FIRST:
+        where = browser.new_context(permissions=["clipboard-read", "clipboard-write"])
+        _FIRST.append(where.new_page())
+        _FIRST[0].goto(Path(__file__).parent.as_uri())
+        atexit.register(_SHOWN.unlink, missing_ok=True)
+    with _FIRST[0].expect_popup() as popup:
+        _FIRST[0].evaluate("open('about:blank')")
+    seen = Seen(popup.value)
+    seen.page.set_default_timeout(PATIENCE)
+    seen.page.set_viewport_size({"width": width, "height": 900})
+    seen.page.emulate_media(color_scheme=scheme)
+    shutil.copy(path, _SHOWN)
+    address = _SHOWN.as_uri()
 
     def asked(request: Any) -> None:
         # blob: and data: are the page's own memory
@@ -96,4 +117,4 @@ def opened(
         seen.page.wait_for_selector("body[data-drawn=all]")
         seen.page.evaluate(DECODED)
     yield seen
-    where.close()
+    seen.page.close()

@@ -62,15 +62,14 @@ def both(
     """Two results side by side, opened once."""
     page = tmp_path_factory.mktemp("both") / "report.html"
     page.write_text(report_html([read_source(planar), read_source(six_axis)]), "utf-8")
-    with opened(browser, page, color_scheme="dark") as seen:
+    with opened(browser, page, scheme="dark") as seen:
         yield seen
 
 
 @pytest.fixture(scope="module")
 def plane(browser: Any, planar: Path) -> Iterator[Seen]:
-    """An arm in the plane, opened once by a reader who may copy."""
-    allowed = ["clipboard-read", "clipboard-write"]
-    with opened(browser, planar / "report.html", permissions=allowed) as seen:
+    """An arm in the plane, opened once."""
+    with opened(browser, planar / "report.html") as seen:
         yield seen
 
 

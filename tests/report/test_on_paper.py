@@ -196,7 +196,7 @@ def papers(pages: dict[str, Path]) -> Iterator[dict[str, Paper]]:
 def printed(browser: Any, path: Path, name: str) -> Paper:
     """A page at the width of A4, and as PDF as a reader's dialogue prints it."""
     wide = WIDTH.get(name, round((210 - 24) * MILLIMETRE))
-    with opened(browser, path, width=wide, color_scheme="dark", drawn=name != "record") as seen:
+    with opened(browser, path, width=wide, scheme="dark", drawn=name != "record") as seen:
         trouble = [*seen.requests, *seen.complaints]  # on the screen
         seen.page.emulate_media(media="print", color_scheme="dark")
         measured = seen.page.evaluate(MEASURED)
