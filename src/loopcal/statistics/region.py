@@ -95,7 +95,7 @@ def _region(
     also = [q for i, q in enumerate(names) if unread[i] and q not in still]
     between = driven if {one.source for one in ranges} == {"readings"} else []
     groups = output_groups(mechanism)
-    cameras = all(group.points > 1 for group in groups)
+    cameras = all(group.image for group in groups)
     count, beyond = _TRIED if cameras else _POSES, 0.0 if between else _BEYOND
     x, constants = _random_poses(calibrated, ranges, count, corrected, now, between)
     if cameras:
@@ -115,7 +115,7 @@ def _region(
     read = np.isfinite(np.broadcast_to(problem.uncertainty.sd, corrected.shape))[:, some]
     worst: dict[str, tuple[float, RegionSd]] = {}
     for group, at_poses, over_region in zip(groups, of_fit, of_region, strict=True):
-        out = group.points > 1 and ~_in_view(corrected, names, group, predicted, beyond)
+        out = group.image and ~_in_view(corrected, names, group, predicted, beyond)
         # Of poses in which an instrument read nothing, no data say how sure it is there.
         seen = read[[names.index(q) for q in group.outputs]].any(axis=0)
         for unit, at in at_poses.items():
@@ -194,7 +194,7 @@ def _by_unit(
     calibrated: Predictor, group: OutputGroup, x: Array, constants: Array, covariance: Array
 ) -> dict[str, Array]:
     sds = {group.unit: trace_sd(covariance, group)}
-    if group.points > 1:
+    if group.image:
         sds["m"] = _at_board(calibrated, group, x, constants, covariance)
     return sds
 
