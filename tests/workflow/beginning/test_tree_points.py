@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import loopcal as lc
 from analyses.trees import ARM, HEADER, Limb, limb, placed, table
+from loopcal.mechanisms.instruments.camera import before_lens
 from tests.refusals import refused
 
 Array = NDArray[np.float64]
@@ -133,3 +134,24 @@ def test_two_columns_are_u_and_v(world: World) -> None:
     file = world.write("both.csv", {**world.joints, **columns_of(world)})
     with refused("wrong-shape", "4 columns are named"):
         world.begun(file, observe=["camera name=a sees=l_5 columns=u_l,v_l,u_r,v_r"])
+
+
+def test_an_image_shows_what_is_before_the_lens(world: World) -> None:
+    file = world.write("both.csv", {**world.joints, **columns_of(world)})
+    lens = world.folder / "lens.json"
+    made = world.begun(file, lens, observe=["camera name=l sees=l_5 columns=u_l,v_l"]).mechanism
+    q = np.stack([world.joints[name] for name in world.limbs["l"].joints], axis=1)
+    P = (T_CAMERA_BASE @ world.limbs["l"].hand(q) @ POINTS["l"])[:, :3]
+    r = np.hypot(*P[:, :2].T) / P[:, 2]
+
+    def seen(**values: float) -> NDArray[np.bool_]:
+        parameters = made.parameters.with_nominal({f"camera_1_{k}": v for k, v in values.items()})
+        machine = made.with_parameters(parameters)
+        return before_lens(machine, machine.families[0], world.joints, POSES)
+
+    assert seen().all()
+    assert not seen(z=-T_CAMERA_BASE[2, 3]).any()
+    middle = float(np.median(r))
+    # r (1 + k1 r^2) turns back where 3 k1 r^2 = -1
+    turning = seen(k1=-1.0 / (3.0 * middle**2))
+    np.testing.assert_array_equal(turning, r < middle)
