@@ -9,7 +9,9 @@ import pytest
 
 from loopcal.mechanisms.bodies import Hanging, tree_machine
 from loopcal.mechanisms.chain import product
-from loopcal.mechanisms.instruments.contact import contact, held_part
+from loopcal.mechanisms.instruments.camera import camera
+from loopcal.mechanisms.instruments.contact import contact, held_part, plane
+from loopcal.mechanisms.instruments.inclinometer import inclinometer
 from loopcal.mechanisms.instruments.length import distance
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
@@ -75,8 +77,22 @@ def free(machine: Machine, looking: Sequence[Instrument]) -> int:
     return len(fix_redundant(assemble(machine, looking)).parameters.free)
 
 
+BOARD = {f"{i}": (0.03 * (i % 3), 0.03 * (i // 3), 0.0) for i in range(6)}
+
+
+def eye(name: str, on: str, points: dict[str, tuple[float, float, float]]) -> Instrument:
+    """Pixels that the head's camera sees of a hand: four parameters of a pinhole besides."""
+    board = f"{name}_at"
+    return camera(name, on="h1", sees=on, eye="eye", board=board, points=points, lens="pinhole")
+
+
+LONE = {"0": (0.0, 0.0, 0.0)}
+SIGHT = eye("left", "l2", BOARD)  # and four of the print
+POINTS = [eye("left", "l2", LONE), eye("right", "r2", LONE)]
+
 # R revolute joints on the paths and L leaves, stations among them, tied by poses: 4 R + 6 (L - 1);
-# 3 fewer for a leaf of which a point alone is seen.
+# 3 fewer for a leaf of which a point alone is seen, or a plane; 1 fewer where no length is read. Of
+# turns alone each joint has 2 and a leaf 3; gravity does not show a turn about itself.
 HEAD = [marker("left", "l2", "h1", "left_at"), marker("right", "r2", "h1", "right_at")]
 GROUND = marker("wall", "ground", "h1", "wall_at")
 
@@ -92,8 +108,17 @@ GROUND = marker("wall", "ground", "h1", "wall_at")
         (humanoid(), HEAD[:1], 4 * 5 + 6),
         (humanoid(), HEAD, 4 * 8 + 12),
         (humanoid(), [*HEAD, GROUND], 4 * 10 + 18),
+        (arms(), [plane("a", on="l2", target="ball")], 4 * 3 + 6 - 3 - 3 - 1),
+        (arms(), [plane("a", on="l2", against="r2", target="ball")], 4 * 6 + 6 - 3 - 3 - 1),
+        (arms(), [inclinometer("a", on="l2")], 2 * 3 + 3 - 1),
+        (humanoid(), [SIGHT], 4 * 5 + 6 + 4 + 4),
+        (humanoid(), POINTS[:1], 4 * 5 + 6 - 3 - 1 + 4),
+        (humanoid(), POINTS, 4 * 8 + 12 - 6 - 1 + 4),
     ],
-    ids=["pose", "point", "distance", "contact", "tracker", "head", "both hands", "wall"],
+    ids=[
+        *("pose", "point", "distance", "contact", "tracker", "head", "both hands", "wall"),
+        *("plane", "plate", "gravity", "pixels", "pixel", "both pixels"),
+    ],
 )
 def test_as_many_parameters_are_free_as_the_observation_determines(
     machine: Machine, looking: list[Instrument], rank: int

@@ -136,7 +136,7 @@ def _apart(mechanism: Mechanism, seen: Seen, measured: Array, differences: Array
         gap = differences[index]
         if seen.form in POLAR:
             gap = cartesian(measured[index] + gap) - cartesian(measured[index])
-        position = _lengths(gap) if seen.points == 1 else _of_points(gap)
+        position = _of_points(gap) if seen.image else _lengths(gap)
     if seen.turns:
         off = differences[[names.index(q) for q in seen.turns]]
         if not seen.small:

@@ -34,6 +34,11 @@ class Seen:
     small: bool = False
     points: int = 1
 
+    @property
+    def image(self) -> bool:
+        """Whether these are pixels."""
+        return self.form == PIXELS
+
 
 def seen_outputs(mechanism: Mechanism) -> tuple[Seen, ...]:
     """The outputs by instrument; those of a loop without instruments count together."""
@@ -85,6 +90,8 @@ class OutputGroup:
     """Their positions among all outputs."""
     points: int = 1
     """Of how many points of an image these are the pixels."""
+    image: bool = False
+    """Whether these are pixels."""
 
 
 def output_groups(mechanism: Mechanism) -> tuple[OutputGroup, ...]:
@@ -96,7 +103,9 @@ def output_groups(mechanism: Mechanism) -> tuple[OutputGroup, ...]:
             alike = tuple(q for q in outputs if mechanism.quantities[q] == unit)
             rows = tuple(mechanism.outputs.index(q) for q in alike)
             points = _points(family, len(alike))
-            groups.append(OutputGroup(family.name, _station(family), unit, alike, rows, points))
+            image = family.form == PIXELS
+            station = _station(family)
+            groups.append(OutputGroup(family.name, station, unit, alike, rows, points, image))
     return tuple(groups)
 
 

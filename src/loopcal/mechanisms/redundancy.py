@@ -33,7 +33,7 @@ from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.mechanisms.limits import listed_joints, stated_limits
-from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
 from loopcal.mechanisms.parameters import BEYOND
 from loopcal.mechanisms.station import Station
 
@@ -55,6 +55,8 @@ _NOTHING = 1e-9
 _BALANCINGS = 4
 # At most so many names in a sentence, and the least share of a combination that is worth a name.
 _NAMED, _SHARE = 3, 1e-3
+_TURNED = 3
+"""Points that show every turn of a board."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,10 @@ def distinguished(mechanism: Mechanism) -> Mechanism:
 
 
 def _station(family: Family) -> tuple[str, ...]:
-    return family.placement.parameters if isinstance(family.placement, Station) else ()
+    """Where an instrument stands, or a board whose every turn shows: what of it, never matters."""
+    lone = family.form == PIXELS and len(family.readings) < 2 * _TURNED
+    shown = isinstance(family.placement, Station) and not lone
+    return family.placement.parameters if shown else ()
 
 
 def redundant(

@@ -108,7 +108,7 @@ def _squares(
     if seen.form in POLAR:
         both = _turned(x[rows]) @ both
     squares = np.square(both).sum(axis=2)
-    if seen.points > 1:  # of the points that were seen
+    if seen.image:  # of the points that were seen
         there = np.isfinite(squares)
         total, count = np.where(there, squares, 0.0).sum(axis=1), there.sum(axis=1)
         return np.where(count > 0, 2.0 * total / np.maximum(count, 1), np.inf)

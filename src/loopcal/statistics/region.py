@@ -26,6 +26,7 @@ from loopcal.estimation.problem.constants import as_now
 from loopcal.estimation.problem.problem import VALUES
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.instruments.camera import before_lens
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
@@ -95,7 +96,7 @@ def _region(
     also = [q for i, q in enumerate(names) if unread[i] and q not in still]
     between = driven if {one.source for one in ranges} == {"readings"} else []
     groups = output_groups(mechanism)
-    cameras = all(group.points > 1 for group in groups)
+    cameras = all(group.image for group in groups)
     count, beyond = _TRIED if cameras else _POSES, 0.0 if between else _BEYOND
     x, constants = _random_poses(calibrated, ranges, count, corrected, now, between)
     if cameras:
@@ -104,6 +105,9 @@ def _region(
         now_at = np.nan_to_num(x), constants
         pixels = predict_outputs(solved, values, *now_at, calibrated.names)
         views = [_in_view(corrected, names, group, pixels, beyond) for group in groups]
+        views = [
+            view & _before(mechanism, group, x) for view, group in zip(views, groups, strict=True)
+        ]
         seen = np.any(views, axis=0)
         kept = np.flatnonzero(seen)[:_POSES]
         if len(kept) < _FEWEST:
@@ -115,7 +119,9 @@ def _region(
     read = np.isfinite(np.broadcast_to(problem.uncertainty.sd, corrected.shape))[:, some]
     worst: dict[str, tuple[float, RegionSd]] = {}
     for group, at_poses, over_region in zip(groups, of_fit, of_region, strict=True):
-        out = group.points > 1 and ~_in_view(corrected, names, group, predicted, beyond)
+        out = group.image and ~(
+            _in_view(corrected, names, group, predicted, beyond) & _before(mechanism, group, x)
+        )
         # Of poses in which an instrument read nothing, no data say how sure it is there.
         seen = read[[names.index(q) for q in group.outputs]].any(axis=0)
         for unit, at in at_poses.items():
@@ -194,7 +200,7 @@ def _by_unit(
     calibrated: Predictor, group: OutputGroup, x: Array, constants: Array, covariance: Array
 ) -> dict[str, Array]:
     sds = {group.unit: trace_sd(covariance, group)}
-    if group.points > 1:
+    if group.image:
         sds["m"] = _at_board(calibrated, group, x, constants, covariance)
     return sds
 
@@ -226,6 +232,13 @@ def _in_view(
         off = outputs[list(group.rows[axis::2])] - 0.5 * (low + high)
         inside &= (np.abs(off) <= (0.5 + beyond) * (high - low)).all(axis=0)
     return inside
+
+
+def _before(mechanism: Mechanism, group: OutputGroup, x: Array) -> NDArray[np.bool_]:
+    """(N,) the poses (k, N) of a region in which a board is before the lens of a camera."""
+    family = next(one for one in mechanism.families if one.name == group.instrument)
+    readings = dict(zip(mechanism.tape.quantities, np.nan_to_num(x), strict=True))
+    return before_lens(mechanism, family, readings, x.shape[1])
 
 
 def ranges_of(

@@ -53,11 +53,25 @@ def test_each_view_keeps_both_poses_of_a_plane() -> None:
     assert np.median(np.linalg.norm((near - other)[:, :3, :3], axis=(1, 2))) > 0.5
 
 
-def test_three_corners_are_refused() -> None:
+def test_three_corners_are_refused_where_no_hand_moves_them() -> None:
     true = shots(17)
     few = true.corners.where(true.corners.point < 3)
     with pytest.raises(InputError, match="four corners"):
-        start(few, true.T, true.intrinsics, true.sizes, True)
+        start(few, None, true.intrinsics, true.sizes)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_corners_are_placed_by_how_the_hand_moves(count: int) -> None:
+    true = shots(17)
+    few = true.corners.where(true.corners.point < count)
+    begun = start(few, true.T, true.intrinsics, true.sizes, True)
+    assert begun.rms < 0.3  # 0.28 less what the unknowns take up
+    np.testing.assert_allclose(begun.X[0], true.X, atol=5e-3)
+    # Of one point nothing says how its board is turned.
+    seen = [
+        (Y @ np.append(few.xyz[k], 1.0))[:3] for Y in (begun.Y[0], true.Y) for k in range(count)
+    ]
+    np.testing.assert_allclose(seen[:count], seen[count:], atol=5e-3)
 
 
 def test_images_without_a_pose_are_left_out() -> None:

@@ -399,6 +399,17 @@ def test_what_cannot_be_estimated_is_refused() -> None:
         calibrate(arm, data, noise=shared)
 
 
+def test_what_no_pose_of_a_part_reads_leaves_the_sd_of_the_others_to_learn() -> None:
+    """As a marker that only images of another fold show."""
+    machine = lc.Mechanism.from_function(
+        lambda x, p: [x.a - p.c, x.b - p.c], {"a": "m", "b": "m"}, {"c": (0.0, "m")}
+    )
+    readings = {"a": np.random.default_rng(1).normal(size=200), "b": np.full(200, np.nan)}
+    noise = lc.Noise({"a": 0.5, "b": 0.5}, estimate={"?": "group"})
+    sd, stated = learnt(calibrate(machine, readings, noise=noise, method="implicit-loop"))["a"]
+    assert abs(sd - 1.0) < 3 * (stated or 0.0)
+
+
 @pytest.mark.parametrize("case", SMALL[:3], ids=str)
 def test_the_bound_of_a_small_noise_holds_it(case: SmallNoise) -> None:
     """`analyses/variance_components.py` does the same, and a fourth case, at full size."""

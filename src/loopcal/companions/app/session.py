@@ -466,7 +466,7 @@ class Session:
             return {}
         machine = project.mechanism
         names = [machine.parameters.of_role("mounting"), machine.parameters.of_role("placement")]
-        images = any(one.points > 1 for one in seen_outputs(machine))
+        images = any(one.image for one in seen_outputs(machine))
         return {w: moving for w, moving in zip(words.MOVING[images], names, strict=True) if moving}
 
     def steps(self) -> list[float]:

@@ -29,7 +29,7 @@ def errors_by_name(
         q
         for one in instruments
         for q in one.seen.position
-        if one.seen.points > 1 or (len(instruments) > 1 and len(one.seen.position) == 1)
+        if one.seen.image or (len(instruments) > 1 and len(one.seen.position) == 1)
     }
     si = {SIZE: unit}
     shown = {SIZE: pose_distances(source, differences)}

@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.measurements.dataset import Dataset
-from loopcal.mechanisms.chain import frames, product
+from loopcal.mechanisms.instruments.camera import boards_in_camera
 from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
-from loopcal.mechanisms.placement import inverse
-from loopcal.mechanisms.station import Station
 
 Mask = NDArray[np.bool_]
 TILT = math.radians(60.0)
@@ -54,16 +52,9 @@ def _cameras(mechanism: Mechanism) -> list[Family]:
 
 
 def _faces(mechanism: Mechanism, family: Family, joints: Dataset) -> Mask:
-    assert mechanism.tree is not None
-    eye, board = family.readings[0].split(":")[:2]
+    eye = family.readings[0].split(":")[0]
     values = {p.name: p.nominal for p in mechanism.parameters}
-    way = mechanism.tree.path(family.on, family.against)
-    *_, (R, origin) = frames(way, joints.readings, values)
-    T = np.tile(np.eye(4), (len(joints), 1, 1))
-    T[:, :3, :3], T[:, :3, 3] = R, origin
-    eyes, boards = (product(Station(name).steps, {}, values) for name in (eye, board))
-    on_base = isinstance(family.placement, Station) and family.placement.name == eye
-    M = eyes @ T @ boards if on_base else inverse(boards @ T @ eyes)
+    M = boards_in_camera(mechanism, family, joints.readings, len(joints))
     half = np.array([values[f"{eye}_cx"], values[f"{eye}_cy"]]) / values[f"{eye}_f"]
     ahead = M[:, 2, 3] > 0.0
     ahead &= (np.abs(M[:, :2, 3]) < half * M[:, 2, 3, None]).all(axis=1)

@@ -17,6 +17,9 @@ FAR = 5.0
 NEAR = 3.0
 """The same: one of 500 is farther."""
 
+SURE = 3
+"""Corners that say which pose a view is of: one point is as near to a point of some other pose."""
+
 
 @dataclass(frozen=True)
 class Explained:
@@ -84,7 +87,7 @@ def _median(corners: Corners, scene: Scene) -> float:
 
 def _beside(one: Corners, scene: Scene, limit: float) -> int | None:
     """The image beside whose pose a view fits."""
-    if scene.A is None:
+    if scene.A is None or len(one) < SURE:
         return None
     some = one.where(np.arange(min(len(one), 12)))
     sizes = [_median(some, replace(scene, A=np.broadcast_to(A, scene.A.shape))) for A in scene.A]

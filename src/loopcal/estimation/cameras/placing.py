@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.estimation.cameras.board_pose import BoardPoses, board_poses
+from loopcal.estimation.cameras.by_motion import by_motion
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.hand_eye import HandEye, consensus
 from loopcal.estimation.cameras.pixels import rays
@@ -62,12 +63,27 @@ class Reading:
 
 def view_poses(reading: Reading) -> BoardPoses:
     """Both poses of each view, from the rays of its lens."""
+    return board_poses(reading.corners, _rays(reading))
+
+
+def _rays(reading: Reading) -> Array:
     corners = reading.corners
     ray = np.empty((len(corners), 2))
     for c, lens in enumerate(reading.lenses):
         mine = corners.camera == c
         ray[mine] = rays(lens, corners.uv[mine])
-    return board_poses(corners, ray)
+    return ray
+
+
+def _by_motion(reading: Reading) -> Scene | None:
+    """A scene of boards on the hand, from how it moves."""
+    if reading.A is None or not reading.held:
+        return None
+    places = by_motion(reading.corners, _rays(reading), reading.A)
+    if places is None:
+        return None
+    scene = Scene(reading.lenses, *places, A=reading.A, held=True)
+    return _anchored(scene, reading)
 
 
 def placed(
@@ -82,12 +98,14 @@ def placed(
 ) -> Adjusted | None:
     """The best adjusted scene of a reading.
 
-    None where no view has a pose, or where the closed forms leave more than `hopeless` px; draws:
+    None where neither a view nor the motion of a hand places anything, or where the closed forms
+    leave more than `hopeless` px; draws:
     random starts of the closed forms beside those from all images. rig: (cameras, 4, 4) where the
     cameras may stand to each other, which without a robot few images tell.
     """
     if not poses.usable.any():
-        return None
+        start = _by_motion(reading)
+        return None if start is None else _settled(reading, start, lens, iterations)
     if reading.A is None:
         seen, poses = usable_part(reading, poses)
         rigs = [X for X in (rig, _rig(seen, poses)) if X is not None]

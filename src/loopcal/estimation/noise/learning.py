@@ -59,8 +59,8 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
     for position in still:  # exact there: no reading shows what its sd is
         if not problem.uncertainty.sd[position].any():
             owner.pop(position, None)
-    for position in owner:
-        _check_start(problem, position)
+    for label in dict.fromkeys(owner.values()):
+        _check_start(problem, [i for i in owner if owner[i] == label])
     # Only their sum shows where both are white at one target: what is stated of a sensor tells how
     # much of it is the machine's.
     spread = SPREAD if MODEL in noise.entries else math.inf
@@ -84,12 +84,14 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
     return tuple(learnt_components)
 
 
-def _check_start(problem: Problem, position: int) -> None:
-    sd = problem.uncertainty.sd[position]
-    measured = sd[np.isfinite(sd)]
-    if measured.size and np.any(measured > 0.0):
+def _check_start(problem: Problem, positions: Sequence[int]) -> None:
+    """Refuse learning without a start; what no pose of a part reads needs none beside others."""
+    sds = {i: problem.uncertainty.sd[i] for i in positions}
+    read = [i for i, sd in sds.items() if np.isfinite(sd).any()] or positions[:1]
+    without = [i for i in read if not np.any(np.isfinite(sds[i]) & (sds[i] > 0.0))]
+    if not without:
         return
-    name = problem.mechanism.tape.quantities[position]
+    name = problem.mechanism.tape.quantities[without[0]]
     raise InputError(
         f"the sd of {name!r} cannot be estimated without a start value",
         code="missing-sd",

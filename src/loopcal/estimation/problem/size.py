@@ -122,6 +122,8 @@ def _tell_size(
     J = J.reshape(len(J), -1).T
     if not np.isfinite(J).all():
         return True
+    # Loops by their own sizes: a point beside a camera's lens moves its pixel by any number.
+    J = J / np.maximum(np.abs(J).max(axis=1, keepdims=True), 1e-300)
     column = J[:, : len(names)] @ np.array([p.nominal for p in held])
     rest = J[:, len(names) :]
     rest = rest / np.maximum(np.linalg.norm(rest, axis=0), 1e-300)

@@ -83,11 +83,16 @@ def is_corners(names: Sequence[str]) -> bool:
 
     Columns u and v are; x and y alone, which may be any point, are so beside a column of corners.
     """
-    stems = [_PIXELS.sub("", heading(name).stem) for name in names]
+    stems = [pixel_stem(name) for name in names]
     if {"u", "v"} <= {*stems} or len(_wide_columns(stems)) > 1:
         return True
     has_pixels = None not in (_column("u", stems), _column("v", stems))
     return has_pixels and _column("point", stems) is not None and "z" not in stems
+
+
+def pixel_stem(name: str) -> str:
+    """The name of a column without its unit px."""
+    return _PIXELS.sub("", heading(name).stem)
 
 
 def _stem(name: str, table: Table, spoken: Mapping[str, str]) -> str:

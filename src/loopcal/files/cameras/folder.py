@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -16,7 +17,7 @@ import numpy as np
 from loopcal.errors import InputError, listed
 from loopcal.files.cameras.boards import read_boards
 from loopcal.files.cameras.corner_table import CornerTable
-from loopcal.files.cameras.corners import TAGS, is_corners, read_corners
+from loopcal.files.cameras.corners import TAGS, is_corners, pixel_stem, read_corners
 from loopcal.files.cameras.images import ENDINGS, detect
 from loopcal.files.cameras.intrinsics import read_intrinsics
 from loopcal.files.cameras.places import lists_poses, read_places, read_samples
@@ -121,6 +122,34 @@ def of_images(entries: Sequence[Any]) -> list[Any]:
     return [e for e, kind in zip(paths, kinds, strict=True) if kind in described]
 
 
+def with_columns(entries: Sequence[Any], columns: Sequence[str]) -> list[Path]:
+    """The text tables among the files, and in folders, that have all these columns."""
+    stems = {pixel_stem(name) for name in columns}
+    return [
+        path
+        for path in files_of(entries)
+        if path.suffix.lower() in _TABLES
+        and path.is_file()
+        and stems <= {pixel_stem(name) for name in _header(path)}
+    ]
+
+
+def without_files(entries: Sequence[Any], paths: Collection[Path]) -> list[Any]:
+    """The entries but those all of whose files are among these."""
+    inside = [(entry, files_of([entry])) for entry in entries]
+    return [entry for entry, files in inside if not files or not {*files} <= {*paths}]
+
+
+def lenses_of(entries: Sequence[Any]) -> dict[Path, dict[str, Intrinsics]]:
+    """The lenses that files state, those in folders too, by the file."""
+    lenses = {}
+    for path in files_of(entries):
+        if path.suffix.lower() in _RECORDS:
+            with suppress(InputError):
+                lenses[path] = read_intrinsics(path)
+    return lenses
+
+
 def _kind(path: Path) -> str:
     ending = path.suffix.lower()
     if ending in ENDINGS:
@@ -164,10 +193,16 @@ def _header(path: Path) -> tuple[str, ...]:
         return ()
 
 
-def read_files(entries: Sequence[Any], usual: Mapping[str, Board] = MappingProxyType({})) -> Files:
+def read_files(
+    entries: Sequence[Any],
+    usual: Mapping[str, Board] = MappingProxyType({}),
+    *,
+    alone: bool = False,
+) -> Files:
     """What the files hold, by their contents.
 
-    usual: the boards where no file describes one. Raises InputError where there is none.
+    usual: the boards where no file describes one; alone: without any, each named point is a thing
+    of one point. Raises InputError where there is none.
     """
     paths = files_of(entries)
     kinds = {path: _kind(path) for path in paths}
@@ -192,6 +227,9 @@ def read_files(entries: Sequence[Any], usual: Mapping[str, Board] = MappingProxy
             poses.append(path)
     images = [path for path, kind in kinds.items() if kind == "image"]
     boards = boards or dict(usual)
+    if alone and not boards and len(tables) == 1:
+        tables = [_each_alone(tables[0])]
+        boards = {name: Board(name, {LONE: (0.0, 0.0, 0.0)}) for name in tables[0].boards}
     if not boards:
         raise InputError(
             "no file describes the board",
@@ -213,6 +251,22 @@ def read_files(entries: Sequence[Any], usual: Mapping[str, Board] = MappingProxy
     folders = {path.resolve().parent for path in paths}
     title = folders.pop().name if len(paths) > 1 == len(folders) else paths[0].stem
     return Files(tables[0], boards, lenses, tuple(poses), tuple(remarks), title)
+
+
+LONE = "0"
+"""The point of a thing that has no other one."""
+
+
+def _each_alone(table: CornerTable) -> CornerTable:
+    """The corners with each point as a board of its own, named after both where it has several."""
+    points: dict[str, set[str]] = {}
+    for board, point in zip(table.board, table.point, strict=True):
+        points.setdefault(board, set()).add(point)
+    names = (
+        board if len(points[board]) == 1 else f"{board}_{point}"
+        for board, point in zip(table.board, table.point, strict=True)
+    )
+    return replace(table, board=tuple(names), point=(LONE,) * len(table))
 
 
 def _describe(

@@ -5,7 +5,8 @@ of several values divided by commas. Four keys say where the readings stand: `co
 in the order of the instrument's readings; `joints`, JOINT:COLUMN where a file names joints
 otherwise; `file`, part of the name of the one file that holds it; and `where`, COLUMN:VALUE of the
 rows in which it was observed. What a camera saw stands in a table of corners: `camera` and `board`
-say which of them, all by default.
+say which of them, all by default. Where it saw one point that has columns of its own, `columns`
+names u and v, and `camera` the camera.
 """
 
 from __future__ import annotations
@@ -68,6 +69,8 @@ def observation(text: str) -> Observation:
     apart = _APART + (_CORNERS if kind == "camera" else ())
     table: dict[str, Any] = {"type": kind, "name": keys.pop("name", kind.replace("-", "_"))}
     table |= {k: _value(k, v) for k, v in keys.items() if k not in apart}
+    if kind == "camera" and table.get("on") == "base":
+        del table["on"]  # where it is by default
     joints = dict(_pair(text, part) for part in keys.get("joints", "").split(",") if part)
     return Observation(
         table,
@@ -91,6 +94,12 @@ def observations(texts: Sequence[str]) -> list[Observation]:
             remedy="give each a name, as 'point name=left_tracker on=left_hand'",
         )
     return made
+
+
+def seen_as(name: str, typed: Sequence[Observation]) -> Observation | None:
+    """What was typed of an instrument: of a camera that sees several boards NAME_BOARD is one."""
+    some = [one for one in typed if f"{name}_".startswith(f"{one.name}_")]
+    return max(some, key=lambda one: len(one.name), default=None)
 
 
 def _pair(text: str, part: str) -> tuple[str, str]:

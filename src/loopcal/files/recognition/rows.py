@@ -52,7 +52,8 @@ def with_readings(one: Observation) -> dict[str, Any]:
     """The table of an instrument whose readings are named after it: several may be of one kind."""
     table = dict(one.table)
     if table["type"] == "camera":
-        table["points"] = {"0": [0.0, 0.0, 0.0]}  # until the files say which there are
+        # Until the files say which boards and points there are.
+        table["board"], table["points"] = f"{one.name}_board", {"0": [0.0, 0.0, 0.0]}
     if table["type"] not in ("camera", "contact", "held-part", "inclinometer"):
         table.setdefault("target", f"{one.name}_target")
     if table["type"] in ("point", "pose") and "readings" not in table:
@@ -95,7 +96,7 @@ def rows_of(
                 columns = _columns(source, one, family, mechanism)
                 if columns is not None:
                     read |= columns
-                    seen |= _seen(columns, _where(source, one), family, mechanism)
+                    seen |= _seen(columns, chosen_rows(source, one), family, mechanism)
         if not seen:
             in_names = dict.fromkeys(one.file for one in looking if one.file)
             if later and in_names and not mine:
@@ -224,7 +225,7 @@ def _seen(
     return seen | {q: np.where(complete, 0.0, np.nan) for q in silent}
 
 
-def _where(source: Source, one: Observation) -> Any:
+def chosen_rows(source: Source, one: Observation) -> Any:
     """The rows in which an observation was made."""
     if one.where is None:
         return np.ones(len(source), dtype=bool)

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from loopcal.expressions.vectors import cross, dot, vector
 from loopcal.keys import Key
 from loopcal.mechanisms.cameras.board import Board
-from loopcal.mechanisms.cameras.lens import FRAME, LENSES, Intrinsics, project
-from loopcal.mechanisms.chain import Step, product
+from loopcal.mechanisms.cameras.lens import FRAME, LENSES, Intrinsics, project, turning_radius
+from loopcal.mechanisms.chain import Step, frames, product
 from loopcal.mechanisms.frame import ChainFrame, Frame, Values, Vector
 from loopcal.mechanisms.machine import Instrument, recorded
-from loopcal.mechanisms.mechanism import PIXELS, Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
 from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.station import MOTIONS, Name, Station, placed_by
 
 PIXEL = ("u", "v")
@@ -321,3 +322,35 @@ def all_cameras(mechanism: Mechanism) -> tuple[CameraEntry, ...]:
             )
         )
     return tuple(entries)
+
+
+def boards_in_camera(
+    mechanism: Mechanism, family: Family, readings: Mapping[str, NDArray[np.float64]], count: int
+) -> NDArray[np.float64]:
+    """(N, 4, 4) of the board that a camera of a tree of bodies sees, in the camera."""
+    assert mechanism.tree is not None
+    eye, board = family.readings[0].split(":")[:2]
+    values = {p.name: p.nominal for p in mechanism.parameters}
+    *_, (R, origin) = frames(mechanism.tree.path(family.on, family.against), readings, values)
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = R, origin
+    eyes, boards = (product(Station(name).steps, {}, values) for name in (eye, board))
+    on_base = isinstance(family.placement, Station) and family.placement.name == eye
+    return np.asarray(eyes @ T @ boards if on_base else inverse(boards @ T @ eyes))
+
+
+def before_lens(
+    mechanism: Mechanism, family: Family, readings: Mapping[str, NDArray[np.float64]], count: int
+) -> NDArray[np.bool_]:
+    """(N,) whether all of the board is in front of the camera, and where its lens does not turn
+    back: of what is elsewhere a pixel is computed too, but no image shows it."""
+    entry = next((one for one in all_cameras(mechanism) if one.instrument == family.name), None)
+    if entry is None or mechanism.tree is None:
+        return np.ones(count, dtype=bool)
+    lens, M = entry.intrinsics, boards_in_camera(mechanism, family, readings, count)
+    x, y, z = np.moveaxis(M[:, :3, :3] @ entry.board.xyz.T + M[:, :3, 3:], 1, 0)
+    across = np.hypot(x, y)
+    most = turning_radius(lens.lens, lens.values)
+    if lens.lens == "fisheye":
+        return np.asarray((np.arctan2(across, z) < most).all(axis=1))
+    return np.asarray(((z > 0.0) & (across < most * z)).all(axis=1))

@@ -17,7 +17,7 @@ from loopcal.estimation.problem.alignment import align
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.dh_table import Row, read_dh
 from loopcal.files.recognition.fields import in_si
-from loopcal.files.recognition.observations import Observation, observations
+from loopcal.files.recognition.observations import Observation, observations, seen_as
 from loopcal.files.recognition.robots import joint_table
 from loopcal.files.recognition.rows import (
     Rows,
@@ -77,12 +77,12 @@ def from_tree(
     looking = [replace(one, table=with_readings(one)) for one in looking]
     table = {**robot, "instrument": [dict(one.table) for one in looking]}
     mechanism = mechanism_from_data(dict(table), str(folder / PROJECT))
-    sources, pictures = sources_and_pictures(entries)
+    sources, pictures = sources_and_pictures(entries, typed)
     eyes = Eyes(taken=tuple(one.name for one in looking))
     pixels = _seen_by_cameras(eyes, looking, pictures, mechanism, robot.get("units", {}))
     if eyes.instruments:
         looking = [one for one in looking if one.table["type"] != "camera"]
-        looking += [Observation(instrument) for instrument in eyes.instruments]
+        looking += [_of_camera(instrument, typed) for instrument in eyes.instruments]
         table["instrument"] = [dict(one.table) for one in looking]
         mechanism = mechanism_from_data(dict(table), str(folder / PROJECT))
     rows, words = rows_of(sources, mechanism, looking, pixels)
@@ -183,7 +183,7 @@ def later_observed(entries: Sequence[Any], mechanism: Mechanism, observe: Sequen
     typed = observations(observe)
     cameras = all_cameras(mechanism)
     boards = {one.board.name: one.board for one in cameras}
-    sources, pictures = sources_and_pictures(entries, boards)
+    sources, pictures = sources_and_pictures(entries, typed, boards)
     eyes = Eyes(
         taken=tuple(one.name for one in typed),
         lenses={one.name: one.intrinsics for one in cameras},
@@ -198,8 +198,14 @@ def later_observed(entries: Sequence[Any], mechanism: Mechanism, observe: Sequen
     looking = [one for one in typed if one.table["type"] != "camera"]
     for family in mechanism.families:
         if family.form == PIXELS:
-            looking.append(Observation({"type": "camera", "name": family.name}))
+            looking.append(_of_camera({"type": "camera", "name": family.name}, typed))
     return later_rows(sources, mechanism, looking, pixels)
+
+
+def _of_camera(table: Mapping[str, Any], typed: Sequence[Observation]) -> Observation:
+    """An instrument, with the joints as its file names them."""
+    origin = seen_as(table["name"], [one for one in typed if one.table["type"] == "camera"])
+    return Observation(table, joints=origin.joints if origin else None)
 
 
 def _seen_by_cameras(

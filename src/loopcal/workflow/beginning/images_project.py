@@ -21,7 +21,7 @@ from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.instruments.camera import PIXEL
-from loopcal.mechanisms.placement import yaw_pitch_roll
+from loopcal.mechanisms.placement import rigid, yaw_pitch_roll
 from loopcal.units import from_si, to_si
 from loopcal.workflow.beginning.begun import READINGS
 from loopcal.workflow.beginning.images_hand import Hand
@@ -49,6 +49,7 @@ _FEWEST = 3
 """Points that an image needs to show where a board of unknown pose is."""
 
 
+FIXED = {"fixed": True}
 SIX = ("x", "y", "z", "rz", "ry", "rx")
 """Endings of the parameters of a place."""
 
@@ -189,11 +190,17 @@ class ImagesProject:
             Y = begun.Y[b]
             if free:
                 Y = np.linalg.inv(begun.Y[0]) @ Y
+            alone = not board.xyz.any()  # a point at its origin has no turn
+            if alone:
+                Y = rigid(np.eye(3), Y[:3, 3])
             place = np.linalg.inv(Y) if self.on_body else Y
-            stated |= _six(self.boards[board.name], place, free and b == 0, near if held else None)
+            six = _six(self.boards[board.name], place, free and b == 0, near if held else None)
+            for turn in SIX[3:] if alone else ():
+                six[f"{self.boards[board.name]}_{turn}"] = {"value": 0.0, "unit": "deg", **FIXED}
+            stated |= six
             if free and board.planar and len(board.points) > _FEWEST:
                 # nothing but the board says how large anything is
-                stated[f"{self.boards[board.name]}_scale"] = {"value": 0.0, "fixed": True}
+                stated[f"{self.boards[board.name]}_scale"] = {"value": 0.0, **FIXED}
             if not board.planar:
                 for point in np.unique(corners.point[corners.board == b]):
                     for axis in "xyz":
@@ -287,7 +294,7 @@ def _six(
         (name, float(from_si(np.array(v), "deg")), "deg", 1)
         for name, v in zip(SIX[3:], turns, strict=True)
     ]
-    further = {"fixed": True} if fixed else {}
+    further = FIXED if fixed else {}
     return {
         f"{owner}_{name}": {"value": value, "unit": of, **({"sd": near[k]} if near else further)}
         for name, value, of, k in entries

@@ -17,9 +17,21 @@ import numpy as np
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.start import CameraStart
-from loopcal.files.cameras.folder import Files, folders_of_images, of_images, read_files
+from loopcal.files.cameras.corner_table import CornerTable
+from loopcal.files.cameras.corners import pixel_stem
+from loopcal.files.cameras.folder import (
+    LONE,
+    Files,
+    folders_of_images,
+    lenses_of,
+    of_images,
+    read_files,
+    with_columns,
+    without_files,
+)
 from loopcal.files.recognition.fields import Source
 from loopcal.files.recognition.observations import Observation
+from loopcal.files.recognition.rows import chosen_rows
 from loopcal.files.recognition.sources import sources_of
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
@@ -37,14 +49,18 @@ must leave."""
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """Files with corners, and the table whose rows are the poses of their images."""
+    """Files with corners, and the table whose rows are the poses of their images; of: the one
+    observation that names the columns of its pixels there."""
 
     files: Files
     source: Source
+    of: str = ""
 
     def is_of(self, one: Observation) -> bool:
         """Whether an observation is among them: by their files, or by their folder, and by the
         camera and board that it names."""
+        if self.of or one.columns:
+            return self.of == one.name
         path, corners = self.source.path, self.files.corners
         places = (path, path and path.parent, Path(corners.file))
         seen = one.camera in ("", *corners.cameras) and one.board in ("", *corners.boards)
@@ -76,7 +92,9 @@ class Eyes:
 
 
 def sources_and_pictures(
-    entries: Sequence[Any], usual: Mapping[str, Board] = MappingProxyType({})
+    entries: Sequence[Any],
+    looking: Sequence[Observation],
+    usual: Mapping[str, Board] = MappingProxyType({}),
 ) -> tuple[list[Source], list[Pictures]]:
     """The tables of rows, and the files with corners: those of a folder belong together, as do
     those named one by one.
@@ -84,6 +102,9 @@ def sources_and_pictures(
     usual: the boards where no file describes one. Raises InputError for corners beside which no
     table has the poses of their images.
     """
+    pointing = [one for one in looking if one.table["type"] == "camera" and one.columns]
+    if pointing:
+        return _of_columns(entries, looking, pointing, usual)
     sources: list[Source] = []
     pictures: list[Pictures] = []
 
@@ -94,16 +115,79 @@ def sources_and_pictures(
 
     pictured, described = folders_of_images(entries), of_images(entries)
     apart = {id(entry) for entry in (*pictured, *described)}  # a table has no equality
-    read(entry for entry in entries if id(entry) not in apart)
+    rest = [entry for entry in entries if id(entry) not in apart]
+    stated = lenses_of(rest) if pictured else {}
+    read(without_files(rest, stated))
     if described:
-        files = read_files(described, usual)
+        files = read_files(described, usual, alone=True)
         if not any({*files.corners.images}.intersection(one.ids or ()) for one in sources):
             sources += _beside_corners(files, described, len(sources))
         pictures.append(Pictures(files, _with_poses(files, sources)))
     for folder in pictured:
-        files = read_files([folder], usual)
+        files = read_files([folder], usual, alone=True)
+        files = replace(files, lenses={**_all(stated), **files.lenses})
         pictures.append(Pictures(files, _with_poses(files, read(files.poses))))
     return sources, pictures
+
+
+def _of_columns(
+    entries: Sequence[Any],
+    looking: Sequence[Observation],
+    pointing: Sequence[Observation],
+    usual: Mapping[str, Board],
+) -> tuple[list[Source], list[Pictures]]:
+    """The same where tables of joints have columns of the pixels of single points."""
+    tables = dict.fromkeys(p for one in pointing for p in with_columns(entries, one.columns))
+    stated = lenses_of(entries)
+    rest = without_files(entries, [*tables, *stated])
+    others = [one for one in looking if one not in pointing]
+    sources, pictures = sources_and_pictures(rest, others, usual) if rest else ([], [])
+    for path in tables:
+        for source in sources_of(path, len(sources)):
+            sources.append(source)
+            pictures += [
+                Pictures(files, source, one.name)
+                for one in pointing
+                if one.of_file(path) and (files := _points(one, source, stated)) is not None
+            ]
+    return sources, pictures
+
+
+def _points(
+    one: Observation, source: Source, stated: Mapping[Path, Mapping[str, Intrinsics]]
+) -> Files | None:
+    """What a camera saw of the one point whose columns are named; None where it has none."""
+    fields = {pixel_stem(f.heading.text): f for f in source.fields if f.heading}
+    columns = [fields.get(pixel_stem(name)) for name in one.columns]
+    if len(one.columns) != 2:
+        raise InputError(
+            f"{one.name!r} reads u and v of one point, but {len(one.columns)} columns are named",
+            code="wrong-shape",
+            place="--observe",
+            remedy="name two, columns=u,v; of several points state an observation each",
+        )
+    if None in columns:
+        return None
+    u, v = (field.values for field in columns if field)
+    seen = np.flatnonzero(chosen_rows(source, one) & np.isfinite(u) & np.isfinite(v))
+    if not seen.size:
+        return None
+    ids = source.ids or tuple(str(i) for i in range(1, len(source) + 1))
+    count, board = len(seen), one.board or one.name
+    table = CornerTable(
+        tuple(ids[i] for i in seen),
+        (one.camera or "1",) * count,
+        (board,) * count,
+        (LONE,) * count,
+        u[seen],
+        v[seen],
+        file=source.name,
+    )
+    return Files(table, {board: Board(board, {LONE: (0.0, 0.0, 0.0)})}, _all(stated), ())
+
+
+def _all(stated: Mapping[Path, Mapping[str, Intrinsics]]) -> dict[str, Intrinsics]:
+    return {name: lens for some in stated.values() for name, lens in some.items()}
 
 
 def _beside_corners(files: Files, entries: Sequence[Any], number: int) -> list[Source]:

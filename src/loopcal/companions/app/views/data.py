@@ -182,7 +182,7 @@ def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
 def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any, scene: Scene) -> None:
     data, mechanism = loaded.dataset, project.mechanism
     units = {**mechanism.quantities, **mechanism.pose_constants}
-    images = [one for one in seen_outputs(mechanism) if one.points > 1]
+    images = [one for one in seen_outputs(mechanism) if one.image]
     corners = {q for one in images for q in one.position}
     names = [name for name in data.readings if name in units and name not in corners]
     for warning in loaded.warnings:
