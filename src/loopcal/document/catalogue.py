@@ -357,6 +357,33 @@ _ROWS = (
         "State the region ([verdict] region).",
         _CHECK,
     ),
+    _valid(
+        "valid-in-image",
+        "Valid where corners were seen in the image: {rms_in_regions:3} rms in image regions not "
+        "used, {rms:3} on images not used.",
+        title="Valid where corners were seen.",
+    ),
+    _valid_open(
+        "in-image-if-sound",
+        "Where corners were seen in the image errors are {rms_in_regions:3} rms in regions not "
+        "used, {rms:3} on images not used. This leaves out what is not sound.",
+        "Mend what is not sound first.",
+        _CHECK,
+        shared="valid-if-sound",
+    ),
+    _not_valid(
+        "image-covered-in-part",
+        "Where no corner was the lens is not known: {rms_in_regions:3} rms in image regions not "
+        "used instead of {rms:3} on images not used.",
+        "Take images with the board in all parts of the image, most of all near its corners.",
+        _REPORT,
+    ),
+    _valid_open(
+        "image-untested",
+        "No region of the image was left out to test the lens there.",
+        "Validate on other images (--folds 10), of which there are ten or more.",
+        _FOLDS,
+    ),
     _not_valid(
         "gaps-only",
         "Nothing but gaps was read: no reading says where the machine stands away from the touched "
@@ -447,6 +474,12 @@ _ROWS = (
         "{nominal_blocked_rms:3}.",
     ),
     _better("better", f"Better than {{rival}}: {_INSTEAD}", title="Better than {rival}."),
+    _better(
+        "nothing-stated",
+        "Of machine and lens nothing was stated that could be compared: {rms:3} rms on poses not "
+        "used.",
+        title="Nothing was stated to compare with.",
+    ),
     _better_open(
         "no-better",
         f"About as good as {{rival}}: {_INSTEAD}",

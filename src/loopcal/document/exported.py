@@ -82,7 +82,9 @@ class Exported:
     those of the geometry refitted where the machine has effects beyond geometry; zeros, frames:
     for a controller that keeps its nominal geometry; accuracy: what each model reaches; omitted:
     effects beyond geometry that the exported geometry cannot hold; warnings; limits: of readings
-    [SI]; links: joint -> the frame (4, 4) behind it in the base's frame, all joints at zero.
+    [SI]; links: joint -> the frame (4, 4) behind it in the base's frame, all joints at zero; eyes:
+    of a body whose pose is read, what sees poses beside pixels: whether the body carries it, and
+    its place (4, 4) there or in the base.
     """
 
     name: str
@@ -97,6 +99,7 @@ class Exported:
     warnings: tuple[str, ...] = ()
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     links: Mapping[str, Array] = field(default_factory=dict)
+    eyes: Mapping[str, tuple[bool, Array]] = field(default_factory=dict)
 
     def of(self, model: str) -> ModelAccuracy | None:
         """The accuracy of a model; None where it is not known."""

@@ -112,7 +112,8 @@ class Machine:
     def seen(self, on: str, against: str, x: Values, p: Values) -> Frame:
         """T_against_on of two bodies in one pose."""
         if self.tree is None or (on, against) == (BODY, BASE):
-            return self.frame(x, p)
+            body = self.frame(x, p)
+            return body if against == BASE else Relative(ChainFrame((), {}, {}), body)
         return ChainFrame(self.tree.path(on, against), x, p)
 
     def fk(
@@ -216,11 +217,18 @@ class Between:
     """The two bodies of a tree between which an instrument measures."""
 
     on: Annotated[
-        str | None, Key("The body of a tree that is looked at. Default: its only leaf.")
+        str | None,
+        Key(
+            "The body of a tree that is looked at. Default: its only leaf; of other machines "
+            '"body", or "base" where it is looked at from the body.'
+        ),
     ] = None
     against: Annotated[
         str | None,
-        Key("The body of a tree that it is looked at from. Default: its root, the ground."),
+        Key(
+            "The body of a tree that it is looked at from. Default: its root, the ground; of other "
+            'machines "base". Write "body" for an instrument on the machine that looks at the base.'
+        ),
     ] = None
 
 
@@ -253,13 +261,17 @@ def looked_between(machine: Machine, on: str | None, against: str | None) -> tup
     """The names of two bodies of a machine (see `Tree.between`)."""
     if machine.tree is not None:
         return machine.tree.between(on, against)
-    if on is not None or against is not None:
-        raise InputError(
-            f"{machine.name!r} has no body {(on or against)!r}: its loops tie one body to the base",
-            code="unsupported",
-            remedy="leave on and against out",
-        )
-    return BODY, BASE
+    if against == BODY and on in (None, BASE):
+        return BASE, BODY
+    if on in (None, BODY) and against in (None, BASE):
+        return BODY, BASE
+    raise InputError(
+        f"{machine.name!r} has no body {(against if on in (None, BODY, BASE) else on)!r}: its "
+        "loops tie one body to the base",
+        code="unsupported",
+        remedy='leave on and against out, or write against = "body" where the instrument moves '
+        "along and looks at the base",
+    )
 
 
 def assemble(

@@ -327,7 +327,8 @@ def _middles(mechanism: Mechanism, data: Dataset) -> Iterator[Array]:
 def blocks_of(scheme: Scheme, mechanism: Mechanism, data: Dataset, groups: Index) -> Parts:
     """The regions that a scheme leaves out one by one."""
     indices = blocks(mechanism, data, groups, scheme.blocks or 0)
-    words = f"{scheme.blocks} regions of the joint space of {len(data)} poses"
+    space = "the joint space" if mechanism.joints else "space"
+    words = f"{scheme.blocks} regions of {space} of {len(data)} poses"
     return Parts(indices, {"blocks": scheme.blocks}, words)
 
 

@@ -27,8 +27,9 @@ from loopcal.document.accuracy import BoardPlace, Distances
 from loopcal.document.catalogue import CATALOGUE
 from loopcal.document.choice import beats
 from loopcal.document.findings import RegionSd
+from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.verdict import Answer, Fact, Figure, Finding, Verdict, fact
+from loopcal.document.verdict import Answer, Fact, Figure, Finding, NextStep, Verdict, fact
 from loopcal.errors import listed
 from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.methods.registry import METHODS
@@ -75,10 +76,30 @@ def findings_of(
     if all(CATALOGUE[one.code].severity == "info" for one in facts):
         facts.append(fact("sound"))
     region = valid(document)
-    if region.code == "valid-in-region" and any(map(_upsets, facts)):
-        region = replace(region, code="valid-if-sound")
+    unsound = {"valid-in-region": "valid-if-sound", "valid-in-image": "in-image-if-sound"}
+    if region.code in unsound and any(map(_upsets, facts)):
+        region = replace(region, code=unsound[region.code])
     others = (region, better(document), good_enough(document, tolerance))
-    return catalogue.findings([*facts, *(one for one in others if one)], files)
+    made = catalogue.findings([*facts, *(one for one in others if one)], files)
+    return tuple(map(_for_cameras, made)) if _cameras_alone(document) else made
+
+
+def _cameras_alone(document: ResultDocument) -> bool:
+    """Whether nothing says where boards are but the images."""
+    accuracy = document.accuracy
+    return accuracy is not None and bool(accuracy.pixels) and not accuracy.places
+
+
+def _for_cameras(one: Finding) -> Finding:
+    """The finding with images to take in place of poses to plan, which no robot could go to."""
+    planned = one.next and (one.next.command or "").startswith("loopcal plan")
+    return replace(one, next=NextStep(_MORE_IMAGES)) if planned else one
+
+
+_MORE_IMAGES = (
+    "Take more images, with the board tilted by 20 to 45 deg either way, at several distances and "
+    "in all parts of the image."
+)
 
 
 def _upsets(one: Fact) -> bool:
@@ -118,6 +139,9 @@ near these poses only: that of the alarm of single predictions."""
 _CERTAIN = 2.0
 _OF_RMS = 0.41
 """sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
+_ELSEWHERE = 1.5
+"""Errors in regions of the image not used over those of images not used, from which the lens is not
+known where no corner was. Chosen: as much again as the corners' noise."""
 _DRAWN = "the nominal machine"
 _BEYOND = ("scales-unlike", "scale-off-the-drawing", "overfitted", "observations-conflict")
 """Facts that leave a fit usable with care, but move predictions by more than half their sd."""
@@ -128,6 +152,8 @@ def valid(document: ResultDocument) -> Fact:
     if document.column_faults or not document.status.converged:
         return fact("region-not-judged")
     region = document.region
+    if region is None and _cameras_alone(document):
+        return _in_image(document)
     if region is None:
         return _gaps_only(document) or fact("region-unknown")
     sources = {one.source for one in region.ranges}
@@ -149,6 +175,18 @@ def valid(document: ResultDocument) -> Fact:
         return fact("direction-open", where=where, seen=worst.seen)
     code = "near-poses-only" if near else "valid-in-region"
     return fact(code, numbers=_sds(worst), where=where, seen=worst.seen)
+
+
+def _in_image(document: ResultDocument) -> Fact:
+    """Of cameras alone: errors in regions of the image not used beside those of images not used."""
+    validation = document.validation
+    unseen = validation and validation.accuracy
+    apart = validation and validation.images and validation.images.accuracy
+    if not unseen or not apart:
+        return fact("image-untested")
+    numbers = {"rms_in_regions": Figure(apart.rms, "px"), "rms": Figure(unseen.rms, "px")}
+    near = apart.rms > _ELSEWHERE * unseen.rms
+    return fact("image-covered-in-part" if near else "valid-in-image", numbers=numbers)
 
 
 def _gaps_only(document: ResultDocument) -> Fact | None:
@@ -191,18 +229,35 @@ def better(document: ResultDocument) -> Fact:
     if unseen is None:
         return fact("not-validated" if document.status.converged else "fit-failed")
     compared = _compared(document, unseen)
-    ahead = [rival for rival in compared.rivals if rival.beats]
+    drawn = _drawn(document)
+    ahead = [r for r in compared.rivals if r.beats and (drawn or r.name != _DRAWN)]
     if ahead:
         worst = min(ahead, key=lambda rival: rival.difference)
         code = "worse" if worst.name in METHODS else "worse-than-model"
         code = "worse-than-drawing" if worst.name == _DRAWN else code
         return compared.fact(code, worst, accuracy.unit)
     first = compared.rivals[0]  # methods that predict alike leave nothing to decide
+    if not drawn and first.difference <= _CERTAIN * first.sd:
+        return fact("nothing-stated", numbers={"rms": Figure(compared.rms, accuracy.unit)})
     if first.difference <= _CERTAIN * first.sd:
         return compared.fact("no-better", first, accuracy.unit)
     elsewhere = _nominal_elsewhere(document)
     code = "better-near-only" if elsewhere else "better"
     return compared.fact(code, first, accuracy.unit, **elsewhere)
+
+
+def _drawn(document: ResultDocument) -> bool:
+    """Whether a machine or a lens was stated, to compare with; what is printed does not count."""
+    parameters = {p.name: p for p in document.parameters}
+
+    def stated(one: ParameterEntry) -> bool:
+        focal = parameters.get(f"{one.owner}_f")
+        free = focal is not None and focal.prior_sd is None and not focal.fixed
+        return one.role not in ("placement", "mounting", "print") and not (
+            one.role == "lens" and free
+        )
+
+    return any(map(stated, document.parameters))
 
 
 def _nominal_elsewhere(document: ResultDocument) -> dict[str, float]:

@@ -88,6 +88,11 @@ def new_readings(
         from loopcal.workflow.beginning.later_images import later_images
 
         return later_images(entries, mechanism)
+    if mechanism.families and {f.form for f in mechanism.families} == {"pose"}:
+        from loopcal.workflow.beginning.from_samples import later_samples, samples_of
+
+        if not mechanism.joints and (samples := samples_of(entries)):
+            return later_samples(samples, mechanism)
     alone = len(entries) == 1 and not seen
     if observe and not (alone and reads(entries[0], inputs, mechanism, whole=whole)):
         from loopcal.workflow.beginning.from_tree import later_observed

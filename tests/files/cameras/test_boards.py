@@ -76,3 +76,20 @@ def test_faults_are_named_with_their_place(
 ) -> None:
     with refused(code, name, *stated):  # type: ignore[arg-type]
         read_boards(written(tmp_path, text, name))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "target_finder:\n  type: rct_ros_tools::ModifiedCircleGridTargetFinderPlugin\n  rows: 4\n"
+        "  cols: 3\n  spacing: 0.02\n",
+        "type: industrial_calibration::ModifiedCircleGridTargetFinderPlugin\nrows: 4\ncols: 3\n"
+        "spacing: 0.02\n",
+        "target_definition:\n  rows: 4\n  cols: 3\n  spacing: 0.02\n",
+    ],
+)
+def test_targets_of_industrial_calibration_and_robot_cal_tools(tmp_path: Path, text: str) -> None:
+    (tmp_path / "target.yaml").write_text(text, "utf-8")
+    (board,) = read_boards(tmp_path / "target.yaml").values()
+    assert len(board.points) == 12
+    assert board.points["11"] == pytest.approx((0.04, 0.06, 0.0))

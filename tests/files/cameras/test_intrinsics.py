@@ -54,7 +54,7 @@ cam1:
   - [0.0, 0.0, 0.0, 1.0]
   camera_model: pinhole
   distortion_coeffs: [-0.03, 0.01, -0.004, 0.0006]
-  distortion_model: equi
+  distortion_model: equidistant
   intrinsics: [380.0, 381.0, 320.0, 240.0]
   resolution: [640, 480]
 cam2:

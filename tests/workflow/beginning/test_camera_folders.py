@@ -245,6 +245,7 @@ def test_a_folder_of_detected_tags(tmp_path: Path) -> None:
     assert "12 images with 288 corners" in str(lc.init(tmp_path))
 
 
+<<<<<<< HEAD
 def test_joints_of_the_row_that_the_images_fit_are_used(tmp_path: Path) -> None:
     made = shots(37, held=False, images=12)
     made.write(tmp_path / "images", uv=np.roll(made.uv, 1, axis=0))
@@ -252,3 +253,84 @@ def test_joints_of_the_row_that_the_images_fit_are_used(tmp_path: Path) -> None:
     assert any("one row earlier, which is used" in remark for remark in begun.remarks)
     assert list(begun.dataset.poses) == [str(i) for i in range(2, 13)]  # the first has no pose
     assert_allclose(begun.dataset.readings["theta_1"], made.read[:-1, 0], atol=1e-8)
+=======
+def as_matrices(T: np.ndarray) -> np.ndarray:
+    return T.reshape(len(T), 16)
+
+
+def as_tum(T: np.ndarray) -> np.ndarray:
+    """Time, place and quaternion x, y, z, w."""
+    quaternions = Rotation.from_matrix(T[:, :3, :3]).as_quat()
+    return np.column_stack([np.arange(len(T)), T[:, :3, 3], quaternions])
+
+
+@pytest.mark.parametrize(
+    ("numbers", "header"),
+    [
+        (as_matrices, ""),
+        (lambda T: T.reshape(len(T), 16)[:, :12], ""),
+        (as_tum, ""),
+        (as_tum, "# timestamp tx ty tz qx qy qz qw\n"),
+    ],
+)
+def test_poses_without_names_as_programs_print_them(
+    tmp_path: Path, numbers: Callable[[np.ndarray], np.ndarray], header: str
+) -> None:
+    """Images count from 0, rows of numbers from 1."""
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    (tmp_path / "robot.csv").unlink()
+    rewritten(tmp_path / "corners.csv", lambda row: [f"img{int(row[0]):03}.png", *row[1:]])
+    rows = [" ".join(f"{v:.12f}" for v in row) for row in numbers(T)]
+    (tmp_path / "poses.txt").write_text(header + "\n".join(rows) + "\n", encoding="utf-8")
+    project = lc.init(tmp_path)
+    assert len(project.dataset) == 12
+    np.testing.assert_allclose(project.dataset.readings["x"], T[:, 0, 3], atol=1e-9)
+
+
+def test_images_of_other_numbers_belong_to_rows_in_their_order() -> None:
+    board = Board("board", POINTS)
+    uv = np.zeros(2)
+    table = CornerTable(("im_907", "im_12"), ("1",) * 2, ("board",) * 2, ("0", "1"), uv, uv)
+    after, remarks = matched(table, [board], ["1", "2"], counted=True)
+    assert after.image == ("2", "1")
+    assert len(remarks) == 1
+    # Those that begin at 1 are named as rows are.
+    table = CornerTable(("1", "2"), ("1",) * 2, ("board",) * 2, ("0", "1"), uv, uv)
+    assert matched(table, [board], ["1", "2", "3"], counted=True)[1] == ()
+
+
+def test_what_is_stated_of_a_lens_and_cannot_be_used_is_said(tmp_path: Path) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    lens = "cam0:\n  camera_model: omni\n  intrinsics: [1.0, 900.0, 900.0, 640.0, 480.0]\n"
+    (tmp_path / "camchain.yaml").write_text(lens, encoding="utf-8")
+    assert any("'omni' is not read; it is not used" in one for one in lc.init(tmp_path).remarks)
+
+
+def test_corners_of_tags_stay_apart_in_files(tmp_path: Path) -> None:
+    """Corner 0 of tag 4 is 4.0, which is no number 4."""
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    names = {p: f"{i // 4}.{i % 4}" for i, p in enumerate(POINTS)}
+    for name, at in (("points.csv", 1), ("corners.csv", 3)):
+        rewritten(tmp_path / name, lambda row, at=at: [*row[:at], names[row[at]], *row[at + 1 :]])
+    lc.init(tmp_path, out=tmp_path / "out")
+    loaded = lc.load_dataset(lc.read_project(tmp_path / "out/project.toml"))
+    assert {f"camera_1:board:{name}:u" for name in names.values()} <= {*loaded.dataset.readings}
+
+
+def test_joints_named_as_a_robot_of_ros_names_them(tmp_path: Path) -> None:
+    words = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+    q = np.random.default_rng(3).uniform(-1.0, 1.0, (20, 6))
+    dh = "a [mm],d [mm],alpha [deg],theta [deg]\n0,89,90,0\n-425,0,0,0\n-392,0,0,0\n"
+    (tmp_path / "dh.csv").write_text(f"{dh}0,109,90,0\n0,95,-90,0\n0,82,0,0\n", encoding="utf-8")
+    arm = lc.init(dh=tmp_path / "dh.csv").mechanism
+    noise = np.random.default_rng(4).normal(0.0, 1e-5, (20, 3))
+    rows = np.column_stack([np.degrees(q), arm.fk(q)[:, :3, 3] + noise])
+    head = ",".join([*(f"{word}_joint" for word in words), "x_m", "y_m", "z_m"])
+    text = "\n".join([head, *(",".join(f"{v:.9f}" for v in row) for row in rows)])
+    (tmp_path / "poses.csv").write_text(text + "\n", encoding="utf-8")
+    project = lc.init(tmp_path / "poses.csv", dh=tmp_path / "dh.csv")
+    assert project.rms < 3e-5
+>>>>>>> cam

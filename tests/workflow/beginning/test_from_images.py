@@ -71,3 +71,27 @@ def test_corners_without_a_board_are_refused(tmp_path: Path) -> None:
     (folder / "points.csv").unlink()
     with refused("missing-key", "board"):
         lc.init(folder)
+
+
+def test_cameras_alone_are_judged_by_images_and_not_sent_to_plan(tmp_path: Path) -> None:
+    """Two cameras in one place before a board that nobody holds."""
+    T, random = hands(24, 5), np.random.default_rng(8)
+    uv = [pixels(T, on="base") + random.normal(0.0, 0.1, (len(POINTS), 2, 24)) for _ in range(2)]
+    written(tmp_path, uv[0], None)
+    rows = [
+        f"{i},2,board,{point},{u:.5f},{v:.5f}"
+        for point, (us, vs) in zip(POINTS, uv[1], strict=True)
+        for i, (u, v) in enumerate(zip(us, vs, strict=True))
+    ]
+    with (tmp_path / "corners.csv").open("a", encoding="utf-8") as file:
+        file.write("\n".join(rows) + "\n")
+    project = lc.init(tmp_path)
+    result = lc.calibrate(project.mechanism, project.dataset, noise=project.noise)
+    assert result.document.validation is not None
+    codes = [one.code for one in result.document.findings]
+    # The pose that both see is free: their residuals are never independent.
+    assert "errors-shared" not in codes
+    assert "valid-in-image" in codes
+    assert "joint space" not in result.document.validation.words
+    advised = [one.next for one in result.document.findings if one.next]
+    assert not any("loopcal plan" in (one.command or "") for one in advised)

@@ -196,6 +196,7 @@ _LACKS = {
     "origins": "its joints are not described by origins, as those of a URDF are",
     "zeros": "it is not a serial arm in space, or nothing measures it",
     "cameras": "it has no camera",
+    "eyes": "it has no camera",
     "places": "it is no serial arm in space that something measures, and has no camera",
 }
 
@@ -238,7 +239,8 @@ def _of_format(
         "origins": bool(machine.origins),
         "zeros": bool(machine.zeros),
         "cameras": has_cameras,
-        "places": bool(machine.zeros) or has_cameras,
+        "eyes": has_cameras or bool(machine.eyes),
+        "places": bool(machine.zeros) or has_cameras or bool(machine.eyes),
     }
     if not holds[one.needs]:
         raise InputError(

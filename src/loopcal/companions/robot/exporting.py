@@ -62,7 +62,8 @@ def exported(
     values = {p.name: p.value for p in document.parameters}
     name = document.mechanism.name if document.mechanism else mechanism.name
     if not mechanism.joints:
-        return Exported(name, None, (), document.parameters, values)
+        eyes = _eyes(mechanism, values)
+        return Exported(name, None, (), document.parameters, values, eyes=eyes)
     beyond = {
         n: v for names in mechanism.effects.values() for n in names if (v := values[n]) != 0.0
     }
@@ -111,6 +112,18 @@ def exported(
         },
         _links(joints, geometry, axes=bool(described.get("axes"))) if mechanism.chain else {},
     )
+
+
+def _eyes(mechanism: Mechanism, values: Mapping[str, float]) -> dict[str, tuple[bool, Array]]:
+    """Stations of poses by name: whether the body carries them, and their places."""
+    return {
+        one.placement.name: (
+            one.against == BODY,
+            inverse(product(one.placement.steps, {}, values)),
+        )
+        for one in mechanism.families
+        if one.form == "pose" and isinstance(one.placement, Station) and one.placement.name
+    }
 
 
 def _links(

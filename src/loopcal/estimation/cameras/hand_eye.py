@@ -200,6 +200,20 @@ def consensus(
     return [candidate for _, candidate in sorted(settled, key=lambda pair: pair[0])[:4]]
 
 
+def of_poses(A: Array, C: Array) -> tuple[float, HandEye]:
+    """The best of one pose per image, and the geometric mean of its misses: angle [rad], and place
+    over distance. A pose far off counts, but does not decide."""
+    never = np.stack([np.zeros(len(A)), np.full(len(A), np.inf)], axis=1)
+    ways = []
+    for one in consensus(A, np.stack([C, C], axis=1), never, draws=20):
+        off = one.predicted(A)
+        turned = np.linalg.norm(off[:, :3, :3] - C[:, :3, :3], axis=(1, 2)) / np.sqrt(2.0)
+        apart = np.linalg.norm(off[:, :3, 3] - C[:, :3, 3], axis=1)
+        distance = max(median(np.linalg.norm(C[:, :3, 3], axis=1)), 1e-9)
+        ways.append((float(np.exp(np.mean(np.log(turned + apart / distance + 1e-6)))), one))
+    return min(ways, key=lambda way: way[0])
+
+
 METHODS = (shah, park, daniilidis)
 """Closed forms of the rotations, in the order of their measured robustness."""
 

@@ -167,8 +167,14 @@ def _whole(
 
 
 def _joints_exact(problem: Problem) -> bool:
-    """Whether the fit gives the joints no noise, which all instruments would see."""
-    return problem.loops_alike or not problem.uncertainty.sd[joint_rows(problem)].any()
+    """Whether the fit gives the joints no noise, which all instruments would see, and all of them
+    are read, or follow by closed loops: what instruments alone determine makes their residuals
+    alike."""
+    mechanism, sd = problem.mechanism, problem.uncertainty.sd
+    seen_by = {loop for family in mechanism.families for loop in family.loops}
+    closed = len({*mechanism.tape.loops} - seen_by)
+    unread = int(np.isinf(sd).any(axis=1).sum())
+    return problem.loops_alike or (unread <= closed and not sd[joint_rows(problem)].any())
 
 
 def _shared(problem: Problem, equations: Sequence[PoseEquations], root: Array) -> Likeness | None:

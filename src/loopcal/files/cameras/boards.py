@@ -10,6 +10,7 @@ a table of points     board, point, x, y, z with units in the header, [m] withou
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,10 @@ _NUMBERED = (
 """Dictionaries in the order in which OpenCV numbers them."""
 
 
+_FINDER = re.compile(r"(?:_?grid)?(?:_?target)?(?:_?finder)?(?:_?plugin)?$")
+"""Ends of the names by which plugins of industrial_calibration find boards."""
+
+
 def read_boards(path: str | Path) -> dict[str, Board]:
     """The boards of a file by name, "board" where it names none.
 
@@ -41,7 +46,7 @@ def read_boards(path: str | Path) -> dict[str, Board]:
     if Path(path).suffix.lower() not in _DOCUMENTS:
         return _of_table(path)
     document = read_document(path)
-    described = document.get("board", "target") or document
+    described = document.get("board", "target", "target_finder", "target_definition") or document
     if isinstance(described.data, list):
         described = described.parts()[0]
     return {"board": board_of(described)}
@@ -55,7 +60,7 @@ def board_of(described: Part | Mapping[str, Any], name: str = "board") -> Board:
     part = described if isinstance(described, Part) else Part(dict(described), name)
     kind = (part.get("target_type", "type", "kind") or Part(_guessed(part), part.place)).text
     with placed(part.place, unless_stated=True):
-        match kind.lower().removesuffix("targetfinder").removesuffix("grid").strip("_ "):
+        match _FINDER.sub("", kind.lower().rpartition(":")[2]).strip("_ "):
             case "april" | "apriltag":
                 counts = _counts(part, "tag")
                 size = _size(part, "size", "tagSize", "tag_size")
@@ -108,6 +113,8 @@ def _guessed(part: Part) -> str:
     """The kind of a board that states none, by its keys."""
     if "chessboard_dim" in part or "squares" in part or "squares_x" in part:
         return "charuco" if part.get("aruco_marker_dim", "marker", "marker_m") else "checkerboard"
+    if "spacing" in part and "rows" in part:
+        return "circles"
     return "aprilgrid" if "tagCols" in part else ""
 
 
@@ -154,7 +161,7 @@ def _of_table(path: str | Path) -> dict[str, Board]:
             with placed(table.name):
                 xyz[k] = to_si(table.numbers(i, every), headings[i].unit or "m")
     ids_at, boards_at = column("point"), column("board")
-    ids = tuple(map(str, every)) if ids_at is None else table.ids(ids_at)
+    ids = tuple(map(str, every)) if ids_at is None else table.labels(ids_at)
     names = ("board",) * len(ids) if boards_at is None else table.ids(boards_at)
     boards: dict[str, dict[str, tuple[float, float, float]]] = {}
     for row, (name, one) in enumerate(zip(names, ids, strict=True)):

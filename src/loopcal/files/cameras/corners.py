@@ -137,7 +137,7 @@ def _long(table: Table, stems: Sequence[str], first_pixel: float) -> CornerTable
     if tag is not None and point is not None:
         points = tuple(f"{t}.{k}" for t, k in zip(table.ids(tag), table.ids(point), strict=True))
     elif (named := tag if point is None else point) is not None:
-        points = table.ids(named)
+        points = table.labels(named)
     else:
         points = _counted(list(zip(images, cameras, boards, strict=True)), u, table)
     if level is not None:

@@ -20,7 +20,7 @@ from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.corners import TAGS, is_corners, pixel_stem, read_corners
 from loopcal.files.cameras.images import ENDINGS, detect
 from loopcal.files.cameras.intrinsics import read_intrinsics
-from loopcal.files.cameras.places import lists_poses, read_places, read_samples
+from loopcal.files.cameras.places import TABLES, lists_poses, read_places, read_samples
 from loopcal.files.recognition.headers import words
 from loopcal.files.tables.readers import column_labels
 from loopcal.files.tables.registry import reader_of
@@ -30,7 +30,6 @@ from loopcal.presentation.shown import with_unit
 
 _MADE = ("result.json", "project.toml")
 """Beside them stands what loopcal wrote."""
-_TABLES = (".csv", ".tsv", ".txt")
 _RECORDS = (".json", ".yaml", ".yml")
 _IMAGES = frozenset(words("corners", "image"))
 _SAME = 1e-3
@@ -73,7 +72,7 @@ def tables_of(entries: Sequence[Any]) -> list[Any]:
     opened: list[Any] = []
     for entry in entries:
         folder = isinstance(entry, str | Path) and Path(entry).is_dir()
-        texts = [p for p in files_of([entry]) if p.suffix.lower() in _TABLES] if folder else []
+        texts = [p for p in files_of([entry]) if p.suffix.lower() in TABLES] if folder else []
         tables = [p for p in texts if p.suffix.lower() != ".txt" or len(_header(p)) > 1]
         whole = folder and any(Path(entry).glob(reader_of(entry).in_folder or "*.parquet"))
         if folder and not tables and not whole:  # a file per pose
@@ -158,7 +157,7 @@ def _kind(path: Path) -> str:
         return "corners"
     if ending in (".yaml", ".yml", ".json"):
         return "corners" if ending == ".json" and _shows_tags(path) else "document"
-    if ending not in _TABLES or not path.is_file():
+    if ending not in TABLES or not path.is_file():
         return ""
     names = _header(path)
     parts = [set(_WORDS.split(name.lower())) for name in names]
@@ -220,7 +219,7 @@ def read_files(
             tables.append(read_corners(path))
         elif kind == "document":
             described: dict[str, Board] = {}
-            if _document(path, described, lenses, tables):
+            if _document(path, described, lenses, tables, remarks):
                 poses.append(path)
             _describe(path, described, boards, stated, remarks)
         elif kind == "poses":
@@ -303,6 +302,7 @@ def _document(
     boards: dict[str, Board],
     lenses: dict[str, Intrinsics],
     tables: list[CornerTable],
+    remarks: list[str],
 ) -> bool:
     """Take what a YAML or JSON file says; whether it holds poses instead."""
     taken = 0
@@ -310,8 +310,9 @@ def _document(
         try:
             into.update(read(path))  # type: ignore[arg-type]
             taken += 1
-        except InputError:
-            continue
+        except InputError as error:
+            if error.code == "unsupported":
+                remarks.append(f"{error.place or path.name}: {error.message}; it is not used")
     if taken:
         return lists_poses(path)  # as files of industrial_calibration do beside the lens
     for probe in (read_samples, read_places):

@@ -105,16 +105,20 @@ def _camera(part: Part, first_pixel: float) -> Intrinsics | None:
     return None
 
 
+_EQUI = ("equidistant", "equi")
+"""Kalibr writes the first, and is asked for the second."""
+
+
 def _of_kalibr(part: Part, first_pixel: float) -> Intrinsics:
     if part.part("camera_model").text != "pinhole":
         raise _unsupported(part.part("camera_model"), "pinhole")
     model = part.get("distortion_model")
-    if model and model.text not in ("radtan", "equi", "none"):
-        raise _unsupported(model, "radtan, equi and none")
+    if model and model.text not in ("radtan", "none", *_EQUI):
+        raise _unsupported(model, "radtan, equidistant and none")
     fx, fy, cx, cy = part.part("intrinsics").numbers(4)
     stated = part.get("distortion_coeffs")
     image = part.get("resolution")
-    fisheye = bool(model and model.text == "equi")
+    fisheye = bool(model and model.text in _EQUI)
     none = model is None or model.text == "none"
     coefficients = () if none or stated is None else stated.numbers(4)
     return _made(part, (fx, fy, cx, cy), coefficients, _pair(image), fisheye, first_pixel)

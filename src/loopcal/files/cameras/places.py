@@ -10,8 +10,9 @@ a table of poses          pose, x, y, z and a quaternion, a matrix or turns, uni
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +21,13 @@ from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.cameras.corners import split_name
 from loopcal.files.cameras.document import Part, is_transform, read_document, transform
-from loopcal.files.recognition.layouts import instruments
+from loopcal.files.recognition.fields import Field, Source
+from loopcal.files.recognition.layouts import Seen, instruments
 from loopcal.files.recognition.meanings import meanings
 from loopcal.files.recognition.sources import sources_of
 from loopcal.units import unit
 
+TABLES = (".csv", ".tsv", ".txt")
 _LISTED = 10_000
 """Files of poses that one file lists."""
 
@@ -34,25 +37,31 @@ class PlaceTable:
     """Places by image or pose: names, and T (N, 4, 4) [m] of each as the file states it.
 
     ways: T by what its turns may mean, in words, where the file leaves that open; T is the first.
+    counted: whether the file has no names, and its rows are counted from 1.
     """
 
     name: tuple[str, ...]
     T: Array
     file: str = ""
     ways: Mapping[str, Array] = field(default_factory=dict)
+    counted: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Hand-eye samples: the robot's pose as its driver states it, and the board in the camera.
+    """Hand-eye samples: the flange in the robot's base, and the marker in the camera.
 
-    robot, tracking: (N, 4, 4) [m]; easy_handeye has the flange in the base, and the marker in the
-    camera.
+    robot, tracking: (N, 4, 4) [m]; on_hand: whether the camera is, as stated, or None;
+    ways: how turns were understood; turned_around: whether poses of a camera beside the robot are
+    inverse ones, base in flange, as easy_handeye keeps them.
     """
 
     robot: Array
     tracking: Array
     file: str = ""
+    on_hand: bool | None = None
+    ways: tuple[str, ...] = ()
+    turned_around: bool = False
 
 
 def read_places(path: str | Path) -> PlaceTable:
@@ -67,7 +76,8 @@ def read_places(path: str | Path) -> PlaceTable:
     document = read_document(path)
     if document.get("samples", "hand_world_samples") is not None:
         robot = read_samples(path).robot
-        return PlaceTable(tuple(map(str, range(1, len(robot) + 1))), robot, path.name)
+        names = tuple(map(str, range(1, len(robot) + 1)))
+        return PlaceTable(names, robot, path.name, counted=True)
     every = list(_of_document(document, path, "1"))
     if not every:
         raise InputError(
@@ -113,6 +123,7 @@ def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[
 def _of_table(path: Path) -> PlaceTable:
     source = sources_of(path, 0)[0]
     seen = next((s for s in instruments(source.fields) if s.kind == "pose"), None)
+    seen = seen or _unnamed(source.fields)
     if seen is None:
         raise InputError(
             "no pose is recognised among the columns",
@@ -123,20 +134,24 @@ def _of_table(path: Path) -> PlaceTable:
         )
     by_stem = {f.stem: i for i, f in enumerate(seen.turned)}
     order = tuple(range(len(seen.turned)))
+    named = seen.form == "matrix" or any(by_stem)
     if seen.form == "quaternion":
         # The letters at the end of the names say which is which; without them w comes first.
         letters = {stem[-1]: i for stem, i in by_stem.items() if stem}
         order = tuple(letters[c] for c in "wxyz") if set("wxyz") <= set(letters) else order
+    stated = named and seen.form != "turns"
     ways: dict[str, Array] = {}
     for one in meanings(seen):
-        if one.inverted or one.turns is None or (seen.form != "turns" and one.order != order):
+        if one.inverted or one.turns is None or (stated and one.order != order):
             continue
         T = np.tile(np.eye(4), (len(source), 1, 1))
         T[:, :3, :3] = one.turns
         T[:, :3, 3] = np.array([unit(f.unit or "m").factor * f.values for f in seen.position]).T
         ways.setdefault(one.words[-1], T)
     T = next(iter(ways.values()))
-    names = source.ids or tuple(map(str, range(1, len(source) + 1)))
+    names = source.ids or _whole_times(source)
+    counted = names is None
+    names = names or tuple(map(str, range(1, len(source) + 1)))
     wrong = np.flatnonzero(~np.isfinite(T).all(axis=(1, 2)))
     if wrong.size:
         raise InputError(
@@ -145,7 +160,31 @@ def _of_table(path: Path) -> PlaceTable:
             place=path.name,
             remedy="state all its numbers, or remove its row",
         )
-    return PlaceTable(names, T, path.name, ways if seen.form == "turns" else {})
+    return PlaceTable(names, T, path.name, {} if stated else ways, counted)
+
+
+def _unnamed(fields: Sequence[Field]) -> Seen | None:
+    """The pose of columns without names, as programs print it: a matrix of 3 or 4 rows, or x, y, z
+    and a quaternion, with or without a number ahead."""
+    if any(field_.stem for field_ in fields):
+        return None
+    for count in (16, 12):
+        some = tuple(fields[len(fields) - count :])
+        if len(fields) - count in (0, 1):
+            turned = tuple(f for i, f in enumerate(some[:12]) if i % 4 != 3)
+            return Seen("pose", some[3:12:4], turned, "matrix")
+    if len(fields) in (7, 8):
+        return Seen("pose", tuple(fields[-7:-4]), tuple(fields[-4:]), "quaternion")
+    return None
+
+
+def _whole_times(source: Source) -> tuple[str, ...] | None:
+    """Times that are whole numbers, each once: they number the images."""
+    for field_ in source.fields:
+        if field_.is_time and (field_.values == np.round(field_.values)).all():
+            names = tuple(str(int(value)) for value in field_.values)
+            return names if len({*names}) == len(names) else None
+    return None
 
 
 def read_samples(path: str | Path) -> Samples:
@@ -168,4 +207,60 @@ def read_samples(path: str | Path) -> Samples:
             place=document.place,
             remedy="keep the samples of both together",
         )
-    return Samples(np.array(robot), np.array(tracking), document.place)
+    return Samples(
+        np.array(robot),
+        np.array(tracking),
+        document.place,
+        _on_hand(document),
+        turned_around=True,
+    )
+
+
+_EYES = {"true": True, "eye_in_hand": True, "false": False, "eye_on_base": False}
+
+
+def _on_hand(document: Part) -> bool | None:
+    stated = (document.get("parameters") or document).get("calibration_type", "eye_on_hand")
+    return None if stated is None else _EYES.get(stated.text.lower())
+
+
+_ROBOT, _MARKER = (
+    re.compile(rf"(?:^|[^a-z])(?:{words})", re.IGNORECASE)
+    for words in (
+        "robot|arm|flange|gripper|hand|tool|tcp|eef?|effector|base",
+        "marker|target|tag|board|object|pattern|track|camera|cam|optical|aruco|april|charuco|chess",
+    )
+)
+
+
+def hand_eye_samples(paths: Sequence[Path]) -> list[Samples]:
+    """What files of hand-eye samples may mean, none of others: one file of easy_handeye, or two
+    tables of poses, of which the name of one is that of a robot, or of the other of a marker."""
+    tables, samples, stated = [], [], []
+    for path in paths:
+        try:
+            if path.suffix.lower() in TABLES:
+                tables.append(read_places(path))
+                continue
+            stated.append(_on_hand(read_document(path)))
+            samples.append(read_samples(path))
+        except InputError:
+            continue
+    if len(samples) == 1:
+        where = {one for one in stated if one is not None}
+        return [replace(samples[0], on_hand=where.pop() if len(where) == 1 else None)]
+    if len(tables) != 2:
+        return []
+    tables.sort(key=lambda one: bool(_MARKER.search(one.file)) - bool(_ROBOT.search(one.file)))
+    robot, marker = tables
+    named = _ROBOT.search(robot.file) or _MARKER.search(marker.file)
+    at = {name: i for i, name in enumerate(marker.name)}
+    rows = [i for i, name in enumerate(robot.name) if name in at]
+    if not named or not rows:
+        return []
+    others = [at[robot.name[i]] for i in rows]
+    return [
+        Samples(A[rows], C[others], f"{robot.file} and {marker.file}", None, (way, other))
+        for way, A in (robot.ways or {"": robot.T}).items()
+        for other, C in (marker.ways or {"": marker.T}).items()
+    ]

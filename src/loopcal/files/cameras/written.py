@@ -61,7 +61,7 @@ def camchain(cameras: Mapping[str, Intrinsics], T_camera_first: Mapping[str, Arr
         D = camera.distortion
         if camera.lens in ("brown8", "brown12") or (camera.lens == "brown5" and D[4]):
             raise _unwritable(name, camera, "a camchain of Kalibr", "brown5 with k3 held at 0")
-        model = {"pinhole": "none", "fisheye": "equi"}.get(camera.lens, "radtan")
+        model = {"pinhole": "none", "fisheye": "equidistant"}.get(camera.lens, "radtan")
         lines.append(f"cam{number}:")
         T = T_camera_first.get(name)
         if number and T is not None and before is not None:

@@ -87,6 +87,9 @@ def joint_sets(fields: Sequence[Field], count: int, names: Sequence[str]) -> lis
     if not sets:
         named = [members for word, members in families if _is_joint_word(word)]
         sets += [(some, how) for members in named for some in _with_further(fields, members, count)]
+    if not sets:  # shoulder_pan_joint, elbow_joint, ...
+        ending = tuple(f for f in fields if f.stem.rpartition("_")[2] in _JOINT_WORDS)
+        sets += [(some, how) for some in (ending, moving(ending)) if len(some) == count]
     unique = {tuple(map(id, columns)): (columns, words) for columns, words in reversed(sets)}
     return list(unique.values())[::-1]
 

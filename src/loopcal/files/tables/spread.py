@@ -30,7 +30,7 @@ def spread_rows(table: Table, columns: Mapping[str, str]) -> Table:
     too large.
     """
     pose = table.ids(table.position(columns["pose"]))
-    labels = [table.ids(table.position(columns[key])) for key in LABELS if key in columns]
+    labels = [table.labels(table.position(columns[key])) for key in LABELS if key in columns]
     named = [":".join(row) for row in zip(*labels, strict=True)]
     poses, names = list(dict.fromkeys(pose)), list(dict.fromkeys(named))
     if len(poses) * len(names) * len(PIXEL) > MOST:

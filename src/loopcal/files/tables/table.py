@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from ast import literal_eval
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from loopcal.measurements.days import Days
 from loopcal.measurements.poses import cell_text
 from loopcal.measurements.source import file_name, row_name
 
+_TENTHS = re.compile(r"\d+\.\d+")
 LONGEST = 500
 """Characters of an id, of another text of a row, and of the name of a column."""
 ROW = 0
@@ -142,6 +144,14 @@ class Table:
                 remedy="shorten it, or name the column of the ids",
             )
         return pose_ids
+
+    def labels(self, position: int) -> tuple[str, ...]:
+        """One column as names of points: as `ids`, but 4.0 stays where 4.1 is another one, as
+        corner 0 and corner 1 of tag 4 are."""
+        every = self.ids(position)
+        if not any(_TENTHS.fullmatch(one) for one in every):
+            return every
+        return tuple(f"{one}.0" if one.isdecimal() else one for one in every)
 
     def numeric(self) -> list[int]:
         """Positions of the columns whose cells are numbers for the most part."""

@@ -91,7 +91,7 @@ def understood(
     """A project of the files, and what was changed of the stated lenses; held: the board is on the
     flange, None where the images are to show it."""
     boards = [named(files.boards, name) for name in files.corners.boards]
-    table, renamed = matched(files.corners, boards, hand.poses)
+    table, renamed = matched(files.corners, boards, hand.poses, counted=hand.counted)
     corners = _corners(table, boards, hand.poses)
     stated, sizes = by_camera(files.lenses, table.cameras), dict(table.sizes)
     lenses, turned = _upright(stated, table)

@@ -37,7 +37,7 @@ Describe = Callable[[Sequence[Field]], Robot]
 class Hand:
     """The body that moves: its columns of readings by quantity [SI], and T_base_flange (N, 4, 4)
     by pose; ways: these by what their turns may mean, in words; table: of the mechanism without
-    instruments; noise: of its readings."""
+    instruments; noise: of its readings; counted: whether the poses have no names of their own."""
 
     poses: tuple[str, ...]
     table: Mapping[str, Any]
@@ -47,6 +47,7 @@ class Hand:
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
     ways: Mapping[str, Array] = field(default_factory=dict)
+    counted: bool = False
 
     def turned(self, way: str) -> Hand:
         """With its turns understood in this way."""
@@ -85,6 +86,7 @@ def hand_of(files: Files, describe: Describe | None, joints: str | None, folder:
             noise,
             (words,),
             ways=stated.ways,
+            counted=stated.counted,
         )
     remarks: tuple[str, ...] = ()
     if files.poses:
@@ -154,7 +156,14 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
         taken = " and ".join(taken_in(stated, mechanism.joints).values())
         remarks += (f"joints without a unit are taken in {taken}",)
     return Hand(
-        poses, robot.table, readings, T, noise, remarks, drawn(mechanism, _LENGTH, _TWIST, _ZERO)
+        poses,
+        robot.table,
+        readings,
+        T,
+        noise,
+        remarks,
+        drawn(mechanism, _LENGTH, _TWIST, _ZERO),
+        counted=source.ids is None,
     )
 
 

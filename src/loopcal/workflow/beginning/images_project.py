@@ -173,7 +173,7 @@ class ImagesProject:
         for c, (camera, eye) in enumerate(self.eyes.items()):
             X = begun.X[c] @ np.linalg.inv(begun.X[0]) if free else begun.X[c]
             place = np.linalg.inv(X) if self.on_body else X
-            stated |= _six(eye, place, free and c == 0, None if held else near)
+            stated |= six(eye, place, free and c == 0, None if held else near)
             lens = begun.intrinsics[camera]
             for key, value in lens.values.items():
                 entry: dict[str, Any] = {"value": float(value)}
@@ -194,10 +194,14 @@ class ImagesProject:
             if alone:
                 Y = rigid(np.eye(3), Y[:3, 3])
             place = np.linalg.inv(Y) if self.on_body else Y
+<<<<<<< HEAD
             six = _six(self.boards[board.name], place, free and b == 0, near if held else None)
             for turn in SIX[3:] if alone else ():
                 six[f"{self.boards[board.name]}_{turn}"] = {"value": 0.0, "unit": "deg", **FIXED}
             stated |= six
+=======
+            stated |= six(self.boards[board.name], place, free and b == 0, near if held else None)
+>>>>>>> cam
             if free and board.planar and len(board.points) > _FEWEST:
                 # nothing but the board says how large anything is
                 stated[f"{self.boards[board.name]}_scale"] = {"value": 0.0, **FIXED}
@@ -284,10 +288,10 @@ class ImagesProject:
         return table_bytes(columns, ".csv")
 
 
-def _six(
+def six(
     owner: str, T: Array, fixed: bool, near: tuple[float, float] | None = None
 ) -> dict[str, Any]:
-    """The six parameters of a place; near: how well it is known, as sds [mm, deg]."""
+    """[parameters] of a place; near: how well it is known, as sds [mm, deg]."""
     turns = yaw_pitch_roll(T[:3, :3])
     entries = [(axis, 1e3 * float(v), "mm", 0) for axis, v in zip("xyz", T[:3, 3], strict=True)]
     entries += [

@@ -60,6 +60,7 @@ from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, before_re
 from loopcal.workflow.beginning.counts import counted
 from loopcal.workflow.beginning.delays import Delay, delays
 from loopcal.workflow.beginning.from_images import from_images
+from loopcal.workflow.beginning.from_samples import from_samples, samples_of
 from loopcal.workflow.beginning.from_tree import dh_table, from_tree, urdf_table
 from loopcal.workflow.beginning.images_project import CORNERS, WRONG
 from loopcal.workflow.beginning.robot_file import InitOptions, RobotFile, among, used
@@ -262,17 +263,15 @@ def initial_project(
     """
     folder = Path() if out is None else Path(out)
     if not readings:
-        if out is not None:
-            refuse_foreign(folder / PROJECT)
         begun = before_readings(_described(robot, folder, ()), folder)
         return _kept(begun, folder, write=out is not None)
     if robot.observe:
-        if out is not None:
-            refuse_foreign(*(folder / name for name in (PROJECT, READINGS)))
         return _kept(_of_tree(readings, robot, folder), folder, write=out is not None)
     if are_images(readings, _IMAGES):
         return _of_images(readings, robot, folder, write=out is not None)
     if not any((robot.urdf, robot.dh, robot.machine)):
+        if samples := samples_of(readings):
+            return _kept(from_samples(samples), folder, write=out is not None)
         robot, readings = among(readings, robot)
     readings = [entry for entry in tables_of(readings) if str(entry) != str(robot.dh)]
     if out is not None:
@@ -392,6 +391,8 @@ def _of_tree(readings: Sequence[Any], robot: RobotFile, folder: Path) -> Begun:
 
 def _kept(made: Begun, folder: Path, *, write: bool) -> InitialProject:
     """The project that was begun, written where that is asked for."""
+    if write:
+        refuse_foreign(*(folder / name for name in (PROJECT, *made.beside)))
     project = read_project(folder / PROJECT, text=made.text)
     done = InitialProject(
         project.mechanism,

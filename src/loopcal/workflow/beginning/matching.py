@@ -11,18 +11,21 @@ from loopcal.mechanisms.cameras.board import Board
 
 
 def matched(
-    table: CornerTable, boards: Sequence[Board], poses: Sequence[str]
+    table: CornerTable, boards: Sequence[Board], poses: Sequence[str], *, counted: bool = False
 ) -> tuple[CornerTable, tuple[str, ...]]:
     """The corners under the names of poses and points, and what was changed, in words.
 
-    boards: in the order of `table.boards`. Names stay where nothing or not everything matches.
+    boards: in the order of `table.boards`; counted: whether poses have no names, and are counted
+    from 1. Names stay where nothing or not everything matches.
     """
     remarks = []
-    if poses and {*poses}.isdisjoint(table.image) and (by := _by_number(table.images, poses)):
+    by = _by_row(table.images, poses) if counted else {}
+    how = "poses in the order of their rows"
+    if not by and poses and {*poses}.isdisjoint(table.image):
+        by, how = _by_number(table.images, poses), "poses of the same number"
+    if by:
         first = next(iter(by.items()))
-        remarks.append(
-            f"images belong to the poses of the same number: {first[0]!r} to {first[1]!r}"
-        )
+        remarks.append(f"images belong to the {how}: {first[0]!r} to {first[1]!r}")
         table = replace(table, image=tuple(by.get(name, name) for name in table.image))
     points = list(table.point)
     for name, board in zip(table.boards, boards, strict=True):
@@ -42,6 +45,20 @@ def _by_number(images: Sequence[str], poses: Sequence[str]) -> Mapping[str, str]
     if any(None in one for one in by) or [len(one) for one in by] != [len(images), len(poses)]:
         return {}
     return {by[0][n]: by[1][n] for n in by[0] if n in by[1]}
+
+
+def _by_row(images: Sequence[str], poses: Sequence[str]) -> Mapping[str, str]:
+    """Image -> pose, whose rows have no names: images that count from 0, or as many of any other
+    numbers; empty where numbers count from 1, as rows do, or say nothing."""
+    numbers = {name: n for name in images if (n := _last_number(name)) is not None}
+    every = sorted(numbers.values())
+    if len({*every}) < len(images) or not every:
+        return {}
+    if every[0] == 0 and every[-1] < len(poses):
+        return {name: poses[n] for name, n in numbers.items()}
+    if len(images) == len(poses) and every[-1] > len(poses):
+        return {name: poses[every.index(n)] for name, n in numbers.items()}
+    return {}
 
 
 def _last_number(name: str) -> int | None:

@@ -60,6 +60,11 @@ def cameras_of(exported: Exported, source: Path | None = None) -> dict[str, Came
     return cameras
 
 
+def eyes_of(exported: Exported) -> dict[str, tuple[bool, Array | None]]:
+    """What sees boards or markers by name: whether it is on the flange, and its place."""
+    return {n: (c.on_hand, c.T) for n, c in cameras_of(exported).items()} | {**exported.eyes}
+
+
 def camera_info(exported: Exported, options: ExportOptions) -> ExportFiles:
     """NAME.yaml for each camera, as camera_info_manager loads it."""
     return _each(exported, options, "{}.yaml", written.camera_info)
@@ -82,14 +87,14 @@ def camchain(exported: Exported, options: ExportOptions) -> ExportFiles:
 def easy_handeye(exported: Exported, options: ExportOptions) -> ExportFiles:
     """NAME_eye_on_hand.yaml or NAME_eye_on_base.yaml for each camera."""
     files = {}
-    for name, one in cameras_of(exported).items():
-        if one.T is None:
+    for name, (on_hand, T) in eyes_of(exported).items():
+        if T is None:
             raise InputError(
                 f"the place of the camera {name!r} is not in the result", code="unsupported"
             )
-        where = "hand" if one.on_hand else "base"
+        where = "hand" if on_hand else "base"
         files[f"{name}_eye_on_{where}.yaml"] = written.easy_handeye(
-            name, one.T, on_hand=one.on_hand, frames={}
+            name, T, on_hand=on_hand, frames={}
         )
     words = "The frames are named base_link, tool0 and NAME_optical_frame. Rename them to yours."
     return ExportFiles(files, (words,))
@@ -143,7 +148,7 @@ FORMATS = (
         "ROS with easy_handeye's publisher",
         "put the file where easy_handeye looks for calibrations, and rename its frames",
         easy_handeye,
-        "cameras",
+        "eyes",
     ),
 )
 

@@ -36,8 +36,8 @@ class Format:
     label: what it is; user: who takes it; then: what that user does with its files; these three
     make its row in docs/how-to/enter-into-the-controller.md. write: its files; needs: "parameters"
     of any machine, "chain" of a serial arm, "origins" of one described by joint origins,
-    "zeros", of an arm with a measured point, "cameras" of any machine with a camera, or "places",
-    one of the last two;
+    "zeros", of an arm with a measured point, "cameras" of any machine with a camera, "eyes" of one
+    with a camera or hand-eye samples, or "places", one of "zeros" and "eyes";
     source: what --source names, empty where nothing; optional: whether it may be absent; nominal:
     whether it is for a controller that keeps its nominal geometry; described: whether the source is
     the file that the machine was read from, taken from the project where --source is not stated;

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from xml.sax.saxutils import quoteattr
 
-from loopcal.companions.robot.exports.cameras import cameras_of
+from loopcal.companions.robot.exports.cameras import eyes_of
 from loopcal.companions.robot.exports.format import ExportFiles, ExportOptions, Format
 from loopcal.companions.robot.exports.urdf import decimal
 from loopcal.document.exported import Exported, Placed
@@ -21,7 +21,7 @@ _PARENTS = ("base", "flange")
 
 def tf(exported: Exported, options: ExportOptions) -> ExportFiles:
     """static_transforms.launch.xml: what stands in the base or is mounted on the flange."""
-    cameras = {n: c for n, c in cameras_of(exported).items() if c.T is not None}
+    cameras = {n: eye for n, eye in eyes_of(exported).items() if eye[1] is not None}
     named = {word for name in cameras for word in (name, f"{name} in base")}
     frames = [
         placed
@@ -29,9 +29,9 @@ def tf(exported: Exported, options: ExportOptions) -> ExportFiles:
         if placed.model == "geometry" and placed.seen_in in _PARENTS and placed.name not in named
     ]
     frames += [
-        Placed(f"{n}_optical_frame", "flange" if c.on_hand else "base", c.T, True, "geometry")
-        for n, c in cameras.items()
-        if c.T is not None
+        Placed(f"{n}_optical_frame", "flange" if on_hand else "base", T, True, "geometry")
+        for n, (on_hand, T) in cameras.items()
+        if T is not None
     ]
     lines = ["<launch>", *map(_node, frames), "</launch>", ""]
     points = [placed.name for placed in frames if not placed.turned]
