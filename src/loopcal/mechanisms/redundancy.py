@@ -164,9 +164,9 @@ def distinguished(mechanism: Mechanism) -> Mechanism:
 
 def _station(family: Family) -> tuple[str, ...]:
     """Where an instrument stands, or a board whose every turn shows: what of it, never matters."""
-    lone = family.form == PIXELS and len(family.readings) < 2 * _TURNED
-    shown = isinstance(family.placement, Station) and not lone
-    return family.placement.parameters if shown else ()
+    if family.form == PIXELS and len(family.readings) < 2 * _TURNED:
+        return ()
+    return family.placement.parameters if isinstance(family.placement, Station) else ()
 
 
 def redundant(

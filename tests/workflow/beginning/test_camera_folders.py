@@ -245,7 +245,6 @@ def test_a_folder_of_detected_tags(tmp_path: Path) -> None:
     assert "12 images with 288 corners" in str(lc.init(tmp_path))
 
 
-<<<<<<< HEAD
 def test_joints_of_the_row_that_the_images_fit_are_used(tmp_path: Path) -> None:
     made = shots(37, held=False, images=12)
     made.write(tmp_path / "images", uv=np.roll(made.uv, 1, axis=0))
@@ -253,7 +252,8 @@ def test_joints_of_the_row_that_the_images_fit_are_used(tmp_path: Path) -> None:
     assert any("one row earlier, which is used" in remark for remark in begun.remarks)
     assert list(begun.dataset.poses) == [str(i) for i in range(2, 13)]  # the first has no pose
     assert_allclose(begun.dataset.readings["theta_1"], made.read[:-1, 0], atol=1e-8)
-=======
+
+
 def as_matrices(T: np.ndarray) -> np.ndarray:
     return T.reshape(len(T), 16)
 
@@ -313,8 +313,8 @@ def test_corners_of_tags_stay_apart_in_files(tmp_path: Path) -> None:
     T = hands(12, 5)
     written(tmp_path, pixels(T, on="base"), T)
     names = {p: f"{i // 4}.{i % 4}" for i, p in enumerate(POINTS)}
-    for name, at in (("points.csv", 1), ("corners.csv", 3)):
-        rewritten(tmp_path / name, lambda row, at=at: [*row[:at], names[row[at]], *row[at + 1 :]])
+    rewritten(tmp_path / "points.csv", lambda row: [row[0], names[row[1]], *row[2:]])
+    rewritten(tmp_path / "corners.csv", lambda row: [*row[:3], names[row[3]], *row[4:]])
     lc.init(tmp_path, out=tmp_path / "out")
     loaded = lc.load_dataset(lc.read_project(tmp_path / "out/project.toml"))
     assert {f"camera_1:board:{name}:u" for name in names.values()} <= {*loaded.dataset.readings}
@@ -333,4 +333,3 @@ def test_joints_named_as_a_robot_of_ros_names_them(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_text(text + "\n", encoding="utf-8")
     project = lc.init(tmp_path / "poses.csv", dh=tmp_path / "dh.csv")
     assert project.rms < 3e-5
->>>>>>> cam

@@ -127,7 +127,7 @@ def with_columns(entries: Sequence[Any], columns: Sequence[str]) -> list[Path]:
     return [
         path
         for path in files_of(entries)
-        if path.suffix.lower() in _TABLES
+        if path.suffix.lower() in TABLES
         and path.is_file()
         and stems <= {pixel_stem(name) for name in _header(path)}
     ]

@@ -194,14 +194,10 @@ class ImagesProject:
             if alone:
                 Y = rigid(np.eye(3), Y[:3, 3])
             place = np.linalg.inv(Y) if self.on_body else Y
-<<<<<<< HEAD
-            six = _six(self.boards[board.name], place, free and b == 0, near if held else None)
+            placed = six(self.boards[board.name], place, free and b == 0, near if held else None)
             for turn in SIX[3:] if alone else ():
-                six[f"{self.boards[board.name]}_{turn}"] = {"value": 0.0, "unit": "deg", **FIXED}
-            stated |= six
-=======
-            stated |= six(self.boards[board.name], place, free and b == 0, near if held else None)
->>>>>>> cam
+                placed[f"{self.boards[board.name]}_{turn}"] = {"value": 0.0, "unit": "deg", **FIXED}
+            stated |= placed
             if free and board.planar and len(board.points) > _FEWEST:
                 # nothing but the board says how large anything is
                 stated[f"{self.boards[board.name]}_scale"] = {"value": 0.0, **FIXED}
