@@ -37,8 +37,8 @@ _STARTED: list[Any] = []
 _FIRST: list[Any] = []
 """The page that opens all others from the disk, which share its process."""
 _SHOWN = Path(gettempdir()).resolve() / f"loopcal-page-{os.getpid()}.html"
-"""The name of all of them: so Chromium knows plotly's 5 MB again, which takes longer to compile than
-all else of most pages."""
+"""The name of all of them: so Chromium knows plotly's 5 MB again, which it compiles for longer than
+all else of most pages takes."""
 
 
 @contextmanager

@@ -42,7 +42,8 @@ COMMON = 5.0
 # Chosen, not derived: caps of an alternation that starts in closed form, for their time.
 _ROUNDS, _STEPS = 4, 12
 _LITTLE, _SLOW = 0.3, 0.98
-"""A fit that leaves more than this share of the spread ends where a step gains less than 2 %."""
+"""A fit that leaves more than this share of the spread, or so many radians, ends where a step gains
+less than 2 %."""
 _MOST = 5_000
 """Poses that decide at most: a drawing is off by far more than so many leave open."""
 _WEAK = 1e-6
@@ -251,18 +252,24 @@ def _hand_eye(R: Array, M: Array) -> tuple[Array, Array]:
     At first the matrices S and X^T of given length that agree best (singular vectors of the sum of
     the products of M and R), then each in turn as a rotation. Source: Shah (2013).
     """
-    both = np.einsum("nij,nlk->iljk", M, R)
-    U, _, Vt = np.linalg.svd(both.reshape(9, 9))
+    n, before = len(R), np.inf
+    # both[3 i + j, 3 l + k]: sums of M_ij R_lk, as matrix of the pairs (i, l) and (j, k).
+    products = M.reshape(n, 9).T @ R.reshape(n, 9)
+    both = products.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
+    U, _, Vt = np.linalg.svd(both)
     S, Y = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
     sign = np.sign(np.linalg.det(S)) or 1.0
-    S, X = _rotation(sign * S), _rotation(sign * Y).T
+    S, Y = _rotation(sign * S), _rotation(sign * Y)
     for _ in range(30):
-        before = X
-        S = _rotation(np.einsum("iljk,kj->il", both, X))
-        X = _rotation(np.einsum("iljk,il->kj", both, S))
-        if np.abs(X - before).max() < 1e-12:
-            break
-    return S, X
+        last = Y
+        S = _rotation((both @ Y.ravel()).reshape(3, 3))
+        seen = (S.ravel() @ both).reshape(3, 3)
+        Y = _rotation(seen)
+        away = np.sqrt(max(3.0 - float((Y * seen).sum()) / n, 0.0))  # rms [rad] where it is small
+        if np.abs(Y - last).max() < 1e-12 or (_LITTLE < away and _SLOW * before < away):
+            break  # as `_points` does
+        before = away
+    return S, Y.T
 
 
 def _rotation(matrix: Array) -> Array:
