@@ -266,7 +266,7 @@ def _hand_eye(R: Array, M: Array) -> tuple[Array, Array]:
         seen = (S.ravel() @ both).reshape(3, 3)
         Y = _rotation(seen)
         away = np.sqrt(max(3.0 - float((Y * seen).sum()) / n, 0.0))  # rms [rad] where it is small
-        if np.abs(Y - last).max() < 1e-12 or (_LITTLE < away and _SLOW * before < away):
+        if np.abs(Y - last).max() < 1e-12 or (away > _LITTLE and _SLOW * before < away):
             break  # as `_points` does
         before = away
     return S, Y.T

@@ -42,7 +42,7 @@ _GROUPED = {
 _UNSURE = {mark: re.compile(rf"{_GROUP}[{_OTHER[mark]}]\d{{3}}", re.ASCII) for mark in ".,"}
 """Thousands, or the other decimal mark."""
 _SEPARATORS = {mark: re.compile(f"[{_BLANKS}{_OTHER[mark]}]") for mark in ".,"}
-_INFINITE = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
+_INFINITE = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE | re.ASCII)
 
 
 class NotANumber(ValueError):
@@ -85,6 +85,10 @@ def is_missing(cell: object) -> bool:
 
 def is_number(cell: object, decimal: str = ".") -> bool:
     """Whether a cell holds a number; a missing one does not."""
+    if isinstance(cell, str):
+        text = cell.strip()
+        found = _NUMBER[decimal].fullmatch(text) or _GROUPED[decimal].fullmatch(text)
+        return (found or _INFINITE.fullmatch(text)) is not None
     try:
         return not math.isnan(number(cell, decimal))
     except ValueError:

@@ -12,6 +12,7 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 from loopcal.errors import InputError
@@ -31,6 +32,8 @@ _FEWEST = 3
 """Columns whose names a comment may hold: a comment of a few words names fewer."""
 _RUN = re.compile(r"[ \t]+")
 _UNIT_BEHIND = re.compile(r"(?<=\d)\s{0,3}(?P<unit>[^\W\d_]{1,4}|°)$")
+_LONGEST_UNIT = 7
+"""Characters of a unit with the blanks before it."""
 _BEFORE_UNIT = re.compile(r"\s+(?=[\[(])")
 
 
@@ -74,6 +77,10 @@ class _Trial:
         return fits * self.even * self.numeric, self.several
 
 
+_PERFECT = (1.0, True)
+"""The score of rows of equal length that hold nothing but numbers."""
+
+
 def cut(line: str, delimiter: str) -> list[str]:
     """The cells of one line, without quotes and surrounding blanks; csv.Error for bad quotes."""
     if '"' in line:
@@ -99,7 +106,12 @@ def recognise(rows: list[Row], name: str, layout: Layout, above: Sequence[Row] =
     marks, header = layout.decimal or ".,", layout.header
 
     def best_of(delimiters: Sequence[str]) -> _Trial:
-        return max((_try(rows, d, m) for d in delimiters for m in marks), key=lambda t: t.score)
+        best = _try(rows, delimiters[0], marks[0])
+        for delimiter, mark in [*product(delimiters, marks)][1:]:
+            if best.score == _PERFECT:  # of equals the first is taken
+                break
+            best = max(best, _try(rows, delimiter, mark), key=lambda trial: trial.score)
+        return best
 
     best = best_of([stated] if stated else DELIMITERS)
     if not best.several and stated:
@@ -172,9 +184,9 @@ def spoken(delimiter: str) -> str:
 
 def _says_number(cell: str, decimal: str) -> bool:
     """Whether a cell is a number, with its unit or without, or blank."""
-    if is_missing(cell) or is_number(cell, decimal):
+    if is_number(cell, decimal) or is_missing(cell):
         return True
-    unit = _UNIT_BEHIND.search(cell)
+    unit = _UNIT_BEHIND.search(cell, max(len(cell) - _LONGEST_UNIT, 0))
     return (
         unit is not None
         and not is_missing(unit["unit"])
