@@ -146,11 +146,11 @@ def see_points(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounte
     good, placed = np.ones(len(rows), dtype=np.bool_), _Placed(targets, np.eye(3), np.zeros(3))
     spread = _spread(measured[0])
     for _ in range(rounds):
-        placed = _points(some.take(good), seen[:, good], placed.targets, spread)
+        placed = _points(some.take(good), seen[:, good], placed.targets, spread=spread)
         good = _better(placed.away(some, seen))
 
     def place() -> Array:
-        return _points(some.take(good), seen[:, good], targets, spread, COMMON).targets
+        return _points(some.take(good), seen[:, good], targets, COMMON, spread).targets
 
     return Mounted(placed.away(bodies, measured), spread, place)
 
@@ -181,9 +181,10 @@ class _Placed:
 
 
 def _points(
-    bodies: Bodies, measured: Array, targets: Array, spread: float, common: float = 0.0
+    bodies: Bodies, measured: Array, targets: Array, common: float = 0.0, spread: float = math.inf
 ) -> _Placed:
-    """Placement and targets (K, 3) that fit some poses, all of them read, of readings so spread."""
+    """Placement and targets (K, 3) that fit some poses, all of them read; spread: of readings that
+    may not be of this body."""
     (K, n, _), before, little = measured.shape, np.inf, _LITTLE * spread
     for _ in range(_STEPS):
         now = _Placed.on(bodies, measured, targets)
@@ -257,7 +258,7 @@ def _hand_eye(R: Array, M: Array) -> tuple[Array, Array]:
     the products of M and R), then each in turn as a rotation. Source: Shah (2013).
     """
     n, before = len(R), np.inf
-    # both[3 i + j, 3 l + k]: sums of M_ij R_lk, as matrix of the pairs (i, l) and (j, k).
+    # Sums of M_ij R_lk over the poses, as a matrix of the pairs (i, l) and (j, k).
     products = M.reshape(n, 9).T @ R.reshape(n, 9)
     both = products.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
     U, _, Vt = np.linalg.svd(both)
