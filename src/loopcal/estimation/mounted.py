@@ -16,6 +16,7 @@ body determine u, others leave it at the body's origin. The misfits are those of
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -143,14 +144,15 @@ def see_points(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounte
     rows = _deciding(np.isfinite(measured).all(axis=(0, 2)) & bodies.complete)
     some, seen = bodies.take(rows), measured[:, rows]
     good, placed = np.ones(len(rows), dtype=np.bool_), _Placed(targets, np.eye(3), np.zeros(3))
+    spread = _spread(measured[0])
     for _ in range(rounds):
-        placed = _points(some.take(good), seen[:, good], placed.targets)
+        placed = _points(some.take(good), seen[:, good], placed.targets, spread=spread)
         good = _better(placed.away(some, seen))
 
     def place() -> Array:
-        return _points(some.take(good), seen[:, good], targets, COMMON).targets
+        return _points(some.take(good), seen[:, good], targets, COMMON, spread).targets
 
-    return Mounted(placed.away(bodies, measured), _spread(measured[0]), place)
+    return Mounted(placed.away(bodies, measured), spread, place)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,9 +180,12 @@ class _Placed:
         return distances
 
 
-def _points(bodies: Bodies, measured: Array, targets: Array, common: float = 0.0) -> _Placed:
-    """Placement and targets (K, 3) that fit some poses, all of them read."""
-    (K, n, _), before, little = measured.shape, np.inf, _LITTLE * _spread(measured[0])
+def _points(
+    bodies: Bodies, measured: Array, targets: Array, common: float = 0.0, spread: float = math.inf
+) -> _Placed:
+    """Placement and targets (K, 3) that fit some poses, all of them read; spread: of readings that
+    may not be of this body."""
+    (K, n, _), before, little = measured.shape, np.inf, _LITTLE * spread
     for _ in range(_STEPS):
         now = _Placed.on(bodies, measured, targets)
         placed = now.points(bodies)
@@ -253,7 +258,7 @@ def _hand_eye(R: Array, M: Array) -> tuple[Array, Array]:
     the products of M and R), then each in turn as a rotation. Source: Shah (2013).
     """
     n, before = len(R), np.inf
-    # both[3 i + j, 3 l + k]: sums of M_ij R_lk, as matrix of the pairs (i, l) and (j, k).
+    # Sums of M_ij R_lk over the poses, as a matrix of the pairs (i, l) and (j, k).
     products = M.reshape(n, 9).T @ R.reshape(n, 9)
     both = products.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
     U, _, Vt = np.linalg.svd(both)
@@ -339,7 +344,8 @@ def _better(away: Array) -> NDArray[np.bool_]:
             code="too-few-poses",
             remedy="measure at least 5 poses",
         )
-    return away <= np.quantile(distances, KEPT, method="higher")
+    at = math.ceil(KEPT * (distances.size - 1))
+    return np.asarray(away <= np.partition(distances, at)[at])
 
 
 def _cross(v: Array) -> Array:
