@@ -181,6 +181,7 @@ def test_a_tree_is_written_again_bit_for_bit(folder: Path) -> None:
         ],
         "instrument": [{"type": "contact", "between": ["a", "hand"], "radius": [0.02, 0.03]}],
         "observation": [{"type": "held-part", "between": ["a", "b"]}],
+        "mass": [{"name": "b", "joint": "q2", "point": [0.1, 0.0, 0.0], "mass": 2.0}],
     }
     made = mechanism_from_data(table, "here")
     path = folder / "tree.toml"
@@ -189,6 +190,15 @@ def test_a_tree_is_written_again_bit_for_bit(folder: Path) -> None:
     assert again.tree == made.tree
     assert again.tape == made.tape
     assert again.parameters == made.parameters
+    assert again.masses == made.masses
+
+
+def test_a_held_part_begins_where_the_drawing_has_the_hands(folder: Path) -> None:
+    rows = ["pose,lq1,lq2,rq1,rq2", *(f"{i},20.0,-10.0,150.0,30.0" for i in range(3))]
+    (folder / "part.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    made = begun(folder, ("part.csv",), "held-part name=part between=lh,rh")
+    off = np.array(list(made.mechanism.loop_values(made.dataset).values()))
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
 
 
 def test_a_file_of_one_arm_is_read_on_another_day_as_on_the_first(tmp_path: Path) -> None:
