@@ -112,6 +112,20 @@ def test_a_target_is_where_the_drawing_has_a_body_for_it_unless_points_deny_it(
     assert any("'lh' within 2 mm" in words for words in made.remarks) == stated
 
 
+@pytest.mark.parametrize(("swing", "sd"), [(60.0, 200.0), (0.1, 2.0)])
+def test_a_ball_in_a_socket_denies_the_drawing_where_the_hand_moves_around_it(
+    folder: Path, swing: float, sd: float
+) -> None:
+    """The ball sits on the axis of the elbow, which alone turns."""
+    rows = ["pose,lq1,lq2", *(f"{i},20.0,{q:.4f}" for i, q in enumerate(np.linspace(0, swing, 9)))]
+    (folder / "socket.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    observe = [f"socket name={name} on=lh target=ball file={name}" for name in ("socket", "other")]
+    (folder / "other.csv").write_text("\n".join(rows[:2]) + "\n", encoding="utf-8")
+    begun(folder, ("socket.csv", "other.csv"), *observe)
+    project = (folder / "cell" / "project.toml").read_text("utf-8")
+    assert f'ball_x = {{ value = 0.0, unit = "mm", sd = {sd} }}' in project
+
+
 @pytest.mark.parametrize(
     ("observe", "sd"), [(TOUCH, 2e-3), ("contact name=touch between=l2,r2", 0.2)]
 )

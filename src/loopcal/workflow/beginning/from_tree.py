@@ -344,7 +344,8 @@ def _sitting(
             bodies[one.table.get("centre", f"{one.name}_2")] = family.against
             target = target or f"{one.name}_1"
         if target:
-            bodies[target] = family.on if _as_drawn(mechanism, family, readings) else ""
+            denied = bodies.get(target) == "" or not _as_drawn(mechanism, family, readings)
+            bodies[target] = "" if denied else family.on
     words = []
     for target, body in bodies.items():
         link = mechanism.tree.links.get(body)
@@ -403,14 +404,24 @@ def _facing(
 
 
 def _as_drawn(mechanism: Mechanism, family: Family, readings: Mapping[str, Array]) -> bool:
-    """Whether measured points do not deny that the target is at the origin of its body."""
-    if family.form != "point" or len(family.readings) != 3:
+    """Whether measured points do not deny that the target is at the origin of its body.
+
+    Of one in a socket the gaps are read, which are nothing.
+    """
+    if family.form not in ("point", "gap") or len(family.readings) != 3:
         return True
     assert mechanism.tree is not None
     seen = np.array([readings[q] for q in family.readings])
     nominal = {p.name: p.nominal for p in mechanism.parameters}
     path = mechanism.tree.path(family.on, family.against)
     bodies = bodies_of(ChainFrame(path, readings, nominal), seen.shape[1])
+    if family.form == "gap":
+        held = np.isfinite(seen).all(axis=0)
+        away, turns = bodies.origins[held], bodies.rotations[held]
+        off, spread = away - away.mean(axis=0), turns - turns.mean(axis=0)
+        target = np.linalg.lstsq(spread.reshape(-1, 3), -off.ravel(), rcond=None)[0]
+        gain = np.mean(np.square(off).sum(axis=1) - np.square(off + spread @ target).sum(axis=1))
+        return bool(gain <= (DENIED * DRAWN_MM * 1e-3) ** 2)
     try:
         taken = align(bodies.origins.T, seen).rms ** 2 - see_points(bodies, seen.T[None]).rms ** 2
     except InputError:
