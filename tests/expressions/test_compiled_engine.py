@@ -6,6 +6,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -241,3 +242,13 @@ def test_a_number_of_threads_that_is_none_is_told(
         choice.in_words()
     with refused("invalid-usage", "LOOPCAL_THREADS"):
         engine_for(trace(lambda x, p: [x["a"]], quantities="a", parameters=()), (), 1)
+
+
+@built
+def test_a_tape_without_loops_has_no_values() -> None:
+    """As of a limb that no instrument sees from its root."""
+    tape = trace(lambda x, p: (p["p"] - x["q"],), quantities="q", parameters="p")
+    tape = replace(tape, loops=(), outputs=())
+    for kind in (NumpyEngine, CompiledEngine):
+        values = kind(linearise(tape, ("q",), ("p",)), 4).evaluate(np.zeros(1), np.zeros((1, 3)))
+        assert values.f.shape == (0, 3)

@@ -18,6 +18,7 @@ def with_masses(mechanism: Mechanism, masses: Sequence[Load]) -> Mechanism:
 
     Raises InputError for a load without mass, beside the arm, or of a joint that it has not.
     """
+    steps = mechanism.tree.steps if mechanism.tree else ()
     for load in masses:
         if load.mass is None:
             raise InputError(
@@ -25,8 +26,8 @@ def with_masses(mechanism: Mechanism, masses: Sequence[Load]) -> Mechanism:
                 code="missing-key",
                 remedy="give its mass, or leave it out: unknown weights are estimated as sag",
             )
-        end_of(mechanism.chain, load)
-        refuse_beyond(mechanism.chain, mechanism.parameters, load)
+        end_of(steps, load)
+        refuse_beyond(steps, mechanism.parameters, load)
     every = tuple({load.name: load for load in (*mechanism.masses, *masses)}.values())
     described = mechanism.description and {**mechanism.description, "mass": list(every)}
     return replace(mechanism, masses=every, description=described)

@@ -112,6 +112,20 @@ def test_a_target_is_where_the_drawing_has_a_body_for_it_unless_points_deny_it(
     assert any("'lh' within 2 mm" in words for words in made.remarks) == stated
 
 
+@pytest.mark.parametrize(("swing", "sd"), [(60.0, 200.0), (0.1, 2.0)])
+def test_a_ball_in_a_socket_denies_the_drawing_where_the_hand_moves_around_it(
+    folder: Path, swing: float, sd: float
+) -> None:
+    """The ball sits on the axis of the elbow, which alone turns."""
+    rows = ["pose,lq1,lq2", *(f"{i},20.0,{q:.4f}" for i, q in enumerate(np.linspace(0, swing, 9)))]
+    (folder / "socket.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    observe = [f"socket name={name} on=lh target=ball file={name}" for name in ("socket", "other")]
+    (folder / "other.csv").write_text("\n".join(rows[:2]) + "\n", encoding="utf-8")
+    begun(folder, ("socket.csv", "other.csv"), *observe)
+    project = (folder / "cell" / "project.toml").read_text("utf-8")
+    assert f'ball_x = {{ value = 0.0, unit = "mm", sd = {sd} }}' in project
+
+
 @pytest.mark.parametrize(
     ("observe", "sd"), [(TOUCH, 2e-3), ("contact name=touch between=l2,r2", 0.2)]
 )
@@ -181,6 +195,7 @@ def test_a_tree_is_written_again_bit_for_bit(folder: Path) -> None:
         ],
         "instrument": [{"type": "contact", "between": ["a", "hand"], "radius": [0.02, 0.03]}],
         "observation": [{"type": "held-part", "between": ["a", "b"]}],
+        "mass": [{"name": "b", "joint": "q2", "point": [0.1, 0.0, 0.0], "mass": 2.0}],
     }
     made = mechanism_from_data(table, "here")
     path = folder / "tree.toml"
@@ -189,6 +204,15 @@ def test_a_tree_is_written_again_bit_for_bit(folder: Path) -> None:
     assert again.tree == made.tree
     assert again.tape == made.tape
     assert again.parameters == made.parameters
+    assert again.masses == made.masses
+
+
+def test_a_held_part_begins_where_the_drawing_has_the_hands(folder: Path) -> None:
+    rows = ["pose,lq1,lq2,rq1,rq2", *(f"{i},20.0,-10.0,150.0,30.0" for i in range(3))]
+    (folder / "part.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    made = begun(folder, ("part.csv",), "held-part name=part between=lh,rh")
+    off = np.array(list(made.mechanism.loop_values(made.dataset).values()))
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
 
 
 def test_a_file_of_one_arm_is_read_on_another_day_as_on_the_first(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from loopcal.mechanisms.tree import BASE
 from loopcal.presentation.shown import with_unit
 from loopcal.workflow.beginning.begun import READINGS, Begun
 from loopcal.workflow.beginning.images_hand import PLACE, TURN, flange_columns
-from loopcal.workflow.beginning.images_project import six
+from loopcal.workflow.beginning.images_project import six_of
 
 CAMERA, MARKER, SEEN = "camera", "marker", "seen"
 _FEWEST = 3
@@ -130,7 +130,7 @@ def _begun(
         "mechanism": {
             "type": "free-body",
             "instrument": [looking],
-            "parameters": {**six(CAMERA, at.X, fixed=False), **six(MARKER, at.Y, fixed=False)},
+            "parameters": {**six_of(CAMERA, at.X), **six_of(MARKER, at.Y)},
         },
         "data": {"file": READINGS, "pose": "pose"},
         "noise": {

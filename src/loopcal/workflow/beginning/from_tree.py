@@ -12,6 +12,7 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
+from loopcal.estimation.cameras.twists import mean_motion
 from loopcal.estimation.mounted import bodies_of, see_points
 from loopcal.estimation.problem.alignment import align
 from loopcal.files.machines.mechanism_file import mechanism_from_data
@@ -34,8 +35,10 @@ from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.frame import ChainFrame, matrices
 from loopcal.mechanisms.instruments.camera import all_cameras
 from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
+from loopcal.mechanisms.placement import inverse, rigid
 from loopcal.statistics.choice import FOLDS
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, drawn, joint_noise
+from loopcal.workflow.beginning.images_project import six_of
 from loopcal.workflow.beginning.later_images import refuse_another, refuse_unknown_eye
 from loopcal.workflow.beginning.tree_images import Eyes, Pictures, see, sources_and_pictures
 
@@ -341,7 +344,8 @@ def _sitting(
             bodies[one.table.get("centre", f"{one.name}_2")] = family.against
             target = target or f"{one.name}_1"
         if target:
-            bodies[target] = family.on if _as_drawn(mechanism, family, readings) else ""
+            denied = bodies.get(target) == "" or not _as_drawn(mechanism, family, readings)
+            bodies[target] = "" if denied else family.on
     words = []
     for target, body in bodies.items():
         link = mechanism.tree.links.get(body)
@@ -365,7 +369,7 @@ def _facing(
     mechanism: Mechanism, looking: Sequence[Observation], readings: Mapping[str, Array]
 ) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
     """Where each touched plane is by the drawing: its `normal`, by name of the observation, and
-    its distance as an entry of [parameters].
+    its distance as an entry of [parameters]; and where what hands hold is in the first of them.
 
     The plane with the least squares of distances from the touched points: a tilt is an angle about
     a nominal normal, which must not be 90 degrees off.
@@ -374,15 +378,19 @@ def _facing(
     nominal = {p.name: p.nominal for p in mechanism.parameters}
     families = {family.name: family for family in mechanism.families}
     normals: dict[str, dict[str, Any]] = {}
-    distances: dict[str, Any] = {}
+    places: dict[str, Any] = {}
     for one in looking:
-        if one.table["type"] != "plane":
+        if one.table["type"] not in ("plane", "held-part"):
             continue
         family = families[one.name]
         path = mechanism.tree.path(family.on, family.against)
         touched = np.isfinite(readings[family.readings[0]])
         bodies = bodies_of(ChainFrame(path, readings, nominal), len(touched))
         points = bodies.origins[touched]
+        if one.table["type"] == "held-part":
+            first = rigid(bodies.rotations[touched], points)
+            places |= six_of(one.name, mean_motion(inverse(first), np.ones(len(first))))
+            continue
         middle, normal = points.mean(axis=0), one.table.get("normal")
         if normal is None:
             across = np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 0]
@@ -391,19 +399,29 @@ def _facing(
             normals[one.name] = {"normal": normal}
         n = np.array(normal) / np.linalg.norm(normal)
         away = round(1e3 * float(n @ middle), 1)
-        distances[f"{one.name}_distance"] = {"value": away, "unit": "mm"}
-    return normals, distances
+        places[f"{one.name}_distance"] = {"value": away, "unit": "mm"}
+    return normals, places
 
 
 def _as_drawn(mechanism: Mechanism, family: Family, readings: Mapping[str, Array]) -> bool:
-    """Whether measured points do not deny that the target is at the origin of its body."""
-    if family.form != "point" or len(family.readings) != 3:
+    """Whether measured points do not deny that the target is at the origin of its body.
+
+    Of one in a socket the gaps are read, which are nothing.
+    """
+    if family.form not in ("point", "gap") or len(family.readings) != 3:
         return True
     assert mechanism.tree is not None
     seen = np.array([readings[q] for q in family.readings])
     nominal = {p.name: p.nominal for p in mechanism.parameters}
     path = mechanism.tree.path(family.on, family.against)
     bodies = bodies_of(ChainFrame(path, readings, nominal), seen.shape[1])
+    if family.form == "gap":
+        held = np.isfinite(seen).all(axis=0)
+        away, turns = bodies.origins[held], bodies.rotations[held]
+        off, spread = away - away.mean(axis=0), turns - turns.mean(axis=0)
+        target = np.linalg.lstsq(spread.reshape(-1, 3), -off.ravel(), rcond=None)[0]
+        gain = np.mean(np.square(off).sum(axis=1) - np.square(off + spread @ target).sum(axis=1))
+        return bool(gain <= (DENIED * DRAWN_MM * 1e-3) ** 2)
     try:
         taken = align(bodies.origins.T, seen).rms ** 2 - see_points(bodies, seen.T[None]).rms ** 2
     except InputError:

@@ -173,7 +173,7 @@ class ImagesProject:
         for c, (camera, eye) in enumerate(self.eyes.items()):
             X = begun.X[c] @ np.linalg.inv(begun.X[0]) if free else begun.X[c]
             place = np.linalg.inv(X) if self.on_body else X
-            stated |= six(eye, place, free and c == 0, None if held else near)
+            stated |= six_of(eye, place, free and c == 0, None if held else near)
             lens = begun.intrinsics[camera]
             for key, value in lens.values.items():
                 entry: dict[str, Any] = {"value": float(value)}
@@ -194,7 +194,7 @@ class ImagesProject:
             if alone:
                 Y = rigid(np.eye(3), Y[:3, 3])
             place = np.linalg.inv(Y) if self.on_body else Y
-            placed = six(self.boards[board.name], place, free and b == 0, near if held else None)
+            placed = six_of(self.boards[board.name], place, free and b == 0, near if held else None)
             for turn in SIX[3:] if alone else ():
                 placed[f"{self.boards[board.name]}_{turn}"] = {"value": 0.0, "unit": "deg", **FIXED}
             stated |= placed
@@ -284,8 +284,8 @@ class ImagesProject:
         return table_bytes(columns, ".csv")
 
 
-def six(
-    owner: str, T: Array, fixed: bool, near: tuple[float, float] | None = None
+def six_of(
+    owner: str, T: Array, fixed: bool = False, near: tuple[float, float] | None = None
 ) -> dict[str, Any]:
     """[parameters] of a place; near: how well it is known, as sds [mm, deg]."""
     turns = yaw_pitch_roll(T[:3, :3])
