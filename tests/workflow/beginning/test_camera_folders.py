@@ -322,3 +322,14 @@ def test_joints_named_as_a_robot_of_ros_names_them(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_text(text + "\n", encoding="utf-8")
     project = lc.init(tmp_path / "poses.csv", dh=tmp_path / "dh.csv")
     assert project.rms < 3e-5
+
+
+def test_the_size_of_images_goes_through_to_other_programs(tmp_path: Path) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    lens = "fx: 900.0\nfy: 900.0\ncx: 640.0\ncy: 480.0\nwidth: 1300\nheight: 970\n"
+    (tmp_path / "lens.yaml").write_text(lens, encoding="utf-8")
+    lc.init(tmp_path, out=tmp_path / "out")
+    result = lc.calibrate(tmp_path / "out/project.toml", method="implicit-loop")
+    (text,) = lc.export(result, "camera_info").files.values()
+    assert b"image_width: 1300\nimage_height: 970\n" in text
