@@ -306,8 +306,12 @@ def test_corners_of_tags_stay_apart_in_files(tmp_path: Path) -> None:
     T = hands(12, 5)
     written(tmp_path, pixels(T, on="base"), T)
     names = {p: f"{i // 4}.{i % 4}" for i, p in enumerate(POINTS)}
-    for name, at in (("points.csv", 1), ("corners.csv", 3)):
-        rewritten(tmp_path / name, lambda row, at=at: [*row[:at], names[row[at]], *row[at + 1 :]])
+
+    def point(row: list[str], at: int) -> list[str]:
+        return [*row[:at], names[row[at]], *row[at + 1 :]]
+
+    rewritten(tmp_path / "points.csv", lambda row: point(row, 1))
+    rewritten(tmp_path / "corners.csv", lambda row: point(row, 3))
     lc.init(tmp_path, out=tmp_path / "out")
     loaded = lc.load_dataset(lc.read_project(tmp_path / "out/project.toml"))
     assert {f"camera_1:board:{name}:u" for name in names.values()} <= {*loaded.dataset.readings}
