@@ -7,13 +7,15 @@ print unknown, 40 images of 48 corners. Of each draw the folder of a user goes t
     loopcal init FOLDER --dh dh.csv
 
 and its calibration by the implicit loop, or through `loopcal init FOLDER` where the poses of the
-flange are kept instead of the joints. A region of l parameters holds where
+flange are kept instead of the joints: as the joints state them, or each 0.3 mm and 0.3 mrad off. A
+region of l parameters holds where
 
     (estimate - truth)^T C^-1 (estimate - truth) / l
 
 is at most the 95 % quantile of F; C their covariance, whose learnt sds state the denominator.
 
-    python -m analyses.cameras [--draws 40] [--encoder 50] [--processes 1] [--keep FILE]
+    python -m analyses.cameras [--draws 40] [--kinds KIND ...] [--encoder 50] [--processes 1]
+        [--keep FILE]
 
 Draws are kept in FILE as they end, and a run goes on where an earlier one stopped.
 """
@@ -31,17 +33,22 @@ from scipy.stats import beta
 
 import loopcal as lc
 from analyses.cameras_truth import Rig, inverse, shots
-from analyses.gauntlet_truth import Array
+from analyses.gauntlet_truth import Array, turned_by
 from analyses.kept import Draw, complete
 from loopcal.small_samples import LearntCovariance, f_tail
 
 KINDS = {
-    "eye to hand": (True, False),
-    "eye in hand": (False, False),
-    "eye to hand, poses": (True, True),
-    "eye in hand, poses": (False, True),
+    "eye to hand": (True, "joints"),
+    "eye in hand": (False, "joints"),
+    "eye to hand, poses": (True, "poses"),
+    "eye in hand, poses": (False, "poses"),
+    "eye to hand, own errors": (True, "own errors"),
+    "eye in hand, own errors": (False, "own errors"),
 }
-"""Whether the board is held, and whether poses of the flange are kept."""
+"""Whether the board is held, and what is kept: joints, poses of the flange by joints as read, or
+poses of which each has errors of its own."""
+OWN = (3e-4, 3e-4)
+"""sds of these [m, rad]."""
 SIX = "(x|y|z|rz|ry|rx)"
 REGIONS = {
     "camera": f"cam_{SIX}",
@@ -77,11 +84,19 @@ def truth(rig: Rig) -> dict[str, float]:
 
 def judged(name: str, draw: int, encoder: float) -> Draw:
     """Where the truth lies in the regions of one calibration."""
-    held, posed = KINDS[name]
+    held, kept = KINDS[name]
+    posed = kept != "joints"
     shot = shots(draw, held, encoder=encoder)
+    T = shot.rig.flange(shot.read)
+    if kept == "own errors":
+        rng = np.random.default_rng([48, draw, held])
+        off = turned_by(OWN[1] * rng.normal(size=(len(shot.q), 3)))
+        T = shot.rig.flange(shot.q)
+        T[:, :3, :3] = T[:, :3, :3] @ off
+        T[:, :3, 3] += OWN[0] * rng.normal(size=(len(shot.q), 3))
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        shot.write(folder, T=shot.rig.flange(shot.read) if posed else None)
+        shot.write(folder, T=T if posed else None)
         project = lc.init(folder, dh=None if posed else folder / "dh.csv")
     found = lc.calibrate(
         project.mechanism, project.dataset, noise=project.noise, method="implicit-loop"
@@ -130,13 +145,14 @@ def main() -> None:
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     options.add_argument("--draws", type=int, default=40)
     options.add_argument("--first", type=int, default=0)
+    options.add_argument("--kinds", nargs="+", choices=[*KINDS], default=[*KINDS])
     options.add_argument("--encoder", type=float, default=50.0, help="sd of a joint [urad]")
     options.add_argument("--processes", type=int, default=1)
     options.add_argument("--keep", type=Path, default=Path(".cache/cameras.jsonl"))
     chosen = options.parse_args()
     draws = range(chosen.first, chosen.first + chosen.draws)
     run = partial(judged, encoder=1e-6 * chosen.encoder)
-    wanted = [(name, i) for i in draws for name in KINDS]
+    wanted = [(name, i) for i in draws for name in chosen.kinds]
     done = complete(chosen.keep, wanted, run, chosen.processes, f"{chosen.encoder:g}")
     print("95 % regions hold the truth [%], with the interval of the draws")
     for name in KINDS:

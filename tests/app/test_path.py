@@ -260,6 +260,13 @@ def test_a_camera_needs_no_robot(hand: Hand, tmp_path: Path) -> None:
     expect(hand.page.get_by_text("but the project does not read it")).to_have_count(0)
     hand.step("Robot")
     hand.page.get_by_label(words.ROBOT_DRAWN, exact=True).wait_for()
+    hand.step("Fit")
+    hand.choose("Method", "implicit-loop")
+    hand.run("Calibrate")
+    hand.step("Validate")
+    hand.sees("Residuals in the image of eye")
+    hand.sees("Uncertainty of the projection of eye")
+    hand.sees("Images, the largest residuals first")
 
 
 def camera_files(folder: Path) -> list[Path]:

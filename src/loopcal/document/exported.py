@@ -84,7 +84,7 @@ class Exported:
     effects beyond geometry that the exported geometry cannot hold; warnings; limits: of readings
     [SI]; links: joint -> the frame (4, 4) behind it in the base's frame, all joints at zero; eyes:
     of a body whose pose is read, what sees poses beside pixels: whether the body carries it, and
-    its place (4, 4) there or in the base.
+    its place (4, 4) there or in the base; images: width and height of cameras' images, by camera.
     """
 
     name: str
@@ -100,6 +100,7 @@ class Exported:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     links: Mapping[str, Array] = field(default_factory=dict)
     eyes: Mapping[str, tuple[bool, Array]] = field(default_factory=dict)
+    images: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     def of(self, model: str) -> ModelAccuracy | None:
         """The accuracy of a model; None where it is not known."""

@@ -12,6 +12,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, get_type_hints
 
 import numpy as np
@@ -232,17 +233,20 @@ class Between:
     ] = None
 
 
-def recorded(make: Callable[Arguments, Instrument]) -> Callable[..., Instrument]:
+def recorded(
+    make: Callable[Arguments, Instrument], also: Mapping[str, Any] = MappingProxyType({})
+) -> Callable[..., Instrument]:
     """The same maker of instruments, which writes what it was given into `description`.
 
-    It takes the two bodies too, `on` and `against`, unless it does so itself.
+    It takes the two bodies too, `on` and `against`, unless it does so itself. also: further keys by
+    name, with their annotations, that no equation needs.
     """
     signature = inspect.signature(make)
     bodies = get_type_hints(Between, include_extras=True)
     added = {} if "on" in signature.parameters or "between" in signature.parameters else bodies
     keys = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
-        for name, kind in added.items()
+        for name, kind in (*also.items(), *added.items())
     ]
     whole = signature.replace(parameters=[*signature.parameters.values(), *keys])
 
@@ -250,10 +254,11 @@ def recorded(make: Callable[Arguments, Instrument]) -> Callable[..., Instrument]
     def made(*args: Any, **kwargs: Any) -> Instrument:
         arguments = whole.bind(*args, **kwargs).arguments
         between = {name: kwargs.pop(name, None) for name in added}
+        kwargs = {name: value for name, value in kwargs.items() if name not in also}
         return replace(make(*args, **kwargs), **between, description=described(made, arguments))
 
     made.__signature__ = whole  # type: ignore[attr-defined]
-    made.__annotations__ = {**make.__annotations__, **added}
+    made.__annotations__ = {**make.__annotations__, **also, **added}
     return made
 
 

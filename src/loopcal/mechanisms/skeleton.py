@@ -79,8 +79,11 @@ def body_poses(mechanism: Mechanism, readings: Mapping[str, Array]) -> Array | N
 
     None where the readings alone do not place the body, as in closed loops.
     """
-    kind = (mechanism.description or {}).get("type")
-    machine = PARALLEL[kind]() if kind in PARALLEL else None
+    described = mechanism.description or {}
+    kind = described.get("type")
+    # What says that a body is not read says where the search for it begins.
+    unread = {"read": False} if described.get("read") is False else {}
+    machine = PARALLEL[kind](**unread) if kind in PARALLEL else None
     joints = tuple(mechanism.joints) if mechanism.chain else ()
     names = (*machine.quantities, *machine.pose_constants) if machine else joints
     if not names or not {*names} <= readings.keys() or (machine and machine.loops):

@@ -38,6 +38,8 @@ DISTANCES = (0.5, 1.0, 2.0)
 """At which the uncertainty of a projection is drawn [m]."""
 GRID = 41
 """Columns of its map; finer ones look alike."""
+OF_IMAGES = ("scene", "image-", "radius-", "projection-")
+"""How the keys of figures of cameras begin."""
 FEW = 0.5
 """An image with less than this share of its camera's usual number of corners has few."""
 

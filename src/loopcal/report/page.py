@@ -21,7 +21,7 @@ from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import FitResult
 from loopcal.report import tables, top
 from loopcal.report.drawn import distances, figures
-from loopcal.report.images import image_table
+from loopcal.report.images import OF_IMAGES, image_table
 from loopcal.report.section import Section
 from loopcal.report.source import Source, source_of
 from loopcal.report.tables import parameter_cells, parameter_head
@@ -31,8 +31,6 @@ SectionsOf = Callable[[Source], Iterable[Section]]
 """What a report says of a result beyond the calibration."""
 MOST = 8
 """So many results stand side by side; a browser draws some sixteen scenes in space at most."""
-OF_IMAGES = ("scene", "image-", "radius-", "projection-")
-"""How the keys of figures of cameras begin."""
 QUESTIONS = {
     "sound": "Sound?",
     "valid": "Valid where?",

@@ -101,6 +101,15 @@ def model_table(document: ResultDocument) -> Table | None:
     return Table(caption, (*head, "behind", "sd"), tuple(rows))
 
 
+_MOST_NAMES, _MOST_SENSORS = 12, 40
+"""Quantities of a sensor that its row names; rows of sensors: images have hundreds of corners."""
+
+
+def _listed(quantities: Sequence[str]) -> str:
+    few = len(quantities) <= _MOST_NAMES
+    return ", ".join(quantities) if few else f"{quantities[0]} ... {quantities[-1]}"
+
+
 def sensor_table(source: Source) -> Table | None:
     """The sds that the readings were given, and how large their corrections are beside them."""
     rows = []
@@ -114,7 +123,7 @@ def sensor_table(source: Source) -> Table | None:
         mean = f"{values.mean():+z.2f}" if values.size else NONE
         rows.append(
             (
-                ", ".join(entry.quantities),
+                _listed(entry.quantities),
                 size(entry.sd, unit, 3, fine=True),
                 size(entry.sd_of_sd, unit, 2, fine=True),
                 size(entry.upper, unit, 2, fine=True),
@@ -208,6 +217,11 @@ def reliability_table(document: ResultDocument) -> Table | None:
     reliability = document.reliability
     if reliability is None or not reliability.sensors:
         return None
+    sensors, which = reliability.sensors, ""
+    if len(sensors) > _MOST_SENSORS:
+        by_effect = sorted(sensors, key=lambda one: -(one.effect or 0.0))
+        sensors = tuple(by_effect[:_MOST_SENSORS])
+        which = f", of those {_MOST_SENSORS} sensors whose errors do most"
     rows = [
         (
             one.quantity,
@@ -218,13 +232,13 @@ def reliability_table(document: ResultDocument) -> Table | None:
             one.pose or NONE,
             str(one.uncontrolled),
         )
-        for one in reliability.sensors
+        for one in sensors
     ]
     caption = (
         "What single readings can hide: smallest error that a test at "
         f"{100 * reliability.alpha:g} % finds with a probability of {percent(reliability.power)} "
         "(median and largest), and how far such an error moves the predictions "
-        "(rms over the measured poses)"
+        f"(rms over the measured poses){which}"
     )
     head = ("sensor", "redundancy", "detectable", "largest", "effect", "at pose", "unchecked")
     return Table(caption, head, tuple(rows))

@@ -172,3 +172,21 @@ def test_models_and_matrices_that_are_none_are_refused(tmp_path: Path) -> None:
     tilted = STORAGE.replace("rows: 8", "rows: 14").replace("0.03 ]", "0.03, 0,0,0,0, 0.01, 0 ]")
     with refused("unsupported", "tilted"):
         read_intrinsics(written(tmp_path, tilted))
+
+
+@pytest.mark.parametrize(
+    ("more", "lens"),
+    [
+        ("model: kannala_brandt\nk1: 0.01\n", "fisheye"),
+        ("distortion_model: equidistant\nk1: 0.01\n", "fisheye"),
+        ("k1: 0.01\nk2: 0.0\nk3: 0.0\nk4: 0.0\n", "fisheye"),
+        ("model: OPENCV\nk1: 0.01\np1: 0.001\n", "brown5"),
+        ("k1: 0.01\np1: 0.001\nk4: 0.1\n", "brown8"),
+    ],
+)
+def test_a_lens_by_the_word_or_the_coefficients_of_its_program(
+    tmp_path: Path, more: str, lens: str
+) -> None:
+    (tmp_path / "eye.yaml").write_text(f"fx: 320\nfy: 320\ncx: 640\ncy: 480\n{more}", "utf-8")
+    (eye,) = read_intrinsics(tmp_path / "eye.yaml").values()
+    assert eye.lens == lens

@@ -258,6 +258,10 @@ def as_matrices(T: np.ndarray) -> np.ndarray:
     return T.reshape(len(T), 16)
 
 
+def as_three_rows(T: np.ndarray) -> np.ndarray:
+    return as_matrices(T)[:, :12]
+
+
 def as_tum(T: np.ndarray) -> np.ndarray:
     """Time, place and quaternion x, y, z, w."""
     quaternions = Rotation.from_matrix(T[:, :3, :3]).as_quat()
@@ -268,7 +272,7 @@ def as_tum(T: np.ndarray) -> np.ndarray:
     ("numbers", "header"),
     [
         (as_matrices, ""),
-        (lambda T: T.reshape(len(T), 16)[:, :12], ""),
+        (as_three_rows, ""),
         (as_tum, ""),
         (as_tum, "# timestamp tx ty tz qx qy qz qw\n"),
     ],
@@ -333,3 +337,32 @@ def test_joints_named_as_a_robot_of_ros_names_them(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_text(text + "\n", encoding="utf-8")
     project = lc.init(tmp_path / "poses.csv", dh=tmp_path / "dh.csv")
     assert project.rms < 3e-5
+
+
+def test_the_size_of_images_goes_through_to_other_programs(tmp_path: Path) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    lens = "fx: 900.0\nfy: 900.0\ncx: 640.0\ncy: 480.0\nwidth: 1300\nheight: 970\n"
+    (tmp_path / "lens.yaml").write_text(lens, encoding="utf-8")
+    lc.init(tmp_path, out=tmp_path / "out")
+    result = lc.calibrate(tmp_path / "out/project.toml", method="implicit-loop")
+    (text,) = lc.export(result, "camera_info").files.values()
+    assert b"image_width: 1300\nimage_height: 970\n" in text
+
+
+def test_a_fisheye_that_nobody_states_is_seen_as_one(tmp_path: Path) -> None:
+    """Boards near a wide lens, by Kannala's formula."""
+    random = np.random.default_rng(4)
+    xyz = np.array([*POINTS.values()])
+    turns = Rotation.from_euler("xyz", random.uniform(-35.0, 35.0, (30, 3)), degrees=True)
+    places = random.uniform((-0.25, -0.2, 0.15), (0.1, 0.1, 0.3), (30, 3))
+    P = np.einsum("nij,pj->pni", turns.as_matrix(), xyz) + places
+    radius = np.hypot(P[..., 0], P[..., 1])
+    angle = np.arctan2(radius, P[..., 2])
+    far = 320.0 * angle * (1.0 + 0.02 * angle**2) / radius
+    uv = np.stack([640.0 + far * P[..., 0], 480.0 + far * P[..., 1]], axis=1)
+    written(tmp_path, uv + random.normal(0.0, 0.1, uv.shape), None)
+    project = lc.init(tmp_path)
+    assert any("As a fisheye it leaves" in one for one in project.remarks)
+    assert "camera_1_k4" in project.mechanism.parameters.names
+    assert "camera_1_p1" not in project.mechanism.parameters.names

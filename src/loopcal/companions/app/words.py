@@ -147,6 +147,10 @@ MACHINE = "Calibrations, verifications and events of the machine, in the folder 
 NO_HISTORY = "The machine has no history yet. Add this result, or an event."
 VERIFY = "Verify the calibration with readings of another day, in the columns of the project."
 LOG_BROKEN = "Lines of the log that cannot be read, and are skipped: {lines}"
+NOTHING_TO_PLAN = (
+    "No robot moves camera or board, so poses cannot be planned. Take images with the board tilted "
+    "by 20 to 45 deg either way, at several distances and in all parts of the image."
+)
 NO_PROGRAM = "none"
 PULSES = "Pulses per degree, for Yaskawa: n, n, ..."
 CRITERIA = {

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.measurements.dataset import Dataset
-from loopcal.mechanisms.instruments.camera import boards_in_camera
+from loopcal.mechanisms.instruments.camera import all_cameras, boards_in_camera
 from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
 
 Mask = NDArray[np.bool_]
@@ -36,12 +36,14 @@ def faces(mechanism: Mechanism, joints: Dataset) -> dict[str, Mask]:
 
 def in_image(mechanism: Mechanism, data: Dataset) -> dict[str, Mask]:
     """By camera (N,) whether it has all of its board in its image, twice as large as its principal
-    point is from its corner."""
+    point is from its corner where nobody states its size."""
     values = {p.name: p.nominal for p in mechanism.parameters}
+    stated = {one.name: one.intrinsics.image for one in all_cameras(mechanism)}
     inside = {}
     for family in _cameras(mechanism):
         eye = family.readings[0].split(":")[0]
-        size = 2.0 * np.array([values[f"{eye}_cx"], values[f"{eye}_cy"]])[:, None]
+        twice = (2.0 * values[f"{eye}_cx"], 2.0 * values[f"{eye}_cy"])
+        size = np.array(stated.get(eye) or twice)[:, None]
         pixels = np.array([data.readings[q] for q in family.readings]).reshape(-1, 2, len(data))
         inside[family.name] = np.asarray(((pixels > 0.0) & (pixels < size)).all(axis=(0, 1)))
     return inside

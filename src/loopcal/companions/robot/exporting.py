@@ -26,6 +26,7 @@ from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.files.machines.further_points import with_points
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.chain import Step, product
+from loopcal.mechanisms.instruments.camera import all_cameras
 from loopcal.mechanisms.limits import listed_joints
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import LinkJoint, calibrated_origins
@@ -62,8 +63,8 @@ def exported(
     values = {p.name: p.value for p in document.parameters}
     name = document.mechanism.name if document.mechanism else mechanism.name
     if not mechanism.joints:
-        eyes = _eyes(mechanism, values)
-        return Exported(name, None, (), document.parameters, values, eyes=eyes)
+        eyes, images = _eyes(mechanism, values), _images(mechanism)
+        return Exported(name, None, (), document.parameters, values, eyes=eyes, images=images)
     beyond = {
         n: v for names in mechanism.effects.values() for n in names if (v := values[n]) != 0.0
     }
@@ -111,7 +112,14 @@ def exported(
             if getattr(one, "limits", None) and getattr(one, "mimic", None) is None
         },
         _links(joints, geometry, axes=bool(described.get("axes"))) if mechanism.chain else {},
+        images=_images(mechanism),
     )
+
+
+def _images(mechanism: Mechanism) -> dict[str, tuple[int, int]]:
+    """Sizes of images that are stated, by camera."""
+    every = all_cameras(mechanism)
+    return {one.name: one.intrinsics.image for one in every if one.intrinsics.image}
 
 
 def _eyes(mechanism: Mechanism, values: Mapping[str, float]) -> dict[str, tuple[bool, Array]]:

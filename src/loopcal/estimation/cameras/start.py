@@ -30,6 +30,8 @@ PER_VIEW = 24
 """Corners per view that the adjustment of a start takes."""
 FITS = 3.0
 """A guessed lens is taken without trying another if the robot adds no more than this factor."""
+_WIDE = 1.2
+"""What corners span over the focal length, from which a lens may be a fisheye: 62 degrees."""
 FREE = ("f", "cx", "cy", "k1", "k2")
 """What a start adjusts of a lens of the family brown; a fisheye has the same names."""
 
@@ -116,6 +118,31 @@ def start(
     facts += motion_facts(reading, result.scene, stated=reading.stated)
     facts += scale_facts(reading, result, FREE)
     return _start_of(reading, result, facts)
+
+
+def started(
+    corners: Corners,
+    T_base_flange: Array | None,
+    intrinsics: Mapping[str, Intrinsics],
+    image_sizes: Mapping[str, tuple[int, int]],
+    held: bool | None = None,
+) -> CameraStart:
+    """`start`, with fisheyes where a wide lens that nobody states fits clearly better as one."""
+    begun = start(corners, T_base_flange, intrinsics, image_sizes, held)
+    unstated = [camera for camera in corners.cameras if camera not in intrinsics]
+    seen = {c: corners.uv[corners.camera == i] for i, c in enumerate(corners.cameras)}
+    reach = [float(np.ptp(seen[c], axis=0).max()) / begun.intrinsics[c].fx for c in unstated]
+    if max(reach, default=0.0) < _WIDE:
+        return begun
+    other = start(corners, T_base_flange, intrinsics, image_sizes, held, lens="fisheye")
+    plain, round_ = (float(np.median(np.hypot(*one.residuals.T))) for one in (begun, other))
+    if round_ > CLEAR * plain:
+        return begun
+    words = (
+        f"No file states the lens. As a fisheye it leaves {round_:.2f} px at half of the corners, "
+        f"else {plain:.2f} px: it is taken as one."
+    )
+    return replace(other, facts=(Fact("lens-fisheye", words, applied=True), *other.facts))
 
 
 def _behind(reading: Reading, result: Adjusted) -> list[Fact]:

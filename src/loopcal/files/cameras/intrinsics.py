@@ -124,19 +124,25 @@ def _of_kalibr(part: Part, first_pixel: float) -> Intrinsics:
     return _made(part, (fx, fy, cx, cy), coefficients, _pair(image), fisheye, first_pixel)
 
 
+_FISHEYES = re.compile(r"fish|equi|kannala|brandt|^kb\d?$")
+_BROWNS = re.compile(r"pinhole|brown|conrady|plumb|radtan|rational|opencv|perspective|^none$")
+"""Words by which programs name a lens."""
+
+
 def _by_name(part: Part, first_pixel: float) -> Intrinsics:
     frame = [part.part(name).number for name in ("fx", "fy", "cx", "cy")]
-    stated = part.get("lens")
-    names = {key for key, _ in part.items()}
-    # The smallest lens that has all the coefficients stated; k1 alone does not tell a fisheye.
-    lens = next(
-        one
-        for one, coefficients in LENSES.items()
-        if names & {*LENSES["brown12"]} <= {*coefficients}
-    )
-    if stated and stated.text not in LENSES:
+    stated = part.get("lens", "model", "camera_model", "distortion_model", "projection")
+    word = "" if stated is None else stated.text.lower()
+    named = {key for key, _ in part.items()} & {*LENSES["brown12"]}
+    # The smallest lens that has all the coefficients stated; k1 alone does not tell a fisheye, but
+    # k4 does where nothing else is beside it that a lens with k4 has.
+    lens = next(one for one, coefficients in LENSES.items() if named <= {*coefficients})
+    if _FISHEYES.search(word) or (not word and named == {*LENSES["fisheye"]}):
+        lens = "fisheye"
+    elif word in LENSES:
+        lens = word
+    elif stated is not None and word and not _BROWNS.search(word):
         raise _unsupported(stated, ", ".join(LENSES))
-    lens = stated.text if stated else lens
     coefficients = [c.number if (c := part.get(name)) else 0.0 for name in LENSES[lens]]
     return _made(part, frame, coefficients, _image(part), lens == "fisheye", first_pixel)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from inspect import signature
 from typing import Annotated, Any
 
@@ -50,6 +51,14 @@ Lens = Annotated[
     str,
     Key("What the lens does beyond a pinhole.", choices=tuple(LENSES)),
 ]
+Image = Annotated[
+    tuple[int, int] | None,
+    Key(
+        "Width and height of its images. Default: twice the principal point.",
+        unit="px",
+        example=[1600, 1200],
+    ),
+]
 _INTRINSIC = {
     "f": ("focal length along u", "px"),
     "aspect": ("focal length along v over that along u, less 1", "1"),
@@ -68,7 +77,7 @@ PRINT_SD, WARP_SD = 0.01, 1e-3
 """How far prints are off: 1 % in size, 1 mm in flatness. Chosen: prints are off by 0.5 to 3 %."""
 
 
-@recorded
+@partial(recorded, also={"image": Image})
 def camera(
     name: Name = "camera",
     *,
@@ -315,7 +324,7 @@ def all_cameras(mechanism: Mechanism) -> tuple[CameraEntry, ...]:
                 eye,
                 Board(stated["board"], points),
                 stated["on"],
-                Intrinsics.of(lens, intrinsic),
+                Intrinsics.of(lens, intrinsic, stated["image"] and tuple(stated["image"])),
                 T_eye,
                 T_board,
                 stated["name"],

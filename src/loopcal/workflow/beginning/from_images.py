@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.start import (
-    start,
+    started,
     way_of_turning,
     with_stated_lenses,
 )
@@ -97,11 +97,11 @@ def understood(
     lenses, turned = _upright(stated, table)
     if hand.ways:
         hand = hand.turned(way_of_turning(hand.ways, corners, lenses, sizes))
-    begun = start(corners, hand.T_base_flange, lenses, sizes, held)
+    begun = started(corners, hand.T_base_flange, lenses, sizes, held)
     if turned and any(fact.code == "u-reversed" for fact in begun.facts):
         # An image on its side that is a mirror besides is one whose u and v are exchanged.
         lenses, turned = stated, ()
-        begun = start(corners, hand.T_base_flange, lenses, sizes, held)
+        begun = started(corners, hand.T_base_flange, lenses, sizes, held)
     if set(lenses) >= set(table.cameras):
         # What was stated is nominal: what the images add to it is for the calibration to say.
         begun = with_stated_lenses(begun)

@@ -149,6 +149,7 @@ class ImagesProject:
             used = [ids[i] for i in np.unique(corners.point[seen])]
             # In the unit of the lengths that state none.
             length = dict(self.hand.table.get("units", {})).get("length", "m")
+            image = self.begun.intrinsics[camera].image
             points = {p: from_si(np.array(board.points[p]), length).tolist() for p in used}
             yield {
                 "type": "camera",
@@ -157,6 +158,7 @@ class ImagesProject:
                 "board": self.boards[board.name],
                 "on": "body" if self.on_body else "base",
                 "lens": self.begun.intrinsics[camera].lens,
+                **({} if image is None else {"image": list(image)}),
                 "offsets": not board.planar,
                 "points": points,
             }

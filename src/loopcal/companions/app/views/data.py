@@ -175,8 +175,10 @@ def _robot(scene: Scene, project: Project, data: Dataset) -> Any:
 
 
 def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
-    joints = joints_of(project.mechanism)
-    return {j: float(data[j][index]) if j in data.readings else 0.0 for j in joints}
+    joints = dict.fromkeys(joints_of(project.mechanism), 0.0)
+    # A quaternion says how a body is turned, and where a search begins where an unread one is.
+    every = (*joints, *project.mechanism.pose_constants)
+    return joints | {j: float(data[j][index]) for j in every if j in data.readings}
 
 
 def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any, scene: Scene) -> None:

@@ -46,6 +46,9 @@ def show(view: View) -> None:
     if project is None:
         _begin(view)
         return
+    if (project.mechanism.description or {}).get("read") is False:
+        ui.label(words.NOTHING_TO_PLAN)
+        return
     tables = {name: name for name in view.files(ENDS)}
     measured = {OLD: "none"}
     if view.session.source() is not None:

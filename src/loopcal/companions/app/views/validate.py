@@ -12,11 +12,12 @@ from loopcal.companions.app.controls import choice, offer, printed, uploader
 from loopcal.companions.app.pictures import machine_figure, moved
 from loopcal.companions.app.predicting import Map, Probe, map_figure
 from loopcal.companions.app.scene import Scene
-from loopcal.companions.app.view import View, figure, heading, plot
+from loopcal.companions.app.view import View, figure, heading, plot, table
 from loopcal.files.tables.registry import BY_ENDING
 from loopcal.presentation.shown import in_unit, unit_shown
 from loopcal.report import top
 from loopcal.report.drawn import figures
+from loopcal.report.images import OF_IMAGES, image_table
 from loopcal.report.source import Source
 
 ENDS = tuple(BY_ENDING)
@@ -55,9 +56,13 @@ def show(view: View) -> None:
     ui.timer(0.01, fill, once=True)
     _another_day(view)
     drawn = figures(source)
-    for key in ("histogram", "arrows"):
-        if key in drawn:
+    for key in drawn:
+        if key in ("histogram", "arrows") or key.startswith(OF_IMAGES):
             figure(drawn[key])
+    images = image_table(source)
+    if images is not None:
+        heading(images.caption)
+        table(images.head, images.rows)
 
 
 def _predicted(source: Source) -> tuple[Probe, Map] | None:

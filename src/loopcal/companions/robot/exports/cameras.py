@@ -50,7 +50,7 @@ def cameras_of(exported: Exported, source: Path | None = None) -> dict[str, Came
         )
         values = {key: exported.values[f"{name}_{key}"] for key in (*FRAME, *LENSES[lens])}
         sizes = [stated[name]] if name in stated else list(stated.values())
-        image = sizes[0].image if len(sizes) == 1 else None
+        image = sizes[0].image if len(sizes) == 1 else exported.images.get(name)
         steps, on_hand = Station(name).steps, roles.get(f"{name}_x") == "mounting"
         T = None
         if all(step.parameter in exported.values for step in steps):
