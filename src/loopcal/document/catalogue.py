@@ -476,8 +476,7 @@ _ROWS = (
     _better("better", f"Better than {{rival}}: {_INSTEAD}", title="Better than {rival}."),
     _better(
         "nothing-stated",
-        "Of machine and lens nothing was stated that could be compared: {rms:3} rms on poses not "
-        "used.",
+        "Nothing was stated to compare with, of machine or lens: {rms:3} rms on poses not used.",
         title="Nothing was stated to compare with.",
     ),
     _better_open(
