@@ -15,6 +15,7 @@ from loopcal.mechanisms.instruments.inclinometer import inclinometer
 from loopcal.mechanisms.instruments.length import distance
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
+from loopcal.mechanisms.instruments.seen_plane import seen_plane
 from loopcal.mechanisms.machine import Instrument, Machine, assemble
 from loopcal.mechanisms.origins import LinkJoint
 from loopcal.mechanisms.redundancy import fix_redundant
@@ -90,9 +91,12 @@ LONE = {"0": (0.0, 0.0, 0.0)}
 SIGHT = eye("left", "l2", BOARD)  # and four of the print
 POINTS = [eye("left", "l2", LONE), eye("right", "r2", LONE)]
 
+SEEING = (("a", "l2"), ("b", "r2"))
+
 # R revolute joints on the paths and L leaves, stations among them, tied by poses: 4 R + 6 (L - 1);
-# 3 fewer for a leaf of which a point alone is seen, or a plane; 1 fewer where no length is read. Of
-# turns alone each joint has 2 and a leaf 3; gravity does not show a turn about itself.
+# 3 fewer for a leaf of which a point alone is seen, and for each sight of a plane; 1 fewer where no
+# length is read. Of turns alone each joint has 2 and a leaf 3; gravity does not show a turn about
+# itself.
 HEAD = [marker("left", "l2", "h1", "left_at"), marker("right", "r2", "h1", "right_at")]
 GROUND = marker("wall", "ground", "h1", "wall_at")
 
@@ -110,6 +114,9 @@ GROUND = marker("wall", "ground", "h1", "wall_at")
         (humanoid(), [*HEAD, GROUND], 4 * 10 + 18),
         (arms(), [plane("a", on="l2", target="ball")], 4 * 3 + 6 - 3 - 3 - 1),
         (arms(), [plane("a", on="l2", against="r2", target="ball")], 4 * 6 + 6 - 3 - 3 - 1),
+        (arms(), [seen_plane("a", on="l2")], 4 * 3 + 6 - 3),
+        (arms(), [seen_plane("a", on="l2", against="r2")], 4 * 6 + 6 - 3),
+        (arms(), [seen_plane(a, on=on, plane="wall") for a, on in SEEING], 4 * 6 + 12 - 6),
         (arms(), [inclinometer("a", on="l2")], 2 * 3 + 3 - 1),
         (humanoid(), [SIGHT], 4 * 5 + 6 + 4 + 4),
         (humanoid(), POINTS[:1], 4 * 5 + 6 - 3 - 1 + 4),
@@ -117,7 +124,17 @@ GROUND = marker("wall", "ground", "h1", "wall_at")
     ],
     ids=[
         *("pose", "point", "distance", "contact", "tracker", "head", "both hands", "wall"),
-        *("plane", "plate", "gravity", "pixels", "pixel", "both pixels"),
+        *(
+            "plane",
+            "plate",
+            "seen plane",
+            "seen plate",
+            "one wall",
+            "gravity",
+            "pixels",
+            "pixel",
+            "both pixels",
+        ),
     ],
 )
 def test_as_many_parameters_are_free_as_the_observation_determines(

@@ -16,6 +16,7 @@ from loopcal.mechanisms.instruments.inclinometer import inclinometer
 from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
+from loopcal.mechanisms.instruments.seen_plane import seen_plane
 from loopcal.mechanisms.instruments.spherical import spherical
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "point",
     "pose",
     "relative_distance",
+    "seen_plane",
     "socket",
     "sphere",
     "spherical",
