@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.estimation.mounted import Bodies, see_planes
 from loopcal.mechanisms.station import pose_of
 from tests.refusals import refused
 
@@ -80,3 +81,15 @@ def test_three_readings_are_named() -> None:
 def test_a_plane_is_no_line() -> None:
     with pytest.raises(lc.InputError, match="dimensions"):
         lc.assemble(lc.machines.planar_two_link(), [lc.instruments.seen_plane()])
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_the_plane_and_the_camera_are_placed_by_what_it_sees(stated: bool) -> None:
+    q = poses(30, np.random.default_rng(4))
+    T, (x, y, away) = SEEING.fk(q), seen(q).values()
+    n_camera = np.stack([np.sin(x), np.sin(y), np.sqrt(1.0 - np.sin(x) ** 2 - np.sin(y) ** 2)], 1)
+    bodies = Bodies(T[:, :3, :3], T[:, :3, 3])
+    camera, n, c = see_planes(bodies, n_camera, away, normal() if stated else None)
+    np.testing.assert_allclose(n, normal(), atol=1e-6)
+    np.testing.assert_allclose(c, WALL["distance"], atol=1e-5)
+    np.testing.assert_allclose(camera, pose_of([*CAMERA.values()]), atol=1e-5)

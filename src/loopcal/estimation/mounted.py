@@ -324,6 +324,33 @@ def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
     return Mounted(away, spread, lambda: u[None], anchor=A, zero=c)
 
 
+def see_planes(
+    bodies: Bodies, normals: Array, ranges: Array, n: Array | None = None
+) -> tuple[Array, Array, float]:
+    """T_body_camera (4, 4), and the plane n . p = c [m] that a camera on the body sees.
+
+    normals (N, 3), ranges (N,): of the plane in the camera's frame. R_i X n_i = n is best for X
+    and n in turn, from n along each axis unless it is stated; c - n . (o_i + R_i t) = range_i is
+    linear in c and t, of which the least step is taken.
+    """
+    R, o = bodies.rotations, bodies.origins
+    free, ways = n is None, []
+    for start in np.concatenate([np.eye(3), -np.eye(3)]) if n is None else n[None]:
+        along, X = start, np.eye(3)
+        for _ in range(_STEPS):
+            X = _rotation(np.einsum("nji,j,nk->ik", R, along, normals))
+            seen = np.einsum("nij,nj->i", R, normals @ X.T) / len(R)
+            if free:
+                along = seen / np.linalg.norm(seen)
+        ways.append((float(seen @ along), along, X))
+    _, along, X = max(ways, key=lambda way: way[0])
+    J = np.column_stack([np.ones(len(R)), -along @ R])
+    c, *t = np.linalg.lstsq(J, ranges + o @ along, rcond=_WEAK)[0].tolist()
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = X, t
+    return T, along, c
+
+
 def evenly(positions: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     """So many of these positions at most, evenly spread."""
     at = np.linspace(0, len(positions) - 1, min(len(positions), most)).astype(np.intp)

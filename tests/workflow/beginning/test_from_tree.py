@@ -144,6 +144,25 @@ def test_an_inclinometer_is_turned_by_an_unknown_angle(folder: Path) -> None:
     assert made.mechanism.parameters["level_rx"].prior_sd == pytest.approx(np.pi / 3)
 
 
+def test_cameras_that_see_one_plane_begin_with_one_normal(folder: Path) -> None:
+    draw = np.random.default_rng(3)
+    rows = ["lq1 [deg],lq2 [deg],rq1 [deg],rq2 [deg],a [rad],b [rad],c [m],d [rad],e [rad],f [m]"]
+    for _ in range(9):
+        joints, seen = draw.uniform(-40.0, 40.0, 4), draw.uniform(0.1, 0.5, 6)
+        rows.append(",".join(f"{v:.4f}" for v in (*joints, *seen)))
+    (folder / "wall.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    observe = [
+        f"seen-plane name={on} on={on} plane=wall columns={columns}"
+        for on, columns in (("lh", "a,b,c"), ("rh", "d,e,f"))
+    ]
+    made = begun(folder, ("wall.csv",), *observe)
+    left, right = made.inputs["mechanism"]["instrument"]
+    assert left["normal"] == right["normal"]
+    assert np.linalg.norm(left["normal"]) == pytest.approx(1.0, abs=1e-2)
+    parameters = made.mechanism.parameters
+    assert parameters["lh_x"].prior_sd == parameters["rh_x"].prior_sd == 0.2
+
+
 def test_a_large_robot_begins_with_one_method(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -54,7 +54,7 @@ def with_readings(one: Observation) -> dict[str, Any]:
     if table["type"] == "camera":
         # Until the files say which boards and points there are.
         table["board"], table["points"] = f"{one.name}_board", {"0": [0.0, 0.0, 0.0]}
-    if table["type"] not in ("camera", "contact", "held-part", "inclinometer"):
+    if table["type"] not in ("camera", "contact", "held-part", "inclinometer", "seen-plane"):
         table.setdefault("target", f"{one.name}_target")
     if table["type"] in ("point", "pose") and "readings" not in table:
         table["readings"] = [f"{one.name}_{axis}" for axis in "xyz"]

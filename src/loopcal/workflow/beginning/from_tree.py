@@ -13,7 +13,7 @@ import numpy as np
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.twists import mean_motion
-from loopcal.estimation.mounted import bodies_of, see_points
+from loopcal.estimation.mounted import Bodies, bodies_of, see_planes, see_points
 from loopcal.estimation.problem.alignment import align
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.dh_table import Row, read_dh
@@ -368,8 +368,9 @@ def _sitting(
 def _facing(
     mechanism: Mechanism, looking: Sequence[Observation], readings: Mapping[str, Array]
 ) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
-    """Where each touched plane is by the drawing: its `normal`, by name of the observation, and
-    its distance as an entry of [parameters]; and where what hands hold is in the first of them.
+    """Where each plane is by the drawing: its `normal`, by name of the observation, and its
+    distance as an entry of [parameters]; and where what hands hold is in the first of them, and
+    cameras that see a plane on theirs.
 
     The plane with the least squares of distances from the touched points: a tilt is an angle about
     a nominal normal, which must not be 90 degrees off.
@@ -379,13 +380,24 @@ def _facing(
     families = {family.name: family for family in mechanism.families}
     normals: dict[str, dict[str, Any]] = {}
     places: dict[str, Any] = {}
+    walls: dict[str, Any] = {}
     for one in looking:
-        if one.table["type"] not in ("plane", "held-part"):
+        if one.table["type"] not in ("plane", "held-part", "seen-plane"):
             continue
         family = families[one.name]
         path = mechanism.tree.path(family.on, family.against)
-        touched = np.isfinite(readings[family.readings[0]])
+        read = np.array([readings[q] for q in family.readings])
+        touched = np.isfinite(read).all(axis=0)
         bodies = bodies_of(ChainFrame(path, readings, nominal), len(touched))
+        if one.table["type"] == "seen-plane":
+            plane = one.table.get("plane", f"{one.name}_plane")
+            stated = one.table.get("normal", walls.get(plane))
+            T, n, away = _seen_planes(bodies.take(touched), read[:, touched], stated)
+            walls[plane] = [round(float(v), 3) + 0.0 for v in n] if stated is None else stated
+            normals[one.name] = {"normal": walls[plane]}
+            places |= six_of(one.name, T, near=(MOUNTED_MM, TURNED_DEG))
+            places.setdefault(f"{plane}_distance", {"value": round(1e3 * away, 1), "unit": "mm"})
+            continue
         points = bodies.origins[touched]
         if one.table["type"] == "held-part":
             first = rigid(bodies.rotations[touched], points)
@@ -401,6 +413,16 @@ def _facing(
         away = round(1e3 * float(n @ middle), 1)
         places[f"{one.name}_distance"] = {"value": away, "unit": "mm"}
     return normals, places
+
+
+def _seen_planes(
+    bodies: Bodies, read: Array, normal: Sequence[float] | None
+) -> tuple[Array, Array, float]:
+    """`see_planes` of two angles and a distance (3, N)."""
+    x, y = np.sin(read[:2])
+    in_camera = np.stack([x, y, np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))], axis=1)
+    n = None if normal is None else np.array(normal) / np.linalg.norm(normal)
+    return see_planes(bodies, in_camera, read[2], n)
 
 
 def _as_drawn(mechanism: Mechanism, family: Family, readings: Mapping[str, Array]) -> bool:
