@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import codecs
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from loopcal.companions.robot.exports.urdf import decimal, patched_urdf
+from loopcal.companions.robot.exports.urdf import by_prefix, decimal, patched_urdf
 from loopcal.files.machines.urdf import read_urdf
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.origins import calibrated_origins, joint_chain
@@ -148,6 +149,26 @@ def test_another_robot_is_refused(old, new, tmp_path):
     other = written(tmp_path, ENCODED["LF"].replace(old.encode(), new.encode()), "other.urdf")
     with refused("unknown-name" if '"xy"' in new else "conflicting-keys"):
         patched_urdf(other, origins)
+
+
+def prefixed(one, prefix):
+    mimic = one.joint.mimic and replace(one.joint.mimic, joint=prefix + one.joint.mimic.joint)
+    joint = replace(one.joint, name=prefix + one.joint.name, mimic=mimic)
+    return replace(one, joint=joint)
+
+
+def test_each_of_two_robots_of_one_file_has_a_file_of_its_own(tmp_path):
+    path = written(tmp_path, HOSTILE.encode())
+    joints = ["ab", "bc", "cd", "de", "ef", "ag"]
+    left, right = (calibrated(path, seed=seed)[2] for seed in (1, 2))
+    both = [*(prefixed(one, "l_") for one in left), *(prefixed(one, "r_") for one in right)]
+    mount = prefixed(replace(left[0], joint=replace(left[0].joint, name="mount")), "r_")
+    robots = by_prefix([*both, mount], joints)
+    assert list(robots) == ["l_", "r_"]
+    for mine, alone in zip(robots.values(), (left, right), strict=True):
+        assert patched_urdf(path, mine).content == patched_urdf(path, alone).content
+    assert by_prefix(left, joints) == {"": tuple(left)}
+    assert by_prefix(both, ["other"]) == {"": tuple(both)}
 
 
 def test_decimals_are_the_shortest_that_read_back():

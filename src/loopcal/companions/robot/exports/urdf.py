@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import codecs
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -194,12 +194,61 @@ def decimal(value: float) -> str:
 
 
 def urdf(exported: Exported, options: ExportOptions) -> ExportFiles:
-    """The user's URDF patched, and offsets.csv where zero offsets stand apart."""
-    assert options.source is not None
-    hung = camera_origins(options.source, exported)
-    done = patched_urdf(options.source, (*exported.origins, *hung.origins))
-    files = {options.source.name: done.content} | offsets(exported)
-    return ExportFiles(files, (*done.warnings, *hung.warnings))
+    """The user's URDF patched, and offsets.csv where zero offsets stand apart; of several robots
+    that are described by this file one file each."""
+    path = options.source
+    assert path is not None
+    robots = by_prefix(
+        exported.origins, joint_elements(read_xml(path, "robot", NO_URDF), str(path))
+    )
+    files: dict[str, str | bytes] = {}
+    warnings: list[str] = []
+    for prefix, origins in robots.items():
+        hung = camera_origins(path, replace(exported, origins=origins))
+        done = patched_urdf(path, (*origins, *hung.origins))
+        files[f"{prefix if len(robots) > 1 else ''}{path.name}"] = done.content
+        warnings += [*done.warnings, *hung.warnings]
+    left = len(exported.origins) - sum(map(len, robots.values()))
+    if left:
+        which = " and ".join(map(repr, robots))
+        warnings.append(
+            f"Written is the robot whose joints begin with {which}. Other origins ({left}) are not "
+            "in this file: export other robots by their --source; mechanism.toml says where robots "
+            "stand."
+        )
+    return ExportFiles(files | offsets(exported), tuple(warnings))
+
+
+def by_prefix(
+    origins: Sequence[CalibratedOrigin], joints: Collection[str]
+) -> dict[str, tuple[CalibratedOrigin, ...]]:
+    """The origins that are in a file with these joints, named as there, by the prefix that tells
+    its robot from others; all of them without a prefix where none is in it by that."""
+    names = [one.joint.name for one in origins]
+    prefixes = dict.fromkeys(
+        name.removesuffix(joint) for name in names for joint in joints if name.endswith(joint)
+    )
+    robots = {
+        p: tuple(one for one in origins if _bare(one.joint.name, p) in joints) for p in prefixes
+    }
+    most = max(map(len, robots.values()), default=0)
+    if not most or "" in robots:
+        return {"": tuple(origins)}
+    return {
+        prefix: tuple(replace(one, joint=_without(one.joint, prefix)) for one in mine)
+        for prefix, mine in robots.items()
+        if len(mine) == most
+    }
+
+
+def _bare(name: str, prefix: str) -> str:
+    """The name behind a prefix; empty where it has another one."""
+    return name.removeprefix(prefix) if name.startswith(prefix) else ""
+
+
+def _without(joint: LinkJoint, prefix: str) -> LinkJoint:
+    mimic = joint.mimic and replace(joint.mimic, joint=joint.mimic.joint.removeprefix(prefix))
+    return replace(joint, name=joint.name.removeprefix(prefix), mimic=mimic)
 
 
 def offsets(exported: Exported) -> dict[str, bytes]:
