@@ -144,6 +144,13 @@ def test_an_inclinometer_is_turned_by_an_unknown_angle(folder: Path) -> None:
     assert made.mechanism.parameters["level_rx"].prior_sd == pytest.approx(np.pi / 3)
 
 
+def test_a_reading_has_no_name_of_its_station(folder: Path) -> None:
+    observe = "point name=eye on=lh station=eye columns=x,y,z"
+    mechanism = begun(folder, ("both.csv",), observe).mechanism
+    assert mechanism.families[0].readings == ("eye_seen_x", "eye_seen_y", "eye_seen_z")
+    assert {*mechanism.quantities}.isdisjoint(mechanism.parameters.names)
+
+
 def test_cameras_that_see_one_plane_begin_with_one_normal(folder: Path) -> None:
     draw = np.random.default_rng(3)
     rows = ["lq1 [deg],lq2 [deg],rq1 [deg],rq2 [deg],a [rad],b [rad],c [m],d [rad],e [rad],f [m]"]

@@ -56,8 +56,11 @@ def with_readings(one: Observation) -> dict[str, Any]:
         table["board"], table["points"] = f"{one.name}_board", {"0": [0.0, 0.0, 0.0]}
     if table["type"] not in ("camera", "contact", "held-part", "inclinometer", "seen-plane"):
         table.setdefault("target", f"{one.name}_target")
+    # A station or target of the same name has the parameters NAME_x, ...
+    alike = one.columns and one.name in (table.get("station"), table.get("target"))
     if table["type"] in ("point", "pose") and "readings" not in table:
-        table["readings"] = [f"{one.name}_{axis}" for axis in "xyz"]
+        seen = f"{one.name}_seen" if alike else one.name
+        table["readings"] = [f"{seen}_{axis}" for axis in "xyz"]
     if table["type"] == "pose" and "columns" not in table:
         table["columns"] = [f"{one.name}_{part}" for part in ("qw", "qx", "qy", "qz")]
     return table
