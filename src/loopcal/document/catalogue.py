@@ -373,8 +373,8 @@ _ROWS = (
     ),
     _not_valid(
         "image-covered-in-part",
-        "Where no corner was the lens is not known: {rms_in_regions:3} rms in image regions not "
-        "used instead of {rms:3} on images not used.",
+        "The lens is not known where no corner was seen: {rms_in_regions:3} rms in image regions "
+        "not used instead of {rms:3} on images not used.",
         "Take images with the board in all parts of the image, most of all near its corners.",
         _REPORT,
     ),

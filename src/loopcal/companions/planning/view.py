@@ -35,8 +35,10 @@ def faces(mechanism: Mechanism, joints: Dataset) -> dict[str, Mask]:
 
 
 def in_image(mechanism: Mechanism, data: Dataset) -> dict[str, Mask]:
-    """By camera (N,) whether it has all of its board in its image, twice as large as its principal
-    point is from its corner where nobody states its size."""
+    """By camera (N,) whether all of its board is in its image.
+
+    Without a stated size the image is twice as large as its principal point is from its corner.
+    """
     values = {p.name: p.nominal for p in mechanism.parameters}
     stated = {one.name: one.intrinsics.image for one in all_cameras(mechanism)}
     inside = {}

@@ -1,4 +1,4 @@
-"""Cameras and boards placed where no view has a pose of its own, as of one point on each hand.
+"""The start of cameras and boards where no view shows enough corners, as of one point on each hand.
 
 What the hand carries is within arm's reach of its origin: all images together are one view of a
 large body, whose points are where the hand was. From the camera's pose in it follow the boards, for

@@ -127,7 +127,7 @@ def started(
     image_sizes: Mapping[str, tuple[int, int]],
     held: bool | None = None,
 ) -> CameraStart:
-    """`start`, with fisheyes where a wide lens that nobody states fits clearly better as one."""
+    """`start`; a wide lens that no file states is a fisheye where that fits clearly better."""
     begun = start(corners, T_base_flange, intrinsics, image_sizes, held)
     unstated = [camera for camera in corners.cameras if camera not in intrinsics]
     seen = {c: corners.uv[corners.camera == i] for i, c in enumerate(corners.cameras)}

@@ -257,7 +257,7 @@ LONE = "0"
 
 
 def _each_alone(table: CornerTable) -> CornerTable:
-    """The corners with each point as a board of its own, named after both where it has several."""
+    """The corners with a board for each point, named BOARD_POINT where a board has several."""
     points: dict[str, set[str]] = {}
     for board, point in zip(table.board, table.point, strict=True):
         points.setdefault(board, set()).add(point)

@@ -4,9 +4,9 @@ The first word is the type of an instrument; each other one is a key of its tabl
 of several values divided by commas. Four keys say where the readings stand: `columns`, the columns
 in the order of the instrument's readings; `joints`, JOINT:COLUMN where a file names joints
 otherwise; `file`, part of the name of the one file that holds it; and `where`, COLUMN:VALUE of the
-rows in which it was observed. What a camera saw stands in a table of corners: `camera` and `board`
-say which of them, all by default. Where it saw one point that has columns of its own, `columns`
-names u and v, and `camera` the camera.
+rows in which it was observed. Pixels stand in a table of corners: `camera` and `board`
+choose its rows, by default all. Of a single point with columns beside the joints `columns` names u
+and v, and `camera` names the camera.
 """
 
 from __future__ import annotations

@@ -199,7 +199,7 @@ def urdf(exported: Exported, options: ExportOptions) -> ExportFiles:
     path = options.source
     assert path is not None
     robots = by_prefix(
-        exported.origins, joint_elements(read_xml(path, "robot", NO_URDF), str(path))
+        exported.origins, joint_elements(read_xml(path, "robot", NO_URDF), shown(path))
     )
     files: dict[str, str | bytes] = {}
     warnings: list[str] = []
