@@ -389,6 +389,7 @@ def _facing(
         read = np.array([readings[q] for q in family.readings])
         touched = np.isfinite(read).all(axis=0)
         bodies = bodies_of(ChainFrame(path, readings, nominal), len(touched))
+        touched &= bodies.complete
         if one.table["type"] == "seen-plane":
             plane = one.table.get("plane", f"{one.name}_plane")
             stated = one.table.get("normal", walls.get(plane))
