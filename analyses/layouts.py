@@ -577,6 +577,23 @@ def _(w: World, p: Path) -> Case:
     return case
 
 
+@layout("a column of stations, each of which counts its own poses")
+def _(w: World, p: Path) -> Case:
+    first = np.arange(POSES) < POSES // 2
+    counted = [i + 1 if e else i + 1 - POSES // 2 for i, e in enumerate(first)]
+    points = np.where(first[:, None], w.points, w.elsewhere)
+    case = plain(
+        p,
+        {"Station": [1 if e else 2 for e in first], "Pose": counted},
+        joints(w),
+        xyz("{}", points),
+    )
+    case.stated = xyz("{}1 [mm]", np.where(first[:, None], w.points, np.nan)) | xyz(
+        "{}2 [mm]", np.where(first[:, None], np.nan, w.elsewhere)
+    )
+    return case
+
+
 @layout("a camera's quaternion, w last", "ur")
 def _(w: World, p: Path) -> Case:
     case = plain(
@@ -1147,6 +1164,32 @@ def _(w: World, p: Path) -> Case:
     head = "%%%\n  VERSION:1\n  LANGUAGE:ENGLISH\n%%%\nMODULE Calib\n  ! points\n"
     end = f"  PROC main()\n{moves}  ENDPROC\nENDMODULE\n"
     return Case([repeated(p / "Calib.mod", _RAPID, w.shown(w.read), head, end), tracker(w, p)])
+
+
+@layout("RAPID beside SpatialAnalyzer: Collection::Group::Point without a header, two points lost")
+def _(w: World, p: Path) -> Case:
+    rows = ~np.isin(np.arange(POSES), [9, 22])
+    lines = [
+        f"A::Robot Points::p{i + 1}, {x:.4f}, {y:.4f}, {z:.4f}"
+        for i, (x, y, z) in enumerate(1e3 * w.points)
+        if rows[i]
+    ]
+    (p / "sa.txt").write_text("// Units: Millimeters\n" + "\n".join(lines) + "\n")
+    case = Case([repeated(p / "Calib.mod", _RAPID, w.shown(w.read)), "sa.txt"], rows=rows)
+    case.stated = xyz("{} [mm]", w.points)
+    return case
+
+
+@layout("Leica: PointName, X, Y, Z, Sx, Sy, Sz beside joints")
+def _(w: World, p: Path) -> Case:
+    sds = w.rng.uniform(0.008, 0.02, w.points.shape)
+    name = written(
+        p / "leica.csv",
+        {"PointName": ids(w), **xyz("{}", w.points, "XYZ"), **of(("Sx", "Sy", "Sz"), sds)},
+        sep=";",
+        decimal=",",
+    )
+    return Case([written(p / "joints.csv", {"Pose": ids(w), **joints(w)}), name])
 
 
 @layout("RAPID: robtargets, which are computed")

@@ -89,7 +89,7 @@ def test_numbers_after_all_others_belong_to_no_row() -> None:
     points = "".join(f"C0000{i}={i},{2 * i}\n" for i in range(5))
     made = table(points + "".join(f"MOVJ C0000{i} VJ=10.00\n" for i in range(5)))
     assert made is not None
-    assert made.names == ("C 1", "C 2")
+    assert made.names == ("C 1", "C 2", "pose")
 
 
 @pytest.mark.parametrize("content", ["", "no number", "a 1\nb 2\n", "one 1 two 2"])

@@ -580,8 +580,11 @@ def test_what_does_not_fit_is_explained(tmp_path: Path, arm: Any) -> None:
         lc.init({**own, **of(points * (1e3, 1.0, 1.0), "xyz")}, dh=path)
     moved = points.copy()
     moved[30:] += (0.4, -0.2, 0.0)
-    with refused("implausible-readings", "moved during the run", "x2"):
+    with refused("implausible-readings", "moved during the run", "add a column 'station'"):
         lc.init({**own, **of(moved, "xyz")}, dh=path)
+    run = {"run": 1.0 + (np.arange(len(moved)) >= 30)}
+    with refused("implausible-readings", "moved during the run", "rename the column 'run'"):
+        lc.init({**own, **of(moved, "xyz"), **run}, dh=path)
     shuffled = points[np.random.default_rng(1).permutation(len(points))]
     with refused("mismatched-poses", "row by row", "loopcal init"):
         lc.init({**own, **of(shuffled, "xyz")}, dh=path)

@@ -121,12 +121,31 @@ def test_coordinates_in_a_file_of_their_own_are_no_turn(tmp_path: Path) -> None:
         ("a few numeric ids measured twice", np.ones(POSES, dtype=bool)),
         ("a file of JSON per pose", np.ones(POSES, dtype=bool)),
         ("a list of YAML", np.ones(POSES, dtype=bool)),
+        (
+            "RAPID beside SpatialAnalyzer: Collection::Group::Point without a header, two points "
+            "lost",
+            ~np.isin(np.arange(POSES), [9, 22]),
+        ),
     ],
 )
 def test_files_of_unlike_lengths_are_joined(tmp_path: Path, name: str, rows: np.ndarray) -> None:
     world, made = begun(name, tmp_path)
     assert np.allclose(joint_readings(made), world.read[rows], atol=1e-6)
     assert np.allclose(made.dataset["x"], world.points[rows, 0], atol=1e-6)
+
+
+def test_each_station_may_count_its_own_poses(tmp_path: Path) -> None:
+    world, made = begun("a column of stations, each of which counts its own poses", tmp_path)
+    assert np.allclose(joint_readings(made), world.read, atol=1e-6)
+    first = np.arange(POSES) < POSES // 2
+    assert np.allclose(made.dataset["x_1"][first], world.points[first, 0], atol=1e-6)
+    assert np.isnan(made.dataset["x_1"][~first]).all()
+    assert np.allclose(made.dataset["x_2"][~first], world.elsewhere[~first, 0], atol=1e-6)
+
+
+def test_sds_of_a_tracker_are_those_of_its_coordinates(tmp_path: Path) -> None:
+    _, made = begun("Leica: PointName, X, Y, Z, Sx, Sy, Sz beside joints", tmp_path)
+    assert any("The sds of x, y, z stand in columns" in words for words in made.remarks)
 
 
 def test_numbers_in_ids_join_files_whose_rows_are_in_another_order(tmp_path: Path) -> None:

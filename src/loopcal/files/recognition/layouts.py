@@ -59,6 +59,10 @@ class Seen:
         return np.flatnonzero(np.isfinite(self.position[0].values))
 
 
+_EITHER = frozenset(f"{begin}{axis}" for begin in ("s", "s_") for axis in "xyz")
+"""Names of sds or of set points."""
+
+
 @dataclass(frozen=True, eq=False)
 class Layout:
     """One way to understand the columns. how: by what the joints were recognised."""
@@ -185,9 +189,7 @@ def _with_joints(
     if seen:
         return (_layout(joints, seen, fields, how), *_trackers(joints, seen, rest, fields, how))
     free = [f for f in rest if not f.is_time]
-    # Only the last may stand still: a coordinate that does would be mistaken for what follows it.
-    move = moving(free)
-    for some in (free, move) if move == tuple(free[: len(move)]) else (free,):
+    for some in _in_line(free):
         in_order = tuple(_layout(joints, (one,), fields, how) for one in _read_in_order(some))
         if in_order:
             return in_order
@@ -202,6 +204,16 @@ def _with_joints(
         remedy='name them "x", "y", "z" (a point), add "qw", "qx", "qy", "qz" (a pose), or name '
         'one "length" (a wire)',
     )
+
+
+def _in_line(fields: Sequence[Field]) -> Iterator[Sequence[Field]]:
+    """The columns that may be an instrument's by their number: those without names first."""
+    for some in ([f for f in fields if not f.stem], fields):
+        yield some
+        # Only the last may stand still: a coordinate that does would be mistaken for what follows.
+        move = moving(some)
+        if move == tuple(some[: len(move)]):
+            yield move
 
 
 def _trackers(
@@ -379,7 +391,14 @@ def _sds(position: Sequence[Field], fields: Sequence[Field]) -> tuple[Field, ...
     by_stem = {f.stem: f for f in fields if f.stem}
     by_quantity = {of: f for f in fields if f.stem and (of := sd_of(f.stem, by_stem)) is not None}
     sds = tuple(by_quantity[p.stem] for p in position if p.stem in by_quantity)
-    return sds if len(sds) == len(position) else ()
+    if len(sds) < len(position) or any(map(_set_point, sds, position)):
+        return ()
+    return sds
+
+
+def _set_point(sd: Field, of: Field) -> bool:
+    """Whether a column that is named as either, such as Sx, moves as the readings do."""
+    return sd.stem in _EITHER and sd.span > 0.5 * of.span
 
 
 def _matrices(

@@ -14,7 +14,8 @@ import re
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,6 +40,10 @@ MARKS = frozenset("={[<")
 """Marks that no table has between its numbers."""
 _IN_LISTS = frozenset(",;[](){}")
 _WORD = r"\s{0,9}['\"]?[A-Za-z_]\w{0,80}['\"]?\s{0,9}"
+_COUNTED = re.compile(r"(?<!\w)([A-Za-z_]\w{0,60}?)(\d{1,9})(?!\w)")
+"""A word that ends in a number."""
+_INDEX = re.compile(r"\w\[(\d{1,9})[\]:]")
+"""What follows the name of a list, as in P[1]."""
 _NAMES = re.compile(rf"\[({_WORD}(?:,{_WORD}){{1,60}})\]")
 """A list of words, such as the names of joints in a message of ROS."""
 _BLOCK = re.compile(r":[ \t]{0,9}((?:\n[ \t]{0,20}-[ \t][^\n:]{1,80}(?=\n|\Z))+)")
@@ -93,10 +98,26 @@ def records_table(text: Text) -> tuple[Table, str] | None:
     named = words[0] if len(words) == count == words.count(words[0]) else []
     arrays = {key: a for name, runs in groups.items() for key, a in _arrays(name, runs).items()}
     table = by_columns(arrays, text.file, None, text.sha256, count, tuple(named))
+    ids = _ids(content, groups)
+    if ids and "pose" not in table.names:
+        cells = {**table.columns, len(table.names): ids}
+        table = replace(table, names=(*table.names, "pose"), columns=cells)
     return table, (
         f"{text.name} is no table, but repeats one form {count} times: its numbers "
         f"{', '.join(name or 'without a name' for name in groups)} are the columns."
     )
+
+
+def _ids(content: str, groups: Mapping[str, Sequence[_Run]]) -> list[str]:
+    """What each time is called: XP1, XP2, ..., or P[1], P[2], ...; empty where nothing counts."""
+    starts = [min(run.at for run in runs) for runs in zip(*groups.values(), strict=True)]
+    ahead = [content[a:b] for a, b in pairwise([0, *starts])]
+    named = [dict(_COUNTED.findall(words)) for words in ahead]
+    counted = [[f"{stem}{one.get(stem, '')}" for one in named] for stem in named[0]]
+    for runs in groups.values():
+        indices = [_INDEX.match(content, run.at - 2) for run in runs]
+        counted.append([index[1] if index else "" for index in indices])
+    return next((ids for ids in counted if len({*ids}) == len(ids)), [])
 
 
 def _arrays(name: str, runs: Sequence[_Run]) -> dict[str, Array]:

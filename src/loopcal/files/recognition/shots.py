@@ -10,6 +10,7 @@ import numpy as np
 
 from loopcal.files.recognition.fields import STILL, Field
 from loopcal.files.recognition.headers import Heading, stem
+from loopcal.files.recognition.joint_sets import usual_joints
 from loopcal.presentation.shown import significant
 
 MOST_TARGETS = 8
@@ -63,7 +64,7 @@ def widened(
 ) -> tuple[Field, ...] | None:
     """Columns with a row per id; what differs between labels has a column for each of them.
 
-    None where the labels are not few.
+    None where the labels are not few, and where the joints differ: each label counts its own poses.
     """
     kinds, poses = list(dict.fromkeys(labels)), list(dict.fromkeys(ids))
     if not 1 < len(kinds) <= MOST_TARGETS:
@@ -83,6 +84,10 @@ def widened(
         bool(((most - least)[most >= least] > STILL * field.span).any())
         for least, most, field in zip(low, high, fields, strict=True)
     ]
+    joints = usual_joints([f for f in fields if f.span > 0.0])
+    moved = [differs for field, differs in zip(fields, apart, strict=True) if field in joints]
+    if moved and all(moved):
+        return None
     differing = [field.stem for field, differs in zip(fields, apart, strict=True) if differs]
     columns: list[Field] = []
     for field, cells, least, most, differs in zip(fields, wide, low, high, apart, strict=True):

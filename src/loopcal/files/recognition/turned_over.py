@@ -15,6 +15,8 @@ from loopcal.files.tables.table import Table
 
 _FEWEST = 4
 """Rows that name a quantity, at least."""
+_ROWS = 3
+"""Such rows for each column beside them, at most: names of points have three coordinates each."""
 
 
 def names_joints(names: Sequence[str]) -> bool:
@@ -36,7 +38,9 @@ def turned_over(
     rows = list(zip(*(table.columns[i] for i in range(width)), strict=True))
     named = [row for row in rows if str(row[0] or "").strip() and is_number(row[1], table.decimal)]
     words = [str(row[0]).strip() for row in named]
-    if len(named) < _FEWEST or len(named) < len(rows) - 1 or len({*words}) < len(words):
+    if not _FEWEST <= len(named) <= _ROWS * (width - 1):
+        return table, ""
+    if len(named) < len(rows) - 1 or len({*words}) < len(words):
         return table, ""
     if not names(words) or names(table.names):
         return table, ""

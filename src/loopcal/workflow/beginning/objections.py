@@ -19,8 +19,9 @@ from loopcal.errors import Code, InputError
 from loopcal.estimation.mounted import Bodies
 from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.joins import Fields
-from loopcal.files.recognition.layouts import Layout, Seen
+from loopcal.files.recognition.layouts import FEWEST, Layout, Seen
 from loopcal.files.recognition.meanings import LENGTHS, Meaning
+from loopcal.files.recognition.shots import MOST_TARGETS
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.units import from_si, unit
 from loopcal.workflow.beginning.counts import reads_counts
@@ -553,9 +554,24 @@ def _moved(way: Understood) -> Explanation | None:
         "implausible-readings",
         f"the instrument or the robot's base was moved during the run, first near row {row}: "
         f"blocks of {_BLOCK} poses fit the nominal machine, all of them together do not",
-        "give each place of the instrument a project of its own, or columns of its own: x1, y1, "
-        "z1 blank where it did not stand there, x2, y2, z2 blank elsewhere",
+        f"rename the column {places.label!r} to 'station': the rows of each of its values fit"
+        if (places := _places(way, meaning))
+        else "add a column 'station' that names the place of the instrument in each row, such as 1 "
+        "and 2",
     )
+
+
+def _places(way: Understood, meaning: Meaning) -> Field | None:
+    """The unused column by whose values the rows fit."""
+    for field in way.layout.ignored:
+        groups = [np.flatnonzero(field.values == v) for v in np.unique(field.values)]
+        if (
+            1 < len(groups) <= MOST_TARGETS
+            and min(map(len, groups)) >= FEWEST
+            and all(_together(way, meaning, rows) for rows in groups)
+        ):
+            return field
+    return None
 
 
 def _together(way: Understood, meaning: Meaning, rows: NDArray[np.intp]) -> bool:
