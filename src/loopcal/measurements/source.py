@@ -38,6 +38,8 @@ class Source:
     """Thinning: the 1st, (every + 1)th, ... row was kept."""
     days: Days | None = None
     """Of the measurement, by a column of dates."""
+    read_as: str = ""
+    """What was made of columns that are not those of the first files, in words."""
     rows: NDArray[np.int64] | None = None
     """(N,) row of each pose in the file, counted from 1 as an editor or a spreadsheet does."""
     begins: Mapping[str, int] = field(default_factory=dict)

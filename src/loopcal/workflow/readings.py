@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,23 @@ def new_readings(
         from loopcal.workflow.beginning.from_tree import later_observed
 
         return later_observed(entries, mechanism, observe)
-    return read_new_readings(data, inputs, mechanism, whole=whole)
+    try:
+        return read_new_readings(data, inputs, mechanism, whole=whole)
+    except InputError as error:
+        if error.code != "missing-column" or not whole or not _are_files(entries):
+            raise
+        from loopcal.workflow.beginning.later_layout import later_layout
+
+        made = None
+        with suppress(InputError):  # what is missing says more
+            made = later_layout(entries, mechanism)
+        if made is None:
+            raise
+        return made
+
+
+def _are_files(entries: Sequence[Any]) -> bool:
+    return all(isinstance(one, str | Path) for one in entries)
 
 
 def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
@@ -114,7 +131,7 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
     folder = getattr(data, "path", None)
     if isinstance(folder, Path):  # of a result
         data = folder
-    if isinstance(data, list | tuple) and all(isinstance(one, str | Path) for one in data):
+    if isinstance(data, list | tuple) and _are_files(data):
         if len(data) > 1:
             return new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
         data = first_of(data)

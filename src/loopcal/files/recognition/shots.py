@@ -16,6 +16,8 @@ from loopcal.presentation.shown import significant
 MOST_TARGETS = 8
 _ALIKE = 1e-2
 """Shots of one pose agree to this share of the span of all poses."""
+ROUNDING = 1e-12
+"""An sd below this share of the span comes from computing the mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,7 @@ def pooled(fields: Sequence[Field], keys: Sequence[Any]) -> Shots | None:
         sd = float(np.sqrt(np.square(off).sum() / freedom)) if freedom else 0.0
         same = np.abs(off).max(initial=0.0) <= _ALIKE * field.span
         alike += field in varying and bool(same)
-        if sd and same:
+        if same and sd > ROUNDING * field.span:
             scatters.append(f"{field.label} {significant(sd, 2)}")
     if 2 * alike < len(varying):
         return None
