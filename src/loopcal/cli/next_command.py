@@ -164,6 +164,9 @@ def _whole_day(error: LoopcalError, words: Sequence[str]) -> list[str]:
     named = [i for i in named if words[i - 1] not in (*_ROBOT, "--out")]
     if not named or {words[i] for i in named} >= {*tables} or (first == 1 and len(tables) != 2):
         return []
+    # The readings of a calibration cannot test it.
+    if words[0] in ("verify", "update") and len(named) >= len(tables):
+        return []
     rest = [word for i, word in enumerate(words) if i not in named[1:]]
     return ["loopcal", *rest[: named[0]], *tables, *rest[named[0] + 1 :]]
 

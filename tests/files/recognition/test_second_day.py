@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import read_project
 from loopcal.workflow.beginning.initial import initial_project
 from loopcal.workflow.beginning.robot_file import RobotFile
+from loopcal.workflow.readings import new_readings
 from tests.reference import dh_arm
 from tests.refusals import refused
 
@@ -220,6 +222,30 @@ def test_a_header_that_states_another_unit_is_believed(tmp_path: Path) -> None:
     read = read_new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
     np.testing.assert_allclose(read["J1"], q[:, 0], atol=1e-8)
     np.testing.assert_allclose(read["x"], T[:, 0, 3], atol=1e-8)
+
+
+@pytest.mark.parametrize("later", [comma, two_files, renamed, shots])
+@pytest.mark.parametrize("first", [comma, two_files])
+def test_a_later_day_may_have_other_columns(first: Text, later: Text, tmp_path: Path) -> None:
+    q, T = day(slice(60, 80))
+    project = begun(tmp_path, kept(tmp_path / "first", first(*day(slice(0, 40)))))
+    texts = {name: re.sub(r"\bJ(?=\d)", "axis_", text) for name, text in later(q, T).items()}
+    paths = kept(tmp_path / "second", texts)
+    read = new_readings(paths, project.inputs, project.mechanism, whole=True)
+    assert [*read.readings] == [*NAMES, *"xyz"]
+    np.testing.assert_allclose([read[n] for n in NAMES], q.T, atol=1e-9)
+    np.testing.assert_allclose([read[n] for n in "xyz"], T[:, :3, 3].T, atol=1e-9)
+    assert read.source.read_as.startswith("Other columns than on the first day")
+
+
+def test_other_columns_that_the_machine_does_not_fit_are_none(tmp_path: Path) -> None:
+    first, (q, T) = day(slice(0, 40)), day(slice(60, 80))
+    project = begun(tmp_path, kept(tmp_path / "first", comma(*first)))
+    names = [f"axis_{i}" for i in range(1, 7)]
+    columns = joints_of(q[:, ::-1], names) | points_of(T[:, :3, 3])
+    (tmp_path / "b.csv").write_text(written(columns), "utf-8")
+    with refused("missing-column", "J1"):
+        new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
 
 
 def test_a_missing_column_of_the_instrument_is_named(tmp_path: Path) -> None:
