@@ -1180,18 +1180,6 @@ def _(w: World, p: Path) -> Case:
     return case
 
 
-@layout("Leica: PointName, X, Y, Z, Sx, Sy, Sz beside joints")
-def _(w: World, p: Path) -> Case:
-    sds = w.rng.uniform(0.008, 0.02, w.points.shape)
-    name = written(
-        p / "leica.csv",
-        {"PointName": ids(w), **xyz("{}", w.points, "XYZ"), **of(("Sx", "Sy", "Sz"), sds)},
-        sep=";",
-        decimal=",",
-    )
-    return Case([written(p / "joints.csv", {"Pose": ids(w), **joints(w)}), name])
-
-
 @layout("RAPID: robtargets, which are computed")
 def _(w: World, p: Path) -> Case:
     turns = Rotation.from_matrix(w.tcp_turns).as_quat()[:, [3, 0, 1, 2]]

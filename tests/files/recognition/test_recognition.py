@@ -123,18 +123,6 @@ def test_sds_go_with_their_coordinates() -> None:
     assert [f.stem for f in seen.sds] == ["sd_x", "sd_y", "sd_z"]
 
 
-def test_set_points_are_no_sds() -> None:
-    named = ["x", "y", "z", "sx", "sy", "sz"]
-    rng = np.random.default_rng(1)
-    for scale, sds in ((1.0, []), (1e-4, ["sx", "sy", "sz"])):
-        made = [
-            Field(0, i, heading(n), (scale if n[0] == "s" else 1.0) * rng.random(20))
-            for i, n in enumerate(named)
-        ]
-        (seen,) = instruments(made)
-        assert [f.stem for f in seen.sds] == sds
-
-
 def written(folder: Path, text: str) -> Path:
     path = folder / "dh.csv"
     path.write_text(text, "utf-8")

@@ -143,11 +143,6 @@ def test_each_station_may_count_its_own_poses(tmp_path: Path) -> None:
     assert np.allclose(made.dataset["x_2"][~first], world.elsewhere[~first, 0], atol=1e-6)
 
 
-def test_sds_of_a_tracker_are_those_of_its_coordinates(tmp_path: Path) -> None:
-    _, made = begun("Leica: PointName, X, Y, Z, Sx, Sy, Sz beside joints", tmp_path)
-    assert any("The sds of x, y, z stand in columns" in words for words in made.remarks)
-
-
 def test_numbers_in_ids_join_files_whose_rows_are_in_another_order(tmp_path: Path) -> None:
     name = "ids P01, and numbers ahead of points without a header, two rows lost"
     world, made = begun(name, tmp_path)

@@ -121,8 +121,6 @@ def heading(text: str, spoken: Mapping[str, str] = MappingProxyType({})) -> Head
 
 _SD_BEFORE = re.compile(r"^(?:u|sd|std|sigma|unc|uncertainty|stddev|sig)_?(?P<of>.+)$")
 _SD_AFTER = re.compile(r"^(?P<of>.+?)_?(?:sd|std|sigma|unc|uncertainty|stddev)$")
-_SD_OF_AXIS = re.compile(r"^s_?(?P<of>[xyz])$")
-"""As trackers write it; elsewhere it may be a set point."""
 
 
 def sd_of(name: str, names: Container[str]) -> str | None:
@@ -131,7 +129,7 @@ def sd_of(name: str, names: Container[str]) -> str | None:
     >>> sd_of("u_x", {"x", "y"}), sd_of("x", {"x", "y"})
     ('x', None)
     """
-    for form in (_SD_BEFORE, _SD_AFTER, _SD_OF_AXIS):
+    for form in (_SD_BEFORE, _SD_AFTER):
         match = form.match(name)
         if match and match["of"] in names and match["of"] != name:
             return match["of"]

@@ -59,10 +59,6 @@ class Seen:
         return np.flatnonzero(np.isfinite(self.position[0].values))
 
 
-_EITHER = frozenset(f"{begin}{axis}" for begin in ("s", "s_") for axis in "xyz")
-"""Names of sds or of set points."""
-
-
 @dataclass(frozen=True, eq=False)
 class Layout:
     """One way to understand the columns. how: by what the joints were recognised."""
@@ -391,14 +387,7 @@ def _sds(position: Sequence[Field], fields: Sequence[Field]) -> tuple[Field, ...
     by_stem = {f.stem: f for f in fields if f.stem}
     by_quantity = {of: f for f in fields if f.stem and (of := sd_of(f.stem, by_stem)) is not None}
     sds = tuple(by_quantity[p.stem] for p in position if p.stem in by_quantity)
-    if len(sds) < len(position) or any(map(_set_point, sds, position)):
-        return ()
-    return sds
-
-
-def _set_point(sd: Field, of: Field) -> bool:
-    """Whether a column that is named as either, such as Sx, moves as the readings do."""
-    return sd.stem in _EITHER and sd.span > 0.5 * of.span
+    return sds if len(sds) == len(position) else ()
 
 
 def _matrices(
