@@ -95,9 +95,11 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
     """
     drifting = Drifting(calibrated, data, noise)
 
-    def checked(drift: Array) -> Allowance:
-        drifted = calibrated.drifted(drift)
-        return Allowance(drift, verify(drifted, data, noise=noise, remounted=since.remounted))
+    def checked(drift: Array, moved: Mapping[str, float] = {}) -> Allowance:
+        """Where these have moved: no line from where the calibration was reaches a large change."""
+        machine, readings = drifting.after(moved)
+        drifted = machine.drifted(drift)
+        return Allowance(drift, verify(drifted, readings, noise=noise, remounted=since.remounted))
 
     def followed(allowance: Allowance, within: Container[str] | None = None) -> Allowance:
         """With the changes that its check found; itself where they are none, or not all within."""
@@ -109,7 +111,8 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         sds = drifting.followed(changes)
         if allowance.consistent or not sds or not all(within is None or n in within for n in sds):
             return allowance
-        wider = checked(np.hstack([allowance.drift, drifting.columns(sds)]))
+        moved = check.changes.moved if check.changes and len(changes) == len(named) else {}
+        wider = checked(np.hstack([allowance.drift, drifting.columns(sds)]), moved)
         words = tuple(followed_words(change) for change in changes)
         return replace(wider, words=words) if wider.explained else allowance
 
@@ -136,6 +139,16 @@ class Drifting:
     calibrated: Calibrated
     data: Dataset
     noise: Noise | None
+
+    def after(self, moved: Mapping[str, float]) -> tuple[Calibrated, Dataset]:
+        """The machine and the readings after changes [SI] of parameters and zeros of readings."""
+        mechanism, data = self.calibrated.mechanism, self.data
+        values = {
+            p.name: p.nominal + moved[p.name] for p in mechanism.parameters if p.name in moved
+        }
+        read = {q: data.readings[q] + by for q, by in moved.items() if q in data.readings}
+        made = replace(self.calibrated, mechanism=mechanism.with_nominal(values))
+        return made, data.with_readings(read)
 
     def stated(self, drift: Mapping[str, float]) -> dict[str, float]:
         """Sds [SI] by parameter, and by joint without an estimated zero.
@@ -250,7 +263,7 @@ def causes_of(change: Change) -> tuple[str, ...]:
     """
     if change.kind == "zero":
         return (change.name,)
-    return change.zeros or tuple(change.parts) or (change.name,)
+    return change.zeros or (*change.parts, *change.hidden) or (change.name,)
 
 
 def followed_words(change: Change) -> str:
