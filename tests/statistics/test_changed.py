@@ -221,6 +221,23 @@ def test_the_zero_of_a_slide_has_the_sizes_of_a_length() -> None:
     assert all((limit < 0.05) == (units[q] == "m") for q, limit in most.items())
 
 
+def test_a_warm_machine_with_slides_is_named_by_its_scale() -> None:
+    """What slides read grows as its lengths do."""
+    given, grown = setup("origins, two prismatic, point"), 1.8e-4
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1)
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    first = lc.calibrate(nominal, made.dataset, noise=given.noise, method="implicit-loop")
+    lengths = [p for p in given.truth.parameters if p.dimension == "length"]
+    warm = given.truth.with_nominal({p.name: (1.0 + grown) * p.nominal for p in lengths})
+    units = given.truth.quantities
+    stretched = {q: v * (1.0 + grown * (units[q] == "m")) for q, v in given.driven.items()}
+    day = lc.simulate(warm, stretched, noise=given.noise, seed=2).dataset
+    read = {q: day.readings[q] / (1.0 + grown) for q in given.driven if units[q] == "m"}
+    (change,) = changes(lc.verify(first, day.with_readings(read))).found
+    assert change.kind == "expansion"
+    assert change.value == pytest.approx(grown, abs=4.0 * change.sd)
+
+
 @pytest.mark.parametrize(("half", "named"), [(2e-3, True), (15e-3, False)])
 def test_a_size_that_no_pose_determines_is_not_named(half: float, named: bool) -> None:
     value, parts = 10.4e-3, {"tool_x": 4e-3, "tool_z": -9.6e-3}

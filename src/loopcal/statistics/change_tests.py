@@ -176,10 +176,7 @@ class _Causes:
             if held and (held == one.names or not one.parts):
                 causes.append(replace(one, names=held))
         directions = [(i, d) for i, one in enumerate(causes) for d in one.directions]
-        moved = dict.fromkeys(n for _, d in directions for n in d)
-        # Zeros first, as `Replaced.columns` orders them.
-        read = [n for n in moved if n in problem.mechanism.quantities]
-        names = (*read, *(n for n in moved if n not in read))
+        names = tuple(dict.fromkeys(n for _, d in directions for n in d))
         W = np.zeros((len(names), len(directions)))
         for column, (_, direction) in enumerate(directions):
             for name, amount in direction.items():
@@ -355,7 +352,7 @@ class _System:
         )
 
     def _unlikely(self, i: int, sizes: Array, covariance: Array) -> float:
-        units = self.causes.units[self._rows(i)]
+        units = self.causes.units[self._rows(i)].tolist()
         return self.causes.causes[i].unlikely(sizes, self.scale * covariance, units)
 
     @property

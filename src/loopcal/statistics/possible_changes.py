@@ -20,6 +20,7 @@ from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.sag import LOAD, TOOL
 from loopcal.mechanisms.structure.structured import driven_joints
+from loopcal.statistics.replacing import IN_PROPORTION
 
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
 # joint that is mastered anew, a link that a crash bends, a tool that is exchanged, a print that was
@@ -306,20 +307,29 @@ def _loads(problem: Problem) -> Iterator[Possible]:
 
 
 def _expansion(problem: Problem) -> Iterator[Possible]:
-    """All dimensions of the machine in proportion, as it warms up, or another scale of what
-    measures it."""
-    lengths = [p for p in problem.mechanism.parameters if p.dimension == "length" and p.nominal]
-    lengths = [p for p in lengths if p.name in problem.names]  # what is held has no column
-    if lengths:
-        names = tuple(p.name for p in lengths)
-        part = tuple((p.name, p.nominal) for p in lengths)
+    """All dimensions of the machine in proportion, those that its slides read too, as it warms up,
+    or another scale of what measures it."""
+    units = problem.mechanism.quantities
+    slides = [f"{q}{IN_PROPORTION}" for q in driven_joints(problem.mechanism) if units[q] == "m"]
+    yield from _growing({**_lengths(problem), **dict.fromkeys(slides, 1.0)})
+
+
+def _lengths(problem: Problem) -> dict[str, float]:
+    """The nominal dimensions, by name; what is held has no column."""
+    parameters = [p for p in problem.mechanism.parameters if p.name in problem.names]
+    return {p.name: p.nominal for p in parameters if p.dimension == "length" and p.nominal}
+
+
+def _growing(by: Mapping[str, float]) -> Iterator[Possible]:
+    if by:
         label = "the scale of the machine"
-        yield Possible("expansion", names, parts=(part,), units=("1",), label=label)
+        parts = (tuple(by.items()),)
+        yield Possible("expansion", tuple(by), parts=parts, units=("1",), label=label)
 
 
 def _warming(problem: Problem) -> Iterator[Possible]:
     """The machine grows all along a run; at once it does not."""
-    for one in _expansion(problem):
+    for one in _growing(_lengths(problem)):
         yield replace(one, steps=False)
 
 

@@ -8,7 +8,8 @@ does the same to the readings,
     J v = c,   c the column of the held parameter, or of the zero of the joint's reading,
 
 whichever of them the calibration held (`loopcal.mechanisms.redundancy.exchanged`). An sd q of the
-change adds q^2 v v^T to the covariance of the machine.
+change adds q^2 v v^T to the covariance of the machine. Of a large change v is taken in the middle
+of its way, which bends.
 """
 
 from __future__ import annotations
@@ -112,7 +113,8 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         if allowance.consistent or not sds or not all(within is None or n in within for n in sds):
             return allowance
         moved = check.changes.moved if check.changes and len(changes) == len(named) else {}
-        wider = checked(np.hstack([allowance.drift, drifting.columns(sds)]), moved)
+        columns = drifting.halfway(moved).columns(sds)
+        wider = checked(np.hstack([allowance.drift, columns]), moved)
         words = tuple(followed_words(change) for change in changes)
         return replace(wider, words=words) if wider.explained else allowance
 
@@ -149,6 +151,16 @@ class Drifting:
         read = {q: data.readings[q] + by for q, by in moved.items() if q in data.readings}
         made = replace(self.calibrated, mechanism=mechanism.with_nominal(values))
         return made, data.with_readings(read)
+
+    def halfway(self, moved: Mapping[str, float]) -> Drifting:
+        """The same where half of these changes [SI] has happened: the way to all of them has the
+        direction that it has in its middle, but for third powers."""
+        mechanism, way = self.calibrated.mechanism, np.zeros(len(self.calibrated.nominal))
+        for name, by in moved.items():
+            way += 0.5 * by * self._steps.get(self._zeros.get(name, name), 0.0 * way)
+        values = {p.name: p.nominal + at for p, at in zip(mechanism.parameters, way, strict=True)}
+        made = replace(self.calibrated, mechanism=mechanism.with_nominal(values))
+        return replace(self, calibrated=made)
 
     def stated(self, drift: Mapping[str, float]) -> dict[str, float]:
         """Sds [SI] by parameter, and by joint without an estimated zero.
