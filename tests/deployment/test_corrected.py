@@ -285,7 +285,7 @@ def test_transitions_seen_by_two_instruments_without_station_find_their_base() -
     assert isinstance(single.placement, ChainPlacement)
     placed = single.placement.moved(drawn, T[:3, :3], T[:3, 3])
     joints = [{"name": j.name, "form": j.form, "direction": j.direction} for j in motoman_joints()]
-    second = {"name": "second", "readings": ["x2", "y2", "z2"], "target": ["a_x", "a_y", "a_z"]}
+    second = {"name": "second", "readings": ["x_2", "y_2", "z_2"], "target": ["a_x", "a_y", "a_z"]}
     first = {"readings": ["x", "y", "z"], "target": ["x6B", "y6B", "z6B"]}
     seen = [{"type": "point", "station": False, **one} for one in (first, second)]
     data = {"type": "serial", "joint": joints, "fix_redundant": False, "instrument": seen}

@@ -75,6 +75,19 @@ def test_from_the_command_line(tmp_path: Path, drift: list[str]) -> None:
     assert days.error(new, "q3", ZERO) < ALLOWED * days.error(oracle, "q3", ZERO)
 
 
+@pytest.mark.parametrize(("times", "allowed"), [(10.0, ALLOWED), (20.0, 3.0)])
+def test_a_zero_that_moved_far_is_followed_as_well(times: float, allowed: float) -> None:
+    """No line from where the calibration was reaches it: the check is made where it moved."""
+    days, first = calibrated("ur urdf")
+    size = times * ZERO
+    day = moved(days.later.readings, "q3", size)
+    new = lc.update(first, day)
+    assert not [words for words in new.warnings if "mixes" in words]
+    assert [words for words in new.warnings if "The update estimates the zero of q3" in words]
+    oracle = days.recalibrated(first, new, "q3", day)
+    assert days.error(new, "q3", size) < allowed * days.error(oracle, "q3", size)
+
+
 @pytest.mark.parametrize("kept", ["tool_*", "offset_6"])
 def test_it_does_not_matter_which_parameter_was_held(kept: str) -> None:
     """The last zero turns the tool: either is held, and the machines are the same."""

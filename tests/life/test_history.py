@@ -11,10 +11,11 @@ import pytest
 
 import loopcal as lc
 from loopcal.companions.life.history import chart
-from loopcal.companions.life.history_folder import append_entry
+from loopcal.companions.life.history_folder import append_entry, read_entries
 from loopcal.companions.life.pages import history_figures, history_html
 from tests.command_line import run_here as run
 from tests.life.test_updating import PROJECT
+from tests.refusals import refused
 
 
 def test_limits_hold_a_steady_accuracy_and_not_one_that_has_doubled() -> None:
@@ -184,3 +185,9 @@ def test_the_day_is_that_of_the_readings_then_of_the_project(tmp_path: Path) -> 
     firsts = [None if one is None else one["first"] for one in _days(folder)]  # type: ignore[index]
     column = "2026-02-03"
     assert firsts == ["2026-01-05", None, column, column, "2026-05-01", column]
+
+
+def test_the_folder_of_a_result_is_no_history(tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text("{}", "utf-8")
+    with refused("wrong-file-type", "result", str(tmp_path)):
+        read_entries(tmp_path)

@@ -494,7 +494,7 @@ def test_features_without_weight_are_left_out() -> None:
 def test_an_arm_of_transitions_sags_alike_seen_by_one_instrument_or_by_two() -> None:
     """Gravity is stated in the arm's own base, which its transitions place."""
     joints = [{"name": j.name, "form": j.form, "direction": j.direction} for j in motoman_joints()]
-    second = {"name": "second", "readings": ["x2", "y2", "z2"], "target": ["a_x", "a_y", "a_z"]}
+    second = {"name": "second", "readings": ["x_2", "y_2", "z_2"], "target": ["a_x", "a_y", "a_z"]}
     first = {"readings": ["x", "y", "z"], "target": ["x6B", "y6B", "z6B"]}
     seen = [{"type": "point", "station": False, **one} for one in (first, second)]
     data = {"type": "serial", "joint": joints, "fix_redundant": False, "instrument": seen}

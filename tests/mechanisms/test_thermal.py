@@ -81,7 +81,14 @@ def test_a_temperature_far_from_those_of_the_calibration_is_named(tmp_path: Path
         assert f"{low:.3g} degC to {high:.3g} degC" in words
     hot = poses(30) | {"temperature": np.full(30, 333.15)}
     later = lc.simulate(arm, hot, noise=NOISE, seed=4, truth=TRUTH).dataset
-    assert "OTHER CONDITIONS" not in predicted_at(lc.update(first, later), 60.0)
+    checked, updated = lc.verify(first, later), lc.update(first, later)
+    (remark,) = checked.unlike
+    assert remark.startswith("OTHER CONDITIONS  temperature reaches 60 degC")
+    assert remark in str(checked)
+    assert remark in checked.document()["other_conditions"]
+    assert remark in updated.warnings
+    assert "OTHER CONDITIONS" not in predicted_at(updated, 60.0)
+    assert not lc.verify(updated, later).unlike
 
 
 def ends(data: lc.Dataset) -> tuple[int, int]:

@@ -16,7 +16,7 @@ from analyses.what_changed import CHANGES, draw
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.statistics.changed import LEVEL, Candidate, Change, WhatChanged
 from loopcal.statistics.innovation import Innovation
-from loopcal.statistics.possible_changes import BETWEEN_DAYS, possible
+from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible
 from tests.reference.simulated import planar_arm
 from tests.statistics.test_comparison import elsewhere, sds_of
 
@@ -83,6 +83,39 @@ def test_a_tool_that_moved_is_mounting_and_its_alias_is_named() -> None:
     assert change.parts["tool_x"] == pytest.approx(1e-3, abs=4.0 * change.sd)
     assert "a_6" in [other.name for other in change.alike]
     assert "--remounted" in str(found)
+
+
+@pytest.mark.parametrize(("degrees", "first"), [(0.2, "q6"), (8.0, "tool")])
+def test_what_a_zero_and_a_tool_explain_is_named_by_its_size(degrees: float, first: str) -> None:
+    """The reflector goes round the last axis: zeros seldom jump by degrees, tools do by mm."""
+    found = later(offset_6=np.radians(degrees))
+    (change,) = changes(found).found
+    assert change.name == first
+    assert {"q6", "tool"} - {first} <= {one.name for one in change.alike}
+    code = found.verdict["consistent"].code
+    assert code == ("changed" if first == "tool" else "re-master")
+
+
+@pytest.mark.parametrize("mm", [2.0, 7.0])
+def test_a_tool_that_moved_about_the_last_axis_is_the_tool(mm: float) -> None:
+    found = later(tool_y=1e-3 * mm)
+    (change,) = changes(found).found
+    assert (change.name, change.kind) == ("tool", "mounting")
+    assert change.value == pytest.approx(1e-3 * mm, abs=4.0 * change.sd)
+    assert "--remounted" in str(found)
+
+
+def test_a_larger_change_of_a_kind_is_less_likely() -> None:
+    """In proportion to the size at first, and then as its tail falls; what is not seen has none."""
+    zero, sure = Possible("zero", ("q6",)), np.array([[1e-12]])
+    sizes = [1e-4, 1e-3, 1e-2, 1e-1]
+    each = [zero.unlikely(np.array([size]), sure, ["rad"]) for size in sizes]
+    assert each == sorted(each)
+    assert each[0] < 0.01
+    assert each[3] - each[2] == pytest.approx(2.0 * np.log(10.0), rel=0.05)
+    assert zero.unlikely(np.array([0.1]), np.array([[1e-2]]), ["rad"]) < 1.0
+    link = Possible("length", ("a_2",))
+    assert link.unlikely(np.array([1e-5]), sure, ["m"]) > each[2]
 
 
 def test_what_the_placement_takes_up_is_not_visible() -> None:
@@ -188,6 +221,23 @@ def test_the_zero_of_a_slide_has_the_sizes_of_a_length() -> None:
     assert all((limit < 0.05) == (units[q] == "m") for q, limit in most.items())
 
 
+def test_a_warm_machine_with_slides_is_named_by_its_scale() -> None:
+    """What slides read grows as its lengths do."""
+    given, grown = setup("origins, two prismatic, point"), 1.8e-4
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1)
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    first = lc.calibrate(nominal, made.dataset, noise=given.noise, method="implicit-loop")
+    lengths = [p for p in given.truth.parameters if p.dimension == "length"]
+    warm = given.truth.with_nominal({p.name: (1.0 + grown) * p.nominal for p in lengths})
+    units = given.truth.quantities
+    stretched = {q: v * (1.0 + grown * (units[q] == "m")) for q, v in given.driven.items()}
+    day = lc.simulate(warm, stretched, noise=given.noise, seed=2).dataset
+    read = {q: day.readings[q] / (1.0 + grown) for q in given.driven if units[q] == "m"}
+    (change,) = changes(lc.verify(first, day.with_readings(read))).found
+    assert change.kind == "expansion"
+    assert change.value == pytest.approx(grown, abs=4.0 * change.sd)
+
+
 @pytest.mark.parametrize(("half", "named"), [(2e-3, True), (15e-3, False)])
 def test_a_size_that_no_pose_determines_is_not_named(half: float, named: bool) -> None:
     value, parts = 10.4e-3, {"tool_x": 4e-3, "tool_z": -9.6e-3}
@@ -195,3 +245,10 @@ def test_a_size_that_no_pose_determines_is_not_named(half: float, named: bool) -
     change = Change("tool", "mounting", "m", value, *bounds, 1e-9, (), parts)
     assert ("mm" in change.words) is named
     assert change.words.startswith("tool moved")
+
+
+def test_a_part_that_no_pose_determines_does_not_hide_the_others() -> None:
+    parts = {"tool_x": 2e-3, "tool_y": -3e-3}
+    bounds = (1e-5, 3.58e-3, 3.62e-3)
+    change = Change("tool", "mounting", "m", 3.6e-3, *bounds, 1e-9, (), parts, ("tool_z",))
+    assert change.words.endswith("(tool_x 2.00 mm, tool_y -3.00 mm, tool_z unknown)")

@@ -88,7 +88,7 @@ def test_a_drift_in_an_order_that_the_joints_tell_is_not_called_a_change() -> No
     for seed, by in ((5, 1e-4), (7, 2e-4)):
         answer = later(WORLD, seed, sorted_by_a_joint(by)).verdict["consistent"]
         assert (answer.passed, answer.code) == (None, "drift-or-model")
-        assert "The instrument drifted, or the machine changed" in answer.words
+        assert "drifted" in answer.words
 
 
 def test_a_change_that_is_no_drift_is_named_in_any_order() -> None:

@@ -30,7 +30,9 @@ def verification_html(verification: Verification, title: str, files: str) -> str
         lines = "\n".join(verification.changes.lines())
         parts = [lines, *change_figures(verification.changes), *parts]
     parts = [answers, *parts]
-    section = Section("l", f"Verification of {title}", [verification.headline], parts)
+    section = Section(
+        "l", f"Verification of {title}", [verification.headline, *verification.remarks], parts
+    )
     return section_page("life", section, {"files": files, "poses": len(verification.poses)})
 
 

@@ -24,7 +24,7 @@ from loopcal.statistics.possible_changes import (
     possible,
     unit_of,
 )
-from loopcal.statistics.replacing import Replaced, freed, replaced
+from loopcal.statistics.replacing import IN_PROPORTION, Replaced, freed, replaced
 from loopcal.statistics.run_order import told_by_joints
 
 
@@ -75,9 +75,7 @@ class Day:
         joints = problem.readings[joint_rows(problem)][:, pose_order(problem)].T
         if told_by_joints(joints) is None:
             return None
-        # zeros of readings first, as the columns stand
-        names = sorted(drifting(mechanism), key=lambda n: n not in mechanism.quantities)
-        units = {n: unit_of(problem, n) for n in names}
+        units = {n: unit_of(problem, n) for n in drifting(mechanism)}
         return replace(self, drift={n: SDS[unit] for n, unit in units.items() if unit in SDS})
 
     @property
@@ -86,13 +84,15 @@ class Day:
         return None if self.calibrated.residual is None else self.calibrated.residual.value
 
     def placed(self, changes: Mapping[str, float] = {}) -> Replaced:
-        """With what stands elsewhere placed anew, after changes [SI] of parameters and of the zeros
-        of readings, by name."""
+        """With what stands elsewhere placed anew, after changes [SI] of parameters, of the zeros of
+        readings and of readings in proportion, by name."""
         problem, mechanism = self.problem, self.problem.mechanism
         names, order = mechanism.parameters.names, mechanism.tape.quantities
         start, readings = problem.start.copy(), problem.readings.copy()
         for name, change in changes.items():
-            if name in order:
+            if (stem := name.removesuffix(IN_PROPORTION)) != name:
+                readings[order.index(stem)] *= 1.0 + change
+            elif name in order:
                 readings[order.index(name)] += change
             else:
                 start[names.index(name)] += change

@@ -36,13 +36,12 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.errors import NoTrustworthyResult
-from loopcal.estimation.problem.problem import Problem
 from loopcal.small_samples import f_limit, f_tail, t_quantile
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, POWER, Candidate, Change, WhatChanged
-from loopcal.statistics.estimated import Estimated, log_tail
+from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.innovation import Innovation, Linearised
-from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible, unit_of
+from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible
 from loopcal.statistics.replacing import ASTRAY, Replaced
 
 # Record 0053.
@@ -71,9 +70,6 @@ _SAME = 1e-6
 # Chosen, not derived: a few thousand times the rounding of a unit column.
 _ROUNDING = 1e-12
 """Information along a direction of columns of length 1 that is rounding."""
-# As in `change_points`: joints are mastered and tools exchanged more often than links bend.
-_USUAL, _RARE = ("zero", "mounting"), 10.0
-"""Kinds of changes that happen, and by how much the log p-value of others must be lower."""
 # As in `change_points`: a factor of e^7, about 1000, in the likelihood; chosen, not derived.
 _ALIKE = 14.0
 """An alternative explains the change about as well if its innovation and the price of its parts are
@@ -100,6 +96,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     begun = system = _System.of(day, causes, linear, np.zeros(len(causes.owner)))
     chosen: tuple[int, ...] = ()
     p_values: dict[int, float] = {}
+    rivals: dict[int, tuple[int, ...]] = {}
     given_up: set[int] = set()  # what was given up is not tried again: the search ends
     while len(chosen) < _MOST:
         tests = {i: p for i, p in system.tests(chosen).items() if i not in given_up}
@@ -117,6 +114,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
             continue
         chosen, system = best, settled
         p_values[chosen[-1]] = tests[chosen[-1]]
+        rivals[chosen[-1]] = settled.rivals(best, [fit for fit in fits if fit[0] != best])
         kept = system.kept(chosen)
         if kept and kept != chosen:
             given_up |= {*chosen} - {*kept}
@@ -124,9 +122,10 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     if system.astray and system.present > _EXPLAINED * begun.present:
         chosen, system = (), begun
     whole, left = begun.innovation(()), system.innovation(chosen).p_value
-    changes = system.changes(chosen, [p_values[j] for j in chosen])
+    changes = system.changes(chosen, p_values, rivals)
     verdict = _verdict(whole.p_value, changes, left)
-    what = WhatChanged(verdict, changes, begun.tested(), whole, begun.scale, left)
+    moved = causes.changes(system.t)
+    what = WhatChanged(verdict, changes, begun.tested(), whole, begun.scale, left, moved)
     return Explained(what, system.linear, system.columns(chosen))
 
 
@@ -157,14 +156,14 @@ class _Causes:
     """What may have changed of all that is held: causes with m directions in all.
 
     names: (n,) of what they move; W: (n, m) by how much; owner: (m,) the cause of each direction;
-    units: of the causes.
+    units: (m,) of the directions.
     """
 
     causes: tuple[Possible, ...]
     names: tuple[str, ...]
     W: Array
     owner: NDArray[np.intp]
-    units: tuple[str, ...]
+    units: NDArray[np.str_]
 
     @classmethod
     def of(cls, placement: Replaced) -> _Causes:
@@ -177,25 +176,22 @@ class _Causes:
             if held and (held == one.names or not one.parts):
                 causes.append(replace(one, names=held))
         directions = [(i, d) for i, one in enumerate(causes) for d in one.directions]
-        moved = dict.fromkeys(n for _, d in directions for n in d)
-        # Zeros first, as `Replaced.columns` orders them.
-        read = [n for n in moved if n in problem.mechanism.quantities]
-        names = (*read, *(n for n in moved if n not in read))
+        names = tuple(dict.fromkeys(n for _, d in directions for n in d))
         W = np.zeros((len(names), len(directions)))
         for column, (_, direction) in enumerate(directions):
             for name, amount in direction.items():
                 W[names.index(name), column] = amount
         owner = np.array([i for i, _ in directions], dtype=np.intp)
-        units = tuple(
-            "1" if one.kind == "expansion" else unit_of(problem, one.names[0]) for one in causes
-        )
+        units = np.array([unit for one in causes for unit in one.part_units(problem)], dtype=str)
         return cls(tuple(causes), names, W, owner, units)
 
-    def in_unit(self, problem: Problem, i: int, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def unit(self, i: int) -> str:
+        """That in which a cause is stated: of its first direction."""
+        return str(self.units[self.rows(i)[0]])
+
+    def in_unit(self, i: int, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Which of these directions of a cause are in its unit."""
-        first = [self.names[k] for k in np.abs(self.W[:, rows]).argmax(axis=0)]
-        alike = [self.units[i] in ("1", unit_of(problem, name)) for name in first]
-        return np.array(alike, dtype=bool)
+        return np.asarray(self.units[rows] == self.unit(i))
 
     def columns(self, placement: Replaced) -> Array:
         """(R, m)"""
@@ -208,7 +204,7 @@ class _Causes:
 
     def candidate(self, i: int) -> Candidate:
         """As it is reported."""
-        return Candidate(self.causes[i].name, self.causes[i].kind, self.units[i])
+        return Candidate(self.causes[i].name, self.causes[i].kind, self.unit(i))
 
     def rows(self, i: int) -> NDArray[np.intp]:
         """The directions of a cause."""
@@ -331,13 +327,33 @@ class _System:
         return self.present > ASTRAY * len(self.linear.e)
 
     def cost(self, chosen: Sequence[int]) -> float:
-        """The innovation there, and what each part of a change costs (Schwarz 1978)."""
-        rare = 2.0 * sum(self._rare(i) for i in chosen)
-        return self.present / self.scale + len(self._rows(*chosen)) * self._charge + rare
+        """What it leaves, and how unlikely the sizes of the changes are."""
+        rows, together = self._rows(*chosen), self.estimated(chosen)
+        sizes, covariance, unlikely = together.size, together.covariance, 0.0
+        for i in chosen:
+            part = np.flatnonzero(self.causes.owner[rows] == i)
+            unlikely += self._unlikely(i, sizes[part], covariance[np.ix_(part, part)])
+        return self.unexplained(chosen) + 2.0 * unlikely
 
-    def _rare(self, i: int) -> float:
-        """What a less usual change must be likelier by [log]."""
-        return 0.0 if self.causes.causes[i].kind in _USUAL else _RARE
+    def unexplained(self, chosen: Sequence[int]) -> float:
+        """The innovation there, and what each part of a change costs (Schwarz 1978)."""
+        return self.present / self.scale + len(self._rows(*chosen)) * self._charge
+
+    def rivals(
+        self, chosen: Sequence[int], fits: Sequence[tuple[tuple[int, ...], _System]]
+    ) -> tuple[int, ...]:
+        """The last of each of these other choices that explain about as much, where each has its
+        end: of changes so large that no line shows it."""
+        gross = [(one, fit) for one, fit in fits if fit.present < _EXPLAINED * self.value]
+        ends = [(one, fit.settled(one)) for one, fit in gross]
+        most = self.unexplained(chosen) + _ALIKE
+        return tuple(
+            one[-1] for one, end in ends if end.unexplained(one) < most and not end.too_far(one)
+        )
+
+    def _unlikely(self, i: int, sizes: Array, covariance: Array) -> float:
+        units = self.causes.units[self._rows(i)].tolist()
+        return self.causes.causes[i].unlikely(sizes, self.scale * covariance, units)
 
     @property
     def _charge(self) -> float:
@@ -357,7 +373,7 @@ class _System:
 
         Not of a cause whose smallest visible change is larger than a machine can have.
         """
-        seen, p, logs = list[int](), list[float](), list[float]()
+        seen, p, costs = list[int](), list[float](), list[float]()
         for i in self.heads:
             if i in chosen or not self.smallest(i) <= self.causes.causes[i].most:
                 continue
@@ -366,23 +382,26 @@ class _System:
                 gain, freedom = part.gain / self.scale, self._freedom(i)
                 seen.append(i)
                 p.append(f_tail(gain, part.rank, freedom))
-                logs.append(_log_tail(gain, part.rank, freedom) + self._rare(i))
+                unlikely = self._unlikely(i, part.size, part.covariance)
+                costs.append(len(self._rows(i)) * self._charge - gain + 2.0 * unlikely)
         order = np.argsort(p, kind="stable")
         # The smallest of m counts m times, the next m - 1; none falls below the one before.
         holm = np.maximum.accumulate(np.array(p)[order] * (len(p) - np.arange(len(p))))
         adjusted = dict(zip(order.tolist(), np.minimum(holm, 1.0).tolist(), strict=True))
-        return {seen[i]: adjusted[i] for i in np.argsort(logs, kind="stable").tolist()}
+        return {seen[i]: adjusted[i] for i in np.argsort(costs, kind="stable").tolist()}
 
     def tried(self, order: Sequence[int], chosen: Sequence[int]) -> tuple[int, ...]:
         """The causes whose fits are compared: the best one where the equations are linear.
 
         Where it leaves differences, changes may be too large for that: all zeros and mountings, and
-        the best.
+        the best. Of a large change those of them that leave little of it.
         """
         p_value = self.innovation((*chosen, order[0])).p_value
+        likely = [i for i in order if self.causes.causes[i].often]
         if p_value is None or p_value >= LEVEL:
-            return (order[0],)
-        likely = [i for i in order if self.causes.causes[i].kind in _USUAL]
+            little = (1.0 - _EXPLAINED) * self.present
+            large = [i for i in likely if self.beside(i, chosen).gain > little]
+            return tuple(dict.fromkeys([order[0], *large]))
         return tuple(dict.fromkeys([*order[:_TRIED], *likely]))
 
     def settled(self, chosen: Sequence[int], falling: float | None = None) -> _System:
@@ -428,19 +447,26 @@ class _System:
                 kept.append(j)
         return tuple(kept)
 
-    def changes(self, chosen: Sequence[int], p_values: Sequence[float]) -> tuple[Change, ...]:
-        """The accepted changes, with what cannot be distinguished from each."""
+    def changes(
+        self,
+        chosen: Sequence[int],
+        p_values: Mapping[int, float],
+        rivals: Mapping[int, tuple[int, ...]],
+    ) -> tuple[Change, ...]:
+        """The accepted changes, with what cannot be distinguished from each: where their equations
+        are linear, and of rivals."""
         changes = []
-        for j, p in zip(chosen, p_values, strict=True):
+        for j in chosen:
             one, cause = self.causes.candidate(j), self.causes.causes[j]
             size, sd, t = self._size(j, chosen)
             half = t_quantile(0.95, self._freedom(j)) * sd
             parts: dict[str, float] = {}
+            hidden: tuple[str, ...] = ()
             if one.kind == "mounting" and len(cause.names) > 1 and not cause.parts:
-                alike = self.causes.in_unit(self._problem, j, self.causes.rows(j))
-                held = np.zeros(len(t), dtype=bool)
-                held[self.causes.rows(j)[alike]] = True
-                parts = self.causes.changes(np.where(held, t, 0.0))
+                rows = self.causes.rows(j)
+                names = [cause.names[k] for k in np.flatnonzero(self.causes.in_unit(j, rows))]
+                parts = self.causes.changes(t)
+                hidden = tuple(name for name in names if name not in parts)
             changes.append(
                 Change(
                     one.name,
@@ -450,42 +476,46 @@ class _System:
                     sd,
                     size - half,
                     size + half,
-                    p,
-                    self._alike(chosen, j),
+                    p_values[j],
+                    self._alike(chosen, j, rivals[j]),
                     parts,
+                    hidden,
                 )
             )
         return tuple(changes)
 
-    @property
-    def _problem(self) -> Problem:
-        return self.linear.placement.problem
-
     def _size(self, j: int, chosen: Sequence[int]) -> tuple[float, float, Array]:
         """The size of an accepted change [unit] and its sd, and its parts (m,).
 
-        Of several parts the length of those in the unit of the cause.
+        Of several parts the length of those in the unit of the cause, but for parts that may be
+        larger than the largest that is sure.
         """
         rows, together = self._rows(*chosen), self.estimated(chosen)
-        part = self.causes.owner[rows] == j
+        part = np.flatnonzero(self.causes.owner[rows] == j)
         t, covariance = np.zeros(len(self.t)), self.scale * together.covariance
-        t[rows[part]] = together.size[part]
-        if part.sum() == 1:
-            (at,) = np.flatnonzero(part)
+        if len(part) == 1:
+            (at,) = part
+            t[rows[at]] = together.size[at]
             return float(together.size[at]), float(np.sqrt(covariance[at, at])), t
-        part[part] = self.causes.in_unit(self._problem, j, rows[part])
+        part = part[self.causes.in_unit(j, rows[part])]
+        sizes = np.abs(together.size[part])
+        halves = t_quantile(0.95, self._freedom(j)) * np.sqrt(np.diag(covariance)[part])
+        if (sure := halves <= sizes).any():
+            part = part[halves <= sizes[sure].max()]
+        t[rows[part]] = together.size[part]
         length = float(np.linalg.norm(together.size[part]))
         along = together.size[part] / (length or 1.0)
         return length, float(np.sqrt(along @ covariance[np.ix_(part, part)] @ along)), t
 
-    def _alike(self, chosen: Sequence[int], j: int) -> tuple[Candidate, ...]:
-        """The causes in whose presence j adds nothing significant, and that are about as simple."""
+    def _alike(self, chosen: Sequence[int], j: int, rivals: Sequence[int]) -> tuple[Candidate, ...]:
+        """The causes in whose presence j adds nothing significant, and that are about as simple;
+        and these rivals."""
         others, alike = [i for i in chosen if i != j], []
         cost = len(self._rows(j)) * self._charge - self.beside(j, others).gain / self.scale
         for k in range(len(self.causes.causes)):
             if k in chosen or not self._rows(k).size:
                 continue
-            same = self.group[k] == self.group[j]
+            same = self.group[k] == self.group[j] or k in rivals
             if not same and self.smallest(k) <= self.causes.causes[k].most:
                 part, added = self.beside(k, others), self.beside(j, [*others, k])
                 limit = self.scale * self.critical(j, max(added.rank, 1))
@@ -505,7 +535,7 @@ class _System:
         reach = math.sqrt(self.critical(i, part.rank)) + t_quantile(
             2.0 * POWER - 1.0, self._freedom(i)
         )
-        alike = self.causes.in_unit(self._problem, i, self._rows(i))
+        alike = self.causes.in_unit(i, self._rows(i))
         worst = np.linalg.eigvalsh(part.covariance[np.ix_(alike, alike)])[-1]
         return float(reach * np.sqrt(self.scale * worst))
 
@@ -530,12 +560,3 @@ def _groups(causes: _Causes, alike: Array, visible: NDArray[np.bool_]) -> NDArra
     group = np.arange(len(causes.causes))
     group[causes.owner[single]] = first[single]
     return group
-
-
-def _log_tail(gain: float, rank: int, freedom: float) -> float:
-    """Log of `f_tail`, also where that underflows."""
-    if math.isinf(freedom):
-        return log_tail(gain, rank)
-    p = f_tail(gain, rank, freedom)
-    # The tail of F falls as a power: only its order is asked for where doubles end.
-    return math.log(p) if p > 0.0 else -0.5 * freedom * math.log1p(gain / freedom)

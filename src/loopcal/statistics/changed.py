@@ -85,7 +85,8 @@ class Change:
 
     value, low, high: [unit] how much, with its 95 % interval; p_value: adjusted for the search;
     alike: further candidates which explain these poses about as well; parts: how much of each [SI],
-    where several change together; the value is then the length of those in its unit.
+    where several change together; the value is then the length of those in its unit; hidden:
+    parts that these poses do not determine.
     """
 
     name: str
@@ -98,10 +99,13 @@ class Change:
     p_value: float
     alike: tuple[Candidate, ...]
     parts: Mapping[str, float] = field(default_factory=dict)
+    hidden: tuple[str, ...] = ()
 
     @property
     def zeros(self) -> tuple[str, ...]:
-        """The joints whose zero explains the change."""
+        """The joints whose zero explains the change, where no mounting explains it better."""
+        if self.kind == "mounting":
+            return ()
         names = (self.name,) if self.kind == "zero" else ()
         return (*names, *(other.name for other in self.alike if other.kind == "zero"))
 
@@ -137,6 +141,7 @@ class Change:
         moved, unit = by_sd(self.value, self.sd, self.unit), unit_shown(self.unit)
         words = f"{self.where} {verb} by {moved} {unit} ± {size(half, self.unit, 2)} {unit}"
         parts = [f"{n} {with_unit(v, self.unit)}" for n, v in self.parts.items()]
+        parts += [f"{n} unknown" for n in self.hidden]
         return f"{words} ({', '.join(parts)})" if parts else words
 
     @property
@@ -157,7 +162,7 @@ class WhatChanged:
     verdict: unchanged, re-master, calibrate-anew or drift-or-change; found: the changes, in the
     order of the search; candidates: all that was tested; test: of the whole; spread: by how much
     these poses vary more than stated, where that is not taken as a change; left: p-value of the
-    whole after these changes, None without redundancy.
+    whole after these changes, None without redundancy; moved: what the changes move [SI], by name.
     """
 
     verdict: str
@@ -166,6 +171,7 @@ class WhatChanged:
     test: Innovation
     spread: float
     left: float | None
+    moved: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def from_document(cls, entry: Mapping[str, Any], test: Mapping[str, Any]) -> WhatChanged:

@@ -20,6 +20,7 @@ from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.sag import LOAD, TOOL
 from loopcal.mechanisms.structure.structured import driven_joints
+from loopcal.statistics.replacing import IN_PROPORTION
 
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
 # joint that is mastered anew, a link that a crash bends, a tool that is exchanged, a print that was
@@ -34,6 +35,24 @@ _MOST = {
     "expansion": 1.2e-3,
 }
 """The largest change of a kind [SI]."""
+# What they usually have between two days; chosen, not derived: a joint that creeps or is mastered
+# anew by a tenth of a degree, a tool that is exchanged by some millimetres, a link that gives way
+# by some tenths, 10 K of warming. `analyses.gauntlet` counts what is named.
+_USUAL = {
+    ("zero", "rad"): 2e-3,
+    ("zero", "m"): 3e-4,
+    ("mounting", "m"): 5e-3,
+    ("mounting", "rad"): 2e-2,
+    ("angle", "rad"): 5e-4,
+    ("length", "m"): 3e-4,
+    ("expansion", "1"): 2e-4,
+    ("load", "kg"): 5.0,
+}
+"""The usual size of a change of a kind, by the unit of its part [SI]; any, where none is stated."""
+# As in `change_points`: joints are mastered, tools exchanged, other loads carried and machines warm
+# more often than links bend.
+_OFTEN, _RARE = ("zero", "mounting", "load", "expansion"), 10.0
+"""Kinds of changes that happen, and by how much others are less likely [log]."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +60,9 @@ class Possible:
     """A change of parameters, or of zeros of readings, by name.
 
     steps, ramps: whether it may happen at once, and all along a run; parts: its independent parts,
-    by name [SI], where they are not the names one by one; label: what it is called where that is
-    not its only name; sized: the kind whose sizes it has, where not its own.
+    by name [SI], where they are not the names one by one, and units, theirs; label: what it is
+    called where that is not its only name; sized: the kind whose largest size it has, where not its
+    own.
     """
 
     kind: str
@@ -50,6 +70,7 @@ class Possible:
     steps: bool = True
     ramps: bool = True
     parts: tuple[tuple[tuple[str, float], ...], ...] = ()
+    units: tuple[str, ...] = ()
     label: str = ""
     sized: str = ""
 
@@ -83,6 +104,29 @@ class Possible:
     def most(self) -> float:
         """The largest that a machine can have [SI]."""
         return _MOST.get(self.sized or self.kind, math.inf)
+
+    def part_units(self, problem: Problem) -> tuple[str, ...]:
+        """SI unit of each of its parts."""
+        return self.units or tuple(unit_of(problem, name) for name in self.names)
+
+    @property
+    def often(self) -> bool:
+        """Whether it is of a kind that happens often."""
+        return self.kind in _OFTEN
+
+    def unlikely(self, sizes: Array, covariance: Array, units: Sequence[str]) -> float:
+        """By how much it is less likely than a usual change of a kind that happens often [log].
+
+        sizes (d,), covariance (d, d), units: of the parts that are seen [SI]. Sizes of a kind are
+        spread about the usual one as a Cauchy distribution, whose tails are heavy.
+        """
+        usual = np.array([_USUAL.get((self.kind, unit), math.inf) for unit in units])
+        stated = np.flatnonzero(np.isfinite(usual))
+        x = sizes[stated] / usual[stated]
+        # What is hardly seen is as large as its sd, which is no size.
+        noise = covariance[np.ix_(stated, stated)] / np.outer(usual[stated], usual[stated])
+        square = float(x @ np.linalg.solve(np.eye(len(x)) + noise, x))
+        return math.log1p(square) + (0.0 if self.often else _RARE)
 
 
 Cause = Callable[[Problem], Iterable[Possible]]
@@ -225,7 +269,8 @@ def _tool(problem: Problem, mounted: Sequence[tuple[str, ...]]) -> Possible | No
             )
         )
     names = tuple(n for target in points for n in target)
-    return Possible("mounting", names, parts=tuple(parts), label="the tool")
+    units = ("m",) * 3 + ("rad",) * 3
+    return Possible("mounting", names, parts=tuple(parts), units=units, label="the tool")
 
 
 def _cameras(problem: Problem) -> Iterator[Possible]:
@@ -262,19 +307,29 @@ def _loads(problem: Problem) -> Iterator[Possible]:
 
 
 def _expansion(problem: Problem) -> Iterator[Possible]:
-    """All dimensions of the machine in proportion, as it warms up, or another scale of what
-    measures it."""
-    lengths = [p for p in problem.mechanism.parameters if p.dimension == "length" and p.nominal]
-    lengths = [p for p in lengths if p.name in problem.names]  # what is held has no column
-    if lengths:
-        names = tuple(p.name for p in lengths)
-        part = tuple((p.name, p.nominal) for p in lengths)
-        yield Possible("expansion", names, parts=(part,), label="the scale of the machine")
+    """All dimensions of the machine in proportion, those that its slides read too, as it warms up,
+    or another scale of what measures it."""
+    units = problem.mechanism.quantities
+    slides = [f"{q}{IN_PROPORTION}" for q in driven_joints(problem.mechanism) if units[q] == "m"]
+    yield from _growing({**_lengths(problem), **dict.fromkeys(slides, 1.0)})
+
+
+def _lengths(problem: Problem) -> dict[str, float]:
+    """The nominal dimensions, by name; what is held has no column."""
+    parameters = [p for p in problem.mechanism.parameters if p.name in problem.names]
+    return {p.name: p.nominal for p in parameters if p.dimension == "length" and p.nominal}
+
+
+def _growing(by: Mapping[str, float]) -> Iterator[Possible]:
+    if by:
+        label = "the scale of the machine"
+        parts = (tuple(by.items()),)
+        yield Possible("expansion", tuple(by), parts=parts, units=("1",), label=label)
 
 
 def _warming(problem: Problem) -> Iterator[Possible]:
     """The machine grows all along a run; at once it does not."""
-    for one in _expansion(problem):
+    for one in _growing(_lengths(problem)):
         yield replace(one, steps=False)
 
 

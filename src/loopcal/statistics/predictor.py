@@ -35,13 +35,10 @@ from loopcal.statistics.calibrated import (
     residual_factor,
     stored_covariance,
 )
-from loopcal.units import from_si
+from loopcal.statistics.other_conditions import MEASURE, unlike
 
 # The 95 % point over 2000 poses is sure to half a per cent of them: sqrt(0.95 x 0.05 / 2000).
 _MOST_POSES = 2000
-# Chosen, not derived: a linear law that was measured over a range is trusted somewhat beyond it.
-_BEYOND = 0.25
-"""Share of the range of a condition by which it may be left without a word."""
 # Chosen, not derived: far above rounding, far below an effect that counts.
 _UNSEEN = 1e-6
 """An undetermined direction moves an output if more than this share of its single effects is
@@ -134,27 +131,8 @@ class Predictor:
 
     def unlike(self, columns: Mapping[str, Array]) -> list[str]:
         """A sentence for each known column (N,) [SI] that leaves the range of the calibration."""
-        words = []
-        for name, (low, high) in self.conditions.items():
-            values, beyond = columns.get(name, np.zeros(0)), _BEYOND * (high - low)
-            off = values[(values < low - beyond) | (values > high + beyond)]
-            if off.size:
-                unit = self.mechanism.pose_constants[name]
-                far = float(off[np.argmax(np.maximum(low - off, off - high))])
-                span = " to ".join(dict.fromkeys(_state(v, unit) for v in (low, high)))
-                words.append(
-                    f"OTHER CONDITIONS  {name} reaches {_state(far, unit)}; the calibration was "
-                    f"measured at {span}. What the machine does beyond is extrapolated. Measure "
-                    "poses there and update."
-                )
-        return words
-
-
-def _state(value: float, unit: str) -> str:
-    """A state, not a difference: temperatures are in degC."""
-    if unit == "K":
-        return f"{from_si(value, 'degC'):.3g} degC"
-    return with_unit(value, unit)
+        units = self.mechanism.pose_constants
+        return [f"{one} {MEASURE}" for one in unlike(self.conditions, units, columns)]
 
 
 def largest_by_unit(usual: Sequence[UsualSd]) -> dict[str, float]:

@@ -29,6 +29,9 @@ from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.predictive import unmeasured_corrections
 
+IN_PROPORTION = " in proportion"
+"""Behind the name of a reading: all that it reads is larger by the same share."""
+
 # Chosen, not derived: a cap, and what shows which start is best.
 _STEPS, _ROUGHLY = 100, 4
 """Steps at most, and those that tell which of several starts is best."""
@@ -162,20 +165,27 @@ class Replaced:
         return output_differences(self.problem, self.parameters, self.corrections)
 
     def columns(self, names: Sequence[str]) -> Array:
-        """(R, m) how the whitened equations change with zeros of readings and with parameters,
-        zeros first.
+        """(R, m) how the whitened equations change with parameters, zeros of readings and readings
+        `IN_PROPORTION`.
 
         A zero is what a true value exceeds its reading by; its column has the sign of those of J.
         """
         mechanism = self.problem.mechanism
         order, parameters = mechanism.tape.quantities, mechanism.parameters.names
-        zeros = [order.index(name) for name in names if name in order]
-        return np.hstack(
-            [
-                self._zero_columns(zeros),
-                self.J[:, [parameters.index(name) for name in names if name not in order]],
-            ]
-        )
+        stems = [name.removesuffix(IN_PROPORTION) for name in names]
+        read = list(dict.fromkeys(stem for stem in stems if stem in order))
+        zeros = dict(zip(read, self._zero_columns([order.index(q) for q in read]).T, strict=True))
+        columns = []
+        for name, stem in zip(names, stems, strict=True):
+            if stem not in zeros:
+                columns.append(self.J[:, parameters.index(name)])
+            elif name == stem:
+                columns.append(zeros[stem])
+            else:
+                columns.append(
+                    zeros[stem] * self.problem.readings[order.index(stem)][self.row_poses]
+                )
+        return np.array(columns).reshape(len(names), len(self.e)).T
 
     def _zero_columns(self, quantities: Sequence[int]) -> Array:
         if not quantities:

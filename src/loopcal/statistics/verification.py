@@ -40,6 +40,7 @@ from loopcal.statistics.changed import DRIFT_OR_CHANGE, WhatChanged
 from loopcal.statistics.day_run import Run, faults, searched
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
+from loopcal.statistics.other_conditions import unlike
 from loopcal.statistics.verdict import Quantile
 from loopcal.statistics.verified import Placed, Verification, WorstPose
 
@@ -83,7 +84,8 @@ def verify(
         data, stated = data.without_copies(copied), stated and stated.take(kept)
     with one_blas_thread():
         day = Day.of(calibrated, data, stated, remounted)
-        return _verified(day, tolerance, len(copied), _repeated(calibrated, data))
+        made = _verified(day, tolerance, len(copied), _repeated(calibrated, data))
+    return replace(made, read_as=data.source.read_as)
 
 
 def _repeated(calibrated: Calibrated, data: Dataset) -> int:
@@ -132,6 +134,7 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
     rare = 1.0 if calibrated is None else chance(calibrated.rms)
     columns = faults(day, linear)
     changes, run = (None, Run()) if columns else _searched(day, linear)
+    known = dict(zip(mechanism.tape.pose_constants, day.problem.pose_constants, strict=True))
     return Verification(
         poses=day.problem.poses,
         unit=main_unit(apart) or "m",
@@ -152,6 +155,7 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
         rare=rare,
         copied=copied,
         repeated=repeated,
+        unlike=tuple(unlike(day.calibrated.conditions, mechanism.pose_constants, known)),
     )
 
 

@@ -28,6 +28,7 @@ from loopcal.presentation.shown import Table, by_sd, p_words, significant, size,
 from loopcal.statistics.changed import LEVEL, WhatChanged
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Innovation
+from loopcal.statistics.other_conditions import MEASURE
 from loopcal.statistics.sound import along_the_run
 from loopcal.statistics.verdict import Quantile, kept
 
@@ -73,8 +74,9 @@ class Verification:
     keep; unplaced: why the nominal machine cannot be placed, None where it can; faults: of the
     file; shifts: what moved along the run; outliers: poses that do not fit the others; rare:
     probability of an rms at least so large, if the stated covariance holds; copied: rows that copy
-    others; repeated: poses of the calibration itself; files: names of result and readings, for
-    command lines.
+    others; repeated: poses of the calibration itself; unlike: a sentence for each
+    temperature or load outside the range of the calibration; read_as: how other columns than those
+    of the first day were read; files: names of result and readings, for command lines.
     """
 
     __repr__ = brief
@@ -98,6 +100,8 @@ class Verification:
     rare: float = 1.0
     copied: int = 0
     repeated: int = 0
+    unlike: tuple[str, ...] = ()
+    read_as: str = ""
     files: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
@@ -240,12 +244,15 @@ class Verification:
             "worst": [asdict(one) for one in self.worst],
             "along_the_run": [asdict(one) for one in self.shifts.found],
             "outliers": list(self.outliers),
+            "other_conditions": list(self.unlike),
+            "read_as": self.read_as,
             "quantile": None if self.quantile is None else asdict(self.quantile),
             "tolerance": self.tolerance,
         }
 
     def __str__(self) -> str:
         lines = [self.headline, *answer_lines(self.verdict)]
+        lines += self.remarks
         if self.changes is not None:
             lines += ["", *self.changes.lines()]
         accuracy, placed, worst = self.tables
@@ -255,6 +262,11 @@ class Verification:
             lines += ["", *placed.lines()]
         lines += ["", *worst.lines()]
         return "\n".join(lines)
+
+    @property
+    def remarks(self) -> list[str]:
+        """What the user should know beside the answers."""
+        return [*filter(None, [self.read_as]), *(f"{words} {MEASURE}" for words in self.unlike)]
 
     @property
     def tables(self) -> tuple[Table, Table, Table]:

@@ -140,6 +140,7 @@ def test_an_arm_without_instruments_has_no_loop_and_says_so() -> None:
             ("'q1'",),
         ),
         (ARM + 2 * '[[instrument]]\ntype = "point"\n', "duplicate-name", ("'x'",)),
+        (ARM.replace('"q1"', '"a_2"'), "duplicate-name", ("'a_2'", "reading", "'read_a_2'")),
         (ARM + '[[instrument]]\nname = "T"\n', "missing-key", ("'type'",)),
         (
             ARM + '[[instrument]]\ntype = "spherical"\nreadings = ["r"]\n',

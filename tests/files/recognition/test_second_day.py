@@ -248,6 +248,25 @@ def test_other_columns_that_the_machine_does_not_fit_are_none(tmp_path: Path) ->
         new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
 
 
+def test_so_it_is_where_the_project_reads_the_first_file_itself(tmp_path: Path) -> None:
+    (q, T), (later, there) = day(slice(0, 40)), day(slice(60, 80))
+    names, coordinates = [f"J{i} [deg]" for i in range(1, 7)], [f"{c} [mm]" for c in "xyz"]
+    first = written(joints_of(q, names) | points_of(T[:, :3, 3], coordinates))
+    project = begun(tmp_path, kept(tmp_path / "first", {"a.csv": first}))
+    assert "source" not in project.inputs["data"]
+    names, coordinates = [f"j{i} (rad)" for i in range(1, 7)], [f"{c}_m" for c in "XYZ"]
+    columns = joints_of(later, names, 1.0) | points_of(there[:, :3, 3], coordinates, 1.0)
+    (tmp_path / "b.csv").write_text(written(columns), "utf-8")
+    read = read_new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
+    np.testing.assert_allclose([read[n] for n in project.mechanism.joints], later.T, atol=1e-8)
+    np.testing.assert_allclose(read["x"], there[:, 0, 3], atol=1e-8)
+    mine = [name.replace("j", "axis") for name in names]
+    columns = joints_of(later, mine, 1.0) | points_of(there[:, :3, 3], coordinates, 1.0)
+    (tmp_path / "c.csv").write_text(written(columns), "utf-8")
+    with refused("missing-column", "J1 [deg]"):
+        read_new_readings(tmp_path / "c.csv", project.inputs, project.mechanism, whole=True)
+
+
 def test_a_missing_column_of_the_instrument_is_named(tmp_path: Path) -> None:
     first, (q, T) = day(slice(0, 40)), day(slice(60, 80))
     project = begun(tmp_path, kept(tmp_path / "first", comma(*first)))

@@ -8,7 +8,8 @@ does the same to the readings,
     J v = c,   c the column of the held parameter, or of the zero of the joint's reading,
 
 whichever of them the calibration held (`loopcal.mechanisms.redundancy.exchanged`). An sd q of the
-change adds q^2 v v^T to the covariance of the machine.
+change adds q^2 v v^T to the covariance of the machine. Of a large change v is taken in the middle
+of its way, which bends.
 """
 
 from __future__ import annotations
@@ -95,9 +96,11 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
     """
     drifting = Drifting(calibrated, data, noise)
 
-    def checked(drift: Array) -> Allowance:
-        drifted = calibrated.drifted(drift)
-        return Allowance(drift, verify(drifted, data, noise=noise, remounted=since.remounted))
+    def checked(drift: Array, moved: Mapping[str, float] = {}) -> Allowance:
+        """Where these have moved: no line from where the calibration was reaches a large change."""
+        machine, readings = drifting.after(moved)
+        drifted = machine.drifted(drift)
+        return Allowance(drift, verify(drifted, readings, noise=noise, remounted=since.remounted))
 
     def followed(allowance: Allowance, within: Container[str] | None = None) -> Allowance:
         """With the changes that its check found; itself where they are none, or not all within."""
@@ -109,7 +112,9 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         sds = drifting.followed(changes)
         if allowance.consistent or not sds or not all(within is None or n in within for n in sds):
             return allowance
-        wider = checked(np.hstack([allowance.drift, drifting.columns(sds)]))
+        moved = check.changes.moved if check.changes and len(changes) == len(named) else {}
+        columns = drifting.halfway(moved).columns(sds)
+        wider = checked(np.hstack([allowance.drift, columns]), moved)
         words = tuple(followed_words(change) for change in changes)
         return replace(wider, words=words) if wider.explained else allowance
 
@@ -136,6 +141,26 @@ class Drifting:
     calibrated: Calibrated
     data: Dataset
     noise: Noise | None
+
+    def after(self, moved: Mapping[str, float]) -> tuple[Calibrated, Dataset]:
+        """The machine and the readings after changes [SI] of parameters and zeros of readings."""
+        mechanism, data = self.calibrated.mechanism, self.data
+        values = {
+            p.name: p.nominal + moved[p.name] for p in mechanism.parameters if p.name in moved
+        }
+        read = {q: data.readings[q] + by for q, by in moved.items() if q in data.readings}
+        made = replace(self.calibrated, mechanism=mechanism.with_nominal(values))
+        return made, data.with_readings(read)
+
+    def halfway(self, moved: Mapping[str, float]) -> Drifting:
+        """The same where half of these changes [SI] has happened: the way to all of them has the
+        direction that it has in its middle, but for third powers."""
+        mechanism, way = self.calibrated.mechanism, np.zeros(len(self.calibrated.nominal))
+        for name, by in moved.items():
+            way += 0.5 * by * self._steps.get(self._zeros.get(name, name), 0.0 * way)
+        values = {p.name: p.nominal + at for p, at in zip(mechanism.parameters, way, strict=True)}
+        made = replace(self.calibrated, mechanism=mechanism.with_nominal(values))
+        return replace(self, calibrated=made)
 
     def stated(self, drift: Mapping[str, float]) -> dict[str, float]:
         """Sds [SI] by parameter, and by joint without an estimated zero.
@@ -250,7 +275,7 @@ def causes_of(change: Change) -> tuple[str, ...]:
     """
     if change.kind == "zero":
         return (change.name,)
-    return change.zeros or tuple(change.parts) or (change.name,)
+    return change.zeros or (*change.parts, *change.hidden) or (change.name,)
 
 
 def followed_words(change: Change) -> str:

@@ -140,7 +140,7 @@ def is_history(folder: str | Path) -> bool:
 def read_entries(folder: str | Path) -> Entries:
     """The entries of a folder; damaged ones are named and skipped.
 
-    Raises InputError where there is no such folder.
+    Raises InputError where there is no such folder, and for that of a result.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -150,6 +150,14 @@ def read_entries(folder: str | Path) -> Entries:
             place=str(folder),
             remedy="begin the history with: loopcal history FOLDER --add RESULT",
         ).then(join(["loopcal", "history", str(folder), "--add", "RESULT"]))
+    if (folder / "result.json").is_file():
+        command = ["loopcal", "history", "machine.history", "--add", str(folder)]
+        raise InputError(
+            "this is the folder of a result, and no history",
+            code="wrong-file-type",
+            place=str(folder),
+            remedy="add the result to the history of its machine",
+        ).then(join(command))
     whole: list[Entry] = []
     skipped: list[Skipped] = []
     for path in sorted(folder.glob("*.json")):

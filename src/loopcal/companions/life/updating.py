@@ -183,6 +183,8 @@ def updated(
         handed_on = Inherited(prior.widened(result), terms, noted, calibrated.conditions)
         result = replace(result, inherited=handed_on)
     result = result.noted(*allowance.words, *([CONDITIONS] if conditions.size else []))
+    check = allowance.check
+    result = result.noted(*filter(None, [check.read_as]), *check.unlike)
     if (words := _unchanged(calibrated, result, placed)) is not None:
         result = result.noted(words)
     if again := allowance.check.repeated:

@@ -54,7 +54,7 @@ def read_new_readings(
     labels = column_labels(source)
     parts = [spec.columns_of(part, labels, mechanism) for part in spec.parts]
     columns = {
-        quantity: _without_absent_sd(column, labels)
+        quantity: _without_absent_sd(_as_headed(column, labels), labels)
         for part in parts
         for quantity, column in part.columns.items()
         if quantity not in needless
@@ -70,6 +70,15 @@ def read_new_readings(
             place=str(paths[0]),
             remedy=f"name all files of the day: the calibration was of {first}",
         )
+    for quantity, column in columns.items():
+        if quantity in mechanism.pose_constants and _absent(column.column, labels):
+            raise InputError(
+                f"there is no column {column.column!r}, and the calibration learnt what "
+                f"{quantity} does",
+                code="missing-column",
+                place=str(paths[0]),
+                remedy=f"add the column with {quantity} at each pose of this file",
+            )
     pose_column = spec.pose if spec.pose in labels or isinstance(spec.pose, int) else None
     dataset = read_dataset(source, columns, pose=pose_column, **spec.keywords)
     for quantity in [q for q, column in columns.items() if column.unit is None]:
@@ -168,6 +177,19 @@ def _without_absent_sd(column: Column, labels: tuple[str, ...]) -> Column:
     if _absent(column.sd_column, labels):
         return replace(column, sd_column=None, sd_unit=None, coverage=None)
     return column
+
+
+def _as_headed(column: Column, labels: tuple[str, ...]) -> Column:
+    """The column under the one header that spells its name otherwise, in the unit stated there."""
+    if not _absent(column.column, labels):
+        return column
+    from loopcal.files.recognition.headers import heading
+
+    name = heading(str(column.column)).stem
+    alike = [one for one in map(heading, labels) if one.stem == name]
+    if len(alike) != 1:
+        return column
+    return replace(column, column=alike[0].text, unit=alike[0].unit or column.unit)
 
 
 def _infinite(value: Any) -> Any:

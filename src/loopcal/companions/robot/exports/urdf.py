@@ -57,35 +57,47 @@ def patched_urdf(path: str | Path, origins: Sequence[CalibratedOrigin]) -> Patch
     Raises InputError with file and line if the file is not a URDF, or of another robot than the
     one calibrated. Then a joint is absent, or its origin is neither the drawing's nor the new one.
     """
-    root, place = read_xml(path, "robot", NO_URDF), shown(path)
-    source = XmlText.of(content_of(path), root.getroottree().docinfo.encoding, place)
-    tags = dict(
-        zip(
-            (element for element in root.iter() if isinstance(element.tag, str)),
-            source.tags(),
-            strict=True,
-        )
-    )
-    joints = joint_elements(root, place)
-    edits: list[Place] = []
-    changed: list[str] = []
-    rising: list[str] = []
-    for one in origins:
-        name = one.joint.name
-        if name not in joints:
-            raise InputError(
-                f"the robot has no joint {name!r}, which was calibrated",
-                code="unknown-name",
-                place=place,
-                remedy=f"name the URDF that was calibrated; {nearest(name, joints)}",
-            )
-        element, joint = joints[name]()
-        _check_same(one, joint, place)
-        joint_edits = _edits(one, joint, element, tags)
-        edits += joint_edits
-        changed += [name] * bool(joint_edits)
-        rising += [name] * bool(children(element, "calibration"))
-    return Patched(source.edited(edits), tuple(changed), _warnings(rising))
+    return _Source.of(path).patched(origins)
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A URDF that was read once: its text, where its tags stand, and its joints by name."""
+
+    place: str
+    text: XmlText
+    tags: Mapping[Any, StartTag]
+    joints: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, path: str | Path) -> _Source:
+        root, place = read_xml(path, "robot", NO_URDF), shown(path)
+        text = XmlText.of(content_of(path), root.getroottree().docinfo.encoding, place)
+        elements = (element for element in root.iter() if isinstance(element.tag, str))
+        tags = dict(zip(elements, text.tags(), strict=True))
+        return cls(place, text, tags, joint_elements(root, place))
+
+    def patched(self, origins: Sequence[CalibratedOrigin]) -> Patched:
+        """With these origins."""
+        edits: list[Place] = []
+        changed: list[str] = []
+        rising: list[str] = []
+        for one in origins:
+            name = one.joint.name
+            if name not in self.joints:
+                raise InputError(
+                    f"the robot has no joint {name!r}, which was calibrated",
+                    code="unknown-name",
+                    place=self.place,
+                    remedy=f"name the URDF that was calibrated; {nearest(name, self.joints)}",
+                )
+            element, joint = self.joints[name]()
+            _check_same(one, joint, self.place)
+            joint_edits = _edits(one, joint, element, self.tags)
+            edits += joint_edits
+            changed += [name] * bool(joint_edits)
+            rising += [name] * bool(children(element, "calibration"))
+        return Patched(self.text.edited(edits), tuple(changed), _warnings(rising))
 
 
 def _warnings(rising: list[str]) -> tuple[str, ...]:
@@ -124,7 +136,7 @@ def _check_same(one: CalibratedOrigin, joint: LinkJoint, place: str) -> None:
 
 
 def _edits(
-    one: CalibratedOrigin, joint: LinkJoint, element: Any, tags: dict[Any, StartTag]
+    one: CalibratedOrigin, joint: LinkJoint, element: Any, tags: Mapping[Any, StartTag]
 ) -> list[Place]:
     """What changes in a joint."""
     attributes: dict[str, str] = {}
@@ -150,7 +162,11 @@ def _rotation(rpy: Sequence[float]) -> Any:
 
 
 def _written(
-    attributes: dict[str, str], tag: str, element: Any, parent: StartTag, tags: dict[Any, StartTag]
+    attributes: dict[str, str],
+    tag: str,
+    element: Any,
+    parent: StartTag,
+    tags: Mapping[Any, StartTag],
 ) -> list[Place]:
     """The edits that give an element, which may not be there, these attributes."""
     if not attributes:
@@ -198,14 +214,13 @@ def urdf(exported: Exported, options: ExportOptions) -> ExportFiles:
     that are described by this file one file each."""
     path = options.source
     assert path is not None
-    robots = by_prefix(
-        exported.origins, joint_elements(read_xml(path, "robot", NO_URDF), shown(path))
-    )
+    source = _Source.of(path)
+    robots = by_prefix(exported.origins, source.joints)
     files: dict[str, str | bytes] = {}
     warnings: list[str] = []
     for prefix, origins in robots.items():
         hung = camera_origins(path, replace(exported, origins=origins))
-        done = patched_urdf(path, (*origins, *hung.origins))
+        done = source.patched((*origins, *hung.origins))
         files[f"{prefix if len(robots) > 1 else ''}{path.name}"] = done.content
         warnings += [*done.warnings, *hung.warnings]
     left = len(exported.origins) - sum(map(len, robots.values()))
