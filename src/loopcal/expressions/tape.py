@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from loopcal.expressions.graph import LEAVES, OPERATIONS, Graph, Node
+from loopcal.expressions.graph import LEAVES, OPERATIONS, Graph, Node, Step
 from loopcal.lazy import cached_property
 
 _PREFIX = {"quantity": "x", "known": "x", "parameter": "p"}
@@ -27,7 +28,7 @@ class Tape:
     pose_constants: tuple[str, ...]
     parameters: tuple[str, ...]
     loops: tuple[str, ...]
-    operations: tuple[tuple[str, tuple[float, ...]], ...]
+    operations: tuple[Step, ...]
     outputs: tuple[int, ...]
 
     @classmethod
@@ -54,7 +55,7 @@ class Tape:
     @classmethod
     def _made_of(
         cls,
-        everything: Sequence[tuple[str, tuple[float, ...]]],
+        everything: Sequence[Step],
         outputs: Sequence[Node],
         *,
         quantities: Sequence[str],
@@ -64,13 +65,10 @@ class Tape:
     ) -> Tape:
         # Positions stay in order, so arguments stand before what they make without sorting.
         needed = _reachable(everything, outputs)
-        place = {node: position for position, node in enumerate(needed)}
-        operations = tuple(
-            [
-                (name, payload if name in LEAVES else tuple([place[int(a)] for a in payload]))
-                for name, payload in [everything[node] for node in needed]
-            ]
-        )
+        place = [-1] * len(everything)
+        for position, node in enumerate(needed):
+            place[node] = position
+        operations = tuple([moved(everything[node], place) for node in needed])
         return cls(
             tuple(quantities),
             tuple(pose_constants),
@@ -99,7 +97,7 @@ class Tape:
                 inputs = () if name == "constant" else ((name, self._input(name, payload)),)
                 names.append(frozenset(inputs))
             else:
-                names.append(frozenset().union(*(names[int(a)] for a in payload)))
+                names.append(frozenset().union(*(names[a] for a in payload)))
         of_loops = [names[output] for output in self.outputs]
         return {
             kind: tuple(frozenset(n for of, n in some if kind in ("", of)) for some in of_loops)
@@ -117,20 +115,20 @@ class Tape:
             loops=[self.loops[i] for i in loops],
         )
 
-    def _input(self, kind: str, payload: tuple[float, ...]) -> str:
+    def _input(self, kind: str, payload: tuple[Any, ...]) -> str:
         table = {
             "quantity": self.quantities,
             "known": self.pose_constants,
             "parameter": self.parameters,
         }
-        return table[kind][int(payload[0])]
+        return table[kind][payload[0]]
 
     def __str__(self) -> str:
         uses = [0] * len(self.operations)
         for name, payload in self.operations:
             if name not in LEAVES:
                 for argument in payload:
-                    uses[int(argument)] += 1
+                    uses[argument] += 1
         lines: list[str] = []
         texts: list[tuple[str, int]] = []  # with how tightly each binds
         for position, (name, payload) in enumerate(self.operations):
@@ -147,7 +145,7 @@ class Tape:
         return "\n".join(lines)
 
     def _text(
-        self, name: str, payload: tuple[float, ...], texts: Sequence[tuple[str, int]]
+        self, name: str, payload: tuple[Any, ...], texts: Sequence[tuple[str, int]]
     ) -> tuple[str, int]:
         if name == "constant":
             return f"{payload[0]!r}", _ATOM if payload[0] >= 0 else 1
@@ -156,7 +154,7 @@ class Tape:
         operation = OPERATIONS[name]
         written = []
         for place, argument in enumerate(payload):
-            text, binding = texts[int(argument)]
+            text, binding = texts[argument]
             # a - (b - c) and (a ** b) ** c need their brackets, a + b + c and functions do not
             tighter = operation.binding + (place in _BRACKETS.get(name, ()))
             inside_function = operation.binding == _ATOM
@@ -169,8 +167,19 @@ _BRACKETS = {"sub": (1,), "div": (1,), "neg": (0,), "pow": (0, 1)}
 """Which arguments are bracketed also where they bind as tightly as the operation itself."""
 
 
+def moved(step: Step, place: Sequence[Node] | dict[Node, Node]) -> Step:
+    """The step where its arguments stand elsewhere."""
+    name, payload = step
+    if name in LEAVES:
+        return step
+    if len(payload) == 2:  # nine of ten
+        a, b = payload
+        return name, (place[a], place[b])
+    return name, tuple([place[a] for a in payload])
+
+
 def _reachable(
-    operations: Sequence[tuple[str, tuple[float, ...]]], outputs: Sequence[Node]
+    operations: Sequence[Step], outputs: Sequence[Node]
 ) -> list[Node]:
     needed = bytearray(len(operations))
     for node in outputs:
@@ -180,5 +189,5 @@ def _reachable(
             name, payload = operations[node]
             if name not in LEAVES:
                 for argument in payload:
-                    needed[int(argument)] = True
+                    needed[argument] = True
     return [node for node, wanted in enumerate(needed) if wanted]
