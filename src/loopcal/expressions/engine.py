@@ -138,7 +138,7 @@ class NumpyEngine:
         last_use: dict[int, int] = {}
         for position, (name, payload) in enumerate(self._operations):
             if name not in LEAVES:
-                last_use |= {argument: position for argument in payload}
+                last_use |= dict.fromkeys(payload, position)
         register: dict[int, int] = {}
         free: list[int] = []
         count = 0

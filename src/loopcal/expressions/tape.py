@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from loopcal.expressions.graph import LEAVES, OPERATIONS, Graph, Node, Step
@@ -106,14 +107,7 @@ class Tape:
 
     def only(self, loops: Sequence[int]) -> Tape:
         """The tape of some of the loop equations, by position, with all inputs in their places."""
-        return self._made_of(
-            self.operations,
-            [self.outputs[i] for i in loops],
-            quantities=self.quantities,
-            pose_constants=self.pose_constants,
-            parameters=self.parameters,
-            loops=[self.loops[i] for i in loops],
-        )
+        return _only(self, tuple(loops))
 
     def _input(self, kind: str, payload: tuple[Any, ...]) -> str:
         table = {
@@ -121,7 +115,8 @@ class Tape:
             "known": self.pose_constants,
             "parameter": self.parameters,
         }
-        return table[kind][payload[0]]
+        text: str = table[kind][payload[0]]
+        return text
 
     def __str__(self) -> str:
         uses = [0] * len(self.operations)
@@ -162,6 +157,20 @@ class Tape:
         return operation.text.format(*written), operation.binding
 
 
+@lru_cache(maxsize=64)
+def _only(tape: Tape, loops: tuple[int, ...]) -> Tape:
+    if loops == tuple(range(len(tape.loops))):
+        return tape
+    return tape._made_of(
+        tape.operations,
+        [tape.outputs[i] for i in loops],
+        quantities=tape.quantities,
+        pose_constants=tape.pose_constants,
+        parameters=tape.parameters,
+        loops=[tape.loops[i] for i in loops],
+    )
+
+
 _ATOM = 4
 _BRACKETS = {"sub": (1,), "div": (1,), "neg": (0,), "pow": (0, 1)}
 """Which arguments are bracketed also where they bind as tightly as the operation itself."""
@@ -178,9 +187,7 @@ def moved(step: Step, place: Sequence[Node] | dict[Node, Node]) -> Step:
     return name, tuple([place[a] for a in payload])
 
 
-def _reachable(
-    operations: Sequence[Step], outputs: Sequence[Node]
-) -> list[Node]:
+def _reachable(operations: Sequence[Step], outputs: Sequence[Node]) -> list[Node]:
     needed = bytearray(len(operations))
     for node in outputs:
         needed[node] = True
