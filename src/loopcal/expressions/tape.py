@@ -92,14 +92,20 @@ class Tape:
 
     @cached_property
     def _inputs(self) -> dict[str, tuple[frozenset[str], ...]]:
-        names: list[frozenset[tuple[str, str]]] = []
+        # A bit for each input: a node contains what is set in any of its arguments.
+        bits: dict[tuple[str, str], int] = {}
+        masks: list[int] = []
         for name, payload in self.operations:
-            if name in LEAVES:
-                inputs = () if name == "constant" else ((name, self._input(name, payload)),)
-                names.append(frozenset(inputs))
-            else:
-                names.append(frozenset().union(*(names[a] for a in payload)))
-        of_loops = [names[output] for output in self.outputs]
+            mask = 0
+            if name not in LEAVES:
+                for argument in payload:
+                    mask |= masks[argument]
+            elif name != "constant":
+                mask = bits.setdefault((name, self._input(name, payload)), 1 << len(bits))
+            masks.append(mask)
+        of_loops = [
+            [leaf for leaf, bit in bits.items() if masks[output] & bit] for output in self.outputs
+        ]
         return {
             kind: tuple(frozenset(n for of, n in some if kind in ("", of)) for some in of_loops)
             for kind in ("", *_PREFIX)
