@@ -409,7 +409,7 @@ _FEWEST, _MOST = 12, 400
 # Of G: the step of the multiplicative weights of test poses is just below 1.
 _PEAK = 60.0
 _POWER, _GROWS, _STEEPEST = 0.5, 1.4, 8.0
-# Measured: of 60,000 rows of 40 columns all products take a fifth of the time of one piece.
+# Measured: of 60,000 rows of 40 columns the products take a fifth of the time of one piece.
 _AT_ONCE = 512
 """Rows that are multiplied at a time."""
 
