@@ -137,17 +137,21 @@ def reached(residual: Callable[[Array], Array], starts: Array) -> Array | None:
         q: Array = start.copy()
         damping = 1e-3
         n = len(q)
+        every = residual(np.vstack([q, q + 1e-7 * np.eye(n)]))
         for _ in range(60):
-            every = residual(np.vstack([q, q + 1e-7 * np.eye(n)]))
             f, J = every[0], (every[1:] - every[0]).T / 1e-7
             if np.abs(f).max() < 1e-10:
                 break
             move = -np.linalg.solve(J.T @ J + damping * np.eye(n), J.T @ f)
             if np.abs(move).max() < 1e-8 and np.abs(f).max() > 1e-6:
                 break  # as near as it comes from there: out of reach
-            better = np.abs(residual(q + move)).max() < np.abs(f).max()
-            q, damping = (q + move, 0.1 * damping) if better else (q, 10.0 * damping)
-        if np.abs(residual(q)).max() < 1e-9 and np.abs(q).max() < 2.6:
+            trial = q + move
+            there = residual(np.vstack([trial, trial + 1e-7 * np.eye(n)]))
+            if np.abs(there[0]).max() < np.abs(f).max():
+                q, every, damping = trial, there, 0.1 * damping
+            else:
+                damping *= 10.0
+        if np.abs(every[0]).max() < 1e-9 and np.abs(q).max() < 2.6:
             return q
     return None
 

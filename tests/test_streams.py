@@ -34,7 +34,7 @@ from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
 from loopcal.workflow.calibration import Listeners, Request, run_calibration
 from loopcal.workflow.checking import run_check
-from tests.command_line import environment, run
+from tests.command_line import environment, run_here
 from tests.dask_cluster import dask_cluster
 from tests.execution.pieces import Backwards
 from tests.refusals import refused
@@ -259,7 +259,7 @@ def test_files_are_the_same_whoever_does_the_chunks(folder: Path, executor: Exec
 
 def test_the_command_takes_workers(folder: Path) -> None:
     (folder / "project.toml").write_text(PROJECT.replace("every = 2", "every = 3"))
-    done = run("calibrate", folder / "project.toml", "--workers", "2", "--no-report", "--json")
+    done = run_here("calibrate", folder / "project.toml", "--workers", "2", "--no-report", "--json")
     alone = run_calibration(folder / "project.toml", out=folder / "alone")
     found = {p["name"]: p["value"] for p in json.loads(done.stdout)["parameters"]}
     assert found == pytest.approx(dict(alone.result.value), rel=1e-12)  # other chunks
@@ -368,9 +368,9 @@ def test_a_folder_is_read_into_memory_when_asked(folder: Path) -> None:
     assert stream is not None
     assert data.source.sha256 == stream.sha256
     read(folder, text)
-    done = run("calibrate", folder / "project.toml", "--folds", "3", "--no-report")
+    done = run_here("calibrate", folder / "project.toml", "--folds", "3", "--no-report")
     assert "on poses not used" in done.stdout
-    predicted = run("predict", folder / "project-result", folder / "poses")
+    predicted = run_here("predict", folder / "project-result", folder / "poses")
     assert len(predicted.stdout.splitlines()) == 1 + 500
 
 

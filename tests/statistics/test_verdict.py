@@ -727,6 +727,7 @@ def test_every_row_of_the_catalogue_answers_and_advises() -> None:
 def test_a_command_of_a_finding_is_one_of_the_program() -> None:
     """With every option that it names, quoted where a name needs it."""
     loaded(COMMANDS)
+    commands = get_command(app).commands  # type: ignore[attr-defined]
     files = {"project": "a b.toml", "result": "r", "readings": "day 2.csv"}
     for row in CATALOGUE.values():
         step = row.finding(_fact_of(row), files).next
@@ -735,7 +736,7 @@ def test_a_command_of_a_finding_is_one_of_the_program() -> None:
             continue
         program, command, *words = shlex.split(step.command)
         assert program == "loopcal"
-        options = {o for p in get_command(app).commands[command].params for o in p.opts}  # type: ignore[attr-defined]
+        options = {o for p in commands[command].params for o in p.opts}
         assert {word for word in words if word.startswith("--")} <= options, step.command
         assert "{" not in step.command
 

@@ -21,7 +21,7 @@ from loopcal.companions.studies.study_file import read_study
 from loopcal.execution.executor import InProcess
 from loopcal.execution.local import Processes
 from loopcal.simulation.simulate import simulate
-from tests.command_line import environment, run
+from tests.command_line import environment, run_here
 from tests.refusals import refused
 
 STUDY = """schema = 1
@@ -102,7 +102,7 @@ def test_a_killed_study_goes_on(path: Path, tmp_path: Path) -> None:
         killed.send_signal(signal.SIGKILL)
     assert killed.returncode == -signal.SIGKILL
     done = {part: part.stat().st_mtime_ns for part in out.glob("parts/*.parquet")}
-    resumed = run("study", path, "--out", out, "--workers", "1", "--json")
+    resumed = run_here("study", path, "--out", out, "--workers", "1", "--json")
     whole = run_study(path, executor=InProcess(), out=tmp_path / "whole")
     assert json.loads(resumed.stdout) == json.loads(json.dumps(whole.document))
     assert {part: part.stat().st_mtime_ns for part in done} == done  # nothing was done twice

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.estimation.problem.patterns import Pattern, held_loops
+from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.problem.problem import Problem, Weighting, most_poses
 from loopcal.estimation.sensitivity import pixel_loops
 from loopcal.estimation.solve.sweep import Sweeper
@@ -78,9 +78,7 @@ def _closed(
     value at the start is lost. free: the parameters that a fit estimates, whose engine serves here.
     """
     names = tuple(mechanism.parameters.names[i] for i in free)
-    start = _loop_values(
-        held_loops(mechanism.tape, loops), parameters, readings, pose_constants, names
-    )
+    start = _loop_values(mechanism.tape.only(loops), parameters, readings, pose_constants, names)
     begun = np.isfinite(start).all(axis=0)
     all_readings: Array = np.full(readings.shape, np.nan)
     if not begun.any():
@@ -122,13 +120,13 @@ def output_differences(
     compared = [quantities.index(q) for q in mechanism.compared]
     outputs = compared[: len(mechanism.outputs)]
     differences = np.full((len(compared), len(problem.poses)), np.nan)
-    predicting = set(mechanism.predicting().tape.loops)
+    predicting = set(mechanism.predicting_loops)
     apart = {*mechanism.turns, *mechanism.gaps}
     for pattern in problem.patterns:
         if pattern.predicted:
             _of_images(problem, pattern, parameters, corrections, differences)
             continue
-        loops = tuple(i for i in pattern.loops if mechanism.tape.loops[i] in predicting)
+        loops = tuple(i for i in pattern.loops if i in predicting)
         inputs = frozenset().union(*(depends[i] for i in loops))
         present = [row for row in outputs if row not in pattern.absent]
         measured = [row for row in present if row not in pattern.unmeasured]
@@ -150,7 +148,7 @@ def output_differences(
             differences[compared.index(row), pattern.poses] = computed
         if closing:
             values = _loop_values(
-                held_loops(mechanism.tape, tuple(closing)), parameters, predicted, constants, ()
+                mechanism.tape.only(tuple(closing)), parameters, predicted, constants, ()
             )
             for loop, value in zip(closing, values, strict=True):
                 row = mechanism.compared.index(mechanism.tape.loops[loop])
@@ -173,7 +171,7 @@ def _of_images(
         x = x.copy()
         x[list(pattern.unmeasured)] += corrections[list(pattern.unmeasured)][:, pattern.poses]
     values = _loop_values(
-        held_loops(mechanism.tape, pattern.loops),
+        mechanism.tape.only(pattern.loops),
         parameters,
         x,
         problem.pose_constants[:, pattern.poses],

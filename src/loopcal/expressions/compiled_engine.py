@@ -13,7 +13,6 @@ plane rotation, a c - b d and a d + b c, are one together. Rounding stays as on 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -170,9 +169,9 @@ class _Once:
             if name == "constant":
                 self.rows[i, 0], self.constants[i] = _CONSTANT, payload[0]
             elif name in LEAVES:
-                self.rows[i] = _PARAMETER, int(payload[0]), 0
+                self.rows[i] = _PARAMETER, payload[0], 0
             else:
-                places = [self.number[int(p)] for p in payload]
+                places = [self.number[p] for p in payload]
                 self.rows[i] = codes[name], places[0], places[-1]
 
 
@@ -230,38 +229,44 @@ def program_of(tape: Tape, varies: Sequence[bool], ends: Sequence[int]) -> Progr
 
 def _sums(tape: Tape, varies: Sequence[bool]) -> list[Instruction]:
     """Instructions in the order of the tape, with sums of products and pairs of cos and sin."""
-    uses = Counter(a for name, payload in tape.operations if name not in LEAVES for a in payload)
-    uses.update(tape.outputs)
+    operations = tape.operations
+    uses = [0] * len(operations)
+    for name, payload in operations:
+        if name not in LEAVES:
+            for a in payload:
+                uses[a] += 1
+    for output in tape.outputs:
+        uses[output] += 1
     inside: set[Position] = set()
-    for position, (name, payload) in enumerate(tape.operations):
+    for position, (name, payload) in enumerate(operations):
         # A product that is used elsewhere has to be kept anyway: fusing it would compute it twice.
         if (name == "add" or name == "sub") and varies[position]:
-            a, b = int(payload[0]), int(payload[1])
+            a, b = payload
             if (
-                a != b
-                and uses[a] == uses[b] == 1
-                and tape.operations[a][0] == tape.operations[b][0] == "mul"
+                uses[a] == uses[b] == 1
+                and operations[a][0] == operations[b][0] == "mul"
                 and varies[a]
                 and varies[b]
+                and a != b
             ):
-                inside |= {a, b}
+                inside.add(a)
+                inside.add(b)
     return list(_fused(tape, varies, inside))
 
 
 def _fused(tape: Tape, varies: Sequence[bool], inside: set[Position]) -> Iterator[Instruction]:
-    other = {"sin": "cos", "cos": "sin"}
-    where = {one: i for i, one in enumerate(tape.operations) if one[0] in other}
+    other, operations = {"sin": "cos", "cos": "sin"}, tape.operations
+    where = {one: i for i, one in enumerate(operations) if one[0] in other}
     done: set[Position] = set()
-    for position, (name, payload) in enumerate(tape.operations):
+    for position, (name, arguments) in enumerate(operations):
         if name in LEAVES or not varies[position] or position in inside or position in done:
             continue
-        arguments = tuple([int(a) for a in payload])
         if name in other:
-            pair = {name: position, other[name]: where.get((other[name], payload))}
+            pair = {name: position, other[name]: where.get((other[name], arguments))}
             done.update(p for p in pair.values() if p is not None)
             yield Instruction("sincos", (pair["sin"], pair["cos"]), arguments)
-        elif name in ("add", "sub") and inside.issuperset(arguments):
-            factors = tuple(int(f) for a in arguments for f in tape.operations[a][1])
+        elif (name == "add" or name == "sub") and inside.issuperset(arguments):
+            factors = operations[arguments[0]][1] + operations[arguments[1]][1]
             yield Instruction("plus" if name == "add" else "minus", (position,), factors)
         else:
             yield Instruction(name, (position,), arguments)
@@ -298,28 +303,28 @@ def _in_rows(tape: Tape, instructions: Sequence[Instruction], ends: Sequence[int
     rows: dict[Position, int] = {}
     for position, (name, payload) in enumerate(tape.operations):
         if name in ("quantity", "known"):
-            rows[position] = int(payload[0]) + (len(tape.quantities) if name == "known" else 0)
+            rows[position] = payload[0] + (len(tape.quantities) if name == "known" else 0)
     count = len(tape.quantities) + len(tape.pose_constants)
     # of each position: whether its row stays its own, and the last instruction that takes it
     kept, last = bytearray(len(tape.operations)), [-1] * len(tape.operations)
     for position in (*rows, *tape.outputs):
         kept[position] = True
-    for i, one in enumerate(instructions):
-        for argument in one.arguments:
+    for i, (_, _, arguments) in enumerate(instructions):
+        for argument in arguments:
             last[argument] = i
     free: list[int] = []
     results: list[tuple[int, ...]] = []
-    for i, one in enumerate(instructions):
-        for argument in set(one.arguments):
+    for i, (_, made, arguments) in enumerate(instructions):
+        for argument in set(arguments):
             if last[argument] == i and not kept[argument] and argument in rows:
                 free.append(rows[argument])
         result_rows = []
-        for _ in one.results:
+        for _ in made:
             if not free:
                 free.append(count)
                 count += 1
             result_rows.append(free.pop())
-        for result, row in zip(one.results, result_rows, strict=True):
+        for result, row in zip(made, result_rows, strict=True):
             if result is not None:
                 rows[result] = row
             if result is None or (last[result] < 0 and not kept[result]):

@@ -9,12 +9,13 @@ Source of the method: Griewank and Walther, Evaluating Derivatives, 2nd ed. (200
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 from loopcal.expressions.graph import LEAVES, Graph, Node
-from loopcal.expressions.rewriting import rewritten, turns_written_out, unchanged
+from loopcal.expressions.rewriting import TURNS_WRITTEN_OUT, rewritten
 from loopcal.expressions.tape import Tape
 
 
@@ -41,7 +42,7 @@ def linearise(tape: Tape, quantities: Iterable[str], parameters: Iterable[str]) 
 def _linearised(
     tape: Tape, quantities: tuple[str, ...], parameters: tuple[str, ...]
 ) -> Linearisation:
-    graph, place = rewritten(tape.operations, unchanged)
+    graph, place = rewritten(tape.operations, {})
     loops = [place[output] for output in tape.outputs]
     inputs = [graph.leaf("quantity", tape.quantities.index(q)) for q in quantities]
     inputs += [graph.leaf("parameter", tape.parameters.index(p)) for p in parameters]
@@ -49,7 +50,7 @@ def _linearised(
     useful = _leading_to(graph, inputs)
     gradients = [_reverse(graph, loop, inputs, useful) for loop in loops]
     outputs = [*loops, *(gradient[i] for i in range(len(inputs)) for gradient in gradients)]
-    lowered, place = rewritten(graph.operations, turns_written_out)
+    lowered, place = rewritten(graph.operations, TURNS_WRITTEN_OUT)
     names = [str(i) for i in range(len(outputs))]
     return Linearisation(
         Tape.from_graph(
@@ -73,7 +74,7 @@ def lagrangian_gradient(tape: Tape) -> Tape:
     Its outputs are the k derivatives; its known constants those of the tape, then one multiplier
     per loop. Linearised once more, it gives the second derivatives of the loops.
     """
-    graph, place = rewritten(tape.operations, unchanged)
+    graph, place = rewritten(tape.operations, {})
     total = graph.constant(0.0)
     for i, output in enumerate(tape.outputs):
         multiplier = graph.leaf("known", len(tape.pose_constants) + i)
@@ -90,52 +91,55 @@ def lagrangian_gradient(tape: Tape) -> Tape:
 
 
 def _reverse(
-    graph: Graph, output: Node, inputs: Sequence[Node], useful: Collection[Node]
+    graph: Graph, output: Node, inputs: Sequence[Node], useful: Sequence[Node]
 ) -> list[Node]:
     """d output / d input for every input: one reverse sweep over what the output needs.
 
-    useful: the nodes up to the output whose value depends on an input.
+    useful: ascending, the nodes whose value depends on an input.
     """
+    operations, apply = graph.operations, graph.apply
     adjoint: dict[Node, Node] = {output: graph.constant(1.0)}
-    for node in range(output, -1, -1):
-        if node not in adjoint or node not in useful:
+    needed = set(useful)
+    for node in reversed(useful[: bisect_right(useful, output)]):
+        bar = adjoint.get(node)
+        name, arguments = operations[node]
+        if bar is None or name in LEAVES:
             continue
-        name, payload = graph.operations[node]
-        if name in LEAVES:
-            continue
-        arguments = tuple(int(a) for a in payload)
         for position, argument in enumerate(arguments):
-            if argument not in useful:
+            if argument not in needed:
                 continue
-            term = _chain(graph, name, position, arguments, node, adjoint[node])
+            if name == "add":
+                term = bar
+            elif name == "mul":
+                term = apply("mul", bar, arguments[1 - position])
+            else:
+                term = _chain(graph, name, position, arguments, node, bar)
             before = adjoint.get(argument)
-            adjoint[argument] = term if before is None else graph.apply("add", before, term)
+            adjoint[argument] = term if before is None else apply("add", before, term)
     zero = graph.constant(0.0)
     return [adjoint.get(node, zero) for node in inputs]
 
 
-def _leading_to(graph: Graph, inputs: Sequence[Node]) -> set[Node]:
-    """The nodes whose value depends on an input: no other adjoint is needed."""
+def _leading_to(graph: Graph, inputs: Sequence[Node]) -> list[Node]:
+    """Ascending, the nodes whose value depends on an input: no other adjoint is needed."""
     useful = set(inputs)
     for node, (name, payload) in enumerate(graph.operations):
         if name not in LEAVES and not useful.isdisjoint(payload):
             useful.add(node)
-    return useful
+    return sorted(useful)
 
 
 def _chain(
     graph: Graph, name: str, position: int, arguments: tuple[Node, ...], node: Node, bar: Node
 ) -> Node:
-    """bar * d node / d argument[position]."""
+    """bar * d node / d argument[position], of all but sums and products."""
     apply, constant = graph.apply, graph.constant
     a = arguments[0]
     match name, position:
-        case ("add", _) | ("sub", 0):
+        case ("sub", 0):
             return bar
         case ("sub", 1) | ("neg", 0):
             return apply("neg", bar)
-        case ("mul", _):
-            return apply("mul", bar, arguments[1 - position])
         case ("div", 0):
             return apply("div", bar, arguments[1])
         # d(a/b)/db = -(a/b)/b: the quotient is a node already.

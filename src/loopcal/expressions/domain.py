@@ -63,10 +63,10 @@ def _first_undefined(
     values: list[float] = []
     for position, (name, payload) in enumerate(tape.operations):
         if name in LEAVES:
-            value = payload[0] if name == "constant" else float(inputs[name][int(payload[0])])
+            value = payload[0] if name == "constant" else float(inputs[name][payload[0]])
             values.append(value)
             continue
-        arguments = [values[int(a)] for a in payload]
+        arguments = [values[a] for a in payload]
         why = OPERATIONS[name].undefined(*arguments)
         value = evaluate_scalar(name, *arguments)
         if why is None and not math.isfinite(value):
@@ -91,7 +91,7 @@ def _loop_with(tape: Tape, wanted: int) -> int:
             seen.add(node)
             name, payload = tape.operations[node]
             if name not in LEAVES:
-                stack.extend(int(a) for a in payload)
+                stack.extend(payload)
     return 0
 
 

@@ -22,7 +22,7 @@ from loopcal.expressions.derivative import Linearisation, linearise
 from loopcal.expressions.domain import Engine, LoopValues, Stage, arranged, stage_ends
 from loopcal.expressions.graph import LEAVES, OPERATIONS, evaluate_scalar
 from loopcal.expressions.rewriting import half_angles, in_stages, varying
-from loopcal.expressions.tape import Tape
+from loopcal.expressions.tape import Tape, moved
 
 __all__ = ["Engine", "LoopValues", "Stage", "engine_class", "engine_for"]
 
@@ -77,7 +77,7 @@ class NumpyEngine:
         self._varies = varying(tape.operations)
         once = [i for i, varies in enumerate(self._varies) if not varies]
         self._number = {position: number for number, position in enumerate(once)}
-        self._once = [_renumbered(tape.operations[position], self._number) for position in once]
+        self._once = [moved(tape.operations[position], self._number) for position in once]
         self._numbers = np.zeros(len(once))
         self._inputs = np.zeros((len(tape.quantities) + len(tape.pose_constants), size))
         self._quantities = len(tape.quantities)
@@ -101,9 +101,9 @@ class NumpyEngine:
             if name == "constant":
                 numbers.append(payload[0])
             elif name == "parameter":
-                numbers.append(float(parameters[int(payload[0])]))
+                numbers.append(float(parameters[payload[0]]))
             else:
-                numbers.append(evaluate_scalar(name, *[numbers[int(a)] for a in payload]))
+                numbers.append(evaluate_scalar(name, *[numbers[a] for a in payload]))
         self._numbers[:] = numbers
         for row, output in enumerate(self._targets):
             if not self._varies[output]:
@@ -138,14 +138,14 @@ class NumpyEngine:
         last_use: dict[int, int] = {}
         for position, (name, payload) in enumerate(self._operations):
             if name not in LEAVES:
-                last_use |= {int(argument): position for argument in payload}
+                last_use |= dict.fromkeys(payload, position)
         register: dict[int, int] = {}
         free: list[int] = []
         count = 0
         for position, (name, payload) in enumerate(self._operations):
             if name in LEAVES or not self._varies[position]:
                 continue
-            for argument in {int(a) for a in payload}:
+            for argument in set(payload):
                 if last_use[argument] == position and argument in register:
                     free.append(register[argument])
             if position in self._row:
@@ -173,7 +173,7 @@ class NumpyEngine:
             name, payload = self._operations[position]
             function = OPERATIONS[name].array if name not in LEAVES else None
             if function is not None and self._varies[position]:
-                arrays = [self._place(int(a), width) for a in payload]
+                arrays = [self._place(a, width) for a in payload]
                 calls.append((function, (*arrays, self._place(position, width))))
         return calls
 
@@ -195,7 +195,7 @@ class NumpyEngine:
             return self._numbers[number : number + 1].reshape(())  # a view
         if name in LEAVES:
             offset = self._quantities if name == "known" else 0
-            return self._inputs[offset + int(payload[0]), :width]
+            return self._inputs[offset + payload[0], :width]
         if position in self._row:
             return self._outputs[self._row[position], :width]
         return self._registers[self._register[position], :width]
@@ -204,10 +204,3 @@ class NumpyEngine:
 @lru_cache(maxsize=64)
 def _prepared(linearisation: Linearisation) -> Tape:
     return in_stages(half_angles(linearisation.tape), stage_ends(linearisation))
-
-
-def _renumbered(
-    operation: tuple[str, tuple[float, ...]], number: dict[int, int]
-) -> tuple[str, tuple[float, ...]]:
-    name, payload = operation
-    return name, payload if name in LEAVES else tuple(number[int(a)] for a in payload)

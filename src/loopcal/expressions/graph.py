@@ -16,10 +16,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 Node = int
+Step = tuple[str, tuple[Any, ...]]
+"""An operation with the nodes of its arguments, or a leaf with its payload."""
 _PLAIN, _SPECIAL = frozenset({"add", "sub", "mul", "div"}), frozenset({"constant", "neg"})
 """Operations that are simplified beside these arguments only, but for the product of equals."""
 
@@ -27,12 +30,12 @@ _PLAIN, _SPECIAL = frozenset({"add", "sub", "mul", "div"}), frozenset({"constant
 class Graph:
     """A growing directed acyclic graph of operations; a node is its position.
 
-    operations[i] is (name, argument nodes or the payload of a leaf).
+    operations[i] is the step that makes node i.
     """
 
     def __init__(self) -> None:
-        self.operations: list[tuple[str, tuple[float, ...]]] = []
-        self._nodes: dict[tuple[str, tuple[float, ...]], Node] = {}
+        self.operations: list[Step] = []
+        self._nodes: dict[Step, Node] = {}
 
     def leaf(self, kind: str, payload: float) -> Node:
         """A constant (payload: its value) or an input (payload: its position)."""
@@ -52,8 +55,14 @@ class Graph:
                 and operations[b][0] not in _SPECIAL
                 and (a != b or name != "mul")
             ):
-                turned = a > b and (name == "add" or name == "mul")
-                return self._intern(name, (b, a) if turned else arguments)
+                key = name, arguments
+                if a > b and (name == "add" or name == "mul"):
+                    key = name, (b, a)
+                node = self._nodes.get(key)  # as _intern, of which this is most of the calls
+                if node is None:
+                    node = self._nodes[key] = len(operations)
+                    operations.append(key)
+                return node
         values: list[float | None] = []
         for kind, payload in [operations[a] for a in arguments]:
             values.append(payload[0] if kind == "constant" else None)
@@ -68,7 +77,7 @@ class Graph:
             arguments = (arguments[1], arguments[0])
         return self._intern(name, arguments)
 
-    def _intern(self, name: str, payload: tuple[float, ...]) -> Node:
+    def _intern(self, name: str, payload: tuple[Any, ...]) -> Node:
         key = (name, payload)
         node = self._nodes.get(key)
         if node is None:
@@ -79,7 +88,7 @@ class Graph:
 
     def _negated(self, node: Node) -> Node | None:
         name, arguments = self.operations[node]
-        return int(arguments[0]) if name == "neg" else None
+        return arguments[0] if name == "neg" else None
 
     def _simplify(
         self, name: str, arguments: tuple[Node, ...], values: list[float | None]
@@ -104,7 +113,7 @@ class Graph:
     def _simplify_negative(self, a: Node) -> Node | None:
         name, arguments = self.operations[a]
         if name == "sub":
-            return self.apply("sub", int(arguments[1]), int(arguments[0]))
+            return self.apply("sub", arguments[1], arguments[0])
         return self._negated(a)
 
     def _simplify_symmetric(self, name: str, a: Node) -> Node | None:
@@ -281,7 +290,7 @@ _ALL = [
 ]
 OPERATIONS: dict[str, Operation] = {operation.name: operation for operation in _ALL}
 
-LEAVES = ("constant", "quantity", "known", "parameter")
+LEAVES = frozenset({"constant", "quantity", "known", "parameter"})
 """Operations without arguments: a number, a reading, a known constant of the pose, a parameter."""
 
 

@@ -110,9 +110,9 @@ def _factors(tape: Tape, position: int) -> dict[int, tuple[int, bool]] | None:
         return None
     factors = {position: (_ONE, False)}
     if negative := name == "neg":
-        factors[int(payload[0])] = _ONE, True
-        name, payload = tape.operations[int(payload[0])]
+        factors[payload[0]] = _ONE, True
+        name, payload = tape.operations[payload[0]]
     if name == "mul":
-        a, b = (int(one) for one in payload)
+        a, b = payload
         factors |= {a: (b, negative), b: (a, negative)}
     return factors

@@ -10,37 +10,34 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from loopcal.expressions.graph import LEAVES, Graph, Node
-from loopcal.expressions.tape import Tape
+from loopcal.expressions.graph import LEAVES, Graph, Node, Step
+from loopcal.expressions.tape import Tape, moved
 from loopcal.expressions.trace import Scalar
 
-Operation = tuple[str, tuple[float, ...]]
-Rule = Callable[[Graph, str, tuple[Node, ...]], Node]
-"""Makes the node that stands for an operation on nodes."""
+Rule = Callable[..., Node]
+"""Makes the node that stands for an operation, from a graph, the name and its nodes."""
 
 
-def rewritten(operations: Iterable[Operation], rule: Rule) -> tuple[Graph, list[Node]]:
-    """A new graph of the operations as the rule makes them, and where each is in it."""
+def rewritten(operations: Iterable[Step], rules: Mapping[str, Rule]) -> tuple[Graph, list[Node]]:
+    """A new graph of the operations, where each is in it, some made by a rule of their name."""
     graph = Graph()
+    apply = graph.apply
     place: list[Node] = []
     for name, payload in operations:
         if name in LEAVES:
             place.append(graph.leaf(name, payload[0]))
+        elif name in rules:
+            place.append(rules[name](graph, name, *[place[a] for a in payload]))
+        elif len(payload) == 2:  # nine of ten
+            a, b = payload
+            place.append(apply(name, place[a], place[b]))
         else:
-            place.append(rule(graph, name, tuple([place[int(a)] for a in payload])))
+            place.append(apply(name, *[place[a] for a in payload]))
     return graph, place
 
 
-def unchanged(graph: Graph, name: str, arguments: tuple[Node, ...]) -> Node:
-    """The rule of a plain copy."""
-    return graph.apply(name, *arguments)
-
-
-def turns_written_out(graph: Graph, name: str, arguments: tuple[Node, ...]) -> Node:
-    """The rule that writes a plane rotation with cos and sin."""
-    if name in ("turn_cos", "turn_sin"):
-        return graph.lower_turn(name, *arguments)
-    return graph.apply(name, *arguments)
+TURNS_WRITTEN_OUT: Mapping[str, Rule] = dict.fromkeys(("turn_cos", "turn_sin"), Graph.lower_turn)
+"""The rules that write a plane rotation with cos and sin."""
 
 
 def half_angles(tape: Tape) -> Tape:
@@ -55,12 +52,12 @@ def half_angles(tape: Tape) -> Tape:
         {payload[0] for name, payload in tape.operations if name == function}
         for function in ("cos", "sin")
     )
-    paired = {a for a in cosines & sines if varies[int(a)]}
+    paired = {a for a in cosines & sines if varies[a]}
     named = [
         (f"{name} of half" if name in ("cos", "sin") and payload[0] in paired else name, payload)
         for name, payload in tape.operations
     ]
-    graph, place = rewritten(named, _from_tangent)
+    graph, place = rewritten(named, dict.fromkeys(("cos of half", "sin of half"), _from_tangent))
     return Tape.from_graph(
         graph,
         [place[output] for output in tape.outputs],
@@ -82,25 +79,21 @@ def in_stages(tape: Tape, ends: Sequence[int]) -> Tape:
             stage[output] = number
     for position in range(len(stage) - 1, -1, -1):  # arguments stand before what they make
         name, payload = tape.operations[position]
+        number = stage[position]
         if name not in LEAVES:
             for a in payload:
-                if stage[int(a)] > stage[position]:
-                    stage[int(a)] = stage[position]
+                if stage[a] > number:
+                    stage[a] = number
     used = sorted((i for i, s in enumerate(stage) if s < len(ends)), key=stage.__getitem__)
-    order = {position: i for i, position in enumerate(used)}
-    operations = tuple(
-        [
-            (name, payload if name in LEAVES else tuple([order[int(a)] for a in payload]))
-            for name, payload in [tape.operations[position] for position in used]
-        ]
-    )
+    order = [-1] * len(stage)
+    for i, position in enumerate(used):
+        order[position] = i
+    operations = tuple([moved(tape.operations[position], order) for position in used])
     return replace(tape, operations=operations, outputs=tuple([order[o] for o in tape.outputs]))
 
 
-def _from_tangent(graph: Graph, name: str, arguments: tuple[Node, ...]) -> Node:
-    if not name.endswith(" of half"):
-        return graph.apply(name, *arguments)
-    t = graph.apply("tan", graph.apply("mul", graph.constant(0.5), arguments[0]))
+def _from_tangent(graph: Graph, name: str, angle: Node) -> Node:
+    t = graph.apply("tan", graph.apply("mul", graph.constant(0.5), angle))
     square = graph.apply("add", graph.constant(1.0), graph.apply("square", t))
     q = graph.apply("div", graph.constant(2.0), square)
     if name.startswith("sin"):
@@ -108,7 +101,7 @@ def _from_tangent(graph: Graph, name: str, arguments: tuple[Node, ...]) -> Node:
     return graph.apply("sub", q, graph.constant(1.0))
 
 
-def varying(operations: Iterable[Operation]) -> tuple[bool, ...]:
+def varying(operations: Iterable[Step]) -> tuple[bool, ...]:
     """For each operation, whether its value varies from pose to pose."""
     varies: list[bool] = []
     for name, payload in operations:
@@ -116,7 +109,7 @@ def varying(operations: Iterable[Operation]) -> tuple[bool, ...]:
             varies.append(name in ("quantity", "known"))
         else:
             for a in payload:
-                if varies[int(a)]:
+                if varies[a]:
                     varies.append(True)
                     break
             else:
@@ -160,10 +153,10 @@ def substituted(
     of_x, of_p = meaning(inputs["quantity"] | inputs["known"], inputs["parameter"])
     stated = {"quantity": of_x, "known": {}, "parameter": of_p}
 
-    def leaf(kind: str, payload: float) -> Node:
+    def leaf(kind: str, payload: Any) -> Node:
         if kind == "constant":
             return graph.constant(payload)
-        name = names[kind][int(payload)]
+        name = names[kind][payload]
         value = stated[kind][name] if name in stated[kind] else inputs[kind][name]
         return value.node if isinstance(value, Scalar) else graph.constant(float(value))
 
@@ -172,7 +165,7 @@ def substituted(
         if name in LEAVES:
             place.append(leaf(name, payload[0]))
         else:
-            place.append(graph.apply(name, *(place[int(a)] for a in payload)))
+            place.append(graph.apply(name, *[place[a] for a in payload]))
     values = {n: Scalar(graph, place[i]) for n, i in zip(tape.loops, tape.outputs, strict=True)}
     values |= loops(values, inputs["quantity"] | inputs["known"], inputs["parameter"])
     return Tape.from_graph(

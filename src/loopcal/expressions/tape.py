@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
-from loopcal.expressions.graph import LEAVES, OPERATIONS, Graph, Node
+from loopcal.expressions.graph import LEAVES, OPERATIONS, Graph, Node, Step
 from loopcal.lazy import cached_property
 
 _PREFIX = {"quantity": "x", "known": "x", "parameter": "p"}
@@ -27,7 +29,7 @@ class Tape:
     pose_constants: tuple[str, ...]
     parameters: tuple[str, ...]
     loops: tuple[str, ...]
-    operations: tuple[tuple[str, tuple[float, ...]], ...]
+    operations: tuple[Step, ...]
     outputs: tuple[int, ...]
 
     @classmethod
@@ -54,7 +56,7 @@ class Tape:
     @classmethod
     def _made_of(
         cls,
-        everything: Sequence[tuple[str, tuple[float, ...]]],
+        everything: Sequence[Step],
         outputs: Sequence[Node],
         *,
         quantities: Sequence[str],
@@ -64,13 +66,10 @@ class Tape:
     ) -> Tape:
         # Positions stay in order, so arguments stand before what they make without sorting.
         needed = _reachable(everything, outputs)
-        place = {node: position for position, node in enumerate(needed)}
-        operations = tuple(
-            [
-                (name, payload if name in LEAVES else tuple([place[int(a)] for a in payload]))
-                for name, payload in [everything[node] for node in needed]
-            ]
-        )
+        place = [-1] * len(everything)
+        for position, node in enumerate(needed):
+            place[node] = position
+        operations = tuple([moved(everything[node], place) for node in needed])
         return cls(
             tuple(quantities),
             tuple(pose_constants),
@@ -93,14 +92,20 @@ class Tape:
 
     @cached_property
     def _inputs(self) -> dict[str, tuple[frozenset[str], ...]]:
-        names: list[frozenset[tuple[str, str]]] = []
+        # A bit for each input: a node contains what is set in any of its arguments.
+        bits: dict[tuple[str, str], int] = {}
+        masks: list[int] = []
         for name, payload in self.operations:
-            if name in LEAVES:
-                inputs = () if name == "constant" else ((name, self._input(name, payload)),)
-                names.append(frozenset(inputs))
-            else:
-                names.append(frozenset().union(*(names[int(a)] for a in payload)))
-        of_loops = [names[output] for output in self.outputs]
+            mask = 0
+            if name not in LEAVES:
+                for argument in payload:
+                    mask |= masks[argument]
+            elif name != "constant":
+                mask = bits.setdefault((name, self._input(name, payload)), 1 << len(bits))
+            masks.append(mask)
+        of_loops = [
+            [leaf for leaf, bit in bits.items() if masks[output] & bit] for output in self.outputs
+        ]
         return {
             kind: tuple(frozenset(n for of, n in some if kind in ("", of)) for some in of_loops)
             for kind in ("", *_PREFIX)
@@ -108,29 +113,23 @@ class Tape:
 
     def only(self, loops: Sequence[int]) -> Tape:
         """The tape of some of the loop equations, by position, with all inputs in their places."""
-        return self._made_of(
-            self.operations,
-            [self.outputs[i] for i in loops],
-            quantities=self.quantities,
-            pose_constants=self.pose_constants,
-            parameters=self.parameters,
-            loops=[self.loops[i] for i in loops],
-        )
+        return _only(self, tuple(loops))
 
-    def _input(self, kind: str, payload: tuple[float, ...]) -> str:
+    def _input(self, kind: str, payload: tuple[Any, ...]) -> str:
         table = {
             "quantity": self.quantities,
             "known": self.pose_constants,
             "parameter": self.parameters,
         }
-        return table[kind][int(payload[0])]
+        text: str = table[kind][payload[0]]
+        return text
 
     def __str__(self) -> str:
         uses = [0] * len(self.operations)
         for name, payload in self.operations:
             if name not in LEAVES:
                 for argument in payload:
-                    uses[int(argument)] += 1
+                    uses[argument] += 1
         lines: list[str] = []
         texts: list[tuple[str, int]] = []  # with how tightly each binds
         for position, (name, payload) in enumerate(self.operations):
@@ -147,7 +146,7 @@ class Tape:
         return "\n".join(lines)
 
     def _text(
-        self, name: str, payload: tuple[float, ...], texts: Sequence[tuple[str, int]]
+        self, name: str, payload: tuple[Any, ...], texts: Sequence[tuple[str, int]]
     ) -> tuple[str, int]:
         if name == "constant":
             return f"{payload[0]!r}", _ATOM if payload[0] >= 0 else 1
@@ -156,7 +155,7 @@ class Tape:
         operation = OPERATIONS[name]
         written = []
         for place, argument in enumerate(payload):
-            text, binding = texts[int(argument)]
+            text, binding = texts[argument]
             # a - (b - c) and (a ** b) ** c need their brackets, a + b + c and functions do not
             tighter = operation.binding + (place in _BRACKETS.get(name, ()))
             inside_function = operation.binding == _ATOM
@@ -164,14 +163,37 @@ class Tape:
         return operation.text.format(*written), operation.binding
 
 
+@lru_cache(maxsize=64)
+def _only(tape: Tape, loops: tuple[int, ...]) -> Tape:
+    if loops == tuple(range(len(tape.loops))):
+        return tape
+    return tape._made_of(
+        tape.operations,
+        [tape.outputs[i] for i in loops],
+        quantities=tape.quantities,
+        pose_constants=tape.pose_constants,
+        parameters=tape.parameters,
+        loops=[tape.loops[i] for i in loops],
+    )
+
+
 _ATOM = 4
 _BRACKETS = {"sub": (1,), "div": (1,), "neg": (0,), "pow": (0, 1)}
 """Which arguments are bracketed also where they bind as tightly as the operation itself."""
 
 
-def _reachable(
-    operations: Sequence[tuple[str, tuple[float, ...]]], outputs: Sequence[Node]
-) -> list[Node]:
+def moved(step: Step, place: Sequence[Node] | dict[Node, Node]) -> Step:
+    """The step where its arguments stand elsewhere."""
+    name, payload = step
+    if name in LEAVES:
+        return step
+    if len(payload) == 2:  # nine of ten
+        a, b = payload
+        return name, (place[a], place[b])
+    return name, tuple([place[a] for a in payload])
+
+
+def _reachable(operations: Sequence[Step], outputs: Sequence[Node]) -> list[Node]:
     needed = bytearray(len(operations))
     for node in outputs:
         needed[node] = True
@@ -180,5 +202,5 @@ def _reachable(
             name, payload = operations[node]
             if name not in LEAVES:
                 for argument in payload:
-                    needed[int(argument)] = True
+                    needed[argument] = True
     return [node for node, wanted in enumerate(needed) if wanted]

@@ -60,7 +60,7 @@ class Scalar:
                         remedy="use only the x and p that the function is given",
                     )
                 nodes.append(argument.node)
-            elif isinstance(argument, numbers.Real):
+            elif isinstance(argument, (float, numbers.Real)):  # most are floats, a quick answer
                 number = float(argument)
                 if not math.isfinite(number):
                     raise TraceError(

@@ -334,17 +334,22 @@ class Mechanism:
         body = self.body and replace(self.body, tape=change(self.body.tape))
         return replace(self, tape=change(self.tape), body=body)
 
-    def predicting(self) -> Mechanism:
-        """The mechanism with those loops alone that predict outputs from other readings.
+    @cached_property
+    def predicting_loops(self) -> tuple[int, ...]:
+        """Positions of the loops that predict outputs from other readings; all without outputs.
 
         What an instrument implies beside its outputs (small turns, gaps) is measured with them:
         its loops would pass what is compared on to the prediction.
         """
         implied = {q for f in self.families for q in f.readings if f.form != "closure"}
         # Outputs stay: they are what the kept loops predict.
-        implied -= set(self.outputs)
-        kept = [i for i, loop in enumerate(self.tape.loops) if loop not in implied]
-        if len(kept) == len(self.tape.loops) or not self.outputs:
+        implied -= set(self.outputs or implied)
+        return tuple(i for i, loop in enumerate(self.tape.loops) if loop not in implied)
+
+    def predicting(self) -> Mechanism:
+        """The mechanism with those loops alone that predict outputs from other readings."""
+        kept = self.predicting_loops
+        if len(kept) == len(self.tape.loops):
             return self
         return replace(self.with_tape(lambda tape: tape.only(kept)), families=())
 

@@ -11,6 +11,7 @@ from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.hand_eye import METHODS, Method, translations
 from loopcal.estimation.cameras.homography import focal_length, homographies
 from loopcal.estimation.cameras.pixels import by_point, by_value, pixels, rays
+from loopcal.estimation.cameras.placing import Reading, view_poses
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from tests.estimation.cameras.truth import motion, shots
@@ -27,6 +28,33 @@ def test_rays_are_the_inverse_of_pixels(lens: Intrinsics) -> None:
     x = np.random.default_rng(1).uniform(-0.4, 0.4, (50, 2))
     uv = pixels(lens.lens, np.column_stack([x, np.ones(50)]), lens.values)
     np.testing.assert_allclose(rays(lens, uv), x, atol=1e-10)
+
+
+def test_views_have_one_pose_whatever_the_hand_does_and_another_of_other_corners() -> None:
+    true, lenses = shots(3), (LENSES[0],)
+    poses = view_poses(Reading(true.corners, true.T, lenses))
+    same = true.corners.at(true.corners.uv.copy())
+    assert view_poses(Reading(same, None, lenses, held=False)) is poses
+    assert not poses.T_camera_board.flags.writeable
+    moved = true.corners.at(true.corners.uv + 1.0)
+    others = ((moved, lenses), (true.corners, (LENSES[1],)))
+    for corners, of in others:
+        other = view_poses(Reading(corners, None, of)).T_camera_board
+        assert not np.array_equal(other, poses.T_camera_board)
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.lens)
+def test_derivatives_of_many_points_are_those_of_each(lens: Intrinsics) -> None:
+    """They are taken in parts."""
+    P = np.random.default_rng(4).uniform(-0.4, 0.4, (1203, 3)) + np.array([0.0, 0.0, 1.5])
+    names = tuple(lens.values)
+    every = by_point(lens.lens, P, lens.values), by_value(lens.lens, P, lens.values, names)
+    for part in (slice(0, 1), slice(499, 501), slice(1100, 1203)):
+        one = by_point(lens.lens, P[part], lens.values)
+        np.testing.assert_array_equal(every[0][part], one)
+        one = by_value(lens.lens, P[part], lens.values, names)
+        np.testing.assert_array_equal(every[1][part], one)
+    assert by_value(lens.lens, P, lens.values, ()).shape == (1203, 2, 0)
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.lens)

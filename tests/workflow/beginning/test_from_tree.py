@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from analyses.trees import touching
+from analyses import trees
 from loopcal.errors import Code
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
@@ -241,9 +241,13 @@ def test_a_held_part_begins_where_the_drawing_has_the_hands(folder: Path) -> Non
     np.testing.assert_allclose(off, 0.0, atol=1e-9)
 
 
-def test_a_file_of_one_arm_is_read_on_another_day_as_on_the_first(tmp_path: Path) -> None:
+def test_a_file_of_one_arm_is_read_on_another_day_as_on_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its columns and joints have the names of the first day; what it lacks was not read."""
-    world = touching(np.random.default_rng([1, 0]))
+    monkeypatch.setattr(trees, "POSES", 30)
+    monkeypatch.setattr(trees, "FRESH", 1)
+    world = trees.touching(np.random.default_rng([1, 0]))
     for name, text in {"bodies.csv": world.bodies + "\n", **world.files}.items():
         (tmp_path / name).write_text(text, "utf-8")
     renamed = (tmp_path / "seen_a.csv").read_text("utf-8").replace("l1,", "A1,", 1)

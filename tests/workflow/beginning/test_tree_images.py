@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import loopcal as lc
-from analyses.trees import watching
+from analyses import trees
 from loopcal.errors import Code
 from tests.refusals import refused
 
@@ -200,9 +200,13 @@ def test_a_camera_without_corners_is_refused(folder: Path) -> None:
         lc.init(folder / "points.csv", dh=folder / "bodies.csv", observe=[CAMERA, POINT])
 
 
-def test_boards_that_are_exchanged_are_named(tmp_path: Path) -> None:
+def test_boards_that_are_exchanged_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What one hand carries moves as that hand does, wherever boards and camera sit."""
-    world = watching(np.random.default_rng([4, 3]))
+    monkeypatch.setattr(trees, "POSES", 40)
+    monkeypatch.setattr(trees, "FRESH", 2)
+    world = trees.watching(np.random.default_rng([4, 3]))
     (tmp_path / "images").mkdir()
     for name, text in {"bodies.csv": world.bodies + "\n", **world.files}.items():
         (tmp_path / name).write_text(text, "utf-8")

@@ -409,6 +409,9 @@ _FEWEST, _MOST = 12, 400
 # Of G: the step of the multiplicative weights of test poses is just below 1.
 _PEAK = 60.0
 _POWER, _GROWS, _STEEPEST = 0.5, 1.4, 8.0
+# Measured: of 60,000 rows of 40 columns the products take a fifth of the time of one piece.
+_AT_ONCE = 512
+"""Rows that are multiplied at a time."""
 
 
 @dataclass(frozen=True)
@@ -476,9 +479,8 @@ def _slopes(
     mixes: list[Array] = []
     for number, d in enumerate(draws):
         flat = d.rows.reshape(-1, d.rows.shape[2])
-        each = np.repeat(w, d.rows.shape[1])
-        some = each > 0.0
-        total = d.start + (flat[some] * each[some, None]).T @ flat[some]
+        each = np.repeat(w, d.rows.shape[1])[:, None]
+        total = d.start + sum((flat[i] * each[i]).T @ flat[i] for i in _in_cache(len(flat)))
         C = inverse(total)
         if criterion == "D":
             f += criterion_value(d, total, criterion)
@@ -500,8 +502,14 @@ def _slopes(
             assert aim_of is not None
             f += float((C * aim_of).sum())
             H = C @ aim_of @ C
-        g += np.einsum("ij,ij->i", flat @ H, flat).reshape(len(w), -1).sum(axis=1)
+        of_row = [np.einsum("ij,ij->i", flat[i] @ H, flat[i]) for i in _in_cache(len(flat))]
+        g += np.concatenate(of_row).reshape(len(w), -1).sum(axis=1)
     return f / len(draws), g / len(draws), mixes
+
+
+def _in_cache(rows: int) -> list[slice]:
+    """Some rows after others, so few that products of them stay in the processor's cache."""
+    return [slice(i, i + _AT_ONCE) for i in range(0, rows, _AT_ONCE)]
 
 
 # 2-opt of dozens of poses settles in a few rounds; the bound keeps ties from going on forever.

@@ -7,8 +7,10 @@ most of its views agree on.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +64,36 @@ class Reading:
 
 
 def view_poses(reading: Reading) -> BoardPoses:
-    """Both poses of each view, from the rays of its lens."""
-    return board_poses(reading.corners, _rays(reading))
+    """Both poses of each view, from the rays of its lens; they are not to be written to.
+
+    A start tries many readings of the same corners, which differ in the hand or in what it holds:
+    their poses are computed once.
+    """
+    return _poses_of(_Seen(reading))
+
+
+class _Seen:
+    """What the poses of views depend on, compared by contents."""
+
+    def __init__(self, reading: Reading) -> None:
+        corners, planar = reading.corners, [board.planar for board in reading.corners.boards]
+        arrays = (corners.image, corners.camera, corners.board, corners.xyz, corners.uv)
+        self.reading = reading
+        digest = hashlib.blake2b(b"".join([one.tobytes() for one in arrays])).digest()
+        self._contents = reading.lenses, tuple(planar), digest
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Seen) and self._contents == other._contents
+
+    def __hash__(self) -> int:
+        return hash(self._contents)
+
+
+@lru_cache(maxsize=8)
+def _poses_of(seen: _Seen) -> BoardPoses:
+    poses = board_poses(seen.reading.corners, _rays(seen.reading))
+    poses.T_camera_board.flags.writeable = poses.error.flags.writeable = False
+    return poses
 
 
 def _rays(reading: Reading) -> Array:

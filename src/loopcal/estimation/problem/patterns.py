@@ -5,13 +5,11 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.expressions.tape import Tape
 from loopcal.measurements.noise import ReadingUncertainty
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 
@@ -42,12 +40,6 @@ class Pattern:
         """Loop equations in these poses, less the unmeasured quantities they determine; those of
         missing readings of their own count as well."""
         return self.count(poses) * (len(self.loops) - len(self.unmeasured))
-
-
-@lru_cache(maxsize=64)
-def held_loops(tape: Tape, loops: tuple[int, ...]) -> Tape:
-    """The tape of the loops at these positions."""
-    return tape if len(loops) == len(tape.loops) else tape.only(loops)
 
 
 def patterns_of(

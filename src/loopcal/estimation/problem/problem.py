@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.problem.constants import constants_by_pose, standing_exact, with_implied
-from loopcal.estimation.problem.patterns import Pattern, Poses, held_loops, patterns_of
+from loopcal.estimation.problem.patterns import Pattern, Poses, patterns_of
 from loopcal.estimation.problem.unknowns import Unknowns
 from loopcal.expressions.tape import Tape
 from loopcal.lazy import cached_property
@@ -145,7 +145,7 @@ class Problem:
 
     def tape(self, pattern: Pattern) -> Tape:
         """The loops that hold in the poses of a pattern."""
-        return held_loops(self.mechanism.tape, pattern.loops)
+        return self.mechanism.tape.only(pattern.loops)
 
     @property
     def block(self) -> int:
