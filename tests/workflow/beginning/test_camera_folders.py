@@ -386,3 +386,11 @@ def test_a_wide_lens_that_nobody_states_is_bent_by_eight_coefficients(tmp_path: 
     project = lc.init(tmp_path)
     assert any("eight coefficients" in one for one in project.remarks)
     assert {"camera_1_p1", "camera_1_k6"} <= {*project.mechanism.parameters.names}
+
+
+def test_lenses_that_are_not_read_are_named(tmp_path: Path) -> None:
+    T = hands(12, 6)
+    written(tmp_path, pixels(T, on="base"), T)
+    text = "# Camera list\n1 SIMPLE_RADIAL 1600 1200 1352 799 599 -0.1\n"
+    (tmp_path / "cameras.txt").write_text(text, encoding="utf-8")
+    assert any("as COLMAP does, which is not read" in one for one in lc.init(tmp_path).remarks)
