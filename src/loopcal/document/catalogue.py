@@ -533,17 +533,18 @@ _ROWS = (
     ),
     _better_open(
         "like-nominal",
-        f"The calibrated machine predicts these poses about as well as the drawing: {_PAIRED}",
+        "The calibrated machine predicts these poses about as well as the nominal machine: "
+        f"{_PAIRED}",
         "Measure more poses to decide.",
         "loopcal plan {project}",
     ),
     _better(
         "better-than-nominal",
-        f"The calibrated machine predicts these poses better than the drawing: {_PAIRED}",
+        f"The calibrated machine predicts these poses better than the nominal machine: {_PAIRED}",
     ),
     _not_better(
         "worse-than-nominal",
-        f"The calibrated machine predicts these poses worse than the drawing: {_PAIRED}",
+        f"The calibrated machine predicts these poses worse than the nominal machine: {_PAIRED}",
         "Do not use the calibration at poses like these. Calibrate with such poses.",
         "loopcal plan {project}",
     ),

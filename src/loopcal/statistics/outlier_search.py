@@ -231,7 +231,8 @@ class Search:
         return np.zeros_like(gone) if gone.mean() > 0.5 else gone
 
     def _remarkable(self, tests: PoseTests) -> NDArray[np.bool_]:
-        # Half of the level for poses, half for readings, shared by all of each (Bonferroni).
+        # Half of the level for poses, half for readings, shared by all of each (Bonferroni). Of
+        # images a half of the first is for where they stood.
         w = tests.w.copy()
         # a corner stands out from the others of its image
         rest = (tests.t - np.square(w[self.pixels])) / np.maximum(tests.freedom - 1, 1)
@@ -239,7 +240,9 @@ class Search:
         w = w[self.readings]
         poses = 0.5 * self.level / max(self.tested(tests), 1)
         readings = 0.5 * self.level / max(float(np.isfinite(w).sum()) * self._share, 1)
-        misfit = ~(tests.p_pose >= poses)  # what is no number is one
+        images = tests.sharing.any()
+        misfit = ~(tests.p_pose >= (0.5 * poses if images else poses))  # what is no number is one
+        misfit |= ~(tests.p_shared >= 0.5 * poses) & (tests.sharing > 0)
         single = tail(np.square(np.nan_to_num(w)), np.ones(w.shape, np.intp), tests.denominator)
         remarkable: NDArray[np.bool_] = misfit | (single < readings).any(axis=0)
         return remarkable

@@ -150,8 +150,14 @@ def _named(
     suspects = find_suspects(search, fit, where, tests)
     causes = find_causes(search.problem, search.result.dataset, fit, suspects)
     worst = np.argsort([-(s.t / max(s.freedom, 1)) for s in suspects], kind="stable")
-    denominator = tests.denominator
-    return tuple(_outlier(search.problem, suspects[i], causes[i], denominator) for i in worst)
+    denominator, p_shared = tests.denominator, tests.p_shared
+    named = [_outlier(search.problem, suspects[i], causes[i], denominator) for i in worst]
+    # one reading is named, yet all that an image shares may be wrong with it
+    at = [suspects[i].pose for i in worst]
+    shared = [float(p_shared[i]) if tests.sharing[i] else 1.0 for i in at]
+    return tuple(
+        replace(one, p_value=min(one.p_value, p)) for one, p in zip(named, shared, strict=True)
+    )
 
 
 def _outlier(

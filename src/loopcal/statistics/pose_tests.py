@@ -7,7 +7,9 @@ its inverse and y = W E,
     t = y^T W^-1 y ~ chi-squared(r),   w_j = -x_j^T y / sqrt(x_j^T W x_j) ~ N(0, 1),
 
 x_j the column of reading j: t asks whether the pose fits, w_j (Baarda 1968) whether reading j is
-wrong; -w_j is also the reading's correction over the sd of that correction. For a pose that took
+wrong; -w_j is also the reading's correction over the sd of that correction. Where an image stood is
+read once, and hundreds of corners hide an error of it in t. So its joints, or the six readings of
+its place, are tested together: with X their columns, y^T X (X^T W X)^-1 X^T y. For a pose that took
 part in the fit W = 1 - D C D^T and y = E with C of all poses, which is the same thing.
 Where the scale comes from residuals, t / r follows F and w_j Student's t.
 """
@@ -48,7 +50,9 @@ class PoseTests:
     t: (N,) chi-squared of the pose, freedom: (N,) its degrees of freedom; w: (k, N) of each
     reading, NaN where it cannot be tested; sd: (k, N) of the size of its error [SI]; denominator:
     degrees of freedom of the scale, inf where it is known; images: those by which the scale of one
-    image differs from that of another, inf where they are alike.
+    image differs from that of another, inf where they are alike; shared, sharing: (N,) chi-squared
+    of what all corners of an image share, and its degrees of freedom, 0 for other poses; places:
+    degrees of freedom of the scale of that, inf where it is known.
     """
 
     t: Array
@@ -57,6 +61,9 @@ class PoseTests:
     sd: Array
     denominator: float = math.inf
     images: float = math.inf
+    shared: Array = field(default_factory=lambda: np.zeros(0))
+    sharing: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    places: float = math.inf
 
     @property
     def of_pose(self) -> float:
@@ -68,6 +75,11 @@ class PoseTests:
     def p_pose(self) -> Array:
         """Probability of such a t where the pose is good, (N,)."""
         return tail(self.t, self.freedom, self.of_pose)
+
+    @property
+    def p_shared(self) -> Array:
+        """Probability of such an error of what corners share where it is good, (N,)."""
+        return tail(self.shared, self.sharing, self.places)
 
 
 @dataclass(frozen=True)
@@ -170,14 +182,19 @@ def pose_tests(problem: Problem, fit: Fitted, fitted: NDArray[np.bool_]) -> Pose
     k, N = problem.readings.shape
     t, freedom = np.zeros(N), np.zeros(N, dtype=np.intp)
     w, sd = np.full((k, N), np.nan), np.full((k, N), np.nan)
+    shared, sharing = np.zeros(N), np.zeros(N, dtype=np.intp)
     for block in equations:
         if block.E.shape[1]:
             tests = _block(block, fit, fitted[block.poses])
             t[block.poses], freedom[block.poses] = tests.t, tests.freedom
             w[:, block.poses], sd[:, block.poses] = tests.w, tests.sd
+            shared[block.poses], sharing[block.poses] = tests.shared, tests.sharing
     hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, w.shape))
     w[hidden] = np.nan
-    return PoseTests(t, freedom, w, sd, fit.denominator, fit.images)
+    # Of what few images say of their places, the parameters take up as many numbers.
+    said = float(max(sharing[fitted].sum() - len(fit.covariance), fitted.sum(), 1))
+    places = math.inf if math.isinf(fit.denominator) else said
+    return PoseTests(t, freedom, w, sd, fit.denominator, fit.images, shared, sharing, places)
 
 
 def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> PoseTests:
@@ -206,7 +223,28 @@ def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> Pose
     scale = np.sqrt(fit.factor)
     w = np.where(possible, -along / length / scale, np.nan)
     freedom = block.count - (~open_).sum(axis=1)
-    return PoseTests(t, freedom, w, np.where(possible, scale / length, np.nan))
+    shared, sharing = _shared(block, X, lost, along)
+    sd = np.where(possible, scale / length, np.nan)
+    return PoseTests(t, freedom, w, sd, shared=shared / fit.factor, sharing=sharing)
+
+
+def _shared(
+    block: PoseEquations, turned: Array, lost: Array, along: Array
+) -> tuple[Array, NDArray[np.intp]]:
+    """Chi-squared (b,) of all that the pixels of an image share, at a variance factor of 1, and its
+    degrees of freedom; turned: (b, s, k) columns X along the directions of which the share lost is
+    not tested, along: (k, b) X^T y."""
+    if block.beside is None:
+        return np.zeros(len(block.poses)), np.zeros(len(block.poses), dtype=np.intp)
+    mine = ~block.beside.squares.any(axis=0) & block.X.any(axis=(0, 1))
+    X, aside = block.X[:, :, mine], turned[:, :, mine]
+    W = np.swapaxes(X, 1, 2) @ X - np.swapaxes(aside, 1, 2) @ (lost[:, :, None] * aside)
+    unit = np.sqrt(np.maximum(np.diagonal(W, axis1=1, axis2=2), 1e-300))
+    sizes, directions = np.linalg.eigh(W / unit[:, :, None] / unit[:, None, :])
+    b = np.einsum("bij,bi->bj", directions, along[mine].T / unit)
+    open_ = sizes > UNCONTROLLED
+    chi = np.where(open_, np.square(b) / np.where(open_, sizes, 1.0), 0.0).sum(axis=1)
+    return chi, open_.sum(axis=1)
 
 
 @dataclass(frozen=True)

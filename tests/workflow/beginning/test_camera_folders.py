@@ -363,6 +363,34 @@ def test_a_fisheye_that_nobody_states_is_seen_as_one(tmp_path: Path) -> None:
     uv = np.stack([640.0 + far * P[..., 0], 480.0 + far * P[..., 1]], axis=1)
     written(tmp_path, uv + random.normal(0.0, 0.1, uv.shape), None)
     project = lc.init(tmp_path)
-    assert any("As a fisheye it leaves" in one for one in project.remarks)
+    assert any("It is taken as a fisheye" in one for one in project.remarks)
     assert "camera_1_k4" in project.mechanism.parameters.names
     assert "camera_1_p1" not in project.mechanism.parameters.names
+
+
+def test_a_wide_lens_that_nobody_states_is_bent_by_eight_coefficients(tmp_path: Path) -> None:
+    """Boards near a wide lens that is mounted askew, by OpenCV's formula."""
+    random = np.random.default_rng(5)
+    xyz = np.array([*POINTS.values()])
+    turns = Rotation.from_euler("xyz", random.uniform(-35.0, 35.0, (30, 3)), degrees=True)
+    places = random.uniform((-0.3, -0.25, 0.2), (0.15, 0.15, 0.3), (30, 3))
+    P = np.einsum("nij,pj->pni", turns.as_matrix(), xyz) + places
+    x, y = P[..., 0] / P[..., 2], P[..., 1] / P[..., 2]
+    r2 = x**2 + y**2
+    far = 560.0 * (1.0 + 0.9 * r2 + 0.12 * r2**2) / (1.0 + 1.22 * r2 + 0.32 * r2**2)
+    p1, p2 = 560.0 * 1e-3, -560.0 * 8e-4
+    u = 640.0 + far * x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
+    v = 480.0 + far * y + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y**2)
+    uv = np.stack([u, v], axis=1)
+    written(tmp_path, uv + random.normal(0.0, 0.1, uv.shape), None)
+    project = lc.init(tmp_path)
+    assert any("eight coefficients" in one for one in project.remarks)
+    assert {"camera_1_p1", "camera_1_k6"} <= {*project.mechanism.parameters.names}
+
+
+def test_lenses_that_are_not_read_are_named(tmp_path: Path) -> None:
+    T = hands(12, 6)
+    written(tmp_path, pixels(T, on="base"), T)
+    text = "# Camera list\n1 SIMPLE_RADIAL 1600 1200 1352 799 599 -0.1\n"
+    (tmp_path / "cameras.txt").write_text(text, encoding="utf-8")
+    assert any("as COLMAP does, which is not read" in one for one in lc.init(tmp_path).remarks)

@@ -34,6 +34,12 @@ _WIDE = 1.2
 """What corners span over the focal length, from which a lens may be a fisheye: 62 degrees."""
 FREE = ("f", "cx", "cy", "k1", "k2")
 """What a start adjusts of a lens of the family brown; a fisheye has the same names."""
+EVERY = (*FREE, "p1", "p2", "k3", "k4", "k5", "k6")
+"""The same where a wide lens is chosen, which shows them all."""
+BENT = ("fisheye", "brown8")
+"""Lenses that bend more than the usual one, in the order in which they are tried."""
+SURE = 20.0
+"""Gain in log likelihood from which corners show another lens."""
 
 
 @dataclass(frozen=True)
@@ -74,13 +80,14 @@ def start(
     held: bool | None = None,
     *,
     lens: str = "brown5",
+    free: Sequence[str] = FREE,
 ) -> CameraStart:
     """Start a calibration of cameras from nothing.
 
     T_base_flange: (n, 4, 4) [m], a row per `corners.poses`, rows with NaN are left out; None
     without a robot. intrinsics: as stated, by camera; image_sizes: width and height [px]; held:
     the board is on the flange (True), the camera is (False), or unknown (None). lens: of cameras
-    without stated intrinsics.
+    without stated intrinsics; free: what is adjusted of lenses, where they have it.
 
     Raises InputError where no view shows four corners of a board.
     """
@@ -91,7 +98,7 @@ def start(
     for lenses in _lens_choices(corners, stated, sizes, lens):
         first = Reading(corners, T_base_flange, lenses, held is not False, complete)
         reading, facts = corrected(first, held)
-        rough = _rough(reading)
+        rough = _rough(reading, free)
         if rough is None or (best is not None and rough.core > CLEAR * best[2].core):
             continue
         best = reading, facts, rough
@@ -106,13 +113,13 @@ def start(
     reading, facts, rough = best
     if reading.A is None:
         reading, _ = usable_part(reading, view_poses(reading))
-    result = _adjusted(reading, rough)
+    result = _adjusted(reading, rough, free)
     after = explained(reading, result)
     if any(fact.applied for fact in after.facts):
         reading = after.reading
-        again = _rough(reading)
+        again = _rough(reading, free)
         assert again is not None
-        result = _adjusted(reading, again)
+        result = _adjusted(reading, again, free)
     facts += after.facts
     facts += _behind(reading, result)
     facts += motion_facts(reading, result.scene, stated=reading.stated)
@@ -127,22 +134,45 @@ def started(
     image_sizes: Mapping[str, tuple[int, int]],
     held: bool | None = None,
 ) -> CameraStart:
-    """`start`; a wide lens that no file states is a fisheye where that fits clearly better."""
+    """`start`; a wide lens that no file states is the one that fits clearly better than others."""
     begun = start(corners, T_base_flange, intrinsics, image_sizes, held)
     unstated = [camera for camera in corners.cameras if camera not in intrinsics]
     seen = {c: corners.uv[corners.camera == i] for i, c in enumerate(corners.cameras)}
     reach = [float(np.ptp(seen[c], axis=0).max()) / begun.intrinsics[c].fx for c in unstated]
     if max(reach, default=0.0) < _WIDE:
         return begun
-    other = start(corners, T_base_flange, intrinsics, image_sizes, held, lens="fisheye")
-    plain, round_ = (float(np.median(np.hypot(*one.residuals.T))) for one in (begun, other))
-    if round_ > CLEAR * plain:
+    # By boards wherever they stand: errors of a robot would hide what a lens leaves.
+    trials = {"brown5": _left(corners, intrinsics, image_sizes, "brown5")}
+    lens = "brown5"
+    for other in BENT:
+        trials[other] = _left(corners, intrinsics, image_sizes, other)
+        if 2.0 * len(corners) * np.log(trials[lens] / trials[other]) > SURE:
+            lens = other
+    if lens == "brown5":
         return begun
+    bent = start(corners, T_base_flange, intrinsics, image_sizes, held, lens=lens, free=EVERY)
+    what = "a fisheye" if lens == "fisheye" else "bent by eight coefficients"
     words = (
-        f"No file states the lens. As a fisheye it leaves {round_:.2f} px at half of the corners, "
-        f"else {plain:.2f} px: it is taken as one."
+        f"No file states the lens. It is taken as {what}, which leaves {trials[lens]:.2f} px at "
+        f"corners of boards that stand anywhere, the usual lens {trials['brown5']:.2f} px."
     )
-    return replace(other, facts=(Fact("lens-fisheye", words, applied=True), *other.facts))
+    return replace(bent, facts=(Fact(f"lens-{lens}", words, applied=True), *bent.facts))
+
+
+def _left(
+    corners: Corners,
+    intrinsics: Mapping[str, Intrinsics],
+    image_sizes: Mapping[str, tuple[int, int]],
+    lens: str,
+) -> float:
+    """Rms [px] of boards with free poses, of wrong corners but four medians; infinite where none
+    can be placed."""
+    try:
+        one = start(corners, None, intrinsics, image_sizes, lens=lens, free=EVERY)
+    except InputError:
+        return np.inf
+    d = np.hypot(*one.residuals.T)
+    return max(float(np.sqrt(np.mean(np.minimum(d, 4.0 * np.median(d)) ** 2))), 1e-9)
 
 
 def _behind(reading: Reading, result: Adjusted) -> list[Fact]:
@@ -207,18 +237,18 @@ def _lens_choices(
     return [tuple(each[min(i, len(each) - 1)] for each in choices) for i in range(count)]
 
 
-def _rough(reading: Reading) -> Adjusted | None:
+def _rough(reading: Reading, free: Sequence[str]) -> Adjusted | None:
     """A part of the images and corners, with lenses adjusted."""
     few = reading.thinned(100, 24)
-    return placed(few, view_poses(few), _free(reading))
+    return placed(few, view_poses(few), _of_all(reading, free))
 
 
-def _adjusted(reading: Reading, rough: Adjusted) -> Adjusted:
+def _adjusted(reading: Reading, rough: Adjusted, free: Sequence[str]) -> Adjusted:
     """All images, from the placement of a part of them; corners beyond 24 per view add little.
 
     An image gives about six numbers, those of a pose, however many corners it has.
     """
-    free, few = _free(reading), reading.thinned(len(reading.corners.poses), PER_VIEW)
+    free, few = _of_all(reading, free), reading.thinned(len(reading.corners.poses), PER_VIEW)
     if reading.A is not None:
         scene = replace(rough.scene, A=reading.A)
         result = adjusted(few.corners, scene, free, iterations=10)
@@ -232,8 +262,9 @@ def _adjusted(reading: Reading, rough: Adjusted) -> Adjusted:
     return Adjusted(result.scene, result.scene.residuals(reading.corners), result.sds)
 
 
-def _free(reading: Reading) -> Sequence[str]:
-    return tuple(name for name in FREE if all(name in lens.values for lens in reading.lenses))
+def _of_all(reading: Reading, free: Sequence[str]) -> Sequence[str]:
+    """What all of the lenses have of these."""
+    return tuple(name for name in free if all(name in lens.values for lens in reading.lenses))
 
 
 def _start_of(reading: Reading, result: Adjusted, facts: Sequence[Fact]) -> CameraStart:

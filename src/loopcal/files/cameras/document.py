@@ -250,12 +250,17 @@ def _too_large(name: str, how: str) -> InputError:
 
 def transform(part: Part) -> NDArray[np.float64]:
     """T (4, 4) [m] of a mapping with x, y, z and qx, qy, qz, qw, with translation and rotation as
-    ROS has them, or of a matrix.
+    ROS has them, of a matrix, or of x, y, z and a rotation vector in a column, as ViSP has them.
 
     Raises InputError for a quaternion of no length and for a matrix that is no rigid motion.
     """
     from scipy.spatial.transform import Rotation
 
+    if _is_vector(part):
+        six = part.numbers(6)
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = Rotation.from_rotvec(six[3:]).as_matrix(), six[:3]
+        return T
     if isinstance(part.data, list) or "data" in part:
         T = np.array(part.numbers(12, 16)).reshape(-1, 4)
         whole = np.vstack([T[:3], [0.0, 0.0, 0.0, 1.0]])
@@ -280,7 +285,14 @@ def transform(part: Part) -> NDArray[np.float64]:
 
 
 def is_transform(part: Part) -> bool:
-    """Whether a mapping holds x, y, z and a quaternion."""
-    return ({"x", "y", "z"} <= {n for n, _ in part.items()} and "qw" in part) or (
-        "translation" in part and "rotation" in part
+    """Whether a mapping holds x, y, z and a quaternion, or a column of six."""
+    return (
+        _is_vector(part)
+        or ({"x", "y", "z"} <= {n for n, _ in part.items()} and "qw" in part)
+        or ("translation" in part and "rotation" in part)
     )
+
+
+def _is_vector(part: Part) -> bool:
+    size = [str(one.data) for one in map(part.get, ("rows", "cols")) if one is not None]
+    return "data" in part and size == ["6", "1"]

@@ -32,6 +32,8 @@ _MADE = ("result.json", "project.toml")
 """Beside them stands what loopcal wrote."""
 _RECORDS = (".json", ".yaml", ".yml")
 _IMAGES = frozenset(words("corners", "image"))
+_UNREAD = {"cameras.txt": "COLMAP", "camera.xml": "ViSP"}
+"""Files of lenses that are not read, and whose they are."""
 _SAME = 1e-3
 """Two descriptions of a board agree within this share of its size: printed sizes are rounded."""
 _WORDS = re.compile(r"[^a-z]+")
@@ -209,7 +211,12 @@ def read_files(
     lenses: dict[str, Intrinsics] = {}
     poses: list[Path] = []
     tables: list[CornerTable] = []
-    remarks: list[str] = []
+    remarks = [
+        f"{path.name} states lenses as {_UNREAD[path.name]} does, which is not read. State them in "
+        "a YAML file of OpenCV or ROS."
+        for path in paths
+        if path.name in _UNREAD
+    ]
     stated: dict[str, str] = {}
     # A list of points says more than counts and sizes: of two descriptions it comes first.
     for path, kind in sorted(kinds.items(), key=lambda one: one[1] == "document"):

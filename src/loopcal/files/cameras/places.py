@@ -4,8 +4,9 @@ easy_handeye samples      samples: robot and tracking, each translation and rota
                           hand_world_samples and camera_marker_samples, each transforms
 industrial_calibration    x, y, z, qx, qy, qz, qw; several in a list, in a mapping, or in files
                           that `data` lists beside their images
+ViSP                      pose_rPe_1.yaml, pose_cPo_1.yaml, ...: x, y, z and a rotation vector
 a table of poses          pose, x, y, z and a quaternion, a matrix or turns, units in the header,
-                          [m] without
+                          [m] without; with those of two frames side by side, hand-eye samples
 """
 
 from __future__ import annotations
@@ -121,7 +122,10 @@ def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[
 
 
 def _of_table(path: Path) -> PlaceTable:
-    source = sources_of(path, 0)[0]
+    return _of_source(sources_of(path, 0)[0], path)
+
+
+def _of_source(source: Source, path: Path) -> PlaceTable:
     seen = next((s for s in instruments(source.fields) if s.kind == "pose"), None)
     seen = seen or _unnamed(source.fields)
     if seen is None:
@@ -227,28 +231,43 @@ def _on_hand(document: Part) -> bool | None:
 _ROBOT, _MARKER = (
     re.compile(rf"(?:^|[^a-z])(?:{words})", re.IGNORECASE)
     for words in (
-        "robot|arm|flange|gripper|hand|tool|tcp|eef?|effector|base",
-        "marker|target|tag|board|object|pattern|track|camera|cam|optical|aruco|april|charuco|chess",
+        "rob|arm|flange|gripper|hand|tool|tcp|eef?|effector|base|rpe|fpe",
+        "marker|target|tag|board|object|pattern|track|camera|cam|optical|aruco|april|charuco|chess"
+        "|cpo",
     )
 )
+_COLUMN = re.compile(
+    r"(?:(.*?)[^a-z0-9]+)?(?:(?:t|q|r|w|rot|quat|pos)[^a-z0-9]*)?[xyzw]", re.IGNORECASE
+)
+"""Whose pose a column is of."""
+_NUMBERED = re.compile(r"(.*?)[^a-z0-9]*([0-9]+)", re.IGNORECASE)
+_SIX = (6, 7)
+"""Columns of a pose."""
 
 
 def hand_eye_samples(paths: Sequence[Path]) -> list[Samples]:
     """What files of hand-eye samples may mean, none of others: one file of easy_handeye, or two
-    tables of poses, of which the name of one is that of a robot, or of the other of a marker."""
+    tables of poses, of which the name of one is that of a robot, or of the other of a marker. One
+    table may have the columns of both, and each pose a file of its own."""
     tables, samples, stated = [], [], []
+    alone: dict[str, dict[str, Array]] = {}
     for path in paths:
         try:
             if path.suffix.lower() in TABLES:
-                tables.append(read_places(path))
+                tables += _side_by_side(path) or [read_places(path)]
                 continue
-            stated.append(_on_hand(read_document(path)))
+            document, numbered = read_document(path), _NUMBERED.fullmatch(path.stem)
+            if numbered and is_transform(document):
+                alone.setdefault(numbered[1], {})[numbered[2]] = transform(document)
+                continue
+            stated.append(_on_hand(document))
             samples.append(read_samples(path))
         except InputError:
             continue
     if len(samples) == 1:
         where = {one for one in stated if one is not None}
         return [replace(samples[0], on_hand=where.pop() if len(where) == 1 else None)]
+    tables += [PlaceTable(tuple(T), np.array([*T.values()]), name) for name, T in alone.items()]
     if len(tables) != 2:
         return []
     tables.sort(key=lambda one: bool(_MARKER.search(one.file)) - bool(_ROBOT.search(one.file)))
@@ -264,3 +283,19 @@ def hand_eye_samples(paths: Sequence[Path]) -> list[Samples]:
         for way, A in (robot.ways or {"": robot.T}).items()
         for other, C in (marker.ways or {"": marker.T}).items()
     ]
+
+
+def _side_by_side(path: Path) -> list[PlaceTable]:
+    """The two poses of each row of a table, none where its columns are of one pose or of more."""
+    source = sources_of(path, 0)[0]
+    groups: dict[str, list[Field]] = {}
+    for field_ in source.fields:
+        if field_.heading and (whose := _COLUMN.fullmatch(field_.stem)):
+            stem = field_.stem.removeprefix(whose[1] or "").lstrip("_ .-")
+            alone = replace(field_, heading=replace(field_.heading, stem=stem))
+            groups.setdefault(whose[1] or "", []).append(alone)
+    both = {name: some for name, some in groups.items() if len(some) in _SIX}
+    if len(both) != 2:
+        return []
+    tables = [_of_source(replace(source, fields=tuple(some)), path) for some in both.values()]
+    return [replace(one, file=name or path.stem) for name, one in zip(both, tables, strict=True)]

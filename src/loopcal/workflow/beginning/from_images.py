@@ -39,6 +39,12 @@ class FromImages:
     begun: Begun
     project: ImagesProject
 
+    @property
+    def doubtful(self) -> tuple[str, ...]:
+        """Images that fit neither in another order nor beside another pose."""
+        facts = self.project.begun.facts
+        return tuple(p for f in facts if f.code == "image-unexplained" for p in f.images)
+
     def without(self, readings: Mapping[str, NDArray[np.bool_]], words: str) -> Begun:
         """The same without some readings, by name and pose; words: why, which joins the remarks."""
         project = self.project

@@ -12,12 +12,10 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopcal.document.aliases import of_project
-from loopcal.errors import InputError, NoTrustworthyResult, UsageError
+from loopcal.errors import InputError, UsageError
 from loopcal.estimation.faults.search import column_faults
-from loopcal.estimation.fit import Fit
 from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.atomic import write_files
@@ -52,8 +50,6 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points
 from loopcal.presentation.shown import columns as in_columns
 from loopcal.presentation.shown import significant, unit_shown, with_unit
-from loopcal.statistics.case import Case
-from loopcal.statistics.wrong_corners import wrong_corners
 from loopcal.units import from_si
 from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, before_readings
@@ -62,7 +58,8 @@ from loopcal.workflow.beginning.delays import Delay, delays
 from loopcal.workflow.beginning.from_images import from_images
 from loopcal.workflow.beginning.from_samples import from_samples, samples_of
 from loopcal.workflow.beginning.from_tree import dh_table, from_tree, urdf_table
-from loopcal.workflow.beginning.images_project import CORNERS, WRONG
+from loopcal.workflow.beginning.images_project import CORNERS
+from loopcal.workflow.beginning.misfits import left_out
 from loopcal.workflow.beginning.robot_file import InitOptions, RobotFile, among, used
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
@@ -366,7 +363,7 @@ def _of_images(
     readings = [path for path in files_of(readings) if path.resolve() not in robots]
     made = from_images(readings, describe, robot.joints, folder)
     project = read_project(folder / PROJECT, text=made.begun.text)
-    wrong = _wrong_corners(project, made.begun.dataset)
+    wrong = left_out(project, made.begun.dataset, made.doubtful)
     return _kept(made.without(*wrong) if wrong else made.begun, folder, write=write)
 
 
@@ -410,29 +407,6 @@ def _kept(made: Begun, folder: Path, *, write: bool) -> InitialProject:
     files = sealed({PROJECT: made.text.encode("utf-8"), **made.beside})
     write_files(folder, files)
     return replace(done, written=tuple(folder / name for name in files))
-
-
-def _wrong_corners(
-    project: Project, dataset: Dataset
-) -> tuple[Mapping[str, NDArray[np.bool_]], str] | None:
-    """Readings of corners that do not fit the others of their images, and words on them."""
-    noise = Noise(project.noise.noise().entries)
-    try:
-        result = Case(project.mechanism, dataset, noise, Fit(method="implicit-loop")).calibrated()
-    except (InputError, NoTrustworthyResult):
-        return None  # for the calibration to say
-    wrong = wrong_corners(result)
-    if not wrong.corners:
-        return None
-    images = [dataset.poses[i] for i in np.flatnonzero(wrong.single.any(axis=0))]
-    few = ", ".join(images[:_WORST]) + (", ..." if len(images) > _WORST else "")
-    sds = ", ".join(f"{sd:.2g} px" for sd in wrong.sd.values())
-    words = (
-        f"Left out {wrong.corners} of {wrong.count} corners, in {len(images)} of {len(dataset)} "
-        f"images ({few}): they do not fit the others of their images, whose sd is {sds}. "
-        f"{WRONG} lists them."
-    )
-    return dict(zip(result.problem.mechanism.tape.quantities, wrong.single, strict=True)), words
 
 
 def _described(robot: RobotFile, folder: Path, fields: Sequence[Field]) -> Robot:

@@ -1,0 +1,70 @@
+"""Images whose stated pose is wrong: `init` leaves them out, and a calibration names them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import loopcal as lc
+from analyses.cameras_truth import Shots, shots
+from loopcal.workflow.beginning.initial import InitialProject
+
+WRONG = 3
+"""Position of the image whose pose is wrong."""
+
+
+def _written(folder: Path, seed: int, off: float, far: float = 0.0) -> Shots:
+    """Images with the pose of one of them off by so much [m], [rad], and its share of wrong
+    corners."""
+    one = shots(seed, held=True, images=16)
+    T = one.rig.flange(one.read)
+    T[WRONG, :3, 3] += off * np.array([1.0, -0.7, 0.4])
+    uv, rng = one.uv.copy(), np.random.default_rng(seed)
+    bad = rng.random(uv.shape[:2]) < far
+    uv[bad] += rng.choice([-1.0, 1.0], (int(bad.sum()), 2)) * rng.uniform(3.0, 20.0, (bad.sum(), 2))
+    folder.mkdir()
+    one.write(folder, T=T, uv=uv)
+    return one
+
+
+def _left_out(project: InitialProject) -> bool:
+    return any("Left out image" in words for words in project.remarks)
+
+
+def test_an_image_with_a_wrong_pose_is_left_out_beside_wrong_corners(tmp_path: Path) -> None:
+    one = _written(tmp_path / "images", 1, 0.03, 0.05)
+    project = lc.init(tmp_path / "images")
+    assert _left_out(project)
+    assert len(project.dataset) == 15
+    result = lc.calibrate(
+        project.mechanism, project.dataset, noise=project.noise, method="implicit-loop"
+    )
+    f = {p.name: p for p in result.document.parameters}["cam_f"]
+    assert f.sd is not None
+    assert abs(f.value - one.rig.lens[0]) < 4.0 * f.sd
+
+
+def test_no_good_image_is_left_out(tmp_path: Path) -> None:
+    _written(tmp_path / "images", 2, 0.0)
+    project = lc.init(tmp_path / "images")
+    assert not _left_out(project)
+    assert len(project.dataset) == 16
+
+
+def test_a_pose_that_hundreds_of_corners_hide_is_an_outlier(tmp_path: Path) -> None:
+    one = shots(4, held=True, images=16)
+    one.write(tmp_path, T=one.rig.flange(one.read))
+    project = lc.init(tmp_path)
+    data = project.dataset
+    x = data["x"].copy()
+    x[WRONG] += 0.005
+    result = lc.calibrate(
+        project.mechanism,
+        data.with_readings({"x": x}),
+        noise=project.noise,
+        method="implicit-loop",
+    )
+    outliers = lc.find_outliers(result)
+    assert [one.pose for one in outliers.found] == [data.poses[WRONG]]
+    assert outliers.found[0].p_value < 1e-6
