@@ -52,7 +52,7 @@ def native_names(tracker: str) -> tuple[str, str, str]:
 
 
 def cartesian_names(tracker: str) -> tuple[str, str, str]:
-    return (f"{tracker}_x", f"{tracker}_y", f"{tracker}_z")
+    return (f"{tracker}_seen_x", f"{tracker}_seen_y", f"{tracker}_seen_z")
 
 
 @cache
@@ -110,7 +110,7 @@ def noise(way: str) -> lc.Noise:
         return lc.Noise(joints | {cartesian_names(t): tracker for t in TRACKERS})
     both = float(np.sqrt(np.mean(np.square(list(sds.values())))))
     told = {t: both if way == "one isotropic" else sds[t] for t in TRACKERS}
-    return lc.Noise(joints | {f"{t}_?": told[t] for t in TRACKERS})
+    return lc.Noise(joints | {f"{t}_seen_?": told[t] for t in TRACKERS})
 
 
 @dataclass(frozen=True)

@@ -302,6 +302,7 @@ def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
             b = (np.square(measured) - np.square(o).sum(axis=1))[good]
             # Columns in metres beside one without unit: rcond compares lengths that must be alike.
             scale = np.linalg.norm(J, axis=0)
+            scale = np.where(scale > 0.0, scale, 1.0)  # of a body that turns about one point
             solution = np.linalg.lstsq(J / scale, b, rcond=1e-9)[0] / scale
             A, c = solution[:3], float(solution[3])
         else:

@@ -28,7 +28,7 @@ def later_layout(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None
     other instruments than trackers and lengths. Raises InputError where nothing fits, or several.
     """
     forms = [family.form for family in mechanism.families]
-    if mechanism.home or mechanism.tree is None or mechanism.pose_constants:
+    if mechanism.home or not mechanism.chain or mechanism.pose_constants:
         return None
     if not forms or not _FORMS.issuperset(forms):
         return None
