@@ -68,3 +68,11 @@ def test_a_pose_that_hundreds_of_corners_hide_is_an_outlier(tmp_path: Path) -> N
     outliers = lc.find_outliers(result)
     assert [one.pose for one in outliers.found] == [data.poses[WRONG]]
     assert outliers.found[0].p_value < 1e-6
+
+
+def test_an_image_that_was_taken_twice_hides_nothing(tmp_path: Path) -> None:
+    one = shots(2, held=True, images=16)
+    T, uv = one.rig.flange(one.read), one.uv.copy()
+    T[8], uv[8] = T[WRONG], uv[WRONG]  # to the last digit, so that one row is a copy
+    one.write(tmp_path, T=T, uv=uv)
+    assert len(lc.init(tmp_path).dataset) == 16

@@ -43,6 +43,7 @@ def left_out(
     except (InputError, NoTrustworthyResult):
         return None  # for the calibration to say
     wrong = wrong_corners(result)
+    rest = rest.select(result.problem.poses)  # of poses that are copies the first counts
     names = result.problem.mechanism.tape.quantities
     marks = np.zeros((len(names), len(dataset)), dtype=bool)
     marks[:, np.isin(dataset.poses, rest.poses)] = wrong.single
