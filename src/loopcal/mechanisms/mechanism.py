@@ -250,8 +250,7 @@ class Mechanism:
         read = {v.name for v in self.variables}
         if both := [name for name in self.parameters.names if name in read]:
             raise InputError(
-                f"{both[0]!r} is the name of a reading and of a parameter of {self.name!r}, so "
-                "nothing that is said of it would be clear",
+                f"a reading and a parameter of {self.name!r} have the same name, {both[0]!r}",
                 code="duplicate-name",
                 remedy=f"give the reading another name, such as {f'read_{both[0]}'!r}, in the "
                 "description of the machine and in the readings",

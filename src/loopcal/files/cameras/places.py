@@ -247,8 +247,8 @@ _SIX = (6, 7)
 
 def hand_eye_samples(paths: Sequence[Path]) -> list[Samples]:
     """What files of hand-eye samples may mean, none of others: one file of easy_handeye, or two
-    tables of poses, of which the name of one is that of a robot, or of the other of a marker. One
-    table may have the columns of both, and each pose a file of its own."""
+    tables of poses, of which the name of one is that of a robot, or of the other of a marker. Both
+    may also stand in one table, or every pose in a separate file."""
     tables, samples, stated = [], [], []
     alone: dict[str, dict[str, Array]] = {}
     for path in paths:
