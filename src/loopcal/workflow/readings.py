@@ -30,6 +30,8 @@ Files = str | Path | Sequence[str | Path]
 """A file of readings, or several of one measurement."""
 _NEAR = 0.05
 """So far [rad] beyond the calibrated poses an array of joints lies among them."""
+_OF_A_LAYOUT = ("missing-column", "invalid-syntax", "conflicting-keys")
+"""Codes of errors in reading a file whose layout is not that of the first day."""
 POSE = "pose"
 """The column of pose ids of a table or file that no project describes."""
 
@@ -102,7 +104,7 @@ def new_readings(
     try:
         return read_new_readings(data, inputs, mechanism, whole=whole)
     except InputError as error:
-        if error.code != "missing-column" or not whole or not _are_files(entries):
+        if error.code not in _OF_A_LAYOUT or not whole or not _are_files(entries):
             raise
         from loopcal.workflow.beginning.later_layout import later_layout
 

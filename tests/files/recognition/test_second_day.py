@@ -68,6 +68,14 @@ def two_files(q: Array, T: Array) -> dict[str, str]:
     return {"joints.csv": joints, "points.csv": written(points)}
 
 
+def plain(q: Array, T: Array) -> dict[str, str]:
+    return {"a.csv": written(joints_of(q) | points_of(T[:, :3, 3]))}
+
+
+def titled(q: Array, T: Array) -> dict[str, str]:
+    return {"a.csv": "// day 2\n" + renamed(q, T)["a.csv"].partition("\n")[2]}
+
+
 def renamed(q: Array, T: Array) -> dict[str, str]:
     names = [f"Achse {i} [deg]" for i in range(1, 7)]
     columns = joints_of(q, names) | points_of(T[:, :3, 3], ["X (mm)", "Y (mm)", "Z (mm)"])
@@ -224,8 +232,8 @@ def test_a_header_that_states_another_unit_is_believed(tmp_path: Path) -> None:
     np.testing.assert_allclose(read["x"], T[:, 0, 3], atol=1e-8)
 
 
-@pytest.mark.parametrize("later", [comma, two_files, renamed, shots])
-@pytest.mark.parametrize("first", [comma, two_files])
+@pytest.mark.parametrize("later", [comma, two_files, renamed, titled, shots])
+@pytest.mark.parametrize("first", [comma, two_files, plain])
 def test_a_later_day_may_have_other_columns(first: Text, later: Text, tmp_path: Path) -> None:
     q, T = day(slice(60, 80))
     project = begun(tmp_path, kept(tmp_path / "first", first(*day(slice(0, 40)))))

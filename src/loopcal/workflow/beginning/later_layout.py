@@ -28,7 +28,8 @@ def later_layout(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None
     other instruments than trackers and lengths. Raises InputError where nothing fits, or several.
     """
     forms = [family.form for family in mechanism.families]
-    if mechanism.home or not mechanism.chain or mechanism.pose_constants:
+    conditions = mechanism.pose_constants.keys() - mechanism.latest.keys()
+    if mechanism.home or not mechanism.chain or conditions:
         return None
     if not forms or not _FORMS.issuperset(forms):
         return None
