@@ -114,6 +114,23 @@ def test_a_figure_that_left_the_page_draws_no_more(served: Served, browser: Any)
     page.close()
 
 
+def test_an_address_of_before_the_user_went_back_is_not_taken(
+    served: Served, browser: Any
+) -> None:
+    """Else a slow server would put the step that was left behind the user again."""
+    page = opened(browser, served).page
+    for step in ("Fit", "Check"):
+        Hand(page).step(step)
+        page.wait_for_function("(end) => location.pathname === end", arg=f"/{step.lower()}")
+    page.go_back()
+    page.wait_for_function("() => addresses.went === 1")
+    page.evaluate("addresses.show('/check', 'late', 0)")
+    assert page.evaluate("location.pathname") == "/fit"
+    heading = page.get_by_role("heading", name="Fit", exact=True, level=1)
+    heading.wait_for()
+    page.close()
+
+
 def assert_addresses_are_kept(page: Any, address: str) -> None:
     """Each step and selection has an address; back, reload and place are the browser's."""
 

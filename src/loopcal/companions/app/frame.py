@@ -76,11 +76,12 @@ async def build(session: Session) -> None:
 
     def show(key: str) -> None:
         view.step, view.entry = key, None
-        ui.run_javascript(f"addresses.show('/{key}'); {CLOSED}")
+        ui.run_javascript(f"addresses.show('/{key}', '', {view.went}); {CLOSED}")
         session.news.tell()
 
     def went(event: Any) -> None:
         said = event.args
+        view.went = int(said["went"])
         view.go(Address.of(str(said["path"]), str(said["query"]), BY_KEY))
         view.refresh()
         session.news.tell()

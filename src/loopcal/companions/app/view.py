@@ -71,6 +71,8 @@ class View:
     """Of the step."""
     shown: str = ""
     """The step that is drawn; `step` is the one asked for."""
+    went: int = 0
+    """How often the browser had gone back or forth when it last said so."""
     acts: int = 0
     """Acts of this page that are being done."""
     uploading: bool = False
@@ -128,7 +130,7 @@ class View:
 
     def addressed(self, title: str = "") -> None:
         """Name the address to the browser."""
-        said = f"{json.dumps(self.address().text)}, {json.dumps(title)}"
+        said = f"{json.dumps(self.address().text)}, {json.dumps(title)}, {self.went}"
         self.run_script(f"addresses.show({said})")
 
     def select_among(self, poses: Sequence[str]) -> None:

@@ -6,9 +6,12 @@ const addresses = {
   /* Where each step was scrolled to [px], kept while the window is. */
   places: JSON.parse(sessionStorage.getItem("places") ?? "{}"),
   wanted: null, // where the step that is being drawn is to be scrolled to
+  went: 0, // how often the user went back or forth in this page
 
-  /* The page shows another step, or another selection in it: only a step can be gone back to. */
-  show(text, title) {
+  /* The page shows another step, or another selection in it: only a step can be gone back to.
+     went: the last one that the server had heard of. What it drew before is an address no more. */
+  show(text, title, went) {
+    if (went < addresses.went) return;
     const { pathname } = new URL(text, location.href);
     if (title) document.title = title;
     if (location.pathname + location.search === text) return;
@@ -52,5 +55,6 @@ for (const event of ["wheel", "touchmove", "keydown", "pointerdown"])
   addEventListener(event, () => (addresses.wanted = null), { passive: true });
 addEventListener("popstate", () => {
   addresses.wanted = addresses.places[location.pathname] ?? 0;
-  emitEvent("went", { path: location.pathname, query: location.search.slice(1) });
+  const went = ++addresses.went;
+  emitEvent("went", { path: location.pathname, query: location.search.slice(1), went });
 });
