@@ -114,9 +114,7 @@ def test_a_figure_that_left_the_page_draws_no_more(served: Served, browser: Any)
     page.close()
 
 
-def test_an_address_of_before_the_user_went_back_is_not_taken(
-    served: Served, browser: Any
-) -> None:
+def test_an_address_of_before_the_user_went_back_is_not_taken(served: Served, browser: Any) -> None:
     """Else a slow server would put the step that was left behind the user again."""
     page = opened(browser, served).page
     for step in ("Fit", "Check"):
