@@ -246,6 +246,52 @@ def test_a_later_day_may_have_other_columns(first: Text, later: Text, tmp_path: 
     assert read.source.read_as.startswith("Other columns than on the first day")
 
 
+def quaternions(q: Array, T: Array) -> dict[str, str]:
+    """Scalar last, without names that say so."""
+    turns = Rotation.from_matrix(T[:, :3, :3]).as_quat()
+    numbers = points_of(turns, [f"Q{i}" for i in range(1, 5)], 1.0)
+    return {"a.csv": written(joints_of(q) | points_of(T[:, :3, 3]) | numbers)}
+
+
+def vectors(q: Array, T: Array) -> dict[str, str]:
+    turns = points_of(Rotation.from_matrix(T[:, :3, :3]).as_rotvec(), ["rx", "ry", "rz"], 1.0)
+    return {"a.csv": written(joints_of(q) | points_of(T[:, :3, 3], factor=1.0) | turns)}
+
+
+@pytest.mark.parametrize("later", [turned, inverted, quaternions, vectors])
+@pytest.mark.parametrize("first", [turned, vectors])
+def test_orientations_of_a_later_day_may_be_written_otherwise(
+    first: Text, later: Text, tmp_path: Path
+) -> None:
+    q, T = day(slice(60, 80))
+    project = begun(tmp_path, kept(tmp_path / "first", first(*day(slice(0, 40)))))
+    texts = {name: re.sub(r"\bJ(?=\d)", "axis_", text) for name, text in later(q, T).items()}
+    paths = kept(tmp_path / "second", texts)
+    read = new_readings(paths, project.inputs, project.mechanism, whole=True)
+    np.testing.assert_allclose([read[n] for n in "xyz"], T[:, :3, 3].T, atol=1e-8)
+    (orientation,) = project.mechanism.orientations
+    columns = orientation.axes({n: read[n] for n in orientation.columns})
+    R = np.stack([np.array([*axis]) for axis in columns], axis=-1)
+    np.testing.assert_allclose(R.transpose(1, 0, 2), T[:, :3, :3], atol=1e-7)
+
+
+def test_a_payload_and_a_temperature_of_a_later_day_may_have_other_names(tmp_path: Path) -> None:
+    """And be the same in all rows, where they say nothing on a first day."""
+    (q, T), (later, at) = day(slice(0, 40)), day(slice(60, 80))
+    rows = np.arange(len(q))
+    measured = {"payload [kg]": rows % 3, "temperature [degC]": 20 + rows / 10}
+    text = written({**joints_of(q), **points_of(T[:, :3, 3]), **measured})
+    project = begun(tmp_path, kept(tmp_path / "first", {"a.csv": text}))
+    names = [f"axis_{i}" for i in range(1, 7)]
+    constant = {"Load": np.full(len(later), 5.0), "Temp": np.full(len(later), 23.0)}
+    columns = {**joints_of(later, names), **points_of(at[:, :3, 3]), **constant}
+    paths = kept(tmp_path / "second", {"b.csv": written(columns)})
+    read = new_readings(paths, project.inputs, project.mechanism, whole=True)
+    np.testing.assert_allclose(read["payload"], 5.0)
+    np.testing.assert_allclose(read["temperature"], 296.15)
+    assert "the payload Load in kg; the temperature Temp in degC" in read.source.read_as
+
+
 def test_other_columns_that_the_machine_does_not_fit_are_none(tmp_path: Path) -> None:
     first, (q, T) = day(slice(0, 40)), day(slice(60, 80))
     project = begun(tmp_path, kept(tmp_path / "first", comma(*first)))

@@ -35,10 +35,7 @@ def apart(fields: Fields, joints: Collection[str], *, arm: bool) -> tuple[Fields
 
     joints: names of the machine's; arm: whether it gives way under what it carries.
     """
-    free = [f for f in fields.fields if f.heading and f.heading.text not in joints]
-    payloads = _named(free, ("kg",), _PAYLOADS)
-    temperatures = _named(free, tuple(_DEGREES), _TEMPERATURES)
-    tools = _named(free, (), TOOLS)
+    payloads, temperatures, tools = by_condition(fields, joints).values()
     parts = [
         *(_payload(one, arm) for one in payloads[:1]),
         *(_temperature(one) for one in temperatures[:1]),
@@ -55,6 +52,27 @@ def apart(fields: Fields, joints: Collection[str], *, arm: bool) -> tuple[Fields
         {key: value for part in parts for key, value in part.table.items()},
         tuple(words for part in parts for words in part.remarks),
     )
+
+
+def by_condition(fields: Fields, joints: Collection[str]) -> dict[str, list[Field]]:
+    """ "payload", "temperature" and "tool": the columns of each, the likeliest first.
+
+    joints: names of the machine's, which are none of these.
+    """
+    free = [f for f in fields.fields if f.heading and f.heading.text not in joints]
+    return {
+        "payload": _named(free, ("kg",), _PAYLOADS),
+        "temperature": _named(free, tuple(_DEGREES), _TEMPERATURES),
+        "tool": _named(free, (), TOOLS),
+    }
+
+
+def degrees_of(column: Field) -> str | None:
+    """The unit of a column of temperatures; None where no workshop is as cold or as warm."""
+    low, high = float(np.min(column.values)), float(np.max(column.values))
+    fitting = [u for u, (least, most) in _DEGREES.items() if least <= low and high <= most]
+    degrees = column.unit or next(iter(fitting), None)
+    return degrees if degrees in fitting else None
 
 
 def _named(free: Sequence[Field], units: Collection[str], names: Collection[str]) -> list[Field]:
@@ -84,10 +102,9 @@ def _payload(column: Field, arm: bool) -> Conditions:
 
 def _temperature(column: Field) -> Conditions:
     low, high = float(np.min(column.values)), float(np.max(column.values))
-    fitting = [u for u, (least, most) in _DEGREES.items() if least <= low and high <= most]
-    degrees = column.unit or next(iter(fitting), "")
+    degrees = degrees_of(column)
     shown = f"Column {column.label!r}"
-    if degrees not in fitting:
+    if degrees is None:
         words = f"{shown} takes no part: a temperature is -40 to 60 degC in every row, or so in K."
         return Conditions(remarks=(words,))
     if low == high:

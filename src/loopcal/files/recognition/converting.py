@@ -74,13 +74,13 @@ def readings_of(m: Meaning, names: Sequence[str]) -> dict[str, Reading]:
             made[name] = Reading(unit(m.angle).factor * field.values, "rad", field, m.angle)
         return made
     as_written = m.form == "quaternion" and not m.inverted
-    for i, (name, values) in enumerate(zip(names[count:], _quaternions(m.turns), strict=True)):
+    for i, (name, values) in enumerate(zip(names[count:], quaternions(m.turns), strict=True)):
         turn_field = m.seen.turned[m.order[i]] if as_written else None
         made[name] = Reading(turn_field.values if turn_field else values, "1", turn_field, "1")
     return made
 
 
-def _quaternions(R: Array) -> Array:
+def quaternions(R: Array) -> Array:
     """(4, N) w first, of rotations (N, 3, 3); NaN where the rotation is unknown."""
     from scipy.spatial.transform import Rotation
 

@@ -7,46 +7,72 @@ from dataclasses import replace
 from typing import Any
 
 from loopcal.files.cameras.folder import tables_of
-from loopcal.files.recognition.converting import Reading, dataset_of, readings_of
-from loopcal.files.recognition.joins import joined
+from loopcal.files.recognition.conditions import by_condition, degrees_of
+from loopcal.files.recognition.converting import Reading, dataset_of, quaternions, readings_of
+from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import layouts
 from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.sources import sources_of_all
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.units import to_si
 from loopcal.workflow.beginning.searching import Machine, every_way
 from loopcal.workflow.beginning.understanding import understood
 
-_FORMS = frozenset({"point", "spherical", "length"})
+_FORMS = frozenset({"point", "pose", "spherical", "length"})
 """Instruments whose readings are all columns."""
 
 
 def later_layout(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None:
     """The readings by the only columns and units in which a calibrated machine fits them.
 
-    None for a machine that this cannot be asked of: with a closed loop, loads or temperatures, or
-    other instruments than trackers and lengths. Raises InputError where nothing fits, or several.
+    None for a machine that this cannot be asked of: with a closed loop, constants other than
+    orientations, payloads and temperatures, or other instruments than trackers, poses and lengths.
+    Raises InputError where nothing fits, or several.
     """
     forms = [family.form for family in mechanism.families]
-    conditions = mechanism.pose_constants.keys() - mechanism.latest.keys()
-    if mechanism.home or not mechanism.chain or conditions:
-        return None
-    if not forms or not _FORMS.issuperset(forms):
+    if mechanism.home or not mechanism.chain or not forms or not _FORMS.issuperset(forms):
         return None
     machine = Machine(mechanism, tuple(mechanism.joints))
     sources, _ = at_rest(sources_of_all(tables_of(entries)), machine.joints)
-    fields = joined(sources)
+    fields, stated = _conditions(joined(sources), mechanism)
+    oriented = {name for of in mechanism.orientations for name in of.columns}
+    if mechanism.pose_constants.keys() - mechanism.latest.keys() - oriented - stated.keys():
+        return None
     every = layouts(fields.fields, len(machine.joints), machine.joints)
     ways = sorted(every_way(machine, every), key=lambda way: way.share)
     way = understood(machine, every, fields, None, ways)
     if [meaning.seen.kind for meaning in way.seen] != forms:
         return None
     columns = zip(machine.joints, way.layout.joints, machine.units, way.units, strict=True)
-    readings = {name: Reading(way.joints[name], si, f, of) for name, f, si, of in columns}
+    readings = {name: Reading(way.joints[name], si, f, of) for name, f, si, of in columns} | stated
     for family, meaning in zip(mechanism.families, way.seen, strict=True):
-        readings |= readings_of(meaning, family.readings)
+        readings |= readings_of(replace(meaning, turns=None), family.readings)
+        for orientation in mechanism.orientations:
+            if orientation.turns == family.readings[-3:] and meaning.turns is not None:
+                written = orientation.written(quaternions(meaning.turns))
+                units = orientation.units
+                readings |= {n: Reading(v, units[n], None, units[n]) for n, v in written.items()}
     made = dataset_of(fields.poses, readings)
     names = dict.fromkeys(source.name for source in sources)
-    words = f"Other columns than on the first day, read as {'; '.join(way.words)}."
+    meant = [
+        *way.words,
+        *(f"the {n} {r.field.label} in {r.unit}" for n, r in stated.items() if r.field),
+    ]
+    words = f"Other columns than on the first day, read as {'; '.join(meant)}."
     source = replace(made.source, file=", ".join(names), rows_read=len(made), read_as=words)
     return replace(made, source=source)
+
+
+def _conditions(fields: Fields, mechanism: Mechanism) -> tuple[Fields, dict[str, Reading]]:
+    """The columns without those of conditions; payload and temperature where a machine has them."""
+    some = by_condition(fields, mechanism.joints)
+    gone = {id(f) for columns in some.values() for f in columns}
+    units = mechanism.pose_constants
+    readings = {}
+    for name, columns in some.items():
+        of = degrees_of(columns[0]) if columns and name == "temperature" else "kg"
+        if columns and name in units and of is not None:
+            readings[name] = Reading(to_si(columns[0].values, of), units[name], columns[0], of)
+    kept = tuple(f for f in fields.fields if id(f) not in gone)
+    return replace(fields, fields=kept), readings
