@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -86,6 +87,23 @@ def test_a_zero_that_moved_far_is_followed_as_well(times: float, allowed: float)
     assert [words for words in new.warnings if "The update estimates the zero of q3" in words]
     oracle = days.recalibrated(first, new, "q3", day)
     assert days.error(new, "q3", size) < allowed * days.error(oracle, "q3", size)
+
+
+@pytest.mark.parametrize(("arm", "how"), [("ur urdf", "stated"), ("six", "stated"), ("ur", "auto")])
+def test_a_machine_that_is_warmer_is_followed_in_proportion(arm: str, how: str) -> None:
+    """Held lengths too, by what does the same. Eight poses say the scale to 12 ppm, 0.01 mm of
+    these arms, and less of whether the tool is as warm."""
+    days, first = calibrated(arm, how)
+    growth = 1.0 + 3e-4
+    day = {q: growth * v if q in "xyz" else v for q, v in days.later.readings.items()}
+    new = lc.update(first, day)
+    assert not [words for words in new.warnings if "mixes" in words]
+    said = "The update estimates the scale of the machine anew, at the temperature of these poses."
+    assert [words for words in new.warnings if words.endswith(said)]
+    warm = replace(days, fresh=replace(days.fresh, true=growth * days.fresh.true))
+    cold = days.error(first, "q1", 0.0)
+    assert warm.error(first, "q1", 0.0) > 2.0 * cold
+    assert warm.error(new, "q1", 0.0) < 2.0 * cold
 
 
 @pytest.mark.parametrize("kept", ["tool_*", "offset_6"])

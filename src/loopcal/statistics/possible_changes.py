@@ -49,6 +49,8 @@ _USUAL = {
     ("load", "kg"): 5.0,
 }
 """The usual size of a change of a kind, by the unit of its part [SI]; any, where none is stated."""
+EXPANSION = "the scale of the machine"
+"""The name of its growth in all directions, as it warms up."""
 # As in `change_points`: joints are mastered, tools exchanged, other loads carried and machines warm
 # more often than links bend.
 _OFTEN, _RARE = ("zero", "mounting", "load", "expansion"), 10.0
@@ -322,9 +324,8 @@ def _lengths(problem: Problem) -> dict[str, float]:
 
 def _growing(by: Mapping[str, float]) -> Iterator[Possible]:
     if by:
-        label = "the scale of the machine"
         parts = (tuple(by.items()),)
-        yield Possible("expansion", tuple(by), parts=parts, units=("1",), label=label)
+        yield Possible("expansion", tuple(by), parts=parts, units=("1",), label=EXPANSION)
 
 
 def _warming(problem: Problem) -> Iterator[Possible]:

@@ -32,6 +32,7 @@ from loopcal.mechanisms.structure.structured import driven_joints
 from loopcal.statistics.another_day import day_problem
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.changed import LEVEL, Change
+from loopcal.statistics.possible_changes import EXPANSION
 from loopcal.statistics.predictive import unmeasured_corrections
 from loopcal.statistics.verification import verify
 from loopcal.statistics.verified import Verification
@@ -50,6 +51,9 @@ _SURE = 1e-3
 # Chosen, not derived: a prior of so many times a change shrinks its estimate by 1 %.
 _ALLOWED = 10.0
 """Sd that a change gets which the check found, over its size."""
+_TOOLS = "the scale of what is mounted"
+"""It may be as warm as the machine, or as cold as before; of both an instrument's scale makes as
+much."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +190,8 @@ class Drifting:
         """The same of changes that a check found; empty where one of them cannot be followed."""
         mechanism, sds = self.calibrated.mechanism, dict[str, float]()
         for change in changes:
+            if change.kind == "expansion" and _TOOLS in self._steps:
+                sds[_TOOLS] = abs(change.value)
             for cause in causes_of(change):
                 other = change.kind != "zero" and cause in change.zeros
                 size = shift_sd(mechanism.quantities[cause]) if other else abs(change.value)
@@ -227,8 +233,8 @@ class Drifting:
 
     @cached_property
     def _steps(self) -> Mapping[str, Array]:
-        """(n_all,) of unit changes of parameters and of zeros of joints, by name; without those
-        that the estimated parameters cannot follow."""
+        """(n_all,) of unit changes of parameters, of zeros of joints, and of the scale of the
+        machine, by name; without those that the estimated parameters cannot follow."""
         mechanism = self.calibrated.mechanism
         parameters, unit = mechanism.parameters, np.eye(len(mechanism.parameters))
         every = dict(zip(parameters.names, unit, strict=True))
@@ -236,13 +242,20 @@ class Drifting:
         # A learnt model error says how the machine gives way, not where its zeros are.
         among = [name for name in parameters.free if parameters[name].role not in BEYOND]
         held = [name for name in (*parameters.names, *self._zeros.values()) if name not in steps]
-        if not among or not held:
-            return steps
-        of_others = exchanged(
-            mechanism, held, among, readings=self._readings, unmeasured=self._unmeasured
-        )
-        basis = np.array([every[name] for name in among])
-        return steps | {name: step @ basis for name, step in of_others.items()}
+        if among and held:
+            of_others = exchanged(
+                mechanism, held, among, readings=self._readings, unmeasured=self._unmeasured
+            )
+            basis = np.array([every[name] for name in among])
+            steps |= {name: step @ basis for name, step in of_others.items()}
+        lengths = [p for p in parameters if p.dimension == "length" and p.name in steps]
+        tools = [p for p in parameters if (p.role, p.unit) == ("mounting", "m")]
+        # Slides whose scale grows with the machine are read, not estimated.
+        slides = any(mechanism.quantities[joint] == "m" for joint in self._zeros)
+        for name, grown in {EXPANSION: [] if slides else lengths, _TOOLS: tools}.items():
+            if grown and steps.keys() >= {p.name for p in grown}:
+                steps[name] = np.sum([p.nominal * steps[p.name] for p in grown], axis=0)
+        return steps
 
     @cached_property
     def _unmeasured(self) -> list[str]:
@@ -283,7 +296,8 @@ def followed_words(change: Change) -> str:
     joints = " and ".join(causes_of(change)) if change.zeros else ""
     what = f"the zero of {joints}" if joints else change.name
     other = f", or {what} moved" if joints and change.kind != "zero" else ""
-    return f"Since the calibration, {change.words}{other}. The update estimates {what} anew."
+    warm = ", at the temperature of these poses" if what == EXPANSION else ""
+    return f"Since the calibration, {change.words}{other}. The update estimates {what} anew{warm}."
 
 
 def _held(key: str) -> InputError:
