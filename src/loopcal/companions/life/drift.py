@@ -56,6 +56,9 @@ _TOOLS = "the scale of what is mounted"
 much."""
 
 
+_WARM = " It holds at the temperature of these poses, and with the scale of their instrument."
+
+
 @dataclass(frozen=True)
 class Since:
     """What may have changed since a calibration, as `update` takes it."""
@@ -296,8 +299,8 @@ def followed_words(change: Change) -> str:
     joints = " and ".join(causes_of(change)) if change.zeros else ""
     what = f"the zero of {joints}" if joints else change.name
     other = f", or {what} moved" if joints and change.kind != "zero" else ""
-    warm = ", at the temperature of these poses" if what == EXPANSION else ""
-    return f"Since the calibration, {change.words}{other}. The update estimates {what} anew{warm}."
+    warm = _WARM if what == EXPANSION else ""
+    return f"Since the calibration, {change.words}{other}. The update estimates {what} anew.{warm}"
 
 
 def _held(key: str) -> InputError:
