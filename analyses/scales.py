@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 import loopcal as lc
-from analyses.lives_truth import machine, write_readings
+from analyses.lives_truth import Machine, machine, write_readings
 from analyses.written import write_block
 from loopcal.document.findings import ScaleEntry
 from loopcal.estimation.calibrate import calibrate
@@ -37,12 +37,13 @@ SCALES, LARGE = (0.0, 20e-6, 100e-6), (0.0, 1e-3, 5e-3)
 """Of trackers, and of instruments whose scale is a guess."""
 
 
-def begun(number: int, stations: int, scale: float = 0.0) -> OrderedSystem:
+def begun(number: int | Machine, stations: int, scale: float = 0.0) -> OrderedSystem:
     """The equations of a calibration; scale: by which the second half of its readings differs."""
-    user = replace(machine(number), stations=stations, described="dh", order="random", poses=POSES)
+    user = machine(number) if isinstance(number, int) else number
+    user = replace(user, stations=stations, described="dh", order="random", poses=POSES)
     with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        folder, rng = Path(name), np.random.default_rng([44, number])
+        folder, rng = Path(name), np.random.default_rng([44, user.number])
         q = user.posed(POSES, rng)
         conditions = user.placed(user.conditions(POSES), rng, stations)
         joints, points = user.measured(q, conditions, rng)

@@ -8,7 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from analyses.scales import POSES, begun, drawn, within
+from analyses.gauntlet_kinds import KINDS
+from analyses.scales import POSES, begun, drawn, lengths_of, within
 from loopcal.statistics.change_points import Search
 from loopcal.statistics.ordered_system import OrderedSystem
 from loopcal.statistics.possible_changes import BETWEEN_DAYS, possible
@@ -70,3 +71,16 @@ def test_a_scale_is_in_what_the_sd_of_lengths_was_learnt_from() -> None:
     assert scaled.size > 3e-3
     assert scaled.p_value < 1e-3 < kept.p_value
     assert abs(scaled.size / scaled.sd) < 4.0
+
+
+def test_slides_that_are_read_show_a_scale_beside_two_lengths_of_a_drawing() -> None:
+    """Hardly of what the two lengths say is in it: taken as all theirs, 1.8 sds were certain."""
+    system = begun(KINDS["SCARA"].machine(2006), 1)
+    assert len(lengths_of(system)) == 2
+    entries = [[drawn(system, scale, seed)[0] for seed in range(25)] for scale in (0.0, 3e-4)]
+    by_chance, planted = (np.array([one.p_value for one in some]) for some in entries)
+    assert by_chance.min() > 1e-4
+    assert (by_chance < 0.05).sum() < 5  # 5 or more of 25 at 5 %: 0.7 %
+    assert (planted < 1e-3).mean() > 0.7
+    z = np.array([one.size / one.sd for one in entries[0]])
+    assert 0.7 < z.std() < 1.3

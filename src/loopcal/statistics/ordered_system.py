@@ -315,6 +315,14 @@ class Fitted:
         least = absorbed * max(float(np.trace(Q)), 1e-300)
         return Estimated.of(flat.T @ self.left.ravel(), Q - W @ W.T, scale, least)
 
+    def kept_by(self, column: Array, priors: Sequence[int]) -> float:
+        """How much of the information on a column (N, R, 1) is of the priors of these parameters:
+        sum p_i d_i^2, d = -H^-1 Z^T T^T T C what all of them do where the column is one."""
+        turned = self.T.transpose(0, 2, 1)
+        moved = self._factor.solved(self._onto(turned @ (self.T @ column))[:, 0])
+        at = self.further + np.asarray(priors)
+        return float(self.precision[at] @ np.square(moved[at]))
+
     @cached_property
     def _factor(self) -> _Factor:
         """Of the products and the precision."""

@@ -7,10 +7,12 @@ whitened equations, sum_q p_q C_q of its readings q, stands beside those of all 
 
 e the equations, H with the priors of the parameters. Stations are compared with the first. A scale
 of all of them is that of the machine's lengths, and shows only beside the sds by which these keep
-to the drawing. With z = s / sd, z^2 is chi-squared where these are stated. Where they are learnt
-from k lengths, the scale is in what they were learnt from, as in a regression of the errors of
-lengths on the lengths: z^2 / k is the share of squares that it explains, and
-(k - 1) z^2 / (k - z^2) is F(1, k - 1).
+to the drawing, or beside slides, which are read. With z = s / sd, z^2 is chi-squared where these
+are stated. Where they are learnt from k lengths, the scale is in what they were learnt from, as in
+a regression of the errors of lengths on the lengths: z^2 / k is the share of squares that it
+explains, and (k - 1) z^2 / (k - z^2) is F(1, k - 1). Of the information 1 / sd^2 the priors of the
+lengths give only a share w, slides the rest, and of z^2 likewise: (k - w) z^2 / (k - w z^2) is
+taken as F(1, (k - 1) / w^2), as variances of sums are (Satterthwaite 1946).
 
 The column stands at the readings, whose noise, 1 in each of m whitened equations, is in the column
 too. It draws s towards 1 by m sd^2, which is less than sd only where sd < 1 / m.
@@ -19,6 +21,7 @@ too. It draws s towards 1 by m sd^2, which is less than sd only where sd < 1 / m
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -35,6 +38,9 @@ _FORMS = {"point": 3, "pose": 3, "spherical": 1, "polar": 1}
 # Far above rounding, 1e-16 times the condition of the products. Chosen, not derived.
 _ABSORBED = 1e-10
 """Of the square of a column, what is left beside all else, below which it is rounding."""
+# Chosen, not derived: the lengths of two or three links are never so much in proportion.
+_LEFT = 0.01
+"""Least share of the squares of lengths that a scale leaves."""
 
 
 def scales(fit: Fitted) -> tuple[ScaleEntry, ...]:
@@ -42,14 +48,14 @@ def scales(fit: Fitted) -> tuple[ScaleEntry, ...]:
     system = fit.system
     stations = scale_columns(system)
     spreads = [_spread(system.problem, families) for families, _ in stations]
-    freedom = _learnt_lengths(system.problem) - 1.0
     entries = [
-        _entry(fit, column, [f.name for f in families], math.inf, spread)
+        _entry(fit, column, [f.name for f in families], spread)
         for (families, column), spread in zip(stations[1:], spreads[1:], strict=True)
     ]
-    if stations and freedom > 0.0:
+    learnt = _learnt_lengths(system.problem)
+    if stations and learnt is not None and len(learnt) != 1:
         every = np.sum([column for _, column in stations], axis=0)
-        entries.append(_entry(fit, every, [], freedom, max(spreads)))
+        entries.append(_entry(fit, every, [], max(spreads), learnt))
     return tuple(one for one in entries if one is not None)
 
 
@@ -76,15 +82,16 @@ def _column(system: OrderedSystem, families: list[Family]) -> Array:
     return np.asarray(np.einsum("nrq,nq->nr", system.columns(names), read)[:, :, None])
 
 
-def _learnt_lengths(problem: Problem) -> float:
-    """How many lengths share a learnt sd; infinite where sds are stated, 0 without any."""
+def _learnt_lengths(problem: Problem) -> list[int] | None:
+    """Positions of the lengths that share a learnt sd; none where sds are stated, None without
+    any."""
     free = {p.name: p for p in problem.mechanism.parameters if p.name in problem.names}
     lengths = {n for n, p in free.items() if p.role == "length" and p.dimension == "length"}
     for term in problem.mechanism.learnt_terms:
         if members := lengths & {*term.parameters}:
-            return float(len(members))
+            return [problem.names.index(n) for n in sorted(members)]
     at = [problem.names.index(n) for n in lengths if free[n].nominal]
-    return math.inf if at and (problem.precision[at] > 0.0).all() else 0.0
+    return [] if at and (problem.precision[at] > 0.0).all() else None
 
 
 def _spread(problem: Problem, families: list[Family]) -> float:
@@ -98,7 +105,7 @@ def _spread(problem: Problem, families: list[Family]) -> float:
 
 
 def _entry(
-    fit: Fitted, column: Array, names: list[str], freedom: float, spread: float
+    fit: Fitted, column: Array, names: list[str], spread: float, learnt: Sequence[int] = ()
 ) -> ScaleEntry | None:
     found = fit.step(column, _ABSORBED)
     if not found.rank:
@@ -106,8 +113,10 @@ def _entry(
     (size,), (sd,) = found.size.tolist(), found.sds.tolist()
     if sd > 1.0 / fit.system.equations.sum():
         return None
-    square = found.before(fit.spare)
-    if math.isfinite(freedom):
-        square *= freedom / max(freedom + 1.0 - square, 1e-300)
+    square, freedom = found.before(fit.spare), math.inf
+    if learnt:
+        k, share = len(learnt), min(fit.kept_by(column, learnt) * sd**2, 1.0)
+        square *= (k - share) / max(k - share * square, _LEFT * k)
+        freedom = (k - 1.0) / max(share, 1e-9) ** 2
     p_value = f_tail(square, 1, freedom)
     return ScaleEntry(tuple(names), size, sd, p_value, abs(size) * spread)
