@@ -8,6 +8,7 @@ from typing import Literal
 
 from loopcal.document.bounds import Count, Probability, Size
 from loopcal.document.findings import ScaleEntry
+from loopcal.mechanisms.effects.effect import LENGTHS, LOAD
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import enumerated, p_words, percent, significant, with_unit, wrapped
 
@@ -72,6 +73,11 @@ class ChangePoint:
     def names(self) -> tuple[str, ...]:
         """What changed: parameters or readings."""
         return tuple(self.changes)
+
+    @property
+    def changing(self) -> tuple[str, ...]:
+        """What an effect that models it states as changing."""
+        return {"expansion": (LENGTHS,), "load": (LOAD,)}.get(self.moved, self.names)
 
     @property
     def what(self) -> str:
