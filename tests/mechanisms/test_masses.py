@@ -25,7 +25,7 @@ from loopcal.mechanisms.masses import with_payload
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import joint_chain
 from loopcal.mechanisms.structure.sag import LOAD, Sag
-from loopcal.mechanisms.structure.structured import structured
+from loopcal.mechanisms.structure.structured import structured, without
 from loopcal.statistics.change_points import find_shifts
 from tests.reference.robots import CHAINS, urdf_of
 from tests.refusals import refused
@@ -166,6 +166,16 @@ def test_another_load_is_another_mass_where_masses_are_known(tmp_path: Path) -> 
     (tmp_path / "again.toml").write_text(mechanism_to_toml(made, tmp_path), "utf-8")
     again = read_mechanism(tmp_path / "again.toml")
     assert (again.parameters, again.tape) == (made.parameters, made.tape)
+
+
+def test_another_load_changes_the_sag_where_the_masses_explain_nothing(tmp_path: Path) -> None:
+    waiting = with_effects(arm(tmp_path), [Shift(("load",), (30.0,))])
+    fewer = without(waiting, structured(waiting), {"compliance"})
+    assert fewer.structure is not None
+    assert LOAD not in fewer.parameters.names
+    assert all(name.endswith("_tool") for name in fewer.structure.loaded)
+    assert {f"{name}_from30" for name in fewer.structure.loaded} <= {*fewer.parameters.names}
+    assert fewer.structure.loaded
 
 
 def test_without_masses_nothing_yields_to_them(tmp_path: Path) -> None:
