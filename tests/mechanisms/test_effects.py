@@ -27,6 +27,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
 from loopcal.mechanisms.serial import Joint, serial_machine
+from loopcal.mechanisms.structure.structured import structured
 from tests.reference.machines import MA1400_TOOL, dh_arm, mixed_arm
 from tests.reference.plain_tape import difference, loop_values
 from tests.refusals import refused
@@ -340,3 +341,32 @@ def test_effects_added_one_by_one_are_those_added_together() -> None:
 def test_the_same_order_twice_is_refused() -> None:
     with refused("duplicate-name"):
         Harmonics(orders=(1, 2, 1.0))
+
+
+def test_another_load_waits_for_the_sag_of_the_arm_that_carries_it() -> None:
+    plain, x = dh_arm(), readings(dh_arm())
+    at = {"pose": 30.0}
+    waiting = with_effects(plain, [Shift(("load",), (30.0,))])
+    assert waiting.parameters.names == plain.parameters.names
+    assert loops(waiting, x, at) == pytest.approx(loops(plain, x))
+    with refused("duplicate-name", "'shift'"):
+        with_effects(waiting, [Shift(("load",), (40.0,))])
+    sags, changed = structured(plain), structured(waiting)
+    assert sags.structure is not None
+    tool = sags.structure.loaded
+    assert tool
+    assert all(name.endswith("_tool") for name in tool)
+    before = dict.fromkeys(tool, 3e-4)
+    more = {f"{name}_from30": 1e-4 * (i + 1) for i, name in enumerate(tool)}
+    after = {name: 3e-4 + 1e-4 * (i + 1) for i, name in enumerate(tool)}
+    for pose, gives in ((29.0, before), (30.0, after), (50.0, after)):
+        found = loops(changed, x, {"pose": pose}, **before, **more)
+        assert found == pytest.approx(loops(sags, x, **gives), rel=1e-12)
+    assert {*changed.parameters.names} == {*sags.parameters.names, *more}
+    terms = {
+        term.name: {*term.parameters} for term in changed.terms if term.name[-8:] == "_changed"
+    }
+    assert terms.keys() == {"sag_changed", "sag_across_changed"}
+    assert set().union(*terms.values()) == more.keys()
+    assert changed.latest == at
+    assert not changed.awaiting

@@ -16,6 +16,8 @@ from loopcal.errors import Code
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.files.machines.urdf import read_masses, read_urdf
+from loopcal.mechanisms.effects.drift import Shift
+from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.effects.gravity import ACCELERATION, Load
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import assemble
@@ -23,7 +25,7 @@ from loopcal.mechanisms.masses import with_payload
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import joint_chain
 from loopcal.mechanisms.structure.sag import LOAD, Sag
-from loopcal.mechanisms.structure.structured import structured
+from loopcal.mechanisms.structure.structured import structured, without
 from loopcal.statistics.change_points import find_shifts
 from tests.reference.robots import CHAINS, urdf_of
 from tests.refusals import refused
@@ -153,6 +155,27 @@ def test_a_file_gives_masses_and_payload_back(tmp_path: Path) -> None:
     assert (again.masses, again.payload) == (made.masses, "load")
     assert again.tape == made.tape
     assert again.terms == made.terms
+
+
+def test_another_load_is_another_mass_where_masses_are_known(tmp_path: Path) -> None:
+    made = structured(with_effects(arm(tmp_path), [Shift(("load",), (30.0,))]))
+    assert made.structure is not None
+    assert made.structure.loaded == (LOAD,)
+    parameter = made.parameters[f"{LOAD}_from30"]
+    assert (parameter.unit, parameter.prior_sd, parameter.changes) == ("kg", 5.0, LOAD)
+    (tmp_path / "again.toml").write_text(mechanism_to_toml(made, tmp_path), "utf-8")
+    again = read_mechanism(tmp_path / "again.toml")
+    assert (again.parameters, again.tape) == (made.parameters, made.tape)
+
+
+def test_another_load_changes_the_sag_where_the_masses_explain_nothing(tmp_path: Path) -> None:
+    waiting = with_effects(arm(tmp_path), [Shift(("load",), (30.0,))])
+    fewer = without(waiting, structured(waiting), {"compliance"})
+    assert fewer.structure is not None
+    assert LOAD not in fewer.parameters.names
+    assert all(name.endswith("_tool") for name in fewer.structure.loaded)
+    assert {f"{name}_from30" for name in fewer.structure.loaded} <= {*fewer.parameters.names}
+    assert fewer.structure.loaded
 
 
 def test_without_masses_nothing_yields_to_them(tmp_path: Path) -> None:

@@ -381,3 +381,12 @@ def test_a_moved_station_of_an_arm_of_transitions_is_six_parameters_of_its_stati
     moved = np.linalg.norm(T[:3, :3] @ p + T[:3, 3:] - p, axis=0)
     expected = np.sqrt(np.square(moved).mean() * (1.0 - 6.0 / point.gain))
     assert sized(result, point).moves == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("count", "words"), [(3, "c0 by 0.0100 mm, c1"), (7, "no part of 7 is sure")]
+)
+def test_parts_that_are_not_clear_are_counted_where_they_are_many(count: int, words: str) -> None:
+    changes = {f"c{i}": Change(1e-5, 1e-5, "m") for i in range(count)}
+    point = ChangePoint("step", "9", "8", 9, "load", changes, 50.0, 1e-9)
+    assert point.sizes.startswith(words)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.document.change_points import NOT_SEARCHED
 from loopcal.files.result import result_file
 from loopcal.statistics import choice
 from loopcal.statistics.case import Case, Entrant
 from loopcal.statistics.changes import CERTAIN, NUMBER, Changes, changes, unchanged
 from loopcal.statistics.choice import choose
+from loopcal.statistics.continued import Ending, continued
 from loopcal.statistics.findings import findings as statistics_findings
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.judged import Judged, fitted
@@ -22,7 +25,16 @@ from loopcal.statistics.verdict import findings_of
 from loopcal.workflow.checking import run_prediction
 from tests.estimation.test_real_data import RIGHT, measured
 from tests.reference.simulated import MA1400_RANGES
-from tests.statistics.test_change_points import ARM, Array, Find, joined, joints, read, sagging
+from tests.statistics.test_change_points import (
+    ARM,
+    NOISE,
+    Array,
+    Find,
+    joined,
+    joints,
+    read,
+    sagging,
+)
 
 FIT = lc.Fit(method="least-squares", model_error="structured")
 SLIP = {"x6B": 3e-3, "z6B": -2e-3}
@@ -180,6 +192,70 @@ def test_findings_keep_what_was_modelled_and_name_it_once(
     document = result.document
     assert [one.code for one in findings_of(document)].count("changes-modelled") == 1
     assert not any("along the run" in words for words in document.warnings)
+
+
+def carrying(where: dict[str, Array], seed: int, times: float) -> lc.Dataset:
+    """An arm that gives way under its tool, of so many times its weight."""
+    arm = lc.structured(ARM, harmonics=False)
+    gives = {"theta_2_sag_y_tool": 1e-3, "theta_3_sag_y_tool": 4e-4, "theta_2_sag_x_tool": 2e-4}
+    truth = {p.name: p.nominal + times * gives.get(p.name, 0.0) for p in arm.parameters}
+    return lc.simulate(arm, where, noise=NOISE, seed=seed, truth=truth).dataset
+
+
+@pytest.fixture(scope="module")
+def heavier() -> lc.Result:
+    where = joints(60, 3)
+    return told(joined(carrying(where, 3, 1.0), carrying(where, 3, 2.0), 34))
+
+
+def test_another_load_is_modelled_and_predictions_hold_under_it(
+    heavier: lc.Result, tmp_path: Path
+) -> None:
+    assert heavier.document.change_points is not None
+    (point,) = heavier.document.change_points.found
+    assert (point.moved, point.modelled, point.changing) == ("load", True, ("load",))
+    assert abs(point.number - 35) <= 1
+    answer = lc.verdict(heavier).answers["sound"]
+    assert (answer.passed, answer.code) == (None, "changes-modelled")
+    assert 'changing = ["load"]' in heavier.document.change_points.toml
+    where, now = joints(40, 11), lc.Dataset.from_arrays(joints(40, 11))
+    predicted = lc.predict(heavier, now)
+    true = carrying(where, 11, 2.0)
+    errors = np.array([predicted.outputs[q] - true[q] for q in "xyz"])
+    stated = np.array([predicted.sd[q] for q in "xyz"])
+    assert 0.5 < np.sqrt(np.mean(errors**2)) / np.sqrt(np.mean(stated**2)) < 1.5
+    result_file.write_result(heavier, heavier.document, tmp_path)
+    again = lc.read_mechanism(tmp_path / "mechanism.toml")
+    assert again.latest == {NUMBER: float(point.pose)}
+    assert again.terms == heavier.mechanism.terms
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_a_fit_goes_on_with_another_load(heavier: lc.Result, stated: bool) -> None:
+    where, changes_told = joints(60, 3), heavier.document.change_points
+    data = joined(carrying(where, 3, 1.0), carrying(where, 3, 2.0), 34)
+    assert changes_told is not None
+    again = lc.with_shifts(ARM, data, changes_told.found)
+    case = Case(again.mechanism, again.data, None, lc.Fit(method="auto"))
+    if not stated:
+        case = Case(ARM, data, None, lc.Fit(method="auto"))
+    found = continued(case, Ending.of(heavier.document, data.poses))
+    assert found.mechanism.terms == heavier.mechanism.terms
+    for name in found.value:
+        sd = heavier.sd[name] or 0.0
+        assert found.value[name] == pytest.approx(heavier.value[name], abs=0.1 * sd + 1e-12)
+
+
+def test_another_load_is_no_change_that_a_plain_machine_models(heavier: lc.Result) -> None:
+    case = Case(ARM, read(joints(30, 1), 1), None, FIT)
+    assert heavier.document.change_points is not None
+    points = heavier.document.change_points.found
+    made = replace(unchanged(case), points=points, searched=NOT_SEARCHED)
+    effect = lc.effects.Shift(("load",), (11.0,), "number")
+    for mechanism, modelled in ((heavier.mechanism, True), (lc.with_effects(ARM, [effect]), False)):
+        entry = made.entry(mechanism)
+        assert entry is not None
+        assert [p.modelled for p in entry.found] == [modelled]
 
 
 @pytest.mark.parametrize("sag", [1e-3, 3e-3])

@@ -64,6 +64,16 @@ def test_an_arm_that_sags_keeps_its_sag() -> None:
     )
 
 
+def test_sag_stays_whose_load_changed() -> None:
+    trial = World(poses=30).made(np.random.default_rng([3, 1]))
+    data = lc.Dataset.from_arrays(trial.readings | {"pose": np.arange(30.0)})
+    machine = lc.with_effects(trial.mechanism, [lc.effects.Shift(("load",), (15.0,))])
+    case = Case(machine, data, trial.noise, lc.Fit(method="auto"), trusted=True)
+    fewer = lean(case, fitted(next(iter(entrants(case)))), math.inf)
+    sags = {"sag", "sag_across", "sag_changed", "sag_across_changed"}
+    assert names(fewer) - DRAWN == sags
+
+
 def test_what_the_user_structured_stays() -> None:
     case, full = judged(World(poses=30))
     stated = replace(case, mechanism=lc.structured(case.mechanism, discrepancy=2))

@@ -8,6 +8,7 @@ from typing import Literal
 
 from loopcal.document.bounds import Count, Probability, Size
 from loopcal.document.findings import ScaleEntry
+from loopcal.mechanisms.effects.effect import LENGTHS, LOAD
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import enumerated, p_words, percent, significant, with_unit, wrapped
 
@@ -22,6 +23,8 @@ _WORDS = {
     "link": ("a link of the machine", "changed", "({names})"),
 }
 """Of what moved: what it is, the verb of a step, and what follows."""
+_FEW = 6
+"""Parts that fit a line: those of a place in space."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,11 @@ class ChangePoint:
         return tuple(self.changes)
 
     @property
+    def changing(self) -> tuple[str, ...]:
+        """What an effect that models it states as changing."""
+        return {"expansion": (LENGTHS,), "load": (LOAD,)}.get(self.moved, self.names)
+
+    @property
     def what(self) -> str:
         """When it changed, and what."""
         subject, verb, more = _WORDS[self.moved]
@@ -87,10 +95,11 @@ class ChangePoint:
     @property
     def sizes(self) -> str:
         """By how much, and how sure."""
-        # Parts within their noise would read as moves; all are shown only where none is clear.
+        # Parts within their noise would read as moves; a few are shown where none is clear.
         clear = {n: c for n, c in self.changes.items() if abs(c.size) >= 3.0 * c.sd}
-        moved = (clear or self.changes).items()
-        sizes = ", ".join(f"{name} by {self._by(c)}" for name, c in moved)
+        moved = clear or (self.changes if len(self.changes) <= _FEW else {})
+        sizes = ", ".join(f"{name} by {self._by(c)}" for name, c in moved.items())
+        sizes = sizes or f"no part of {len(self.changes)} is sure by itself"
         return f"{sizes}, {p_words(self.p_value)}"
 
     def _by(self, change: Change) -> str:

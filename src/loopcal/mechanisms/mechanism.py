@@ -102,7 +102,8 @@ class Mechanism:
     any; gravity: the direction in which it pulls, in the base, None for down; latest: known
     constant -> value [SI] after the last change that it dates, for readings of a machine as it is
     now; structure: what its structured model error consists of, None without one; masses: known
-    ones of an arm's links; payload: the known constant [kg] that its tool carries.
+    ones of an arm's links; payload: the known constant [kg] that its tool carries; awaiting:
+    each `Effect` that acts on a structured model error alone, which it has not yet.
     """
 
     name: str
@@ -125,6 +126,7 @@ class Mechanism:
     structure: Structure | None = None
     masses: tuple[Load, ...] = ()
     payload: str | None = None
+    awaiting: tuple[Any, ...] = ()
 
     def __new__(cls, *stated: Any, **named: Any) -> Mechanism:
         """Raises InputError for what people type first: the name of a file alone."""

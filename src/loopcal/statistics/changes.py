@@ -82,17 +82,22 @@ class Changes:
             words += ", ".join(self.outliers)
         return words
 
-    @property
-    def entry(self) -> ChangePoints | None:
-        """The changes that were modelled, as a document holds them; None without any."""
+    def entry(self, mechanism: Mechanism) -> ChangePoints | None:
+        """The changes that were modelled, as a document holds them; None without any.
+
+        mechanism: of the result; one without model error does not model another load.
+        """
         if self.searched is None or not self.points:
             return None
-        return ChangePoints(self.points, self.searched.level, self.searched.tested, self.toml)
+        points = tuple(
+            replace(p, modelled=not (mechanism.awaiting and p.moved == "load")) for p in self.points
+        )
+        return ChangePoints(points, self.searched.level, self.searched.tested, self.toml)
 
     @property
     def discarded(self) -> tuple[Outlier, ...]:
         """The outliers that were left out beside modelled changes."""
-        return tuple(self.outliers.values()) if self.entry else ()
+        return tuple(self.outliers.values()) if self.points else ()
 
 
 def unchanged(case: Case) -> Changes:
@@ -112,9 +117,7 @@ def changes(case: Case, way: Fit, whole: FitResult, level: float = CERTAIN) -> C
         rounds -= 1
         searched = find_shifts(whole)
         run_changes = replace(run_changes, searched=searched)
-        # No effect of the plain machine is a load: it stays a finding, and a column can state it.
-        moved = [p for p in searched.told_apart if p.moved != "load"]
-        new = [p for p in moved if p.p_value < level and apart(p, run_changes.points)]
+        new = [p for p in searched.told_apart if p.p_value < level and apart(p, run_changes.points)]
         if not new:
             break
         # Before what slipped is modelled, a slip looks like a drift of the same things.
@@ -220,21 +223,21 @@ def shift_lines(data: Dataset, points: Sequence[ChangePoint]) -> str:
 def _effects(data: Dataset, points: Sequence[ChangePoint], column: str) -> list[Shift | Drift]:
     if not points:
         return []
-    from loopcal.mechanisms.effects.drift import LENGTHS, Drift, Shift
+    from loopcal.mechanisms.effects.drift import Drift, Shift
 
     numbers = pose_numbers(data)
     first = {pose: float(number) for pose, number in zip(data.poses, numbers, strict=True)}
     effects: list[Shift | Drift] = []
-    for names in dict.fromkeys(p.names for p in points if p.shape == "step"):
-        at = tuple(sorted(first[p.pose] for p in points if p.shape == "step" and p.names == names))
+    steps = [p for p in points if p.shape == "step"]
+    for names in dict.fromkeys(p.changing for p in steps):
+        at = tuple(sorted({first[p.pose] for p in steps if p.changing == names}))
         effects.append(Shift(names, at, column, name=f"shift of {', '.join(names)}"))
     for p in {p.names: p for p in points if p.shape == "ramp"}.values():
         since, until = first[p.pose], first[p.after]
         title = f"drift of {', '.join(p.names)}"
-        changing = (LENGTHS,) if p.moved == "expansion" else p.names
         # Ending with the run, so that predictions hold for its end (docs/explanation/drift.md).
         span = until - since
-        effects.append(Drift(changing, column, "1", since, span, title, until, p.bends))
+        effects.append(Drift(p.changing, column, "1", since, span, title, until, p.bends))
     return effects
 
 

@@ -155,7 +155,7 @@ def choose(
     placed = nominal and nominal.accuracy_after
     result = _chosen(case, taken.whole, chosen).with_parts(
         nominal=placed and placed.distances,
-        change_points=run_changes.entry,
+        change_points=run_changes.entry(taken.entrant.case.mechanism),
         discarded=run_changes.discarded,
         shifts=None if run_changes.points else run_changes.searched,
         **about_images,

@@ -119,6 +119,8 @@ def _as_modelled(case: Case, ending: Ending) -> Case:
     stated = {p.changes for p in case.mechanism.parameters if p.changes}
     poses = case.data.poses
     moved = [_moved(p, ending.poses, set(poses)) for p in ending.changes]
+    if case.mechanism.awaiting:
+        stated |= {n for p in ending.changes if p.moved == "load" for n in p.names}
     changes = [p for p in moved if p is not None and stated.isdisjoint(p.names)]
     if changes:
         made = with_shifts(case.mechanism, case.data, changes, column=NUMBER)

@@ -69,8 +69,9 @@ def lean(case: Case, one: Judged, least: float = 0.0) -> Judged:
     """The candidate without the terms whose gain is at most so much, and without the white error of
     the machine that the stated sds of sensors explain as well; itself if there are none.
 
-    Dimensions of the drawing stay: without a term they would be exact. Where one term leaves,
-    others may gain less or more, so this goes on until all that are left gain more.
+    Dimensions of the drawing stay: without a term they would be exact. So does what changed along
+    the run. Where one term leaves, others may gain less or more, so this goes on until all that are
+    left gain more.
     """
     while one.entrant.structured and one.whole is not None and not one.failed:
         fewer = _with_fewer_terms(case, one, one.whole, least) or _by_sensors(one, one.whole)
@@ -92,8 +93,10 @@ def _with_fewer_terms(case: Case, one: Judged, whole: FitResult, least: float) -
     learnt = whole.estimate.variances.terms if whole.estimate else None
     if learnt is None:
         return None
-    drawn = {name for name, _, _ in GEOMETRY_TERMS.values()}
-    return without_terms(case, one.entrant, idle(learnt, least, keep=drawn))
+    keep = {name for name, _, _ in GEOMETRY_TERMS.values()}
+    changed = {n for p in whole.mechanism.parameters if p.changes for n in (p.name, p.changes)}
+    keep |= {t.name for t in whole.mechanism.terms if not changed.isdisjoint(t.parameters)}
+    return without_terms(case, one.entrant, idle(learnt, least, keep=keep))
 
 
 def _by_sensors(one: Judged, whole: FitResult) -> Entrant | None:

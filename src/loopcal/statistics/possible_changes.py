@@ -18,7 +18,6 @@ from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
-from loopcal.mechanisms.structure.sag import LOAD, TOOL
 from loopcal.mechanisms.structure.structured import driven_joints
 from loopcal.statistics.replacing import IN_PROPORTION
 
@@ -299,13 +298,9 @@ def _dimensions(problem: Problem) -> Iterator[Possible]:
 
 def _loads(problem: Problem) -> Iterator[Possible]:
     """What the arm carries: its mass, or all that gives way under it."""
-    if LOAD in problem.mechanism.parameters.names:
-        yield Possible("load", (LOAD,), ramps=False, label="the load")
-        return
     structure = problem.mechanism.structure
-    columns = () if structure is None else structure.columns
-    if names := tuple(c.parameter for c in columns if c.load == TOOL):
-        yield Possible("load", names, ramps=False, label="the load")
+    if structure is not None and structure.loaded:
+        yield Possible("load", structure.loaded, ramps=False, label="the load")
 
 
 def _expansion(problem: Problem) -> Iterator[Possible]:

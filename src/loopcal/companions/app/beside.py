@@ -59,6 +59,7 @@ def without_changes(source: Source) -> Named | None:
     described = (mechanism.description or {}).get("effect", [])
     names = [str(e.get("name")) for e in described if e.get("type") in ALONG_THE_RUN]
     changing = {p for name in names for p in mechanism.effects.get(name, ())}
+    changing |= {p.name for p in mechanism.parameters if p.changes}  # of the load: no effect's
     if not changing:
         return None
     unchanged = mechanism.with_nominal(dict.fromkeys(changing, 0.0))

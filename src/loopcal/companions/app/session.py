@@ -510,8 +510,8 @@ class Session:
         source = self.source()
         starts = begins(changes.found, () if source is None else source.table.poses)
         at = {
-            names: [number for number, p in starts.items() if p.names == names]
-            for names in (p.names for p in changes.found)
+            names: [number for number, p in starts.items() if p.changing == names]
+            for names in (p.changing for p in changes.found)
         }
         change_words = "; ".join(point.what for point in changes.found)
         text = with_changes(self._counted(), changes.toml, at)

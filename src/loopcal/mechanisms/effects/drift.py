@@ -11,7 +11,7 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.keys import Key
-from loopcal.mechanisms.effects.effect import Name, meant
+from loopcal.mechanisms.effects.effect import LENGTHS, LOAD, Name, meant
 from loopcal.mechanisms.frame import Values
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
@@ -20,14 +20,8 @@ from loopcal.units import difference_to_si, to_si, unit
 DRIFT_SD = 1e-3
 """Prior sd over a drift's span: 1 mm or 1 mrad; of all lengths 0.1 %, 40 K of aluminium."""
 BENDS_MOST = 8
-_SHIFT_SD = {"rad": 0.1}
+_SHIFT_SD = {"rad": 0.1, "kg": 5.0}
 """Prior sd of a shift by unit, else 0.01: 10 mm, and 6 degrees, for what slips may turn far."""
-
-LENGTHS = "lengths"
-"""What changes where all lengths of the machine do, in proportion."""
-Moving = Annotated[
-    tuple[str, ...], Key("Parameters by names or globs, and readings by name.", least=1)
-]
 Column = Annotated[str, Key("Name of the known constant, such as a time or a temperature.")]
 Since = Annotated[float, Key("Value of the known constant at which the drift is zero.")]
 Over = Annotated[float, Key("Span in which the drift grows to P_drift.", positive=True)]
@@ -157,7 +151,8 @@ class Shift:
 
     For a reflector knocked in its seat, a tracker that was moved, a machine set up anew between
     the poses. changing: parameters by names or globs, or readings, whose zeros change, as of a
-    joint whose encoder was mastered anew: x' = x - x_fromA; column: a known constant t that grows,
+    joint whose encoder was mastered anew: x' = x - x_fromA; "load" alone: the load on the tool of
+    an arm, as part of its structured model error; column: a known constant t that grows,
     such as the number of the pose; unit: of at; at: values of t at which a new segment begins,
     rising.
     Before the first, P itself holds; each segment adds its own P_fromA [m or rad], A in SI.
@@ -166,7 +161,13 @@ class Shift:
     Raises InputError where no change is stated, or they do not rise.
     """
 
-    changing: Moving
+    changing: Annotated[
+        tuple[str, ...],
+        Key(
+            'Parameters by names or globs, and readings; or "load" alone: that on the tool.',
+            least=1,
+        ),
+    ]
     at: Annotated[tuple[float, ...], Key("Where each new segment begins, rising.", least=1)]
     column: Annotated[str, Key("Name of the known constant, such as the number of the pose.")] = (
         "pose"
@@ -232,6 +233,8 @@ def shift_sd(si: str) -> float:
 
 def _units(mechanism: Mechanism, patterns: tuple[str, ...]) -> dict[str, str]:
     """The SI units of the parameters that names or globs stand for, and of readings by name."""
+    if patterns == (LOAD,):
+        patterns = () if mechanism.structure is None else mechanism.structure.loaded
     read = {v.name for v in mechanism.variables if v.role == "reading"}
     names = [p for p in patterns if p in read and p not in mechanism.parameters.names]
     units = {p.name: p.unit for p in meant(mechanism, [n for n in patterns if n not in names])}

@@ -28,6 +28,10 @@ Name = Annotated[str, Key("Name of the effect in comparisons of models.")]
 RUN_DRIFTS = RUN_DRIFT, RUN_DRIFT_TURNS = "run_drift", "run_drift_turns"
 """Names of the effect, and of its terms, of a drift that is there because the joints tell the order
 of the poses (`statistics.run_drift`)."""
+LENGTHS = "lengths"
+"""What changes where all lengths of the machine do, in proportion."""
+LOAD = "load"
+"""What changes where the tool carries another load: its mass, or how the arm gives way under it."""
 
 
 class Effect(Protocol):
@@ -65,7 +69,8 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
     """The mechanism with effects beyond those it has.
 
     Their parameters stand behind the others, with their priors; fixed at zero they leave the
-    mechanism as it was. `Mechanism.effects` lists the parameters of each.
+    mechanism as it was. `Mechanism.effects` lists the parameters of each. An effect without any
+    waits for the structured model error (`Mechanism.awaiting`).
 
     Raises InputError for two effects of one name or with one parameter, and for what an effect
     cannot act on.
@@ -74,8 +79,9 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
     pose_constants: dict[str, Quantity] = {}
     ends = ENDS if any(v.first for v in mechanism.variables) else ENDS[:1]
     taken = {*mechanism.parameters.names}
+    named = {*mechanism.effects, *(e.name for e in mechanism.awaiting)}
     for effect in effects:
-        if effect.name in (*mechanism.effects, *by_effect):
+        if effect.name in (*named, *by_effect):
             raise InputError(
                 f"two effects are named {effect.name!r}",
                 code="duplicate-name",
@@ -118,6 +124,7 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
         parameters=Parameters((*mechanism.parameters, *added)),
         description=described | {"effect": effect_tables},
         latest=latest,
+        awaiting=(*mechanism.awaiting, *(e for e in effects if not by_effect[e.name])),
     )
 
 

@@ -477,3 +477,11 @@ class Structure:
     columns: tuple[Column, ...] = ()
     smooth: Mapping[str, Smooth] = field(default_factory=dict)
     joints: tuple[str, ...] = ()
+
+    @property
+    def loaded(self) -> tuple[str, ...]:
+        """What another load on the tool changes: its mass, or all that gives way under it."""
+        weighed = self.sag is not None and any(c.term == "compliance" for c in self.columns)
+        if self.sag is not None and weighed and LOAD in self.sag.carried:
+            return (LOAD,)
+        return tuple(c.parameter for c in self.columns if c.load == TOOL)

@@ -42,6 +42,8 @@ EFFECT = "structure"
 """Name of all that is added, among the effects of a mechanism."""
 DRIVES = ("harmonics", "scales")
 """Names of the terms of gears and encoders, and of slides."""
+CHANGED = "_changed"
+"""Ends the name of a term of what changed along the run in another term."""
 GEOMETRY_TERMS: Mapping[tuple[str, str], tuple[str, float, str]] = {
     ("length", "m"): ("lengths", 1e-3, "lengths of the machine differ from the drawing by {scale}"),
     ("zero", "m"): ("slide_zeros", 1e-3, "zeros of slides differ from the drawing by {scale}"),
@@ -64,6 +66,7 @@ STRUCTURE_TERMS = (
     DISCREPANCY,
     "discrepancy_turns",
     *DRIVES,
+    *(f"{name}{CHANGED}" for name in ("sag", "sag_across")),
 )
 """Names of the terms that a structured mechanism may have."""
 # Once per turn: off centre; twice: elliptic or tilted (see `Harmonics`).
@@ -128,6 +131,8 @@ def structured(
     joints: list[str] = []
     if harmonics:
         made, joints = _with_drives(made)
+    structure = Structure(arm if columns else None, columns, smooth, tuple(joints))
+    made = _with_awaiting(replace(made, structure=structure))
     arguments = {"sag": sag, "harmonics": harmonics, "discrepancy": discrepancy}
     stated = {k: v for k, v in described(structured, arguments).items() if k != "type"}
     description = mechanism.description
@@ -137,7 +142,6 @@ def structured(
         parameters=made.parameters.with_role(
             "model error", (n for n in made.parameters.names if n not in old), EFFECT
         ),
-        structure=Structure(arm if columns else None, columns, smooth, tuple(joints)),
     )
 
 
@@ -448,6 +452,23 @@ def _with_drives(mechanism: Mechanism) -> tuple[Mechanism, list[str]]:
         Term(DRIVES[1], ("",), 1e-4, words="scales of slides are wrong by {scale}"),
     )
     return made, [q for effect in turning for q in effect.joints]
+
+
+def _with_awaiting(mechanism: Mechanism) -> Mechanism:
+    """The mechanism with the effects that awaited its model error: what they change in a term has a
+    learnt sd as well."""
+    made = with_effects(replace(mechanism, awaiting=()), mechanism.awaiting)
+    new = [p for p in made.parameters if p.name not in mechanism.parameters.names]
+    terms = [
+        _term(
+            f"{term.name}{CHANGED}",
+            [p.name for p in new if p.changes in term.parameters],
+            term.sd,
+            f"as the load changed, {term.words} more",
+        )
+        for term in mechanism.terms
+    ]
+    return replace(made.with_terms(*itertools.chain.from_iterable(terms)), awaiting=())
 
 
 def _further(mechanism: Mechanism, effects: Sequence[E]) -> list[E]:
