@@ -210,14 +210,14 @@ def test_hostile_files_handed_in_are_refused_in_words(
         (hostile / name).unlink()
 
 
-def test_ten_pages_keep_what_is_theirs_and_see_what_others_change(
+def test_five_pages_keep_what_is_theirs_and_see_what_others_change(
     served: Served, browser: Any, hostile: Path
 ) -> None:
     project = hostile / "project.toml"
     before = project.read_text("utf-8")
     tabs = browser.new_context(viewport={"width": 1440, "height": 900}, reduced_motion="reduce")
     tabs.set_default_timeout(PATIENCE)
-    pages = [tabs.new_page() for _ in range(10)]
+    pages = [tabs.new_page() for _ in range(5)]
     first, second, *others = map(Hand, pages)
     for i, hand in enumerate(map(Hand, pages)):
         hand.page.goto(served.address)

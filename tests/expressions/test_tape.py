@@ -92,6 +92,13 @@ def test_tapes_are_equal_by_value_and_differ_in_any_constant() -> None:
     assert tape(2.5) != tape(2.5000000000000004)
 
 
+def test_equal_tapes_are_one_tape_while_it_is_in_use() -> None:
+    """A tape is the key of what is made of it: equal ones would be compared at every look-up."""
+    again = trace(two_link, quantities=ARM.quantities, parameters=ARM.parameters, loops=ARM.loops)
+    assert again is ARM
+    assert again.only([0]) is ARM.only([0])
+
+
 def test_a_tape_cannot_be_changed() -> None:
     with pytest.raises(AttributeError):
         ARM.outputs = (0,)  # type: ignore[misc]

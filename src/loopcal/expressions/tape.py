@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
+from weakref import WeakValueDictionary
 
 from loopcal.expressions.graph import LEAVES, OPERATIONS, Graph, Node, Step
 from loopcal.lazy import cached_property
@@ -64,13 +65,18 @@ class Tape:
         parameters: Sequence[str],
         loops: Sequence[str],
     ) -> Tape:
+        """The tape of these operations; of equal tapes always the same one.
+
+        A tape is the key of all that is made of it, and equal ones are compared operation by
+        operation.
+        """
         # Positions stay in order, so arguments stand before what they make without sorting.
         needed = _reachable(everything, outputs)
         place = [-1] * len(everything)
         for position, node in enumerate(needed):
             place[node] = position
         operations = tuple([moved(everything[node], place) for node in needed])
-        return cls(
+        tape = cls(
             tuple(quantities),
             tuple(pose_constants),
             tuple(parameters),
@@ -78,6 +84,8 @@ class Tape:
             operations,
             tuple(place[node] for node in outputs),
         )
+        present = _PRESENT.setdefault(hash(tape), tape)
+        return present if present == tape else tape
 
     def __hash__(self) -> int:
         # The operations are compared but not hashed: thousands of them, seldom alike otherwise.
@@ -161,6 +169,10 @@ class Tape:
             inside_function = operation.binding == _ATOM
             written.append(text if inside_function or binding >= tighter else f"({text})")
         return operation.text.format(*written), operation.binding
+
+
+_PRESENT: WeakValueDictionary[int, Tape] = WeakValueDictionary()
+"""Tapes that are in use, by hash."""
 
 
 @lru_cache(maxsize=64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -34,24 +33,24 @@ _ROLES = {"gain": "scale"}
 READ = (1, 2, SCHEMA)
 """Schemas that can be read."""
 NAMES = (RESULT, RESIDUALS, MACHINE)
-_ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
 _REMEDY = "name a result.json that loopcal wrote, or calibrate again"
 
 
 def result_json(document: ResultDocument) -> str:
     """The text of result.json; floats are written so that they read back as the same bits."""
-    return _text(plain(document)) + "\n"
+    from pydantic_core import to_json  # ten times as fast with floats as the standard library
 
+    def text(value: Any, margin: str = "\n") -> str:
+        """JSON with one entry on a line, but arrays of plain values on one."""
+        inner = f"{margin} "
+        if isinstance(value, dict) and value:
+            lines = (f"{text(key)}: {text(item, inner)}" for key, item in value.items())
+            return "{" + inner + f",{inner}".join(lines) + margin + "}"
+        if isinstance(value, list) and not {dict, list}.isdisjoint(map(type, value)):
+            return "[" + inner + f",{inner}".join(text(one, inner) for one in value) + margin + "]"
+        return to_json(value).decode()
 
-def _text(value: Any, margin: str = "\n") -> str:
-    """JSON with one entry on a line, but arrays of plain values on one."""
-    inner = f"{margin} "
-    if isinstance(value, dict) and value:
-        lines = (f"{_text(key)}: {_text(item, inner)}" for key, item in value.items())
-        return "{" + inner + f",{inner}".join(lines) + margin + "}"
-    if isinstance(value, list) and not {dict, list}.isdisjoint(map(type, value)):
-        return "[" + inner + f",{inner}".join(_text(item, inner) for item in value) + margin + "]"
-    return _ENCODER.encode(value)
+    return text(plain(document)) + "\n"
 
 
 def write_result(
@@ -94,11 +93,12 @@ def read_result(path: str | Path) -> ResultDocument:
     beside it is of another result.
     """
     from pydantic import ValidationError
+    from pydantic_core import to_json
 
     _refuse_elsewhere(Path(path))
     content = _with_roles(read_json(path, "result.json", *READ)) | {"schema": SCHEMA}
     try:
-        document = _adapter().validate_json(json.dumps(content).encode())
+        document = _adapter().validate_json(to_json(content))
     except ValidationError as error:
         raise _first_complaint(error, content, Place(str(path))) from None
 
