@@ -48,7 +48,7 @@ def result_json(document: ResultDocument) -> str:
             return "{" + inner + f",{inner}".join(lines) + margin + "}"
         if isinstance(value, list) and not {dict, list}.isdisjoint(map(type, value)):
             return "[" + inner + f",{inner}".join(text(one, inner) for one in value) + margin + "]"
-        return to_json(value).decode()
+        return to_json(value, inf_nan_mode="null").decode()
 
     return text(plain(document)) + "\n"
 
