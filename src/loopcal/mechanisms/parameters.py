@@ -25,6 +25,7 @@ Role = Literal[
     "mounting",
     "lens",
     "print",
+    "corner",
     "length",
     "twist",
     "zero",
@@ -41,7 +42,7 @@ board that it sees; of the machine "length"; "scale"; "twist"
 its unit is known); "effect" beyond geometry; "model error", of the structured one."""
 GEOMETRY: frozenset[Role] = frozenset({"length", "twist", "zero", "angle", "scale"})
 """Roles of what a drawing of the machine states."""
-OF_CAMERAS: frozenset[Role] = frozenset({"lens", "print"})
+OF_CAMERAS: frozenset[Role] = frozenset({"lens", "print", "corner"})
 """Roles of what a camera is, and of what is printed."""
 BEYOND: frozenset[Role] = frozenset({"effect", "model error"})
 """Roles of what no drawing states."""

@@ -201,7 +201,9 @@ def _printed(board: Board, *, offsets: bool) -> dict[str, Parameter]:
                 owner=board.name,
                 meaning=meaning,
             )
-    for point in board.points if offsets else ():
+    # Those of a planar print are learnt beside the fit (`loopcal.estimation.noise.prints`).
+    learnt = bool(declared) and not offsets
+    for point in board.points if offsets or learnt else ():
         for axis in "xyz":
             key = f"{point}:{axis}"
             declared[key] = Parameter(
@@ -209,7 +211,8 @@ def _printed(board: Board, *, offsets: bool) -> dict[str, Parameter]:
                 0.0,
                 "m",
                 prior_sd=WARP_SD,
-                role="print",
+                fixed=learnt,
+                role="corner" if learnt else "print",
                 owner=board.name,
                 meaning=f"offset of the point {point} along {axis}",
             )
