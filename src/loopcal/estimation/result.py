@@ -290,14 +290,9 @@ class FitResult:
             return self.inherited.terms
         if self.estimate is None:
             return ()
-        prints = self.estimate.prints
-        learnt = (self.estimate.variances.terms, None if prints is None else prints.learnt)
-        return tuple(
-            entry
-            for one in learnt
-            if one is not None
-            for entry in term_entries(self.mechanism, one)
-        )
+        learnt, prints = self.estimate.variances.terms, self.estimate.prints
+        terms = () if learnt is None else term_entries(self.mechanism, learnt)
+        return terms if prints is None else (*terms, *prints.entries(self.mechanism))
 
     def terms_with_parts(self) -> tuple[TermEntry, ...]:
         """With what each term does joint by joint."""

@@ -314,7 +314,7 @@ class _Search:
         scales, corrections = scales_of(self.stated), self.stated.first_corrections
         rough, last = ROUGH if len(scales) and not near else None, math.inf
         share, stepped = np.ones(len(ratios) + len(scales)), np.zeros(len(ratios) + len(scales))
-        prints = Prints.of(self.stated)
+        prints = Prints.of(self.stated, near=near)
         for number in range(_MOST):
             present = scaled(begun_with(self.stated, scales), self.positions, ratios)
             begun = replace(present, start=start, first_corrections=corrections)
@@ -333,13 +333,14 @@ class _Search:
                 by_terms = _change(np.square(scales), np.square(variances.terms.scales))
                 change, others = max(change, by_terms), max(others, by_terms)
             enough = _SETTLED
-            if variances.terms is not None:
+            if variances.terms is not None or (prints is not None and prints.kept.any()):
                 enough = NEARBY if near or number >= _MOST // 2 else NEAR
             # what does not change the criterion, such as a component near zero, is of no account
             ended = change <= enough or abs(before - variances.criterion) <= _BETTER
-            if prints is not None and not failed and (ended or prints.kept.any()):
+            if prints is not None and not failed and prints.due(ended=ended, roughly=vanish):
                 prints = prints.updated(present, solution, common=self.common)
-                start, ended = prints.held(start), ended and prints.step <= PRINTED
+                settled = 10.0 * PRINTED if near else PRINTED
+                start, ended = prints.held(start), ended and prints.step <= settled
             if ended and vanish and not failed and (near or rough is None):
                 return _Round(present, solution, variances, variances.converged, iterations, prints)
             if failed > _FAILURES or _hopeless(solution):

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.document.choice import DECISIVE, TermPart
-from loopcal.estimation.noise.term_parts import idle
+from loopcal.document.choice import DECISIVE, TermEntry, TermPart
+from loopcal.estimation.noise.term_parts import idle, term_entries
 from loopcal.estimation.noise.term_scales import Sums, TermVariances, learn_scales, term_system
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.kernel import TurnedImages
@@ -67,7 +67,6 @@ class Layout:
     """The offsets of points: names (m,), the term of each, and what loop is of which point.
 
     points: (m / 3,) their ids; places: (m / 3, 3) where they are as printed [m];
-
     by_loop: loop -> position of the x offset of its point.
     """
 
@@ -120,13 +119,13 @@ class Layout:
             for board, kind in [one]
         )
         owner = [owners.index(one) for one in zip(of_board, kinds, strict=True)]
-        known = {
+        printed = {
             (c.board.name, k): xyz
             for c in all_cameras(mechanism)
             for k, xyz in c.board.points.items()
         }
         nowhere = (np.nan,) * 3
-        places = [known.get((b, k), nowhere) for b, k in zip(of_board[::3], points, strict=True)]
+        places = [printed.get((b, k), nowhere) for b, k in zip(of_board[::3], points, strict=True)]
         return cls(
             tuple(names),
             np.array(owner),
@@ -143,7 +142,8 @@ class Prints:
 
     values: (m,); scales: (terms,) sds, 0 of those that the images do not ask for; freedom: how
     many equations they use up; learnt: what the sums say of all terms; sums: (n + m + 1, n + m + 1)
-    of [D O e]; step: the largest change by the last step, in sds.
+    of [D O e] of so many equations; covariance: of the offsets that are kept; step: the largest
+    change by the last step, in sds.
     """
 
     layout: Layout
@@ -155,10 +155,12 @@ class Prints:
     sums: Array | None = None
     covariance: Array | None = None
     step: float = 0.0
+    equations: int = 0
 
     @classmethod
-    def of(cls, problem: Problem) -> Prints | None:
-        """None where a problem has no such points. They begin where the problem does."""
+    def of(cls, problem: Problem, *, near: bool = False) -> Prints | None:
+        """None where a problem has no such points. They begin where the problem does; near: a fit
+        of nearly the same readings ended there."""
         layout = Layout.of(problem.mechanism)
         if layout is None or problem.loops_alike:
             return None
@@ -169,12 +171,23 @@ class Prints:
         off = np.square(values - _nominal(problem)[index])
         count = np.bincount(layout.owner)
         scales = np.sqrt(np.bincount(layout.owner, off) / count)
-        return cls(layout, index, values, scales)
+        return None if near and not scales.any() else cls(layout, index, values, scales)
+
+    def entries(self, mechanism: Mechanism) -> tuple[TermEntry, ...]:
+        """The terms that the images ask for, as a document holds them."""
+        if self.learnt is None:
+            return ()
+        every = term_entries(mechanism, self.learnt)
+        return tuple(entry for entry, kept in zip(every, self.kept, strict=True) if kept)
 
     @property
     def kept(self) -> NDArray[np.bool_]:
         """(terms,) whether the images asked for them."""
         return self.scales > 0.0
+
+    def due(self, *, ended: bool, roughly: bool) -> bool:
+        """Whether to look for offsets: where sds are roughly right, and where all has settled."""
+        return ended or bool(self.kept.any()) or (roughly and self.learnt is None)
 
     def held(self, start: Array) -> Array:
         """Parameters (n_all,) with the offsets."""
@@ -228,6 +241,7 @@ class Prints:
             sums=total,
             covariance=covariance[n:, n:],
             step=step,
+            equations=end.equations,
         )
 
     def parts(self) -> dict[str, list[TermPart]]:
@@ -288,6 +302,16 @@ class Prints:
         if self.covariance is not None:
             sd[used] = np.sqrt(np.diag(self.covariance))
         return sd
+
+    def widened(self, problem: Problem) -> Problem:
+        """Images that were not used, with sds of pixels that hold what the offsets leave open: on
+        average as large a share of the variance as that of the equations that they use up."""
+        sd = problem.uncertainty.sd.copy()
+        quantities = problem.mechanism.tape.quantities
+        pixels = {q for f in problem.mechanism.families if f.form == PIXELS for q in f.readings}
+        rows = [i for i, q in enumerate(quantities) if q in pixels]
+        sd[rows] *= np.sqrt(1.0 + self.freedom / max(self.equations, 1))
+        return replace(problem, uncertainty=replace(problem.uncertainty, sd=sd))
 
     def gained(self, root: Array) -> Array | None:
         """(k, k) what the covariance of z gains by what the offsets leave open, dp = root z."""
@@ -367,11 +391,11 @@ def _of_block(
         return np.stack(parts, axis=2).reshape(len(columns), m, b)
 
     QA = np.einsum("qrb,crb->qcb", Q, A, optimize=True)
-    QO, AO = by_point(Q), by_point(A).sum(axis=2)
+    QO = by_point(Q)
+    AO = np.stack([np.einsum("crb,rb->cr", A, one) @ incidence.T for one in o], axis=2)
+    AO = AO.reshape(len(A), m) - np.tensordot(QA, QO, ((0, 2), (0, 2)))
     flat_A = A.reshape(len(A), -1)
-    AA = flat_A @ flat_A.T
-    AA -= np.einsum("qcb,qdb->cd", QA, QA, optimize=True)
-    AO -= np.tensordot(QA, QO, ((0, 2), (0, 2)))
+    AA = flat_A @ flat_A.T - np.tensordot(QA, QA, ((0, 2), (0, 2)))
     OO = -np.tensordot(QO, QO, ((0, 2), (0, 2)))
     squares = np.einsum("arb,crb->acr", o, o) @ incidence.T
     place = 3 * np.arange(m // 3)
