@@ -532,8 +532,8 @@ def _unvalidated(judged: Sequence[Judged]) -> Judged:
 def _terms(one: Judged) -> tuple[str, ...]:
     if one.whole is None:
         return ()
-    named = (*one.whole.mechanism.terms, *one.whole.terms)
-    return tuple(dict.fromkeys(term.name for term in named))
+    names = [term.name for term in one.whole.mechanism.terms]
+    return tuple(dict.fromkeys([*names, *(term.name for term in one.whole.terms)]))
 
 
 def _bare(one: Judged) -> Candidate:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from analyses.cameras_truth import COLUMNS, ROWS, Array, Rig, Shots, poses, rig
+from analyses.cameras_truth import COLUMNS, ROWS, Rig, Shots, poses, rig
+from loopcal.arrays import Array
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.terms import Term
 

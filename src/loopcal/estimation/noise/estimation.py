@@ -338,7 +338,8 @@ class _Search:
             # what does not change the criterion, such as a component near zero, is of no account
             ended = change <= enough or abs(before - variances.criterion) <= _BETTER
             if prints is not None and not failed and prints.due(ended=ended, roughly=vanish):
-                prints = prints.updated(present, solution, common=self.common)
+                asking = not near and (ended or prints.learnt is None)
+                prints = prints.updated(present, solution, common=self.common, asking=asking)
                 settled = 10.0 * PRINTED if near else PRINTED
                 start, ended = prints.held(start), ended and prints.step <= settled
             if ended and vanish and not failed and (near or rough is None):
@@ -404,10 +405,10 @@ def _spent(model: LinearModel, prints: Prints | None) -> LinearModel:
     """The model without the equations of corners that offsets of points use up."""
     if prints is None or not prints.freedom:
         return model
-    total = sum(block.spare_of(model.components) for block in model.blocks)
+    total = np.sum([block.spare_of(model.components) for block in model.blocks], axis=0)
     share = prints.freedom * np.append(total, 0.0) / max(float(total.sum()), 1e-300)
-    spare = sum(len(block.spare) for block in model.blocks)
-    blocks = tuple(replace(block, spare=block.spare - share / spare) for block in model.blocks)
+    images = sum(len(block.spare) for block in model.blocks)
+    blocks = tuple(replace(block, spare=block.spare - share / images) for block in model.blocks)
     return replace(model, blocks=blocks)
 
 

@@ -195,8 +195,13 @@ class Prints:
         start[self.index] = self.values
         return start
 
-    def updated(self, problem: Problem, end: End[object], *, common: bool) -> Prints:
-        """The offsets and their sds by the sums where a fit ended; problem: at its sds."""
+    def updated(
+        self, problem: Problem, end: End[Array], *, common: bool, asking: bool = True
+    ) -> Prints:
+        """The offsets and their sds by the sums where a fit ended; problem: at its sds.
+
+        common: whether all noise is learnt; asking: whether terms may come that are not kept yet.
+        """
         layout, n, m = self.layout, len(problem.free), len(self.index)
         total = summed(problem, end.parameters, end.corrections, layout, self.index)
         nominal = _nominal(problem)
@@ -212,7 +217,7 @@ class Prints:
         begun = np.where(self.scales > 0.0, self.scales, [term.sd for term in layout.terms])
         learnt = learn_scales(system, begun, common=common)
         kept = self.kept
-        if not kept.all():
+        if asking and not kept.all():
             gone = idle(learnt, DECISIVE)
             kept |= np.array([term.name not in gone for term in layout.terms])
         scales = np.where(kept, learnt.scales, 0.0)

@@ -96,7 +96,11 @@ def camera(
     sees: Sees = None,
     lens: Lens = "brown5",
     offsets: Annotated[
-        bool, Key("Whether each point has offsets BOARD_POINT_x, _y, _z, with a prior in [prior].")
+        bool,
+        Key(
+            "Whether each point has offsets BOARD_POINT_x, _y, _z, with a prior in [prior]. "
+            "Without, those of a flat board are learnt."
+        ),
     ] = False,
 ) -> Instrument:
     """Pixels (u, v) at which a camera sees the points of a board; one image is one pose.
