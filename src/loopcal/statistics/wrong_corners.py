@@ -34,9 +34,8 @@ HALF = 0.5
 """Share of its corners from which an image is wrong as a whole."""
 _ROUNDS = 12
 """A tenth of the corners settles within six."""
-_PATIENT, _OFTEN = 3, 0.2
-"""Rounds in which a point that is off in such a share of its images is kept, until its place is
-learnt."""
+_PATIENT = 3
+"""Rounds in which a point that is off in most images is kept, until its place is learnt."""
 _RAYLEIGH = float(np.sqrt(2.0 * np.log(2.0)))
 """Median distance of two normal coordinates over their sd."""
 
@@ -103,8 +102,8 @@ def wrong_corners(result: FitResult, level: float = LEVEL) -> WrongCorners:
             usual = np.maximum(sds[name], _medians(distance, kept) / _RAYLEIGH)
             far &= (share > HALF) | (distance > limit * usual)
             if prints is not None and number < _PATIENT:
-                # what is off in many images may be a point of the print that is elsewhere
-                often = far.sum(axis=1) > _OFTEN * np.maximum(tested.sum(axis=1), 1)
+                # what is off in most images may be a point of the print that is elsewhere
+                often = far.sum(axis=1) > HALF * np.maximum(tested.sum(axis=1), 1)
                 far[often] = False
             now[pairs[:, 0]] = now[pairs[:, 1]] = far
         if any(np.array_equal(now, one) for one in earlier[-2:]):
@@ -116,7 +115,10 @@ def wrong_corners(result: FitResult, level: float = LEVEL) -> WrongCorners:
         parameters, corrections = solution.parameters, solution.corrections
         if prints is not None:
             prints = prints.updated(weighed, solution, common=False)
-            parameters = prints.held(parameters)
+            if prints.kept.any():
+                parameters = prints.held(parameters)
+                solution = result.fit.solver.safe.solve(replace(weighed, start=parameters))
+                parameters, corrections = solution.parameters, solution.corrections
     rows = np.concatenate([pairs.ravel() for pairs in cameras.values()])
     share = aside[rows].sum(axis=0) / np.maximum(seen[rows].sum(axis=0), 1)
     images: NDArray[np.bool_] = share > HALF
