@@ -45,8 +45,6 @@ _WORDS = {
     "points": "points of the board {board!r} are off by {{scale}} in its plane",
     "heights": "points of the board {board!r} are off by {{scale}} out of its plane",
 }
-
-
 LEVEL, FEWEST = 1e-3, 8
 """Probability that any point of a board is called displaced where all are good; points of a board
 from which the scatter of the others is known."""
@@ -57,7 +55,7 @@ _LINE = 3
 """Points of a row or column, at least, whose mean is told."""
 
 
-def term_is_height(term: Term) -> bool:
+def _is_height(term: Term) -> bool:
     """Whether it is of offsets out of the plane."""
     return term.parameters[0].endswith("_z")
 
@@ -171,6 +169,7 @@ class Prints:
         off = np.square(values - _nominal(problem)[index])
         count = np.bincount(layout.owner)
         scales = np.sqrt(np.bincount(layout.owner, off) / count)
+        # Of a part of the images nothing is asked that all of them did not show.
         return None if near and not scales.any() else cls(layout, index, values, scales)
 
     def entries(self, mechanism: Mechanism) -> tuple[TermEntry, ...]:
@@ -263,7 +262,7 @@ class Prints:
         from scipy.special import fdtrc
 
         rows = np.flatnonzero(self.layout.owner == term)
-        points = rows.reshape(-1, 1 if term_is_height(self.layout.terms[term]) else 2)
+        points = rows.reshape(-1, 1 if _is_height(self.layout.terms[term]) else 2)
         squares = np.square(self.values[points]).sum(axis=1)
         size, count = points.shape[1], len(points)
         if count < FEWEST:
@@ -280,7 +279,7 @@ class Prints:
 
     def _lines(self, term: int) -> list[TermPart]:
         """The row or column of a print of which all points are off the most, in one direction."""
-        if term_is_height(self.layout.terms[term]):
+        if _is_height(self.layout.terms[term]):
             return []
         rows = np.flatnonzero(self.layout.owner == term)
         best: TermPart | None = None
@@ -338,6 +337,7 @@ def _nominal(problem: Problem) -> Array:
 
 
 def _inverse(H: Array) -> Array:
+    """H^-1 over the directions that are determined."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     return np.asarray(np.linalg.pinv(H * np.outer(scale, scale), hermitian=True)) * np.outer(
         scale, scale
