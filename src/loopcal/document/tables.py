@@ -319,7 +319,7 @@ def shown_parameters(
 ) -> list[ParameterEntry]:
     """The parameters without the many columns of the model error."""
     hidden = {name for term in terms for name in term.effects}
-    return [p for p in parameters if p.name not in hidden]
+    return [p for p in parameters if p.name not in hidden and p.role != "corner"]
 
 
 def parameter_table(parameters: Sequence[ParameterEntry]) -> list[str]:

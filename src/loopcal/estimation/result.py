@@ -120,7 +120,9 @@ class FitResult:
     def freedom(self) -> int:
         """Degrees of freedom: loop equations + finite priors - determined parameters."""
         informed = int(np.count_nonzero(self.problem.precision))
-        return self.solution.equations + informed - self.spectrum.rank
+        prints = None if self.estimate is None else self.estimate.prints
+        used = 0 if prints is None else round(prints.freedom)
+        return self.solution.equations + informed - self.spectrum.rank - used
 
     def pose_equations(self) -> tuple[PoseEquations, ...]:
         """The equations of every pose where the fit ended, whitened as its method does."""
@@ -286,8 +288,11 @@ class FitResult:
         """What was learnt of each term of the mechanism; empty where nothing was."""
         if self.inherited is not None:
             return self.inherited.terms
-        learnt = None if self.estimate is None else self.estimate.variances.terms
-        return () if learnt is None else term_entries(self.mechanism, learnt)
+        if self.estimate is None:
+            return ()
+        learnt, prints = self.estimate.variances.terms, self.estimate.prints
+        terms = () if learnt is None else term_entries(self.mechanism, learnt)
+        return terms if prints is None else (*terms, *prints.entries(self.mechanism))
 
     def terms_with_parts(self) -> tuple[TermEntry, ...]:
         """With what each term does joint by joint."""
@@ -296,7 +301,13 @@ class FitResult:
         from loopcal.estimation.noise.term_parts import with_parts
 
         at = self.solution.parameters, self.solution.corrections
-        return with_parts(self.terms, self.problem, *at, self.covariance)
+        terms = with_parts(self.terms, self.problem, *at, self.covariance)
+        prints = None if self.estimate is None else self.estimate.prints
+        printed = {} if prints is None else prints.parts()
+        return tuple(
+            replace(term, parts=tuple(printed[term.name])) if term.name in printed else term
+            for term in terms
+        )
 
     @cached_property
     def corrections(self) -> Mapping[str, Array]:

@@ -338,7 +338,7 @@ def _range_table(check: Check) -> list[str]:
 
 def _parameter_table(check: Check) -> list[str]:
     rows = [["parameter", "nominal", "prior sd", "expected sd", "unit", "role"]]
-    for p in check.mechanism.parameters:
+    for p in (p for p in check.mechanism.parameters if p.role != "corner"):
         unit = SHOWN.get(p.unit, p.unit)
         prior = significant(float(from_si(p.prior_sd, unit)), 3)
         sd = check.expected_sd[p.name]

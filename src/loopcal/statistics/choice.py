@@ -530,7 +530,10 @@ def _unvalidated(judged: Sequence[Judged]) -> Judged:
 
 
 def _terms(one: Judged) -> tuple[str, ...]:
-    return () if one.whole is None else tuple(term.name for term in one.whole.mechanism.terms)
+    if one.whole is None:
+        return ()
+    names = [term.name for term in one.whole.mechanism.terms]
+    return tuple(dict.fromkeys([*names, *(term.name for term in one.whole.terms)]))
 
 
 def _bare(one: Judged) -> Candidate:

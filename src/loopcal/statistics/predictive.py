@@ -156,6 +156,8 @@ def predictive(
     for another one.
     """
     problem, shared = held.problem, None
+    if fit.estimate is not None and fit.estimate.prints is not None:
+        problem = fit.estimate.prints.widened(problem)
     if drifting is not None and run is not None:
         shared = SameRun.of(fit, problem, held.corrections, drifting, run)
     learnt = () if shared is not None else fit.learnt_noise

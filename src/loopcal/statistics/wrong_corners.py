@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.findings import Outlier
+from loopcal.estimation.noise.prints import Prints
 from loopcal.estimation.problem.problem import Problem, left_unmeasured
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.mechanism import PIXELS
@@ -33,6 +34,8 @@ HALF = 0.5
 """Share of its corners from which an image is wrong as a whole."""
 _ROUNDS = 12
 """A tenth of the corners settles within six."""
+_PATIENT = 3
+"""Rounds in which a point that is off in most images is kept, until its place is learnt."""
 _RAYLEIGH = float(np.sqrt(2.0 * np.log(2.0)))
 """Median distance of two normal coordinates over their sd."""
 
@@ -75,7 +78,7 @@ class WrongCorners:
 
 def wrong_corners(result: FitResult, level: float = LEVEL) -> WrongCorners:
     """The corners and images that do not fit the others."""
-    problem = result.problem if result.estimate is None else result.estimate.began
+    problem = result.problem
     names = problem.mechanism.tape.quantities
     cameras = _cameras(problem)
     seen = np.isfinite(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))
@@ -86,8 +89,8 @@ def wrong_corners(result: FitResult, level: float = LEVEL) -> WrongCorners:
     if not count or result.fit.solver.exact:
         return WrongCorners(none, np.asarray(none.any(axis=0)), count, {}, corrections, problem)
     limit = float(np.sqrt(2.0 * np.log(count / level)))
-    aside, earlier = none, [none]
-    for _ in range(_ROUNDS):
+    aside, earlier, prints = none, [none], Prints.of(problem)
+    for number in range(_ROUNDS):
         now, sds = np.zeros_like(seen), {}
         for name, pairs in cameras.items():
             distance = np.hypot(corrections[pairs[:, 0]], corrections[pairs[:, 1]])
@@ -98,15 +101,24 @@ def wrong_corners(result: FitResult, level: float = LEVEL) -> WrongCorners:
             share = far.sum(axis=0) / np.maximum(tested.sum(axis=0), 1)
             usual = np.maximum(sds[name], _medians(distance, kept) / _RAYLEIGH)
             far &= (share > HALF) | (distance > limit * usual)
+            if prints is not None and number < _PATIENT:
+                # what is off in most images may be a point of the print that is elsewhere
+                often = far.sum(axis=1) > HALF * np.maximum(tested.sum(axis=1), 1)
+                far[often] = False
             now[pairs[:, 0]] = now[pairs[:, 1]] = far
         if any(np.array_equal(now, one) for one in earlier[-2:]):
             break
         earlier.append(now)
         aside = now
-        solution = result.fit.solver.safe.solve(
-            replace(_weighed(problem, cameras, sds, aside), start=parameters)
-        )
+        weighed = replace(_weighed(problem, cameras, sds, aside), start=parameters)
+        solution = result.fit.solver.safe.solve(weighed)
         parameters, corrections = solution.parameters, solution.corrections
+        if prints is not None:
+            prints = prints.updated(weighed, solution, common=False)
+            if prints.kept.any():
+                parameters = prints.held(parameters)
+                solution = result.fit.solver.safe.solve(replace(weighed, start=parameters))
+                parameters, corrections = solution.parameters, solution.corrections
     rows = np.concatenate([pairs.ravel() for pairs in cameras.values()])
     share = aside[rows].sum(axis=0) / np.maximum(seen[rows].sum(axis=0), 1)
     images: NDArray[np.bool_] = share > HALF

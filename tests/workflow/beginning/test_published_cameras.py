@@ -30,8 +30,11 @@ def test_a_charuco_board_on_a_flange(shared_data: Callable[[str], Path]) -> None
     assert abs(result.value["board_scale"] - 4.7e-3) < 2.0 * math.hypot(sd, 7e-4)
     assert result.accuracy_after is not None
     assert result.accuracy_after.rms < 1.245
-    # Some images scatter twice as much as others.
-    assert len(lc.find_outliers(result)) == 0
+    # Two corners of one image do not fit; some images scatter twice as much as others.
+    assert {one.pose for one in lc.find_outliers(result).found} <= {"2", "7"}
+    # Paper that is not flat, and lines of the print that are off, in all images alike.
+    assert {term.name for term in result.terms} == {"points", "heights"}
+    assert result.accuracy_after.rms < 1.1
 
 
 def test_markers_on_a_hand_that_does_not_turn(

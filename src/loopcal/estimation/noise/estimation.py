@@ -16,6 +16,7 @@ import numpy as np
 from loopcal.arrays import Array
 from loopcal.estimation.noise.linear_model import LinearModel, linear_model
 from loopcal.estimation.noise.linear_model import fit as fit_at
+from loopcal.estimation.noise.prints import Prints
 from loopcal.estimation.noise.variance_bounds import upper_bound, without_component
 from loopcal.estimation.noise.variance_components import (
     Component,
@@ -57,6 +58,8 @@ NEAR, NEARBY, ROUGH = 1e-3, 1e-1, 1e-2
 """With terms, logarithms of variances still change by so much in the last round, far less than
 their uncertainty, the second where the search begins at those of nearly the same readings or has
 gone on for half of all rounds; the first fit ends so many sds near the optimum, the third."""
+PRINTED = 1e-2
+"""Offsets of points that change by so many sds have settled."""
 # Chosen, not derived: looser fits cost rounds, tighter ones steps.
 _SHARE = 0.1
 """A rough fit ends so many sds near its optimum for each unit by which the logarithms change."""
@@ -110,17 +113,19 @@ class NoiseEstimate:
     began: Problem
     variances: Variances
     settled: bool
+    prints: Prints | None = None
 
     @cached_property
     def model(self) -> LinearModel:
         """The loops linearised at this fit."""
-        return linear_model(
+        model = linear_model(
             replace(self.began, prior_sd=self.problem.prior_sd),
             self.solution.parameters,
             self.solution.corrections,
             [component.quantities for component in self.stated],
             [component.spread for component in self.stated],
         )
+        return _spent(model, self.prints)
 
     @property
     def ratios(self) -> Array:
@@ -209,7 +214,8 @@ def estimate_noise(
     The sds of terms begin at the prior sds of their parameters.
     """
     spreads = np.array([component.spread for component in components])
-    search = _Search(problem, [component.quantities for component in components], spreads, fit)
+    positions = [component.quantities for component in components]
+    search = _Search(problem, positions, spreads, fit)
     if begin is not None:
         best = search.run(
             np.square([begin.get(component.name, 1.0) for component in components]), near=True
@@ -232,6 +238,7 @@ def estimate_noise(
         problem,
         best.variances,
         best.settled,
+        best.prints,
     )
 
 
@@ -244,6 +251,7 @@ class _Round:
     variances: Variances
     settled: bool
     iterations: int
+    prints: Prints | None = None
 
     @property
     def fitted(self) -> bool:
@@ -306,6 +314,7 @@ class _Search:
         scales, corrections = scales_of(self.stated), self.stated.first_corrections
         rough, last = ROUGH if len(scales) and not near else None, math.inf
         share, stepped = np.ones(len(ratios) + len(scales)), np.zeros(len(ratios) + len(scales))
+        prints = Prints.of(self.stated, near=near)
         for number in range(_MOST):
             present = scaled(begun_with(self.stated, scales), self.positions, ratios)
             begun = replace(present, start=start, first_corrections=corrections)
@@ -316,7 +325,7 @@ class _Search:
             present = replace(present, start=start)
             # A sensor whose sd is known in part never vanishes.
             lowest = np.where(vanish & np.isinf(self.spreads), 0.0, ratios / _SLOWLY)
-            variances = self._variances(present, solution, ratios, lowest)
+            variances = self._variances(present, solution, ratios, lowest, prints)
             change = _change(ratios, variances.ratios)
             falling = np.zeros(len(ratios), dtype=bool) if vanish else variances.ratios <= lowest
             others = _change(ratios[~falling], variances.ratios[~falling])
@@ -324,12 +333,17 @@ class _Search:
                 by_terms = _change(np.square(scales), np.square(variances.terms.scales))
                 change, others = max(change, by_terms), max(others, by_terms)
             enough = _SETTLED
-            if variances.terms is not None:
+            if variances.terms is not None or (prints is not None and prints.kept.any()):
                 enough = NEARBY if near or number >= _MOST // 2 else NEAR
             # what does not change the criterion, such as a component near zero, is of no account
             ended = change <= enough or abs(before - variances.criterion) <= _BETTER
+            if prints is not None and not failed and prints.due(ended=ended, roughly=vanish):
+                asking = not near and (ended or prints.learnt is None)
+                prints = prints.updated(present, solution, common=self.common, asking=asking)
+                settled = 10.0 * PRINTED if near else PRINTED
+                start, ended = prints.held(start), ended and prints.step <= settled
             if ended and vanish and not failed and (near or rough is None):
-                return _Round(present, solution, variances, variances.converged, iterations)
+                return _Round(present, solution, variances, variances.converged, iterations, prints)
             if failed > _FAILURES or _hopeless(solution):
                 break
             # No component may vanish before the others are roughly right.
@@ -346,10 +360,15 @@ class _Search:
             part, last, stepped = np.exp((share - 1.0) * step), change, step
             ratios = variances.ratios * part[: len(ratios)]
             scales = learnt * np.sqrt(part[len(ratios) :])
-        return _Round(present, solution, variances, False, iterations)
+        return _Round(present, solution, variances, False, iterations, prints)
 
     def _variances(
-        self, present: Problem, solution: Solution, ratios: Array, lowest: Array
+        self,
+        present: Problem,
+        solution: Solution,
+        ratios: Array,
+        lowest: Array,
+        prints: Prints | None,
     ) -> Variances:
         """What the loops say where a fit at these ratios has ended."""
         if self.by_sums:
@@ -362,6 +381,7 @@ class _Search:
             self.positions,
             self.spreads.tolist(),
         )
+        model = _spent(model, prints)
         end = None if self.as_read else solution
         return in_turn(present, model, ratios, lowest, common=self.common, end=end)
 
@@ -379,6 +399,17 @@ def scaled(problem: Problem, components: Sequence[Sequence[int]], ratios: Array)
         CovarianceBlock(b.indices, b.factor * factor[b.indices[0]]) for b in uncertainty.blocks
     )
     return replace(problem, uncertainty=ReadingUncertainty(sd, blocks, uncertainty.sources))
+
+
+def _spent(model: LinearModel, prints: Prints | None) -> LinearModel:
+    """The model without the equations of corners that offsets of points use up."""
+    if prints is None or not prints.freedom:
+        return model
+    total = np.sum([block.spare_of(model.components) for block in model.blocks], axis=0)
+    share = prints.freedom * np.append(total, 0.0) / max(float(total.sum()), 1e-300)
+    images = sum(len(block.spare) for block in model.blocks)
+    blocks = tuple(replace(block, spare=block.spare - share / images) for block in model.blocks)
+    return replace(model, blocks=blocks)
 
 
 def _hopeless(solution: Solution) -> bool:

@@ -198,6 +198,9 @@ def learnt_parameters(
     flat = along.reshape(-1, len(added))
     added -= flat.T @ flat
     shares = shared(estimate.problem, estimate.solution.corrections, equations, sensors.root)
+    printed = None if estimate.prints is None else estimate.prints.gained(sensors.root)
+    if printed is not None:
+        shares = printed if shares is None else shares + printed
     return LearntParameters(
         sensors.root, errors, relative, sensors.first, tuple(U), 2.0 * added, shares
     )

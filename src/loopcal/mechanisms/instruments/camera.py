@@ -96,7 +96,11 @@ def camera(
     sees: Sees = None,
     lens: Lens = "brown5",
     offsets: Annotated[
-        bool, Key("Whether each point has offsets BOARD_POINT_x, _y, _z, with a prior in [prior].")
+        bool,
+        Key(
+            "Whether each point has offsets BOARD_POINT_x, _y, _z, with a prior in [prior]. "
+            "Without, those of a flat board are learnt."
+        ),
     ] = False,
 ) -> Instrument:
     """Pixels (u, v) at which a camera sees the points of a board; one image is one pose.
@@ -201,7 +205,9 @@ def _printed(board: Board, *, offsets: bool) -> dict[str, Parameter]:
                 owner=board.name,
                 meaning=meaning,
             )
-    for point in board.points if offsets else ():
+    # Those of a planar print are learnt beside the fit (`loopcal.estimation.noise.prints`).
+    learnt = bool(declared) and not offsets
+    for point in board.points if offsets or learnt else ():
         for axis in "xyz":
             key = f"{point}:{axis}"
             declared[key] = Parameter(
@@ -209,7 +215,8 @@ def _printed(board: Board, *, offsets: bool) -> dict[str, Parameter]:
                 0.0,
                 "m",
                 prior_sd=WARP_SD,
-                role="print",
+                fixed=learnt,
+                role="corner" if learnt else "print",
                 owner=board.name,
                 meaning=f"offset of the point {point} along {axis}",
             )

@@ -1,0 +1,120 @@
+"""Offsets of the points of a print: learnt where images ask for them, as if each were free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.cameras_truth import COLUMNS, ROWS, Rig, Shots, poses, rig
+from loopcal.arrays import Array
+from loopcal.estimation.result import FitResult
+from loopcal.mechanisms.terms import Term
+
+IMAGES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Printed(Rig):
+    """A rig whose board has points that are off (n, 3) [m]."""
+
+    off: Array = field(kw_only=True)
+
+    @property
+    def print(self) -> Array:
+        return super().print + self.off
+
+
+def _shots(off: Array, number: int = 3) -> Shots:
+    rng = np.random.default_rng([91, number])
+    one = rig(number, True, rng)
+    one = Printed(**{f.name: getattr(one, f.name) for f in fields(Rig)}, off=off)
+    q = poses(one, IMAGES, rng)
+    uv = one.pixels(one.flange(q))
+    uv = uv + one.corner * rng.normal(size=uv.shape)
+    return Shots(one, q, q + one.encoder * rng.normal(size=q.shape), uv)
+
+
+def _calibrated(shots: Shots, folder: Path) -> FitResult:
+    shots.write(folder, T=shots.rig.flange(shots.read))
+    project = lc.init(folder)
+    return lc.calibrate(
+        project.mechanism, project.dataset, noise=project.noise, method="implicit-loop"
+    )
+
+
+@pytest.fixture(scope="module")
+def scattered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shots, FitResult]:
+    off = np.random.default_rng(7).normal(0.0, 1.5e-4, (COLUMNS * ROWS, 3)) * [1.0, 1.0, 0.0]
+    shots = _shots(off)
+    return shots, _calibrated(shots, tmp_path_factory.mktemp("scattered"))
+
+
+def test_a_perfect_print_has_no_offsets(tmp_path: Path) -> None:
+    result = _calibrated(_shots(np.zeros((COLUMNS * ROWS, 3))), tmp_path)
+    assert result.terms == ()
+    corners = result.mechanism.parameters.of_role("corner")
+    assert len(corners) == 3 * COLUMNS * ROWS
+    assert {result.value[name] for name in corners} == {0.0}
+
+
+def test_scattered_points_are_learnt_with_their_sd(scattered: tuple[Shots, FitResult]) -> None:
+    shots, result = scattered
+    (points,) = result.terms
+    assert points.name == "points"
+    assert points.gain is not None
+    assert points.gain > 100.0
+    low, high = points.interval or (0.0, 0.0)
+    assert low < 1.5e-4 < (high or 0.0)
+    (sd,) = [entry.sd for entry in result.noise if entry.quantities[0].startswith("cam")]
+    assert sd == pytest.approx(shots.rig.corner, rel=0.05)
+    assert len(lc.find_outliers(result)) == 0
+
+
+def test_they_are_those_of_offsets_that_are_free(scattered: tuple[Shots, FitResult]) -> None:
+    _, result = scattered
+    (points,) = result.terms
+    mechanism = result.mechanism
+    names = [n for n in mechanism.parameters.of_role("corner") if not n.endswith("_z")]
+    items = [
+        replace(p, fixed=False, role="print") if p.name in names else p
+        for p in mechanism.parameters
+    ]
+    freed = mechanism.with_parameters(lc.Parameters(tuple(items)))
+    freed = freed.with_terms(Term("free", tuple(names), 1e-4))
+    noise = lc.Noise(
+        {q: float(np.max(sd[np.isfinite(sd)])) for q, sd in result.reading_sds.items()}
+    )
+    joint = lc.calibrate(freed, result.dataset, noise=noise, method="implicit-loop")
+    assert joint.terms[0].scale == pytest.approx(points.scale, rel=0.02)
+    for name in result.estimated:
+        sd = joint.sd[name]
+        assert sd is not None
+        assert abs(result.value[name] - joint.value[name]) < 0.05 * sd
+    sds = np.array([(result.sd[n], joint.sd[n]) for n in result.estimated], dtype=float)
+    np.testing.assert_allclose(sds[:, 0], sds[:, 1], rtol=0.1)
+    for name in names:
+        assert abs(result.value[name] - joint.value[name]) < 2e-6
+
+
+def test_one_point_that_is_elsewhere_is_named_once(tmp_path: Path) -> None:
+    off = np.zeros((COLUMNS * ROWS, 3))
+    off[17, :2] = 8e-4, -6e-4
+    result = _calibrated(_shots(off), tmp_path)
+    assert len(lc.find_outliers(result)) == 0
+    (points,) = result.terms_with_parts()
+    named = [part for part in points.parts if part.words.startswith("the point")]
+    assert [part.joints for part in named] == [("17",)]
+    # the board as a whole moves with it, by some of one in 48
+    assert named[0].size == pytest.approx(1e-3, rel=0.1)
+
+
+def test_a_column_that_is_off_is_named(tmp_path: Path) -> None:
+    off = np.zeros((COLUMNS * ROWS, 3))
+    off[np.arange(COLUMNS * ROWS) % COLUMNS == 2, 0] = 5e-4
+    result = _calibrated(_shots(off), tmp_path)
+    (points,) = result.terms_with_parts()
+    assert points.sentences[0].startswith("the column at x = ")
