@@ -34,6 +34,12 @@ def test_one_command_leads_from_two_files_to_a_report(folder: Path) -> None:
     assert done.stdout.count("\n") <= 44
     assert (folder / "calibration/project-result/report.html").exists()
     assert "converged" in done.stdout
+    assert "all: --full" in done.stdout
+    command = "init", "poses.csv", "--dh", "dh.csv", "--force", "--full"
+    every = run_here(*command, "--run", cwd=folder).stdout
+    assert "not shown" not in every
+    assert "observability O1" in every
+    assert "add --run" in run_here(*command, cwd=folder).stderr
     assert run_here("init", "poses.csv", "--dh", "dh.csv", cwd=folder).returncode == 0
     with (folder / "calibration" / "project.toml").open("a", encoding="utf-8") as file:
         file.write("# mine\n")

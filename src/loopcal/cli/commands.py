@@ -431,6 +431,7 @@ def init(
         flag("--infer-units", "Take no unit from the headers: infer all by the nominal machine."),
     ] = False,
     run: Annotated[bool, flag("--run", "Calibrate at once and open the report.")] = False,
+    full: FullOption = False,
 ) -> None:
     """Recognise readings and a robot; write a finished project."""
     from loopcal.cli.asking import ask_on_terminal, open_page
@@ -438,6 +439,8 @@ def init(
     from loopcal.workflow.beginning.initial import initial_project
     from loopcal.workflow.beginning.robot_file import RobotFile
 
+    if full and not run:
+        raise UsageError("--full is of a calibration", remedy="add --run, or leave --full out")
     looking = tuple(observe or ())
     robot = RobotFile(
         urdf, dh, machine, base, tip, joints, leave_out, looking, infer_units, exclude
@@ -451,7 +454,7 @@ def init(
     else:
         try:
             with below(done.inferred):
-                calibrate(str(done.written[0]))
+                calibrate(str(done.written[0]), full=full)
         except InputError as error:  # the project is written: this is no bad input any more
             raise NoTrustworthyResult(
                 error.message, code=error.code, place=error.place, remedy=error.remedy
