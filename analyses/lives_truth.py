@@ -236,6 +236,8 @@ class Machine:
         if self.family == "palletiser":
             (folder / "robot.urdf").write_text(PALLETISER_URDF)
             return ["--urdf", "robot.urdf"]
+        if self.family == "delta":
+            return ["--machine", "rotary-delta"]
         assert isinstance(self.drawing, Arm)
         if self.described == "urdf":
             (folder / "robot.urdf").write_text(urdf(self.drawing, BOXES[self.family], self.joints))

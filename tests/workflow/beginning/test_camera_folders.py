@@ -388,6 +388,15 @@ def test_a_wide_lens_that_nobody_states_is_bent_by_eight_coefficients(tmp_path: 
     assert {"camera_1_p1", "camera_1_k6"} <= {*project.mechanism.parameters.names}
 
 
+def test_what_a_print_leaves_shows_no_other_lens(tmp_path: Path) -> None:
+    """Of a print that is off by a pixel a fisheye left 1 % less than the usual lens."""
+    shots(515, False).write(tmp_path)
+    project = lc.init(tmp_path, dh=tmp_path / "dh.csv")
+    names = {*project.mechanism.parameters.names}
+    assert "cam_p1" in names
+    assert names.isdisjoint({"cam_k4", "cam_k6"})
+
+
 def test_lenses_that_are_not_read_are_named(tmp_path: Path) -> None:
     T = hands(12, 6)
     written(tmp_path, pixels(T, on="base"), T)
