@@ -52,8 +52,8 @@ _SURE = 1e-3
 _ALLOWED = 10.0
 """Sd that a change gets which the check found, over its size."""
 _TOOLS = "the scale of what is mounted"
-"""It may be as warm as the machine, or as cold as before; of both an instrument's scale makes as
-much."""
+"""Estimated apart: a tool may be as warm as the machine or not, and the scale of another instrument
+changes both alike."""
 
 
 _WARM = " It holds at the temperature of these poses, and with the scale of their instrument."

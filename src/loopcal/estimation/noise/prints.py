@@ -52,7 +52,7 @@ _STEP = 1e-5
 """By which points are moved for derivatives [m]: so central differences are right to nine digits
 where the board is a metre away."""
 _LINE = 3
-"""Points of a row or column, at least, whose mean is told."""
+"""Fewest points of a row or column whose mean is reported."""
 
 
 def _is_height(term: Term) -> bool:
@@ -370,7 +370,7 @@ def summed(
                 moved[index[axis::3]] += way * _STEP
                 at = block.at(block.corrections, moved)
                 ends.append(sweeper.loop_values(pattern, at, Stage.VALUES).f.copy())
-            # a loop depends on the offsets of its own point alone: all move at once
+            # each loop depends on the offsets of one point only, so that all points move at once
             o[axis] = (ends[0] - ends[1]) / (2.0 * _STEP)
         total += _of_block(values.by_parameter, turned, o, first, rows, m)
     return total
