@@ -55,7 +55,7 @@ def apart(fields: Fields, joints: Collection[str], *, arm: bool) -> tuple[Fields
 
 
 def by_condition(fields: Fields, joints: Collection[str]) -> dict[str, list[Field]]:
-    """ "payload", "temperature" and "tool": the columns of each, the likeliest first.
+    """The columns of a "payload", a "temperature" and a "tool", the likeliest first.
 
     joints: names of the machine's, which are none of these.
     """
