@@ -9,8 +9,10 @@ two years. As the user sees it:
     loopcal history machine.history --add calibration-3/project-result --date 2025-02-10
     loopcal history machine.history --json
 
-Reported is how often the history says that anything of the machine changed, names the joint whose
-zero did, names the way (step or drift), and, for a step, places it between the right two days.
+Reported is how often the history says that anything of the machine changed, has the zero of the
+joint that did among its causes, names it alone, names others without it, names the way (step or
+drift), and, for a step, places it between the right two days; of arms, and of machines whose zeros
+no single calibration determines.
 
     python -m analyses.lives_history [--machines 9] [--first 0] [--processes 2] [--folder FOLDER]
         [--again] [--write FILE.md]
@@ -46,8 +48,8 @@ WAYS = ("steady", "step", "drift")
 DAYS = 8
 STEP, CREEP = 0.05 * DEGREE, 0.08 * DEGREE
 """Of a joint's zero [rad]: at once, and over the two years."""
-MACHINE = ("theta", "offset", "alpha", "beta", "a_", "d_", "J")
-"""How parameters of the machine begin; stations and reflectors are mounted anew each day."""
+TOOLS = ("tool", "P_", "platform")
+"""How causes begin that are no part of the machine: reflectors are mounted anew each day."""
 
 
 def history(way: str, number: int, folder: Path) -> Draw:
@@ -70,13 +72,13 @@ def history(way: str, number: int, folder: Path) -> Draw:
         errors += [refusal] if refusal else []
     done = asked(folder, "history", "machine.history", "--json")
     told: Draw = {"kind": way, "draw": number, "joint": joint, "from": first + 1, "errors": errors}
+    told["family"] = user.family
     try:
-        trends = json.loads(done.stdout)["trends"]
-    except (json.JSONDecodeError, KeyError):
+        document = json.loads(done.stdout)
+    except json.JSONDecodeError:
         return told | {"failed": done.stderr[-400:], "changes": []}
-    changes = [{"name": t["name"], **c} for t in trends for c in t.get("changes", ())]
-    rates = {t["name"]: t["rate"] for t in trends if t.get("rate") is not None}
-    return told | {"changes": changes, "rates": rates}
+    rates = {t["name"]: t["rate"] for t in document["trends"] if t.get("rate") is not None}
+    return told | {"changes": document["changes"], "rates": rates}
 
 
 def _days(rng: np.random.Generator) -> list[date]:
@@ -111,25 +113,31 @@ def _added(result: str, day: date, folder: Path) -> str:
 
 def of_machine(told: Draw) -> list[dict[str, Any]]:
     """The changes of the machine itself."""
-    return [c for c in told["changes"] if c["name"].startswith(MACHINE)]
+    return [c for c in told["changes"] if not c["causes"][0].startswith(TOOLS)]
 
 
-def _of_joint(told: Draw) -> list[dict[str, Any]]:
-    j = told["joint"]
-    names = (f"offset_{j}", f"theta_{j}", f"J{j}_rz", f"J{j}")
-    return [c for c in of_machine(told) if c["name"] in names]
+def _true(change: dict[str, Any], j: int) -> bool:
+    """Whether the zero of joint j is among the causes."""
+    zeros = {f"offset_{j}", f"theta_{j}", f"theta_{j}_offset", f"J{j}_rz", f"zero of J{j}"}
+    return not zeros.isdisjoint(change["causes"])
 
 
-def row(way: str, draws: Sequence[Draw]) -> str:
+def row(way: str, kind: str, draws: Sequence[Draw]) -> str:
     """Rates of one way to live."""
-    every = len(draws)
-    parts = [f"{way:8}{every:7d}", _rate(sum(bool(of_machine(d)) for d in draws), every)]
+    every, changes = len(draws), [of_machine(d) for d in draws]
+    parts = [f"{way:8}{kind:8}{every:6d}", _rate(sum(map(bool, changes)), every)]
     if way != "steady":
-        parts.append(_rate(sum(bool(_of_joint(d)) for d in draws), every))
-        parts.append(_rate(sum(any(c["way"] == way for c in of_machine(d)) for d in draws), every))
+        true = [[_true(c, d["joint"]) for c in its] for d, its in zip(draws, changes, strict=True)]
+        alone = [
+            any(t and len(c["causes"]) == 1 for c, t in zip(its, known, strict=True))
+            for its, known in zip(changes, true, strict=True)
+        ]
+        parts += [_rate(sum(map(any, true)), every), _rate(sum(alone), every)]
+        parts.append(_rate(sum(not all(one) for one in true), every))
+        parts.append(_rate(sum(any(c["way"] == way for c in its) for its in changes), every))
     if way == "step":
-        dated = sum(any(_dated(c, d["from"]) for c in of_machine(d)) for d in draws)
-        parts.append(_rate(dated, every))
+        both = zip(draws, changes, strict=True)
+        parts.append(_rate(sum(any(_dated(c, d["from"]) for c in its) for d, its in both), every))
     return "".join(parts)
 
 
@@ -141,11 +149,11 @@ def _dated(change: dict[str, Any], first: int) -> bool:
 def _rate(count: int, draws: int) -> str:
     low, high = interval(count, draws)
     held = f" ({100 * low:.0f} to {100 * high:.0f})"
-    return f"{100 * count / max(draws, 1):9.0f}{held:13}"
+    return f"{100 * count / max(draws, 1):6.0f}{held:12}"
 
 
-HEAD = f"{'truth':8}{'draws':>7}" + "".join(
-    f"{name:>9}{'':13}" for name in ("said %", "joint %", "way %", "dated %")
+HEAD = f"{'truth':8}{'machine':8}{'draws':>6}" + "".join(
+    f"{name:>6}{'':12}" for name in ("said", "joint", "alone", "other", "way", "dated")
 )
 
 
@@ -165,7 +173,12 @@ def main() -> None:
     numbers = range(given.first, given.first + given.machines)
     wanted = [(WAYS[(i + i // 3) % 3], i) for i in numbers]
     draws = complete(answers, wanted, partial(history, folder=folder), given.processes)
-    rows = [row(way, [d for d in draws if d["kind"] == way]) for way in WAYS]
+    loops = ("palletiser", "delta")
+    rows = [
+        row(way, kind, [d for d in draws if d["kind"] == way and (d["family"] in loops) == other])
+        for way in WAYS
+        for kind, other in (("arms", False), ("others", True))
+    ]
     failed = sum("failed" in d or bool(d["errors"]) for d in draws)
     text = "\n".join([HEAD, *rows, *([f"refused: {failed}"] if failed else [])])
     print(text)

@@ -177,12 +177,12 @@ def _points(
         )
     if len(sets) == 2 and _alike(*sets):
         sets = sets[:1]  # two calibrations from the same readings
-    chosen = sets if poses is not None else [_thinned(s) for s in sets]
+    chosen = sets if poses is not None else [thinned(s) for s in sets]
     y_a, y_b = (np.hstack([_predicted(c, s) for s in chosen]) for c in (a, b))
     predicted = np.isfinite(y_a).all(axis=0) & np.isfinite(y_b).all(axis=0)
     if not predicted.any():
         return None
-    S = np.concatenate([_sensitivity(compared, s) for s in chosen])
+    S = np.concatenate([sensitivity(compared, s) for s in chosen])
     ids = tuple(i for s in chosen for i in s.poses)
     kept = np.flatnonzero(predicted)
     return _Points(y_a[:, kept], y_b[:, kept], S[kept], tuple(ids[i] for i in kept))
@@ -197,7 +197,8 @@ def _alike(a: Dataset, b: Dataset) -> bool:
     )
 
 
-def _thinned(data: Dataset) -> Dataset:
+def thinned(data: Dataset) -> Dataset:
+    """At most `MOST_POSES` of the poses."""
     return data.take(slice(None, None, -(-len(data) // MOST_POSES)))
 
 
@@ -234,7 +235,8 @@ def _predicted(one: Calibrated, data: Dataset) -> Array:
     return predict_outputs(machine, values_of(machine), x, constants)[: len(one.mechanism.outputs)]
 
 
-def _sensitivity(one: Calibrated, data: Dataset) -> Array:
+def sensitivity(one: Calibrated, data: Dataset) -> Array:
+    """(N, o, n_all) of the outputs at readings [SI] of what is no output; NaN where lost."""
     machine = solving(one.mechanism, one.hidden)
     x, constants = _readings(one, machine, data)
     values, rows = values_of(machine), [machine.tape.quantities.index(q) for q in machine.outputs]
@@ -291,14 +293,14 @@ def _reaches(a: Calibrated, b: Calibrated) -> float | None:
         return None
     ratios = []
     for one, same, other in ((a, a.poses, b.poses), (b, b.poses, a.poses)):
-        size_at_other, size_at_same = (_size(one, _thinned(poses)) for poses in (other, same))
+        size_at_other, size_at_same = (_size(one, thinned(poses)) for poses in (other, same))
         ratios.append(size_at_other / size_at_same if size_at_same > 0.0 else 1.0)
     return max(ratios)
 
 
 def _size(one: Calibrated, poses: Dataset) -> float:
     """Rms over poses of the sd that parameters cause at the end point."""
-    S = _sensitivity(one, poses)
+    S = sensitivity(one, poses)
     variances = np.einsum("noo->n", one.covariance.through(S[np.isfinite(S).all((1, 2))]).plain)
     return float(np.sqrt(variances.mean())) if len(variances) else 0.0
 

@@ -9,7 +9,7 @@ from typing import Protocol
 from loopcal.document.result_document import ResultDocument
 from loopcal.files.atomic import Data
 from loopcal.measurements.days import Days
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.verified import Verification
 
 
@@ -26,7 +26,9 @@ class Keeper(Protocol):
     def refuse(self) -> None:
         """Raise InputError, before any work, where nothing can be kept."""
 
-    def of_calibration(self, document: ResultDocument, mechanism: Mechanism, path: Path) -> Writer:
+    def of_calibration(
+        self, document: ResultDocument, calibrated: Calibrated, path: Path
+    ) -> Writer:
         """Writes the files of a calibration and keeps it with them; path: of its result.json."""
 
     def of_verification(

@@ -19,6 +19,7 @@ from loopcal.files.versions import versions as installed_versions
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.predictor import Predictor, predictor, without_outputs
@@ -153,7 +154,8 @@ def save_result(
         page = page_of(result, folder, called("sections"))
     if keeper is None:
         return result_file.write_result(result, document, folder, report=page)
-    write = keeper.of_calibration(document, result.calibrated, Path(folder) / "result.json")
+    path = Path(folder) / "result.json"
+    write = keeper.of_calibration(document, Calibrated.of(result, str(folder)), path)
     written = result_file.write_result(result, document, folder, report=page, write=write)
     keeper.note(written.folder)
     return written

@@ -1,13 +1,16 @@
-"""What a parameter did over its calibrations: nothing, a step, a drift, or scatter beyond its sds.
+"""What a machine did over its calibrations: nothing, a step, a drift, or scatter beyond its sds.
 
-n values y with sds s at times t. Beside a mean that may have steps, each way to change is a further
-covariance t_c C: of a step C = h h^T with h = 1 from one calibration on; of a steady drift
-C = t t^T; of a wandering one C_ij = min(t_i, t_j) - t_1; of scatter C = diag(s^2). The restricted
-likelihood ratio of each to no change is averaged over sizes, over the positions of the step, and
-over the ways. Without a change its expectation is 1, so that it exceeds 20 m with a probability of
-at most 1 / (20 m) (Ville 1939; Vovk and Wang 2021): over m parameters, 5 % of machines that do not
-change are called changed, whatever the correlation of their parameters. Shares of the average are
-the probabilities of ways and positions, all ways being as likely beforehand.
+A calibration at the time t says p_t = p + v g_t + e, e ~ N(0, C_t): C_t the joint covariance of the
+parameters, v (n, d) what one cause changes, such as the zero of a joint. Whitened, all calibrations
+are y = X b + D g + N(0, 1): X b the mean with the accepted changes, D g the effect of one more. A
+way to change is a covariance of g, up to its size: of a step h h^T with h = 1 from one calibration
+on; of a steady drift t t^T; of a wandering one min(t_i, t_j) - t_1; of scatter the variances of g
+by the single calibrations. The restricted likelihood ratio of each to no change is averaged over
+sizes, over the positions of the step, over the ways and over the causes. Without a change its
+expectation is 1, so that it exceeds 20 with a probability of at most 1 / 20 (Ville 1939; Vovk and
+Wang 2021): 5 % of machines that do not change are called changed, whatever number and correlation
+their parameters have. Shares of the average are the probabilities of ways, positions and causes.
+All ways are as likely beforehand, and so are zeros of joints together and all else.
 """
 
 from __future__ import annotations
@@ -17,195 +20,331 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.lazy import cached_property
 from loopcal.small_samples import t_quantile
 
 LEVEL = 0.95
-"""Of intervals, of the way that is named, and of the two calibrations around a step."""
+"""Of intervals, of the way and the causes that are named, and of the calibrations at a step."""
 # By the false alarms above: 1 / (1 - LEVEL).
 _ODDS = 20.0
 # From changes as large as their own sd to those of 16 sds; larger ones need no finer prior.
 _RATIOS = 2.0 ** np.arange(1, 9)
 """Variance with a change over that without, for which the likelihood is averaged."""
 # Powers of two, four to an octave: from a drift that no readings show to one that hides them all.
-_GRID = np.linspace(-16.0, 8.0, 97)
+_GRID = 2.0 ** np.linspace(-16.0, 8.0, 97)
+# Squares of double precision keep it; columns are scaled first.
+_UNSEEN = 1e-9
+"""Share of its square that the mean leaves of an effect, below which nothing shows it."""
+_SINGULAR = 1e-12
+"""Eigenvalue of a correlation below which it is rounding."""
+# Chosen, not derived: more than a user follows up.
+_MOST = 8
+"""Changes of one machine."""
 Way = Literal["step", "drift", "wander", "scatter", "open"]
+_GRADUAL: tuple[Way, ...] = ("drift", "wander")
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """unit: [SI] of its parts; directions: (n, d) what these change of the parameters; often:
+    whether it is the zero of a joint, as machines are mastered more often than bent."""
+
+    name: str
+    unit: str
+    directions: Array
+    often: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Said:
+    """What one calibration says of n parameters: values = rows p + N(0, 1), (r,) and (r, n)."""
+
+    values: Array
+    rows: Array
+
+    @classmethod
+    def of(cls, values: Array, covariance: Array, at: NDArray[np.intp], size: int) -> Said:
+        """Of those `at` these positions; nothing of the others, and of what rounding hides."""
+        sd = np.sqrt(np.diag(covariance))
+        w, U = np.linalg.eigh(covariance / np.outer(sd, sd))
+        kept = w > _SINGULAR * w.max(initial=0.0)
+        root = (U[:, kept] / np.sqrt(w[kept])).T / sd
+        rows = np.zeros((len(root), size))
+        rows[:, at] = root
+        return cls(root @ values, rows)
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """times: (n,) rising, in any unit; values, sds: (n,); events: the numbers of the calibrations
-    from 0 before which something happened."""
+    """times: (k,) rising, in any unit; said: by k calibrations; events: the numbers of the
+    calibrations from 0 before which something happened."""
 
     times: Array
-    values: Array
-    sds: Array
+    said: tuple[Said, ...]
+    causes: tuple[Cause, ...]
     events: frozenset[int] = frozenset()
 
+    @classmethod
+    def of_one(
+        cls, times: Array, values: Array, sds: Array, events: Collection[int] = ()
+    ) -> Course:
+        """Of one parameter, (k,)."""
+        said = tuple(Said(np.array([v]), np.eye(1)) for v in values / sds)
+        said = tuple(replace(one, rows=one.rows / s) for one, s in zip(said, sds, strict=True))
+        return cls(times, said, (Cause("", "", np.eye(1)),), frozenset(events))
+
     def __len__(self) -> int:
-        return len(self.values)
+        return len(self.said)
+
+    @cached_property
+    def y(self) -> Array:
+        """(N,) all values."""
+        return np.concatenate([one.values for one in self.said])
+
+    def columns(self, shape: Array, directions: Array) -> Array:
+        """(N, r d) of effects along directions (n, d) that go over the calibrations as (k, r)."""
+        each = zip(self.said, shape, strict=True)
+        return np.vstack([np.kron(over[None], one.rows @ directions) for one, over in each])
+
+    @cached_property
+    def passed(self) -> Array:
+        """(k,) the share of the time."""
+        t = self.times - self.times[0]
+        scaled: Array = t / t[-1]
+        return scaled
+
+    @cached_property
+    def walk(self) -> Array:
+        """(k, k - 1) a root of min(t_i, t_j)."""
+        t = self.passed
+        return np.asarray(np.tri(len(t), len(t) - 1, -1) * np.sqrt(np.diff(t)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Change:
-    """way: "open" where a step and other ways are as likely. size: of a step, or of a drift over
-    all times; of wandering its sd over all times; of scatter that over the stated sds. half: of its
-    95 % interval, None for sds. after, before: the calibrations between which a step lies with
-    95 %; at: the likeliest place, before this one; None without a step."""
+    """way: "open" where a step and other ways are as likely; causes: the numbers of those that
+    explain it with 95 %, the likeliest first. parts: (d,) of a step, or of a drift over all times,
+    along each direction of the first cause; of wandering their sds over all times; of scatter the
+    sd over the stated one. covariance: (d, d) of parts, of wandering that of the change; None of
+    scatter; freedom: degrees of freedom of it. after, before: the calibrations between which a step
+    lies with 95 %; at: the likeliest place, before this one; None without a step."""
 
     way: Way
-    size: float
-    half: float | None
+    causes: tuple[int, ...]
+    parts: Array
+    covariance: Array | None
+    freedom: float
     after: int
     before: int
     at: int | None = None
 
+    @property
+    def size(self) -> float:
+        """The change of one part; the length of several."""
+        return float(self.parts[0] if len(self.parts) == 1 else np.linalg.norm(self.parts))
+
+    @property
+    def half(self) -> float | None:
+        """Of the 95 % interval of the size; None for sds."""
+        if self.covariance is None or self.way == "wander":
+            return None
+        along = self.parts / max(abs(self.size), 1e-300)
+        sd = float(np.sqrt(along @ self.covariance @ along))
+        return float(t_quantile(LEVEL, self.freedom) * sd)
+
+    @property
+    def square(self) -> Array:
+        """(d, d) the product of the parts, of wandering its expectation."""
+        wanders = self.way == "wander" and self.covariance is not None
+        return np.asarray(self.covariance if wanders else np.outer(self.parts, self.parts))
+
+
+@dataclass(frozen=True, eq=False)
+class _Accepted:
+    """One change of the mean."""
+
+    way: Way
+    causes: tuple[int, ...]
+    after: int
+    before: int
+    at: int | None = None
+
+    @property
+    def free(self) -> bool:
+        """Whether each calibration may differ: what then varies says nothing."""
+        return self.way in ("wander", "scatter")
+
+    def columns(self, course: Course) -> Array:
+        number = np.arange(len(course))
+        shape = course.passed if self.at is None else (number >= self.at).astype(float)
+        over = np.eye(len(course)) if self.free else shape[:, None]
+        return course.columns(over, course.causes[self.causes[0]].directions)
+
+
+def changes(course: Course) -> tuple[Change, ...]:
+    """The changes of a machine, steps first; none where nothing shows one."""
+    accepted: list[_Accepted] = []
+    while len(accepted) < _MOST:
+        weights = _weights(course, accepted)
+        if weights is None or weights.total <= np.log(_ODDS):
+            break
+        accepted.append(weights.accepted)
+        if accepted[-1].way == "open" or len(accepted[-1].causes) == len(course.causes):
+            break
+    described = (_described(course, accepted, i) for i in range(len(accepted)))
+    seen = [one for one in described if one is not None]
+    return tuple(sorted(seen, key=lambda one: one.at is None))
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What the mean leaves: an orthonormal basis (N, p) of it and the rest of y."""
+
+    basis: Array
+    rest: Array
+
+    @classmethod
+    def of(cls, course: Course, accepted: Sequence[_Accepted]) -> _Left:
+        n = course.said[0].rows.shape[1]
+        mean = course.columns(np.ones((len(course), 1)), np.eye(n))
+        X = np.hstack([mean, *(one.columns(course) for one in accepted)])
+        length = np.linalg.norm(X, axis=0)
+        U, s, _ = np.linalg.svd(X / np.where(length > 0.0, length, 1.0), full_matrices=False)
+        basis = U[:, s > 1e-10 * s.max(initial=0.0)]
+        return cls(basis, course.y - basis @ (basis.T @ course.y))
+
+    def of_cause(self, course: Course, cause: Cause) -> _Seen:
+        D = course.columns(np.eye(len(course)), cause.directions)
+        left = D - self.basis @ (self.basis.T @ D)
+        return _Seen(left.T @ left, left.T @ self.rest, D.T @ D)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Of one cause, of d parts at k calibrations (k d each): what the mean leaves of its
+    information, its score, and the information with a known mean."""
+
+    information: Array
+    score: Array
+    whole: Array
+
+    def spectrum(self, root: Array) -> tuple[Array, Array]:
+        """Of g = root N(0, 1): the information along its axes, and the squares there."""
+        G, whole = root.T @ self.information @ root, root.T @ self.whole @ root
+        values, axes = np.linalg.eigh(G)
+        seen = values > _UNSEEN * np.trace(whole)
+        squares = np.square(axes[:, seen].T @ (root.T @ self.score)) / values[seen]
+        return values[seen], squares
+
+    def log_ratio(self, root: Array) -> float:
+        """Of an effect with this root (k d, m), up to its size."""
+        values, squares = self.spectrum(root)
+        if not len(values):
+            return -np.inf
+        ratios = 1.0 + np.outer(_RATIOS - 1.0, values / values.mean())
+        log = 0.5 * (squares * (1.0 - 1.0 / ratios) - np.log(ratios)).sum(axis=1)
+        return _log_sum(log) - float(np.log(len(log)))
+
+    def log_ratios(self, shapes: Array, part: Array) -> Array:
+        """(m,) of effects whose parts go over the calibrations as (k, m)."""
+        if len(part) > 1:
+            return np.array([self.log_ratio(_kron(h[:, None], part)) for h in shapes.T])
+        left, whole = (
+            np.einsum("km,kl,lm->m", shapes, A, shapes) for A in (self.information, self.whole)
+        )
+        seen = left > _UNSEEN * whole
+        gain = np.square(shapes.T @ self.score) / np.where(seen, left, 1.0)
+        log = 0.5 * (gain[:, None] * (1.0 - 1.0 / _RATIOS) - np.log(_RATIOS))
+        top = log.max(axis=1)
+        mean = top + np.log(np.exp(log - top[:, None]).mean(axis=1))
+        return np.where(seen, mean, -np.inf)
+
 
 @dataclass(frozen=True, eq=False)
 class _Weights:
-    """Log of the averaged likelihood ratio; shares of the ways, and of the positions of a step."""
+    """Log of the averaged likelihood ratio; shares by way (c,) of each cause, of a step (c, k - 1)
+    of each cause and position."""
 
     total: float
-    shares: Mapping[Way, float]
-    positions: Array
+    shares: Mapping[Way, Array]
 
-
-@dataclass(frozen=True, eq=False)
-class _Model:
-    """steps: calibrations from 0 before which a step lies; drift: whether the mean drifts as well;
-    rest: "wander" or "scatter" where the sds do not explain what is left."""
-
-    steps: tuple[int, ...] = ()
-    drift: bool = False
-    rest: Way | None = None
-
-    def columns(self, course: Course) -> Array:
-        """(n, p) of the mean."""
-        number = np.arange(len(course))
-        columns = [np.ones(len(course)), *((number >= k).astype(float) for k in self.steps)]
-        return np.column_stack([*columns, *([_from_begin(course)] if self.drift else [])])
-
-
-def changes(course: Course, parameters: int) -> tuple[Change, ...]:
-    """The changes of one of so many parameters, steps first; none where nothing shows one."""
-    model, still_open = _Model(), None
-    steps: dict[int, _Weights] = {}
-    weights = _weights(course, model)
-    while weights is not None and weights.total > np.log(_ODDS * parameters):
-        shares, position = weights.shares, int(np.argmax(weights.positions))
-        gradual = shares["drift"] + shares["wander"]
-        if shares["step"] >= LEVEL:
-            steps[position] = weights
-            model = replace(model, steps=(*model.steps, position))
-        elif gradual >= LEVEL and not model.drift:
-            model = replace(model, drift=True)
-        elif gradual >= LEVEL or shares["scatter"] >= LEVEL:
-            model = replace(model, rest="wander" if gradual >= LEVEL else "scatter")
-            break
+    @property
+    def accepted(self) -> _Accepted:
+        """The way that is shown, with its place and its causes."""
+        by_way = {way: float(share.sum()) for way, share in self.shares.items()}
+        positions, last = self.shares["step"], self.shares["step"].shape[1]
+        gradual = sum(by_way[way] for way in _GRADUAL)
+        if by_way["step"] >= LEVEL:
+            way: Way = "step"
+        elif max(gradual, by_way["scatter"]) >= LEVEL:
+            way = max((w for w in by_way if w != "step"), key=lambda w: by_way[w])
         else:
             # The best step gives its size, whatever it is.
-            still_open = position, weights
-            model = replace(model, steps=(*model.steps, position))
-            break
-        weights = _weights(course, model)
-    return _described(course, model, steps, still_open)
+            every = np.sum([s for w, s in self.shares.items() if w != "step"], axis=0)
+            causes = _likely(every + positions.sum(axis=1))
+            place = positions[causes[0]] if positions[causes[0]].any() else positions.sum(axis=0)
+            return _Accepted("open", causes, *_between(place), int(np.argmax(place)) + 1)
+        if way != "step":
+            return _Accepted(way, _likely(self.shares[way]), 0, last)
+        place = positions.sum(axis=0)
+        at = int(np.argmax(place)) + 1
+        return _Accepted("step", _likely(positions.sum(axis=1)), *_between(place), at)
 
 
-def _described(
-    course: Course,
-    model: _Model,
-    steps: Mapping[int, _Weights],
-    still_open: tuple[int, _Weights] | None,
-) -> tuple[Change, ...]:
-    if still_open is not None:
-        model = replace(model, drift=False)  # no rate beside what is not understood
-    sizes, halves, variance = _estimated(course, model)
-    if model.drift and abs(sizes[-1]) <= halves[-1]:
-        # It is no steady one, or the steps that were found after it explain it.
-        model = replace(model, drift=False, rest="wander" if variance > 0.0 else model.rest)
-        sizes, halves, variance = _estimated(course, model)
-    described = []
-    for i, position in enumerate(model.steps, 1):
-        weights = steps[position] if position in steps else still_open[1] if still_open else None
-        assert weights is not None
-        after, before = _between(weights.positions)
-        way: Way = "step" if position in steps else "open"
-        described.append(Change(way, sizes[i], halves[i], after, before, position))
-    last = len(course) - 1
-    if model.drift:
-        described.append(Change("drift", sizes[-1], halves[-1], 0, last))
-    if model.rest is not None:
-        described.append(Change(model.rest, float(np.sqrt(variance)), None, 0, last))
-    return tuple(described)
-
-
-def _from_begin(course: Course) -> Array:
-    """(n,) the share of the time that has passed."""
-    t = course.times - course.times[0]
-    scaled: Array = t / t[-1]
-    return scaled
-
-
-def _wandering(course: Course) -> Array:
-    t = _from_begin(course)
-    K: Array = np.minimum.outer(t, t)
-    return K
-
-
-def _weights(course: Course, model: _Model) -> _Weights | None:
-    """Likelihood ratios of one more change to a model; None where no value is left to show it."""
-    X = model.columns(course) / course.sds[:, None]
-    n, p = X.shape
-    if n <= p:
+def _weights(course: Course, accepted: Sequence[_Accepted]) -> _Weights | None:
+    """Likelihood ratios of one more change; None where no value is left to show it."""
+    left, k = _Left.of(course, accepted), len(course)
+    if len(left.rest) <= left.basis.shape[1]:
         return None
-    contrasts = np.linalg.qr(X, mode="complete")[0][:, p:]
-    u = contrasts.T @ (course.values / course.sds)
-
-    def of_columns(columns: Array) -> Array:
-        """(k,) log ratios of effects that are columns (n, k)."""
-        d = contrasts.T @ (columns / course.sds[:, None])
-        squares = np.square(d).sum(axis=0)
-        seen = squares > 1e-9 * np.square(columns / course.sds[:, None]).sum(axis=0)
-        gain = np.square(u @ d) / np.where(seen, squares, 1.0)
-        log = 0.5 * (gain[:, None] * (1.0 - 1.0 / _RATIOS) - np.log(_RATIOS))
-        return np.where(seen, _log_mean(log), -np.inf)
-
-    def of_covariance(C: Array) -> float:
-        """Log ratio of an effect with a covariance (n, n), up to its size."""
-        whitened = contrasts.T @ (C / np.outer(course.sds, course.sds)) @ contrasts
-        values, vectors = np.linalg.eigh(whitened)
-        ratios = 1.0 + np.outer(_RATIOS - 1.0, np.maximum(values, 0.0) / values.mean())
-        squares = np.square(vectors.T @ u)
-        log = 0.5 * (squares * (1.0 - 1.0 / ratios) - np.log(ratios)).sum(axis=1)
-        return float(_log_mean(log))
-
-    lower = np.tri(n, n, -1)[:, : n - 1]  # column k: a step before the calibration k + 1
-    by_position = of_columns(lower)
-    prior = np.full(n - 1, 1.0 / (n - 1))
+    steps = np.tri(k, k, -1)[:, : k - 1]  # column j: a step before the calibration j + 1
+    positions = np.full(k - 1, 1.0 / (k - 1))
     if course.events:
         # A step is as likely at one of the events as anywhere.
-        prior *= 0.5
-        prior[[k - 1 for k in course.events]] += 0.5 / len(course.events)
-    positions = by_position + np.log(prior)
-    drift = -np.inf if model.drift else float(of_columns(_from_begin(course)[:, None])[0])
-    # A drift is steady or wanders, with the same probability.
-    ways: dict[Way, float] = {
-        "step": _log_sum(positions),
-        "drift": drift - np.log(2.0),
-        "wander": of_covariance(_wandering(course)) - (0.0 if model.drift else np.log(2.0)),
-        "scatter": of_covariance(np.diag(np.square(course.sds))),
+        positions *= 0.5
+        positions[[j - 1 for j in course.events]] += 0.5 / len(course.events)
+    often = np.array([cause.often for cause in course.causes])
+    prior = np.where(often, 1.0 / max(often.sum(), 1), 1.0 / max((~often).sum(), 1))
+    prior /= prior.sum()
+    logs: dict[Way, list[Array]] = {"step": [], "drift": [], "wander": [], "scatter": []}
+    for i, cause in enumerate(course.causes):
+        seen, d = left.of_cause(course, cause), cause.directions.shape[1]
+        by_calibration = np.einsum("iaib->iab", seen.whole.reshape(k, d, k, d))
+        # Parts are as likely to change as they are unsure.
+        part = _inverse_root(by_calibration.mean(axis=0))
+        own = np.zeros((k, d, k, d))
+        own[range(k), :, range(k)] = [_inverse_root(one) for one in by_calibration]
+        drifts = any(one.way == "drift" and i in one.causes for one in accepted)
+        # A drift is steady or wanders, with the same probability.
+        halved = float(np.log(2.0))
+        wander = seen.log_ratio(_kron(course.walk, part)) - (0.0 if drifts else halved)
+        drift = -np.inf if drifts else seen.log_ratios(course.passed[:, None], part)[0] - halved
+        logs["step"].append(seen.log_ratios(steps, part) + np.log(positions))
+        logs["drift"].append(np.array(drift))
+        logs["wander"].append(np.array(wander))
+        logs["scatter"].append(np.array(seen.log_ratio(own.reshape(k * d, k * d))))
+    weighed = {
+        way: np.array(log) + np.log(prior)[(..., *[None] * log[0].ndim)]
+        for way, log in logs.items()
     }
-    total = _log_sum(np.array([*ways.values()]))
-    shares = {way: float(np.exp(log - total)) for way, log in ways.items()}
-    within = np.concatenate([[0.0], np.exp(positions - _log_sum(positions))])
-    return _Weights(total - float(np.log(3.0)), shares, within)
+    total = _log_sum(np.concatenate([one.ravel() for one in weighed.values()]))
+    if total == -np.inf:
+        return None
+    shares = {way: np.exp(log - total) for way, log in weighed.items()}
+    return _Weights(total - float(np.log(3.0)), shares)
 
 
-def _log_mean(log: Array) -> Array:
-    top = log.max(axis=-1, keepdims=True)
-    mean: Array = np.log(np.exp(log - top).mean(axis=-1)) + top[..., 0]
-    return mean
+def _kron(over: Array, part: Array) -> Array:
+    return np.asarray(np.kron(over, part), dtype=float)
+
+
+def _inverse_root(A: Array) -> Array:
+    """B with B B^T the inverse of A (d, d), zero along what A does not show."""
+    w, U = np.linalg.eigh(A)
+    kept = w > _SINGULAR * max(float(w.max(initial=0.0)), 1e-300)
+    return np.asarray((U * np.where(kept, 1.0 / np.sqrt(np.where(kept, w, 1.0)), 0.0)) @ U.T)
 
 
 def _log_sum(log: Array) -> float:
@@ -213,65 +352,82 @@ def _log_sum(log: Array) -> float:
     return top if top == -np.inf else float(np.log(np.exp(log - top).sum())) + top
 
 
+def _likely(shares: Array) -> tuple[int, ...]:
+    """The fewest with 95 % of all, the likeliest first."""
+    order = np.argsort(-shares, kind="stable")
+    enough = int(np.searchsorted(np.cumsum(shares[order]), LEVEL * shares.sum())) + 1
+    return tuple(order[:enough].tolist())
+
+
 def _between(positions: Array) -> tuple[int, int]:
-    """The calibrations before and after a step, with 95 %; positions: (n,) shares."""
-    order = np.argsort(-positions)
-    enough = int(np.searchsorted(np.cumsum(positions[order]), LEVEL)) + 1
-    likely = order[:enough]
-    return int(likely.min()) - 1, int(likely.max())
+    """The calibrations before and after a step, with 95 %; positions: (k - 1,) shares."""
+    likely = _likely(positions)
+    return min(likely), max(likely) + 1
 
 
-def _estimated(course: Course, model: _Model) -> tuple[list[float], list[float], float]:
-    """The coefficients of the mean, halves of their 95 % intervals, and the variance of the rest:
-    of the wander over all times, or of scatter over the stated one."""
-    X, S = model.columns(course), np.diag(np.square(course.sds))
-    freedom, variance, V = np.inf, 0.0, S
-    # The interval of a rate holds for a drift that is not quite steady too.
-    if model.rest == "wander" or (model.drift and model.rest is None):
-        K = _wandering(course)
-        variance = _walk(course, X, K)
-        V = S + variance * K
-    elif model.rest == "scatter":
-        variance = _rest(S, X, course.values)[0] / max(len(course) - X.shape[1], 1)
-        V = variance * S
-    if variance > 0.0:
-        freedom = max(float(len(course) - X.shape[1]), 1.0)
-    L = np.linalg.cholesky(V)
-    whitened = np.linalg.solve(L, np.column_stack([X, course.values]))
-    beta = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
-    covariance = np.linalg.pinv(whitened[:, :-1].T @ whitened[:, :-1])
-    half = t_quantile(LEVEL, freedom) * np.sqrt(np.diag(covariance))
-    return beta.tolist(), half.tolist(), variance
+def _described(course: Course, accepted: Sequence[_Accepted], i: int) -> Change | None:
+    """One change beside the others; None for a drift that they explain."""
+    one, others = accepted[i], [other for j, other in enumerate(accepted) if j != i]
+    cause = course.causes[one.causes[0]]
+    d, span = cause.directions.shape[1], (one.after, one.before, one.at)
+    if one.way == "scatter":
+        seen = _Left.of(course, others).of_cause(course, cause)
+        values, squares = seen.spectrum(np.eye(len(course) * d))
+        size = np.sqrt(squares.sum() / max(len(values), 1))
+        return Change(one.way, one.causes, np.array([size]), None, np.inf, *span)
+    if one.way == "wander":
+        return _wandering(course, one, _Left.of(course, others))
+    variance, root = 0.0, np.zeros((len(course) * d, 0))
+    if one.way == "drift":
+        # The interval of a rate holds for a drift that is not quite steady too.
+        root = _kron(course.walk, np.eye(d))
+        variance = _variance(_Left.of(course, accepted).of_cause(course, cause), root)
+    columns, effect = one.columns(course), course.columns(np.eye(len(course)), cause.directions)
+    left = _Left.of(course, others)
+    columns, rest = columns - left.basis @ (left.basis.T @ columns), left.rest
+    effect = effect @ root * np.sqrt(variance)
+    effect = effect - left.basis @ (left.basis.T @ effect)
+    S = np.linalg.inv(np.eye(effect.shape[1]) + effect.T @ effect)
+    weighed = columns - effect @ (S @ (effect.T @ columns))
+    covariance = np.linalg.pinv(columns.T @ weighed, rcond=1e-13, hermitian=True)
+    freedom = np.inf if variance == 0.0 else max(len(course) - 2.0, 1.0)
+    change = Change(
+        one.way, one.causes, covariance @ (weighed.T @ rest), covariance, freedom, *span
+    )
+    if one.way == "drift" and d == 1 and abs(change.size) <= (change.half or 0.0):
+        # It is no steady one, or the steps that were found after it explain it.
+        return _wandering(course, one, left) if variance > 0.0 else None
+    return change
+
+
+def _wandering(course: Course, one: _Accepted, left: _Left) -> Change:
+    cause = course.causes[one.causes[0]]
+    seen, k = left.of_cause(course, cause), len(course)
+    d = cause.directions.shape[1]
+    part = _inverse_root(np.einsum("iaib->ab", seen.whole.reshape(k, d, k, d)) / k)
+    covariance = _variance(seen, _kron(course.walk, part)) * part @ part.T
+    sds = np.sqrt(np.diag(covariance))
+    return Change("wander", one.causes, sds, covariance, np.inf, one.after, one.before)
+
+
+def _variance(seen: _Seen, root: Array) -> float:
+    """By which an effect of this root varies; 0 where nothing shows it. By restricted likelihood
+    (Patterson and Thompson 1971)."""
+    values, squares = seen.spectrum(root)
+    if not len(values):
+        return 0.0
+    sizes = np.concatenate([[0.0], _GRID]) / values.mean()
+    ratios = 1.0 + np.outer(sizes, values)
+    criteria = (np.log(ratios) + squares / ratios).sum(axis=1)
+    return float(sizes[int(np.argmin(criteria))])
 
 
 def walk_variance(course: Course, steps: Collection[int] = ()) -> float:
-    """The variance by which a random walk with steps grows in a unit of time; 0 where nothing
-    shows it. By restricted likelihood (Patterson and Thompson 1971)."""
-    X = _Model(tuple(sorted(steps))).columns(course)
-    K = np.minimum.outer(course.times, course.times) - course.times[0]
-    return _walk(course, X, K)
-
-
-def _walk(course: Course, X: Array, K: Array) -> float:
-    S = np.diag(np.square(course.sds))
-    scale = float(np.square(course.sds).mean()) / max(float(K[-1, -1]), 1e-12)
-    rates = np.concatenate([[0.0], scale * 2.0**_GRID])
-    criteria = []
-    for q in rates:
-        square, volume = _rest(S + q * K, X, course.values)
-        criteria.append(square + volume)
-    return float(rates[int(np.argmin(criteria))])
-
-
-def _rest(V: Array, X: Array, y: Array) -> tuple[float, float]:
-    """The weighted square of what a mean leaves, and the log volume of -2 log of the restricted
-    likelihood."""
-    L = np.linalg.cholesky(V)
-    whitened = np.linalg.solve(L, np.column_stack([X, y]))
-    Q, R = np.linalg.qr(whitened[:, :-1])
-    rest = whitened[:, -1] - Q @ (Q.T @ whitened[:, -1])
-    volume = 2.0 * float(np.log(np.diag(L)).sum() + np.log(np.abs(np.diag(R))).sum())
-    return float(rest @ rest), volume
+    """The variance by which a random walk of one parameter, with steps, grows in a unit of time; 0
+    where nothing shows it."""
+    accepted = [_Accepted("step", (0,), k - 1, k, k) for k in sorted(steps)]
+    seen = _Left.of(course, accepted).of_cause(course, course.causes[0])
+    return _variance(seen, course.walk) / float(course.times[-1] - course.times[0])
 
 
 def events_before(days: Sequence[float], events: Sequence[float]) -> frozenset[int]:

@@ -207,6 +207,12 @@ class Drifting:
         columns = [sd * self._steps[name] for name, sd in sds.items() if sd > 0.0]
         return np.array(columns).reshape(-1, size).T
 
+    @property
+    def zeros(self) -> dict[str, Array]:
+        """(n_all,) what the zero of each joint without an estimated one changes, per unit."""
+        steps = self._steps
+        return {q: steps[q] for q, name in self._zeros.items() if name == q and q in steps}
+
     def _named(self, key: str) -> list[str]:
         """The parameters, and the joints without an estimated zero, that a key stands for."""
         parameters, zeros = self.calibrated.mechanism.parameters, self._zeros

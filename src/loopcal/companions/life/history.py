@@ -1,6 +1,6 @@
 """What a machine's history shows: parameters, accuracy and events over time.
 
-Time is that of the measurement (`Entry.day`). How a parameter changed, by steps or by drift, is in
+Time is that of the measurement (`Entry.day`). How the machine changed, by steps or by drift, is in
 `courses`. The chart of the accuracy is exponentially weighted (Roberts 1959): z_i = w x_i +
 (1 - w) z_(i-1), with limits m +- 3 s sqrt(w / (2 - w) (1 - (1 - w)^(2 i))), s by moving ranges.
 """
@@ -8,7 +8,7 @@ Time is that of the measurement (`Entry.day`). How a parameter changed, by steps
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,16 +18,21 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.companions.life.courses import (
+    LEVEL,
+    Cause,
     Change,
     Course,
+    Said,
     Way,
     changes,
     events_before,
     walk_variance,
 )
 from loopcal.companions.life.history_folder import Entries, Entry, Skipped
+from loopcal.companions.life.joint_entry import Joint, causes
 from loopcal.lazy import cached_property
 from loopcal.presentation.shown import by_sd, columns, p_words, size, unit_shown, with_unit, wrapped
+from loopcal.small_samples import t_quantile
 
 # [s] A Julian year: drift rates need no finer one.
 _DAY = 86400.0
@@ -39,6 +44,8 @@ FEWEST = 5
 """Results from which a drift rate is learnt."""
 # Fewer say nothing of dates: with two of them only one difference is dated.
 _FEWEST_DATED = 3
+# Chosen, not derived: what fits a line.
+_MOST_NAMED = 4
 # Squares of double precision keep it: (1e-7)^2 is some 50 times the smallest relative step.
 _DIGITS = 1e-7
 _WORDS: Mapping[Way, str] = {
@@ -51,18 +58,23 @@ _WORDS: Mapping[Way, str] = {
 
 
 @dataclass(frozen=True)
-class TrendChange:
-    """A change of a parameter, see `courses.Change`.
+class MachineChange:
+    """A change of the machine, see `courses.Change`.
 
-    size, half: [unit of the trend], of scatter a factor; after, before, at: numbers of the
-    entries; event: what happened there; days: from the first measurement to the last; year,
-    year_half: the change in a year. Both only where the measurements are dated, and far enough
-    apart.
+    causes: what explains it with 95 %, the likeliest first; size, half: [unit] of the first, of
+    scatter a factor; moved, moved_half: by how much it moves the measured points, the root mean
+    square over the poses [m], where these are known; after, before, at: numbers of the entries;
+    event: what happened there; days: from the first measurement to the last; year, year_half: the
+    change in a year. Both only where the measurements are dated, and far enough apart.
     """
 
     way: Way
+    causes: tuple[str, ...]
+    unit: str
     size: float
     half: float | None
+    moved: float | None
+    moved_half: float | None
     after: int
     before: int
     at: int | None = None
@@ -71,29 +83,42 @@ class TrendChange:
     year: float | None = None
     year_half: float | None = None
 
-    def row(self, trend: Trend) -> list[str]:
-        """Parameter, what it did, by how much, when, in a year, event."""
-        shown = unit_shown(trend.unit)
+    @property
+    def name(self) -> str:
+        """What changed, in words."""
+        more = len(self.causes) - _MOST_NAMED
+        last = [f"one of {more} more"] if more > 0 else []
+        return " or ".join([*self.causes[:_MOST_NAMED], *last])
+
+    def row(self) -> list[str]:
+        """What changed, how, by how much, what it moves, when, in a year, event."""
+        shown = unit_shown(self.unit)
         if self.way == "scatter":
-            return [trend.name, _WORDS[self.way], f"{self.size:.2g} sds", "", "", ""]
+            return [self.name, _WORDS[self.way], f"{self.size:.2g} sds", "", "", "", ""]
+        moved = ""
+        if self.moved is not None:
+            moved = with_unit(self.moved, "m", 2)
+            if self.moved_half is not None:
+                half = size(self.moved_half, "m", 2)
+                moved = f"{by_sd(self.moved, self.moved_half, 'm')} ± {half} {unit_shown('m')}"
         if self.half is None:
-            changed = f"sd {with_unit(self.size, trend.unit, 2)}"
+            changed = f"sd {with_unit(self.size, self.unit, 2)}"
         else:
-            changed = f"{_plus_minus(self.size, self.half, trend.unit)} {shown}"
+            changed = f"{_plus_minus(self.size, self.half, self.unit)} {shown}"
         when = f"between {self.after} and {self.before}"
         if self.days is not None:
             when = f"in {self.days:.0f} days"
         yearly = ""
         if self.year is not None and self.year_half is not None:
-            yearly = f"{_plus_minus(self.year, self.year_half, trend.unit)} {shown}"
-        return [trend.name, _WORDS[self.way], changed, when, yearly, self.event or ""]
+            yearly = f"{_plus_minus(self.year, self.year_half, self.unit)} {shown}"
+        return [self.name, _WORDS[self.way], changed, moved, when, yearly, self.event or ""]
 
 
 def _plus_minus(value: float, half: float, unit: str) -> str:
     return f"{by_sd(value, half, unit, sign=True)} ± {size(half, unit, 2)}"
 
 
-CHANGE_HEAD = ("parameter", "change", "size", "entries or time", "in a year", "event")
+CHANGE_HEAD = ("what", "change", "size", "moves", "entries or time", "in a year", "event")
 
 
 @dataclass(frozen=True)
@@ -101,8 +126,8 @@ class Trend:
     """A parameter over time: its values and sds [unit] at the calibrations that determined it.
 
     numbers: of their entries; times: of the measurements, where these are known; dated: whether
-    they are; rate: sd of its drift in a year, without its steps, None for fewer than five dated
-    calibrations over half a year; changes: its steps and drift.
+    they are; rate: sd of its drift in a year, without the steps of the machine, None for fewer than
+    five dated calibrations over half a year.
     """
 
     name: str
@@ -113,7 +138,6 @@ class Trend:
     sds: tuple[float, ...]
     dated: bool
     rate: float | None
-    changes: tuple[TrendChange, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,23 +162,54 @@ class History:
     @cached_property
     def trends(self) -> tuple[Trend, ...]:
         """Of the parameters of all calibrations."""
-        points: dict[str, list[tuple[Entry, float, float]]] = {}
-        units: dict[str, str] = {}
-        for entry in self.of_kind("calibration"):
-            for name, parameter in entry.content["parameters"].items():
-                units[name] = parameter["unit"]
-                point = entry, parameter["value"], parameter["sd"]
-                points.setdefault(name, []).append(point)
-        tested = sum(len(series) > 1 for series in points.values())
-        events = self.of_kind("event")
         return tuple(
-            _trend(name, units[name], series, events, tested) for name, series in points.items()
+            _trend(name, unit, points, self.of_kind("event"), self.changes)
+            for name, (unit, points) in self._points.items()
         )
 
-    @property
-    def changed(self) -> tuple[tuple[Trend, TrendChange], ...]:
-        """The changes of all parameters."""
-        return tuple((trend, change) for trend in self.trends for change in trend.changes)
+    @cached_property
+    def _points(self) -> dict[str, tuple[str, list[Point]]]:
+        """Of each parameter its unit, and the calibrations that determined it."""
+        points: dict[str, tuple[str, list[Point]]] = {}
+        for entry in self.of_kind("calibration"):
+            for name, parameter in entry.content["parameters"].items():
+                point = entry, parameter["value"], parameter["sd"]
+                earlier = points[name][1] if name in points else []
+                points[name] = parameter["unit"], [*earlier, point]
+        return points
+
+    @cached_property
+    def changes(self) -> tuple[MachineChange, ...]:
+        """Steps and drifts of the machine, by all parameters together."""
+        entries, by_day = _in_order(self.of_kind("calibration"))
+        names = [
+            name
+            for name, (_, points) in self._points.items()
+            if len(points) > 1 and _comparable([v for _, v, _ in points], [s for *_, s in points])
+        ]
+        if len(entries) < 2 or not names:
+            return ()
+        joints = [Joint.of_content(entry.content).among(names) for entry in entries]
+        begin = {name: self._points[name][1][0][1] for name in names}
+        described = {n: p for entry in entries for n, p in entry.content["parameters"].items()}
+        said = []
+        for entry, joint in zip(entries, joints, strict=True):
+            its = entry.content["parameters"]
+            values = np.array([its[n]["value"] - begin[n] for n in joint.names])
+            at = np.array([names.index(n) for n in joint.names], dtype=np.intp)
+            said.append(Said.of(values, joint.covariance, at, len(names)))
+        last = joints[-1]
+        place, events = _days_of if by_day else _order_of, self.of_kind("event")
+        times = [place(entry) for entry in entries]
+        at_events = events_before(times, [place(event) for event in events])
+        possible = causes(last, names, described)
+        course = Course(np.array(times), tuple(said), possible, at_events)
+        span = (entries[-1].day - entries[0].day).total_seconds() if by_day else 0.0
+        M = _embedded(last, names)
+        return tuple(
+            _over(_change(one, possible, M, entries, events, place), span)
+            for one in changes(course)
+        )
 
     @property
     def accuracy(self) -> tuple[float, ...]:
@@ -181,7 +236,7 @@ class History:
         if self.chart is not None and entry in self.measured:
             at = self.measured.index(entry)
             marks += ["beyond limits"] if self.chart.beyond[at] else []
-        stepped = [t.name for t, c in self.changed if c.at == entry.sequence]
+        stepped = [change.name for change in self.changes if change.at == entry.sequence]
         if stepped:
             more = f" (+{len(stepped) - 3})" if stepped[3:] else ""
             marks.append(f"changed: {', '.join(stepped[:3])}{more}")
@@ -216,6 +271,7 @@ class History:
             "entries": [{**asdict(e), "time": e.time.isoformat()} for e in self.entries.whole],
             "skipped": [asdict(one) for one in self.entries.skipped],
             "trends": [asdict(one) for one in self.trends],
+            "changes": [asdict(one) for one in self.changes],
             "chart": None if self.chart is None else asdict(self.chart),
         }
 
@@ -231,7 +287,7 @@ class History:
                 "('by'). No rate is computed from it. State --date or [record] date."
             )
         series = [trend for trend in self.trends if len(trend.values) > 1]
-        if series and not self.changed:
+        if series and not self.changes:
             words.append(f"No change is seen: parameters of several calibrations: {len(series)}.")
         elif not series:
             words.append("Changes are sought from two calibrations on.")
@@ -257,8 +313,8 @@ class History:
         lines += [f"SKIPPED  {one.file}: {one.reason}" for one in self.entries.skipped]
         if self.entries.skipped:
             lines.append("Restore skipped entries from a backup, or delete their files.")
-        if self.changed:
-            changed = [change.row(trend) for trend, change in self.changed]
+        if self.changes:
+            changed = [change.row() for change in self.changes]
             lines += ["", *columns([CHANGE_HEAD, *changed]), "(±: 95 % interval)"]
         for words in self.words() if len(rows) > 1 else ():
             lines += ["", *wrapped(words)]
@@ -268,38 +324,52 @@ class History:
 ENTRY_HEAD = ("number", "day", "entry", "rms", "result", "marks")
 
 
+Point = tuple[Entry, float, float]
+"""A calibration, and what it has of one parameter: value and sd."""
+
+
+def _in_order(entries: Sequence[Entry]) -> tuple[list[Entry], bool]:
+    """Those that are dated, by day, where there are enough of them, else all in their order."""
+    dated = [entry for entry in entries if entry.dated]
+    span = (dated[-1].day - dated[0].day).total_seconds() if dated else 0.0
+    # Within a day the order is all that is known.
+    by_day = len(dated) >= _FEWEST_DATED and span >= _DAY
+    return (dated if by_day else sorted(entries, key=lambda one: one.sequence)), by_day
+
+
 def _trend(
     name: str,
     unit: str,
-    points: list[tuple[Entry, float, float]],
+    points: Sequence[Point],
     events: Sequence[Entry],
-    tested: int,
+    seen: Sequence[MachineChange],
 ) -> Trend:
-    """By the dated calibrations where there are enough of them, else in the order of entries."""
-    dated = [point for point in points if point[0].dated]
-    span = (dated[-1][0].day - dated[0][0].day).total_seconds() if dated else 0.0
-    # Within a day the order is all that is known.
-    by_day = len(dated) >= _FEWEST_DATED and span >= _DAY
-    points = dated if by_day else sorted(points, key=lambda point: point[0].sequence)
-    entries = [entry for entry, _, _ in points]
-    values, sds = tuple(v for _, v, _ in points), tuple(s for _, _, s in points)
-    place = _days_of if by_day else _order_of
-    times = np.array([place(entry) for entry in entries])
-    at_events = events_before(times.tolist(), [place(event) for event in events])
-    rate, described = None, list[TrendChange]()
-    if len(points) > 1 and _comparable(values, sds):
-        course = Course(times, np.array(values, float) - values[0], np.array(sds, float), at_events)
-        seen = changes(course, tested)
-        steps = {*at_events, *(change.at for change in seen if change.at is not None)}
+    entries, by_day = _in_order([entry for entry, _, _ in points])
+    each = {entry.sequence: (value, sd) for entry, value, sd in points}
+    values, sds = zip(*(each[entry.sequence] for entry in entries), strict=True)
+    rate = None
+    span = (entries[-1].day - entries[0].day).total_seconds()
+    if by_day and span >= _LEAST_SPAN and _comparable(values, sds):
+        days = [_days_of(entry) for entry in entries]
+        numbers = [entry.sequence for entry in entries]
+        steps = events_before(days, [_days_of(event) for event in events])
+        steps |= {numbers.index(one.at) for one in seen if one.at in numbers[1:]}
         # Three calibrations beyond the steps: two of them would fit any rate.
-        if by_day and span >= _LEAST_SPAN and len(points) >= max(FEWEST, len(steps) + 4):
+        if len(entries) >= max(FEWEST, len(steps) + 4):
+            y = np.array(values, float) - values[0]
+            course = Course.of_one(np.array(days), y, np.array(sds, float))
             rate = math.sqrt(walk_variance(course, steps) * 365.25)
-        described = [_change(one, entries, at_events, events, place) for one in seen]
-        if by_day:
-            described = [_over(change, span) for change in described]
     stamps = tuple(entry.day.isoformat() for entry in entries)
-    numbers = tuple(entry.sequence for entry in entries)
-    return Trend(name, unit, numbers, stamps, values, sds, by_day, rate, tuple(described))
+    return Trend(name, unit, tuple(e.sequence for e in entries), stamps, values, sds, by_day, rate)
+
+
+def _embedded(last: Joint, names: Sequence[str]) -> Array | None:
+    """M of `Joint` for these names."""
+    if last.moves is None:
+        return None
+    M, at = np.zeros((len(names),) * 2), [names.index(name) for name in last.names]
+    M[np.ix_(at, at)] = last.moves
+    return M
 
 
 def _comparable(values: Sequence[float], sds: Sequence[float]) -> bool:
@@ -310,25 +380,40 @@ def _comparable(values: Sequence[float], sds: Sequence[float]) -> bool:
 
 def _change(
     change: Change,
+    possible: Sequence[Cause],
+    M: Array | None,
     entries: Sequence[Entry],
-    at_events: Collection[int],
     events: Sequence[Entry],
     place: Callable[[Entry], float],
-) -> TrendChange:
-    """As the entries have it, with what happened there."""
+) -> MachineChange:
+    """As the entries have it, with what it moves and what happened there."""
     after, before = entries[change.after].sequence, entries[change.before].sequence
     event, at = None, None
     if change.at is not None:
         at = entries[change.at].sequence
-        if change.at in at_events:
-            low, high = (place(entries[i]) for i in (change.at - 1, change.at))
-            event = ", ".join(e.content["words"] for e in events if low <= place(e) <= high)
-    return TrendChange(change.way, change.size, change.half, after, before, at, event)
+        low, high = (place(entries[i]) for i in (change.at - 1, change.at))
+        between = [e.content["words"] for e in events if low <= place(e) <= high]
+        event = ", ".join(between) or None
+    named, cause = tuple(possible[i].name for i in change.causes), possible[change.causes[0]]
+    G = None if M is None else cause.directions.T @ M @ cause.directions
+    size, half = change.size, change.half
+    moved, moved_half = None, None
+    if G is not None and change.way != "scatter":
+        moved = float(np.sqrt(max(np.trace(G @ change.square), 0.0)))
+        if half is not None and change.covariance is not None:
+            along = G @ change.parts / max(moved, 1e-300)
+            sd = float(np.sqrt(along @ change.covariance @ along))
+            moved_half = t_quantile(LEVEL, change.freedom) * sd
+    unit = cause.unit
+    if len(change.parts) > 1 and moved is not None:
+        unit, size, half = "m", moved, moved_half
+    sizes = size, half, moved, moved_half
+    return MachineChange(change.way, named, unit, *sizes, after, before, at, event)
 
 
-def _over(change: TrendChange, span: float) -> TrendChange:
+def _over(change: MachineChange, span: float) -> MachineChange:
     """A drift with its time [s], and with its rate where that is long enough."""
-    if change.way not in ("drift", "wander"):
+    if change.way not in ("drift", "wander") or not span:
         return change
     change = replace(change, days=span / _DAY)
     if change.half is None or span < _LEAST_SPAN:

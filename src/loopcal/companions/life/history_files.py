@@ -10,13 +10,14 @@ from typing import Any
 
 from loopcal.companions.life.history import History, verification_words
 from loopcal.companions.life.history_folder import append_entries, read_entries, refuse_no_history
+from loopcal.companions.life.joint_entry import Joint
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Finding
 from loopcal.errors import InputError
 from loopcal.files.atomic import Data
 from loopcal.files.result.deployed import HISTORY, note_deployed, result_path
 from loopcal.measurements.days import Days
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.keeping import Writer
 from loopcal.workflow.saved_result import read_result
@@ -46,10 +47,12 @@ class HistoryKeeper:
         """Raise InputError, before any work, where the path is no folder."""
         refuse_no_history(self.folder)
 
-    def of_calibration(self, document: ResultDocument, mechanism: Mechanism, path: Path) -> Writer:
+    def of_calibration(
+        self, document: ResultDocument, calibrated: Calibrated, path: Path
+    ) -> Writer:
         """Writes the files of a calibration with its entry; path: of its result.json."""
         days = self.stated or document.measured
-        content = calibration_entry(document, mechanism, path)
+        content = calibration_entry(document, calibrated, path)
         return self._writer("calibration", {**content, **_measured(days)})
 
     def of_verification(
@@ -103,7 +106,7 @@ def run_history(
     added = [
         (
             "calibration",
-            calibration_entry(r.document, r.mechanism, r.path)
+            calibration_entry(r.document, r.calibrated, r.path)
             | _measured(stated or r.document.measured),
         )
         for r in read
@@ -168,9 +171,16 @@ def _event(words: str) -> dict[str, Any]:
     return {"words": words.strip()}
 
 
-def calibration_entry(document: ResultDocument, mechanism: Mechanism, path: Path) -> dict[str, Any]:
+def calibration_entry(
+    document: ResultDocument, calibrated: Calibrated, path: Path
+) -> dict[str, Any]:
     """What a history keeps of a calibration or an update; path: of its result.json."""
-    roles = mechanism.roles
+    machine = calibrated.mechanism.parameters
+    kept = [
+        p
+        for p in document.parameters
+        if p.sd is not None and not p.fixed and machine[p.name].role not in _ELSEWHERE
+    ]
     verdict = document.verdict
     distances = None if document.accuracy is None else document.accuracy.after
     return {
@@ -179,14 +189,20 @@ def calibration_entry(document: ResultDocument, mechanism: Mechanism, path: Path
         "result": str(path),
         "readings": document.data.file,
         "readings_sha256": document.data.sha256,
-        "machine": mechanism.name,
+        "machine": calibrated.mechanism.name,
         "method": document.method,
         "poses": document.data.used,
         "rms": None if distances is None else distances.rms,
         "unit": "m" if document.accuracy is None else document.accuracy.unit,
         "parameters": {
-            p.name: {"value": p.value, "sd": p.sd, "unit": p.unit, "role": roles[p.name]}
-            for p in document.parameters
-            if p.sd is not None and not p.fixed and roles[p.name] not in _ELSEWHERE
+            p.name: {
+                "value": p.value,
+                "sd": p.sd,
+                "unit": p.unit,
+                "role": machine[p.name].role,
+                "owner": machine[p.name].owner,
+            }
+            for p in kept
         },
+        "joint": Joint.of(calibrated, [p.name for p in kept]).content(),
     }

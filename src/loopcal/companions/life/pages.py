@@ -125,22 +125,25 @@ def history_figures(history: History) -> list[Figure]:
     for unit in dict.fromkeys(trend.unit for trend in history.trends):
         several = [one for one in history.trends if one.unit == unit and len(one.times) > 1]
         key = named.setdefault(unit, f"others_{len(named)}")
-        figures.append(courses(key, unit_shown(unit), [_line(one) for one in several], events))
+        figures.append(
+            courses(key, unit_shown(unit), [_line(one, history) for one in several], events)
+        )
     return [figure for figure in figures if figure is not None]
 
 
-def _line(trend: Trend) -> Line:
+def _line(trend: Trend, history: History) -> Line:
     values, sds = (
         np.array([in_unit(v, trend.unit) for v in series]) for series in (trend.values, trend.sds)
     )
-    steps = [trend.numbers.index(one.at) for one in trend.changes if one.at is not None]
+    at = [one.at for one in history.changes if trend.name in one.causes]
+    steps = [i for i, number in enumerate(trend.numbers) if number in at]
     return Line(trend.name, trend.times, values, _WIDE * sds, tuple(steps))
 
 
 def change_table(history: History) -> Table | None:
-    """The changes of parameters; None where none is seen."""
-    rows = tuple(tuple(change.row(trend)) for trend, change in history.changed)
-    caption = "Changes of parameters, with 95 % intervals"
+    """The changes of the machine; None where none is seen."""
+    rows = tuple(tuple(change.row()) for change in history.changes)
+    caption = "Changes of the machine, with 95 % intervals"
     return Table(caption, CHANGE_HEAD, rows) if rows else None
 
 
