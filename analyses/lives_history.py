@@ -48,8 +48,6 @@ WAYS = ("steady", "step", "drift")
 DAYS = 8
 STEP, CREEP = 0.05 * DEGREE, 0.08 * DEGREE
 """Of a joint's zero [rad]: at once, and over the two years."""
-TOOLS = ("tool", "P_", "platform")
-"""How causes begin that are no part of the machine: reflectors are mounted anew each day."""
 
 
 def history(way: str, number: int, folder: Path) -> Draw:
@@ -111,11 +109,6 @@ def _added(result: str, day: date, folder: Path) -> str:
     return done.stderr[-300:] if done.returncode else ""
 
 
-def of_machine(told: Draw) -> list[dict[str, Any]]:
-    """The changes of the machine itself."""
-    return [c for c in told["changes"] if not c["causes"][0].startswith(TOOLS)]
-
-
 def _true(change: dict[str, Any], j: int) -> bool:
     """Whether the zero of joint j is among the causes."""
     zeros = {f"offset_{j}", f"theta_{j}", f"theta_{j}_offset", f"J{j}_rz", f"zero of J{j}"}
@@ -124,7 +117,7 @@ def _true(change: dict[str, Any], j: int) -> bool:
 
 def row(way: str, kind: str, draws: Sequence[Draw]) -> str:
     """Rates of one way to live."""
-    every, changes = len(draws), [of_machine(d) for d in draws]
+    every, changes = len(draws), [d["changes"] for d in draws]
     parts = [f"{way:8}{kind:8}{every:6d}", _rate(sum(map(bool, changes)), every)]
     if way != "steady":
         true = [[_true(c, d["joint"]) for c in its] for d, its in zip(draws, changes, strict=True)]

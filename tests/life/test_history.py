@@ -64,9 +64,9 @@ def test_measurements_without_a_date_have_no_rate(tmp_path: Path) -> None:
         _add(tmp_path, {"l2": 0.8 + 5e-6 * i + 1e-6 * rng.standard_normal()}, None)
     found = lc.history(tmp_path)
     (trend,) = found.trends
-    assert trend.changes
+    assert found.changes
     assert trend.rate is None
-    assert all(change.year is None and change.days is None for change in trend.changes)
+    assert all(change.year is None and change.days is None for change in found.changes)
     assert not found.drift()
     assert "Date of measurement unknown" in str(found)
 
@@ -76,8 +76,8 @@ def test_a_rate_needs_half_a_year(tmp_path: Path, apart: float, yearly: bool) ->
     rng = np.random.default_rng(2)
     for i in range(8):
         _add(tmp_path, {"l2": 0.8 + 5e-6 * i + 1e-6 * rng.standard_normal()}, apart * i)
-    (trend,) = lc.history(tmp_path).trends
-    (change,) = trend.changes
+    found = lc.history(tmp_path)
+    (trend,), (change,) = found.trends, found.changes
     assert change.way == "drift"
     assert change.size == pytest.approx(35e-6, abs=3e-6)
     assert (change.days is not None) == (apart > 0.0)
@@ -95,19 +95,20 @@ def test_a_step_at_a_collision_is_a_step(tmp_path: Path) -> None:
         _add(tmp_path, values, 91.0 * i)
     _event(tmp_path, "collision", 500.0)
     found = lc.history(tmp_path)
-    ((trend, step),) = found.changed
-    assert (trend.name, step.way, step.after, step.before) == ("a_3", "step", 6, 7)
+    (step,) = found.changes
+    assert (step.causes, step.way, step.after, step.before) == (("a_3",), "step", 6, 7)
     assert step.event == "collision"
     assert step.half is not None
     assert abs(step.size + 40e-6) <= step.half
     assert step.year is None
     # without the step, what is left is as steady as the other parameter
+    trend = next(one for one in found.trends if one.name == "a_3")
     assert trend.rate is not None
     assert trend.rate < 5e-6
     days = [entry.kind for entry in found.shown]
     assert days.index("event") == 6
     assert [found.marks(entry) for entry in found.shown][6:8] == ["event", "changed: a_3"]
-    assert lc.History.from_document(found.document()).changed == found.changed
+    assert lc.History.from_document(found.document()).changes == found.changes
     assert "diamond" in history_html(found)
 
 

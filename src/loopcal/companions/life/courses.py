@@ -45,17 +45,20 @@ _MOST = 8
 """Changes of one machine."""
 Way = Literal["step", "drift", "wander", "scatter", "open"]
 _GRADUAL: tuple[Way, ...] = ("drift", "wander")
+_HALF = float(np.log(2.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Cause:
     """unit: [SI] of its parts; directions: (n, d) what these change of the parameters; often:
-    whether it is the zero of a joint, as machines are mastered more often than bent."""
+    whether it is the zero of a joint, as machines are mastered more often than bent; together:
+    whether it stands for all that no single cause does, and its scatter for that of all values."""
 
     name: str
     unit: str
     directions: Array
     often: bool = False
+    together: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +195,7 @@ def changes(course: Course) -> tuple[Change, ...]:
         if weights is None or weights.total <= np.log(_ODDS):
             break
         accepted.append(weights.accepted)
-        if accepted[-1].way == "open" or len(accepted[-1].causes) == len(course.causes):
+        if accepted[-1].way == "open":
             break
     described = (_described(course, accepted, i) for i in range(len(accepted)))
     seen = [one for one in described if one is not None]
@@ -216,10 +219,16 @@ class _Left:
         basis = U[:, s > 1e-10 * s.max(initial=0.0)]
         return cls(basis, course.y - basis @ (basis.T @ course.y))
 
+    @property
+    def square(self) -> tuple[float, int]:
+        """Of the rest, with its degrees of freedom."""
+        return float(self.rest @ self.rest), len(self.rest) - self.basis.shape[1]
+
     def of_cause(self, course: Course, cause: Cause) -> _Seen:
         D = course.columns(np.eye(len(course)), cause.directions)
         left = D - self.basis @ (self.basis.T @ D)
-        return _Seen(left.T @ left, left.T @ self.rest, D.T @ D)
+        d = cause.directions.shape[1]
+        return _Seen(left.T @ left, left.T @ self.rest, D.T @ D, d)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +239,27 @@ class _Seen:
     information: Array
     score: Array
     whole: Array
+    d: int
+
+    @cached_property
+    def by_calibration(self) -> Array:
+        """(k, d, d) the information with a known mean."""
+        k = len(self.whole) // self.d
+        return np.asarray(np.einsum("iaib->iab", self.whole.reshape(k, self.d, k, self.d)))
+
+    @cached_property
+    def part(self) -> Array:
+        """(d, d) a root of a covariance by which parts are as likely to change as they are
+        unsure."""
+        return _inverse_root(self.by_calibration.mean(axis=0))
+
+    @cached_property
+    def own(self) -> Array:
+        """(k d, k d) a root of the covariance of the parts by single calibrations."""
+        k = len(self.by_calibration)
+        own = np.zeros((k, self.d, k, self.d))
+        own[range(k), :, range(k)] = [_inverse_root(one) for one in self.by_calibration]
+        return own.reshape(k * self.d, k * self.d)
 
     def spectrum(self, root: Array) -> tuple[Array, Array]:
         """Of g = root N(0, 1): the information along its axes, and the squares there."""
@@ -245,13 +275,12 @@ class _Seen:
         if not len(values):
             return -np.inf
         ratios = 1.0 + np.outer(_RATIOS - 1.0, values / values.mean())
-        log = 0.5 * (squares * (1.0 - 1.0 / ratios) - np.log(ratios)).sum(axis=1)
-        return _log_sum(log) - float(np.log(len(log)))
+        return _averaged(0.5 * (squares * (1.0 - 1.0 / ratios) - np.log(ratios)).sum(axis=1))
 
-    def log_ratios(self, shapes: Array, part: Array) -> Array:
+    def log_ratios(self, shapes: Array) -> Array:
         """(m,) of effects whose parts go over the calibrations as (k, m)."""
-        if len(part) > 1:
-            return np.array([self.log_ratio(_kron(h[:, None], part)) for h in shapes.T])
+        if self.d > 1:
+            return np.array([self.log_ratio(_kron(h[:, None], self.part)) for h in shapes.T])
         left, whole = (
             np.einsum("km,kl,lm->m", shapes, A, shapes) for A in (self.information, self.whole)
         )
@@ -280,7 +309,8 @@ class _Weights:
         if by_way["step"] >= LEVEL:
             way: Way = "step"
         elif max(gradual, by_way["scatter"]) >= LEVEL:
-            way = max((w for w in by_way if w != "step"), key=lambda w: by_way[w])
+            # What is not quite steady is a drift as well, unless that is accepted already.
+            way = "scatter" if gradual < LEVEL else "drift" if by_way["drift"] > 0.0 else "wander"
         else:
             # The best step gives its size, whatever it is.
             every = np.sum([s for w, s in self.shares.items() if w != "step"], axis=0)
@@ -288,7 +318,8 @@ class _Weights:
             place = positions[causes[0]] if positions[causes[0]].any() else positions.sum(axis=0)
             return _Accepted("open", causes, *_between(place), int(np.argmax(place)) + 1)
         if way != "step":
-            return _Accepted(way, _likely(self.shares[way]), 0, last)
+            every = self.shares[way] + (self.shares["wander"] if way == "drift" else 0.0)
+            return _Accepted(way, _likely(every), 0, last)
         place = positions.sum(axis=0)
         at = int(np.argmax(place)) + 1
         return _Accepted("step", _likely(positions.sum(axis=1)), *_between(place), at)
@@ -310,21 +341,24 @@ def _weights(course: Course, accepted: Sequence[_Accepted]) -> _Weights | None:
     prior /= prior.sum()
     logs: dict[Way, list[Array]] = {"step": [], "drift": [], "wander": [], "scatter": []}
     for i, cause in enumerate(course.causes):
-        seen, d = left.of_cause(course, cause), cause.directions.shape[1]
-        by_calibration = np.einsum("iaib->iab", seen.whole.reshape(k, d, k, d))
-        # Parts are as likely to change as they are unsure.
-        part = _inverse_root(by_calibration.mean(axis=0))
-        own = np.zeros((k, d, k, d))
-        own[range(k), :, range(k)] = [_inverse_root(one) for one in by_calibration]
+        seen = left.of_cause(course, cause)
         drifts = any(one.way == "drift" and i in one.causes for one in accepted)
-        # A drift is steady or wanders, with the same probability.
-        halved = float(np.log(2.0))
-        wander = seen.log_ratio(_kron(course.walk, part)) - (0.0 if drifts else halved)
-        drift = -np.inf if drifts else seen.log_ratios(course.passed[:, None], part)[0] - halved
-        logs["step"].append(seen.log_ratios(steps, part) + np.log(positions))
-        logs["drift"].append(np.array(drift))
-        logs["wander"].append(np.array(wander))
-        logs["scatter"].append(np.array(seen.log_ratio(own.reshape(k * d, k * d))))
+        steps_log, drift = seen.log_ratios(steps) + np.log(positions), -np.inf
+        if not drifts:
+            drift = float(seen.log_ratios(course.passed[:, None])[0])
+        if cause.together:
+            square, freedom = left.square
+            wander = -np.inf
+            scatter = _averaged(0.5 * (square * (1.0 - 1.0 / _RATIOS) - freedom * np.log(_RATIOS)))
+        else:
+            wander = seen.log_ratio(_kron(course.walk, seen.part))
+            scatter = seen.log_ratio(seen.own)
+            # A drift is steady or wanders, with the same probability.
+            drift, wander = drift - _HALF, wander - (0.0 if drifts else _HALF)
+        each: dict[Way, Array | float] = {"step": steps_log, "drift": drift}
+        each |= {"wander": wander, "scatter": scatter}
+        for way, log in each.items():
+            logs[way].append(np.asarray(log))
     weighed = {
         way: np.array(log) + np.log(prior)[(..., *[None] * log[0].ndim)]
         for way, log in logs.items()
@@ -334,6 +368,10 @@ def _weights(course: Course, accepted: Sequence[_Accepted]) -> _Weights | None:
         return None
     shares = {way: np.exp(log - total) for way, log in weighed.items()}
     return _Weights(total - float(np.log(3.0)), shares)
+
+
+def _averaged(log: Array) -> float:
+    return _log_sum(log) - float(np.log(len(log)))
 
 
 def _kron(over: Array, part: Array) -> Array:
@@ -367,45 +405,45 @@ def _between(positions: Array) -> tuple[int, int]:
 
 def _described(course: Course, accepted: Sequence[_Accepted], i: int) -> Change | None:
     """One change beside the others; None for a drift that they explain."""
-    one, others = accepted[i], [other for j, other in enumerate(accepted) if j != i]
-    cause = course.causes[one.causes[0]]
-    d, span = cause.directions.shape[1], (one.after, one.before, one.at)
-    if one.way == "scatter":
-        seen = _Left.of(course, others).of_cause(course, cause)
-        values, squares = seen.spectrum(np.eye(len(course) * d))
-        size = np.sqrt(squares.sum() / max(len(values), 1))
-        return Change(one.way, one.causes, np.array([size]), None, np.inf, *span)
-    if one.way == "wander":
-        return _wandering(course, one, _Left.of(course, others))
-    variance, root = 0.0, np.zeros((len(course) * d, 0))
-    if one.way == "drift":
-        # The interval of a rate holds for a drift that is not quite steady too.
-        root = _kron(course.walk, np.eye(d))
-        variance = _variance(_Left.of(course, accepted).of_cause(course, cause), root)
-    columns, effect = one.columns(course), course.columns(np.eye(len(course)), cause.directions)
+    one = accepted[i]
+    cause, span = course.causes[one.causes[0]], (one.after, one.before, one.at)
+    others = [other for j, other in enumerate(accepted) if j != i]
+    free = [other.way for other in others if other.free and other.causes[0] == one.causes[0]]
+    # What varies along the same cause makes the change unsure, and does not hide it.
+    others = [other for other in others if not other.free or other.causes[0] != one.causes[0]]
     left = _Left.of(course, others)
-    columns, rest = columns - left.basis @ (left.basis.T @ columns), left.rest
+    seen = left.of_cause(course, cause)
+    if one.way == "scatter":
+        values, squares = seen.spectrum(seen.own)
+        square, number = left.square if cause.together else (float(squares.sum()), len(values))
+        size = np.array([np.sqrt(square / max(number, 1))])
+        return Change(one.way, one.causes, size, None, np.inf, *span)
+    if one.way == "wander":
+        return _wandering(course, one, seen)
+    variance, d = 0.0, seen.d
+    root = seen.own if "scatter" in free else _kron(course.walk, np.eye(d))
+    if one.way == "drift" or free:
+        # The interval of a rate holds for a drift that is not quite steady too.
+        variance = _variance(_Left.of(course, [*others, one]).of_cause(course, cause), root)
+    columns, effect = one.columns(course), course.columns(np.eye(len(course)), cause.directions)
+    columns = columns - left.basis @ (left.basis.T @ columns)
     effect = effect @ root * np.sqrt(variance)
     effect = effect - left.basis @ (left.basis.T @ effect)
     S = np.linalg.inv(np.eye(effect.shape[1]) + effect.T @ effect)
     weighed = columns - effect @ (S @ (effect.T @ columns))
     covariance = np.linalg.pinv(columns.T @ weighed, rcond=1e-13, hermitian=True)
     freedom = np.inf if variance == 0.0 else max(len(course) - 2.0, 1.0)
-    change = Change(
-        one.way, one.causes, covariance @ (weighed.T @ rest), covariance, freedom, *span
-    )
+    parts = covariance @ (weighed.T @ left.rest)
+    change = Change(one.way, one.causes, parts, covariance, freedom, *span)
     if one.way == "drift" and d == 1 and abs(change.size) <= (change.half or 0.0):
         # It is no steady one, or the steps that were found after it explain it.
-        return _wandering(course, one, left) if variance > 0.0 else None
+        return _wandering(course, one, seen) if variance > 0.0 and "wander" not in free else None
     return change
 
 
-def _wandering(course: Course, one: _Accepted, left: _Left) -> Change:
-    cause = course.causes[one.causes[0]]
-    seen, k = left.of_cause(course, cause), len(course)
-    d = cause.directions.shape[1]
-    part = _inverse_root(np.einsum("iaib->ab", seen.whole.reshape(k, d, k, d)) / k)
-    covariance = _variance(seen, _kron(course.walk, part)) * part @ part.T
+def _wandering(course: Course, one: _Accepted, seen: _Seen) -> Change:
+    variance = _variance(seen, _kron(course.walk, seen.part))
+    covariance = variance * seen.part @ seen.part.T
     sds = np.sqrt(np.diag(covariance))
     return Change("wander", one.causes, sds, covariance, np.inf, one.after, one.before)
 

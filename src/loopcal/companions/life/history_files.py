@@ -204,5 +204,5 @@ def calibration_entry(
             }
             for p in kept
         },
-        "joint": Joint.of(calibrated, [p.name for p in kept]).content(),
+        "joint": Joint.of(calibrated, [p.name for p in kept]).content,
     }

@@ -219,6 +219,27 @@ def _check_content(kind: str, content: Any) -> None:
                 raise ValueError(f"its parameter {short(name)!r} is no JSON object")
             _number_with_unit(estimate, "value")
             _number_with_unit(estimate, "sd")
+        if content.get("joint") is not None:
+            _check_joint(content["joint"], content["parameters"])
+
+
+def _check_joint(joint: Any, parameters: Mapping[str, Any]) -> None:
+    """Raise ValueError where this says nothing of the parameters together."""
+    if not isinstance(joint, dict) or joint["names"] != [*parameters]:
+        raise ValueError("its 'joint' is not of its parameters")
+    size, every = len(parameters), range(1, len(parameters) + 1)
+    for key in ("covariance", "moves"):
+        if joint[key] is not None or key == "covariance":
+            if [len(row) for row in joint[key]] != [*every]:
+                raise ValueError(f"its {key!r} is no triangle of its parameters")
+            _numbers(key, (value for row in joint[key] for value in row))
+    if not all(row[-1] > 0.0 for row in joint["covariance"]):
+        raise ValueError("its 'covariance' has no variance")
+    for name, steps in joint["zeros"].items():
+        unit(_text_of(joint["units"], name))
+        if len(steps) != size:
+            raise ValueError(f"the zero of {short(name)!r} is not of its parameters")
+        _numbers("zeros", steps)
 
 
 def _text_of(content: Mapping[str, Any], key: str) -> str:
@@ -230,10 +251,15 @@ def _text_of(content: Mapping[str, Any], key: str) -> str:
 
 
 def _number_with_unit(content: Mapping[str, Any], key: str) -> None:
-    value = content[key]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
-        raise ValueError(f"its {key!r} is no number below {LARGEST:g}")
+    _numbers(key, [content[key]])
     unit(_text_of(content, "unit"))
+
+
+def _numbers(key: str, values: Iterable[Any]) -> None:
+    for value in values:
+        known = isinstance(value, int | float) and not isinstance(value, bool)
+        if not known or not abs(value) < LARGEST:
+            raise ValueError(f"its {key!r} is no number below {LARGEST:g}")
 
 
 def _sum(body: Mapping[str, Any]) -> str:

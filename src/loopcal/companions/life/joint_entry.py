@@ -72,8 +72,11 @@ class Joint:
         covariance = symmetric(kept["covariance"])
         return cls(tuple(kept["names"]), covariance, moves, zeros, kept["units"])
 
-    def content(self) -> dict[str, Any]:
-        """For an entry."""
+    @property
+    def content(self) -> dict[str, Any] | None:
+        """For an entry; None where nothing bounds the covariance."""
+        if not np.isfinite(self.covariance).all() or not (np.diag(self.covariance) > 0.0).all():
+            return None
         return {
             "names": list(self.names),
             "covariance": lower(self.covariance),
@@ -135,5 +138,5 @@ def causes(
         title = owner if len(at) > 1 else names[at[0]]
         out.append(Cause(title, parameters[names[at[0]]]["unit"], one[:, at]))
     if len(own) > 1 and last.moves is not None:
-        out.append(Cause(TOGETHER, "m", one[:, own]))
+        out.append(Cause(TOGETHER, "m", one[:, own], together=True))
     return tuple(out)
