@@ -31,7 +31,7 @@ LEVEL = 0.95
 # By the false alarms above: 1 / (1 - LEVEL).
 _ODDS = 20.0
 # From changes as large as their own sd to those of 16 sds; larger ones need no finer prior.
-_RATIOS = 2.0 ** np.arange(1, 9)
+_RATIOS = 4.0 ** np.arange(1, 11)
 """Variance with a change over that without, for which the likelihood is averaged."""
 # Powers of two, four to an octave: from a drift that no readings show to one that hides them all.
 _GRID = 2.0 ** np.linspace(-16.0, 8.0, 97)
@@ -41,9 +41,11 @@ _UNSEEN = 1e-9
 _SINGULAR = 1e-12
 """Eigenvalue of a correlation below which it is rounding."""
 # Chosen, not derived: more than a user follows up.
-_MOST = 8
-"""Changes of one machine."""
+_MOST = 16
+"""Changes of one machine, and causes along which models differ."""
 Way = Literal["step", "drift", "wander", "scatter", "open"]
+_MODEL: Literal["model"] = "model"
+"""No change: with other terms of the model error a calibration moves its parameters."""
 _GRADUAL: tuple[Way, ...] = ("drift", "wander")
 _HALF = float(np.log(2.0))
 
@@ -83,12 +85,14 @@ class Said:
 @dataclass(frozen=True, eq=False)
 class Course:
     """times: (k,) rising, in any unit; said: by k calibrations; events: the numbers of the
-    calibrations from 0 before which something happened."""
+    calibrations from 0 before which something happened; models: a number for the terms that each
+    calibration chose, none where all chose the same."""
 
     times: Array
     said: tuple[Said, ...]
     causes: tuple[Cause, ...]
     events: frozenset[int] = frozenset()
+    models: tuple[int, ...] = ()
 
     @classmethod
     def of_one(
@@ -118,6 +122,14 @@ class Course:
         t = self.times - self.times[0]
         scaled: Array = t / t[-1]
         return scaled
+
+    @cached_property
+    def chosen(self) -> Array:
+        """(k, g) which of g models each calibration has; none where all have the same."""
+        every = sorted({*self.models})
+        return np.array(
+            [[float(one == m) for m in every[len(every) == 1 :]] for one in self.models]
+        )
 
     @cached_property
     def walk(self) -> Array:
@@ -169,10 +181,10 @@ class Change:
 class _Accepted:
     """One change of the mean."""
 
-    way: Way
+    way: Way | Literal["model"]
     causes: tuple[int, ...]
-    after: int
-    before: int
+    after: int = 0
+    before: int = 0
     at: int | None = None
 
     @property
@@ -184,6 +196,7 @@ class _Accepted:
         number = np.arange(len(course))
         shape = course.passed if self.at is None else (number >= self.at).astype(float)
         over = np.eye(len(course)) if self.free else shape[:, None]
+        over = course.chosen if self.way == _MODEL else over
         return course.columns(over, course.causes[self.causes[0]].directions)
 
 
@@ -192,9 +205,14 @@ def changes(course: Course) -> tuple[Change, ...]:
     accepted: list[_Accepted] = []
     while len(accepted) < _MOST:
         weights = _weights(course, accepted)
-        if weights is None or weights.total <= np.log(_ODDS):
+        if weights is None:
             break
-        accepted.append(weights.accepted)
+        if weights.total - weights.unchanged > np.log(_ODDS):
+            accepted.append(weights.accepted)
+        elif weights.unchanged > np.log(_ODDS):
+            accepted.append(_Accepted(_MODEL, (int(np.argmax(weights.models)),)))
+        else:
+            break
         if accepted[-1].way == "open":
             break
     described = (_described(course, accepted, i) for i in range(len(accepted)))
@@ -295,10 +313,17 @@ class _Seen:
 @dataclass(frozen=True, eq=False)
 class _Weights:
     """Log of the averaged likelihood ratio; shares by way (c,) of each cause, of a step (c, k - 1)
-    of each cause and position."""
+    of each cause and position; models: (c,) log ratios of what other models do along each cause.
+    """
 
     total: float
     shares: Mapping[Way, Array]
+    models: Array
+
+    @property
+    def unchanged(self) -> float:
+        """Log of that of no change, half of which is that of other models."""
+        return _log_sum(np.array([0.0, _log_sum(self.models)])) - _HALF
 
     @property
     def accepted(self) -> _Accepted:
@@ -340,8 +365,11 @@ def _weights(course: Course, accepted: Sequence[_Accepted]) -> _Weights | None:
     prior = np.where(often, 1.0 / max(often.sum(), 1), 1.0 / max((~often).sum(), 1))
     prior /= prior.sum()
     logs: dict[Way, list[Array]] = {"step": [], "drift": [], "wander": [], "scatter": []}
+    models = np.full(len(course.causes), -np.inf)
     for i, cause in enumerate(course.causes):
         seen = left.of_cause(course, cause)
+        if course.chosen.size:
+            models[i] = seen.log_ratio(_kron(course.chosen, seen.part))
         drifts = any(one.way == "drift" and i in one.causes for one in accepted)
         steps_log, drift = seen.log_ratios(steps) + np.log(positions), -np.inf
         if not drifts:
@@ -367,7 +395,7 @@ def _weights(course: Course, accepted: Sequence[_Accepted]) -> _Weights | None:
     if total == -np.inf:
         return None
     shares = {way: np.exp(log - total) for way, log in weighed.items()}
-    return _Weights(total - float(np.log(3.0)), shares)
+    return _Weights(total - float(np.log(3.0)), shares, models + np.log(prior))
 
 
 def _averaged(log: Array) -> float:
@@ -404,8 +432,11 @@ def _between(positions: Array) -> tuple[int, int]:
 
 
 def _described(course: Course, accepted: Sequence[_Accepted], i: int) -> Change | None:
-    """One change beside the others; None for a drift that they explain."""
+    """One change beside the others; None for a drift that they explain, and where only the model is
+    another."""
     one = accepted[i]
+    if one.way == _MODEL:
+        return None
     cause, span = course.causes[one.causes[0]], (one.after, one.before, one.at)
     others = [other for j, other in enumerate(accepted) if j != i]
     free = [other.way for other in others if other.free and other.causes[0] == one.causes[0]]

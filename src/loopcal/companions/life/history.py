@@ -203,7 +203,9 @@ class History:
         times = [place(entry) for entry in entries]
         at_events = events_before(times, [place(event) for event in events])
         possible = causes(last, names, described)
-        course = Course(np.array(times), tuple(said), possible, at_events)
+        models = [str(entry.content.get("model")) for entry in entries]
+        numbered = tuple(models.index(one) for one in models)
+        course = Course(np.array(times), tuple(said), possible, at_events, numbered)
         span = (entries[-1].day - entries[0].day).total_seconds() if by_day else 0.0
         M = _embedded(last, names)
         return tuple(

@@ -191,6 +191,7 @@ def calibration_entry(
         "readings_sha256": document.data.sha256,
         "machine": calibrated.mechanism.name,
         "method": document.method,
+        "model": [document.method_label, *(term.name for term in document.terms)],
         "poses": document.data.used,
         "rms": None if distances is None else distances.rms,
         "unit": "m" if document.accuracy is None else document.accuracy.unit,
