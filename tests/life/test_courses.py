@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -32,11 +33,11 @@ def test_a_machine_that_does_not_change_is_reported_in_at_most_five_percent(
     number: int, correlated: bool
 ) -> None:
     rng = np.random.default_rng(number)
-    assert np.mean([unchanged(rng, number, correlated) for _ in range(60)]) <= 0.05
+    assert np.mean([unchanged(rng, number, correlated) for _ in range(40)]) <= 0.05
 
 
 def test_a_step_is_found_dated_and_sized() -> None:
-    rates = over(60, lambda rng: stepped(rng, 8, 10.0))
+    rates = over(40, lambda rng: stepped(rng, 8, 10.0))
     assert rates.share("none") <= 0.01
     assert rates.share("step") > 0.75
     assert rates.share("drift", "wander") <= 0.05
@@ -47,7 +48,7 @@ def test_a_step_is_found_dated_and_sized() -> None:
 
 def test_a_step_of_half_an_sd_of_any_single_parameter_is_found() -> None:
     """Single calibrations determine no parameter, and combinations a hundred times better."""
-    rates = over(60, partial(stepped, number=8, size=1.0, correlated=True))
+    rates = over(40, partial(stepped, number=8, size=1.0, correlated=True))
     assert rates.share("none") <= 0.05
     assert rates.dated >= 0.95 * rates.ways["step"]
     assert rates.held >= 0.9 * rates.ways["step"]
@@ -55,20 +56,20 @@ def test_a_step_of_half_an_sd_of_any_single_parameter_is_found() -> None:
 
 
 def test_a_step_at_an_event_is_named_more_often_and_never_a_drift() -> None:
-    at_event = over(80, lambda rng: stepped(rng, 8, 6.0, True))
-    assert at_event.share("step") > over(80, lambda rng: stepped(rng, 8, 6.0)).share("step")
+    at_event = over(50, lambda rng: stepped(rng, 8, 6.0, True))
+    assert at_event.share("step") > over(50, lambda rng: stepped(rng, 8, 6.0)).share("step")
     assert at_event.share("drift", "wander") <= 0.02
 
 
 def test_a_drift_is_found_and_its_interval_holds() -> None:
-    rates = over(60, lambda rng: drifting(rng, 8, 20.0))
+    rates = over(40, lambda rng: drifting(rng, 8, 20.0))
     assert rates.share("drift") > 0.9
     assert rates.share("step") <= 0.05
     assert rates.held >= 0.93 * rates.ways["drift"]
 
 
 def test_sds_that_are_too_small_make_neither_step_nor_drift() -> None:
-    rates = over(60, lambda rng: scattering(rng, 16, 3.0))
+    rates = over(25, lambda rng: scattering(rng, 16, 3.0))
     assert rates.share("step", "drift", "wander") <= 0.05
     assert rates.share("scatter") > 0.5
 
@@ -121,11 +122,25 @@ def test_what_is_mounted_anew_each_day_hides_no_step() -> None:
     assert found[0].at == 7
 
 
+def test_other_terms_of_the_model_are_no_change() -> None:
+    """Every second calibration chose other terms, which moves a parameter by ten sds."""
+    rng, one = np.random.default_rng(6), np.eye(3)
+    values = rng.normal(size=(12, 3))
+    values[::2, 0] += 10.0
+    values[7:, 1] += 10.0
+    causes = [Cause(f"p_{i}", "1", one[:, [i]]) for i in range(3)]
+    alternating = _of(np.arange(12.0), values, one, *causes)
+    assert {c.way for c in changes(alternating) if c.causes[0] == 0} == {"scatter"}
+    models = tuple(i % 2 for i in range(12))
+    (change,) = changes(replace(alternating, models=models))
+    assert (change.way, change.causes, change.at) == ("step", (1,), 7)
+
+
 def test_a_calibration_that_lacks_a_parameter_says_nothing_of_it() -> None:
     rng, one, said = np.random.default_rng(5), np.eye(2), []
     for i in range(8):
         at = np.array([0, 1] if i % 2 else [1])
-        value = rng.normal(size=2) + [10.0 * (i >= 4), 0.0]
+        value = rng.normal(size=2) + np.array([10.0 * (i >= 4), 0.0])
         said.append(Said.of(value[at], np.eye(len(at)), at, 2))
     causes = Cause("a", "1", one[:, :1]), Cause("b", "1", one[:, 1:])
     (change,) = changes(Course(np.arange(8.0), tuple(said), causes))

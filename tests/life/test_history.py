@@ -112,6 +112,72 @@ def test_a_step_at_a_collision_is_a_step(tmp_path: Path) -> None:
     assert "diamond" in history_html(found)
 
 
+def _joint(folder: Path, values: tuple[float, float], day: float, model: str = "") -> None:
+    """A calibration that knows two lengths to 1 mm, and their sum to 10 um."""
+    names, C = ("a", "b"), [[1e-6], [-1e-6 + 5e-11, 1e-6]]
+    its = {
+        n: {"value": v, "sd": 1e-3, "unit": "m", "role": "length", "owner": ""}
+        for n, v in zip(names, values, strict=True)
+    }
+    joint = {"names": names, "covariance": C, "moves": [[0.25], [0.25, 0.25]]}
+    joint |= {"zeros": {"arm": [0.3, -0.1]}, "units": {"arm": "rad"}}
+    text = f"{BEGIN + timedelta(days=day):%Y-%m-%d}"
+    measured = {"first": text, "last": text}
+    content = {"words": "ok", "rms": None, "parameters": its, "joint": joint, "model": [model]}
+    append_entry(folder, "calibration", {**content, "measured": measured})
+
+
+def _days_of_two(folder: Path, model: str = "") -> None:
+    """A step of the first by 0.2 mm, before the fifth of eight."""
+    rng, C = np.random.default_rng(5), np.array([[1e-6, -1e-6 + 5e-11], [-1e-6 + 5e-11, 1e-6]])
+    for i in range(8):
+        a, b = rng.multivariate_normal([0.5 + 2e-4 * (i > 3), 0.3], C)
+        _joint(folder, (a, b), 91.0 * i, model if i > 3 else "")
+
+
+def test_a_change_that_moves_no_parameter_by_its_sd_is_found_and_all_its_causes_are_named(
+    tmp_path: Path,
+) -> None:
+    _days_of_two(tmp_path)
+    found = lc.history(tmp_path)
+    (step,) = found.changes
+    assert (step.way, step.after, step.before) == ("step", 4, 5)
+    assert {"a", "b"} <= set(step.causes)
+    assert step.moved == pytest.approx(1e-4, abs=1e-5)  # half the change of the sum, by `moves`
+    assert step.moved_half is not None
+    assert abs(step.moved - 1e-4) <= step.moved_half
+    table = str(found).partition("what ")[2]
+    assert step.name in table
+    assert "mm" in table
+    assert json.loads(json.dumps(found.document()))["changes"][0]["causes"] == [*step.causes]
+
+
+def test_a_change_beside_another_choice_of_terms_is_not_taken_for_one(tmp_path: Path) -> None:
+    _days_of_two(tmp_path, "sag")
+    assert lc.history(tmp_path).changes == ()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("names", ["a"]),
+        ("covariance", [[1.0]]),
+        ("covariance", [[0.0], [0.0, 0.0]]),
+        ("moves", [[1.0], [1.0, "x"]]),
+        ("zeros", {"arm": [1.0]}),
+        ("units", {"arm": "furlong"}),
+    ],
+)
+def test_an_entry_that_says_nothing_of_its_parameters_together_is_skipped(
+    tmp_path: Path, key: str, value: object
+) -> None:
+    _joint(tmp_path, (0.5, 0.3), 0.0)
+    (entry,) = read_entries(tmp_path).whole
+    joint = {**entry.content["joint"], key: value}
+    append_entry(tmp_path, "calibration", {**entry.content, "joint": joint})
+    assert len(read_entries(tmp_path).skipped) == 1
+
+
 def test_each_unit_has_its_own_figure(tmp_path: Path) -> None:
     for i in range(2):
         for name, unit in (("k", "N"), ("g", "1"), ("l", "m")):
@@ -150,6 +216,11 @@ def test_commands_add_what_they_found(tmp_path: Path) -> None:
     ]
     assert {trend["name"] for trend in document["trends"]} >= {"l2", "l3"}
     assert not {trend["name"] for trend in document["trends"]} & {"xA", "yA"}
+    its, joint = (document["entries"][0]["content"][key] for key in ("parameters", "joint"))
+    assert joint["names"] == [*its]
+    variances = [row[-1] for row in joint["covariance"]]
+    assert variances == pytest.approx([one["sd"] ** 2 for one in its.values()])
+    assert joint["moves"][0][0] > 0.0
     page = (tmp_path / "m.history.html").read_text()
     assert "<b>collision" not in page
     assert "http://" not in page.split("<script", maxsplit=1)[0]

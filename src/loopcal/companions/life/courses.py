@@ -11,6 +11,10 @@ expectation is 1, so that it exceeds 20 with a probability of at most 1 / 20 (Vi
 Wang 2021): 5 % of machines that do not change are called changed, whatever number and correlation
 their parameters have. Shares of the average are the probabilities of ways, positions and causes.
 All ways are as likely beforehand, and so are zeros of joints together and all else.
+
+Calibrations that chose other terms of the model error differ by an offset of each choice, which is
+no change. No change is so a mixture: nothing, or such offsets along one cause, as likely. The
+average of the changes is compared with 20 times that of the mixture, so the bound holds for both.
 """
 
 from __future__ import annotations
@@ -30,11 +34,11 @@ LEVEL = 0.95
 """Of intervals, of the way and the causes that are named, and of the calibrations at a step."""
 # By the false alarms above: 1 / (1 - LEVEL).
 _ODDS = 20.0
-# From changes as large as their own sd to those of 16 sds; larger ones need no finer prior.
+# From changes of twice their own sd to those of a thousand sds; larger ones need no finer prior.
 _RATIOS = 4.0 ** np.arange(1, 11)
 """Variance with a change over that without, for which the likelihood is averaged."""
 # Powers of two, four to an octave: from a drift that no readings show to one that hides them all.
-_GRID = 2.0 ** np.linspace(-16.0, 8.0, 97)
+_GRID = 2.0 ** np.linspace(-16.0, 20.0, 145)
 # Squares of double precision keep it; columns are scaled first.
 _UNSEEN = 1e-9
 """Share of its square that the mean leaves of an effect, below which nothing shows it."""
@@ -272,12 +276,12 @@ class _Seen:
         return _inverse_root(self.by_calibration.mean(axis=0))
 
     @cached_property
-    def own(self) -> Array:
+    def scattering(self) -> Array:
         """(k d, k d) a root of the covariance of the parts by single calibrations."""
         k = len(self.by_calibration)
-        own = np.zeros((k, self.d, k, self.d))
-        own[range(k), :, range(k)] = [_inverse_root(one) for one in self.by_calibration]
-        return own.reshape(k * self.d, k * self.d)
+        scattering = np.zeros((k, self.d, k, self.d))
+        scattering[range(k), :, range(k)] = [_inverse_root(one) for one in self.by_calibration]
+        return scattering.reshape(k * self.d, k * self.d)
 
     def spectrum(self, root: Array) -> tuple[Array, Array]:
         """Of g = root N(0, 1): the information along its axes, and the squares there."""
@@ -380,7 +384,7 @@ def _weights(course: Course, accepted: Sequence[_Accepted]) -> _Weights | None:
             scatter = _averaged(0.5 * (square * (1.0 - 1.0 / _RATIOS) - freedom * np.log(_RATIOS)))
         else:
             wander = seen.log_ratio(_kron(course.walk, seen.part))
-            scatter = seen.log_ratio(seen.own)
+            scatter = seen.log_ratio(seen.scattering)
             # A drift is steady or wanders, with the same probability.
             drift, wander = drift - _HALF, wander - (0.0 if drifts else _HALF)
         each: dict[Way, Array | float] = {"step": steps_log, "drift": drift}
@@ -445,14 +449,14 @@ def _described(course: Course, accepted: Sequence[_Accepted], i: int) -> Change 
     left = _Left.of(course, others)
     seen = left.of_cause(course, cause)
     if one.way == "scatter":
-        values, squares = seen.spectrum(seen.own)
+        values, squares = seen.spectrum(seen.scattering)
         square, number = left.square if cause.together else (float(squares.sum()), len(values))
         size = np.array([np.sqrt(square / max(number, 1))])
         return Change(one.way, one.causes, size, None, np.inf, *span)
     if one.way == "wander":
         return _wandering(course, one, seen)
     variance, d = 0.0, seen.d
-    root = seen.own if "scatter" in free else _kron(course.walk, np.eye(d))
+    root = seen.scattering if "scatter" in free else _kron(course.walk, np.eye(d))
     if one.way == "drift" or free:
         # The interval of a rate holds for a drift that is not quite steady too.
         variance = _variance(_Left.of(course, [*others, one]).of_cause(course, cause), root)

@@ -194,8 +194,8 @@ class History:
         described = {n: p for entry in entries for n, p in entry.content["parameters"].items()}
         said = []
         for entry, joint in zip(entries, joints, strict=True):
-            its = entry.content["parameters"]
-            values = np.array([its[n]["value"] - begin[n] for n in joint.names])
+            estimates = entry.content["parameters"]
+            values = np.array([estimates[n]["value"] - begin[n] for n in joint.names])
             at = np.array([names.index(n) for n in joint.names], dtype=np.intp)
             said.append(Said.of(values, joint.covariance, at, len(names)))
         last = joints[-1]

@@ -257,8 +257,8 @@ def _number_with_unit(content: Mapping[str, Any], key: str) -> None:
 
 def _numbers(key: str, values: Iterable[Any]) -> None:
     for value in values:
-        known = isinstance(value, int | float) and not isinstance(value, bool)
-        if not known or not abs(value) < LARGEST:
+        numeric = isinstance(value, int | float) and not isinstance(value, bool)
+        if not numeric or not abs(value) < LARGEST:
             raise ValueError(f"its {key!r} is no number below {LARGEST:g}")
 
 

@@ -133,10 +133,10 @@ def causes(
             mounted.setdefault(entry.get("owner") or name, []).append(i)
         else:
             out.append(Cause(name, entry["unit"], one[:, [i]], entry.get("role") == "zero"))
-    own = [i for i, name in enumerate(names) if parameters[name].get("role") != "mounting"]
+    machine = [i for i, name in enumerate(names) if parameters[name].get("role") != "mounting"]
     for owner, at in mounted.items():
         title = owner if len(at) > 1 else names[at[0]]
         out.append(Cause(title, parameters[names[at[0]]]["unit"], one[:, at]))
-    if len(own) > 1 and last.moves is not None:
-        out.append(Cause(TOGETHER, "m", one[:, own], together=True))
+    if len(machine) > 1 and last.moves is not None:
+        out.append(Cause(TOGETHER, "m", one[:, machine], together=True))
     return tuple(out)
