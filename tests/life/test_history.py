@@ -119,7 +119,7 @@ def _joint(folder: Path, values: tuple[float, float], day: float, model: str = "
         n: {"value": v, "sd": 1e-3, "unit": "m", "role": "length", "owner": ""}
         for n, v in zip(names, values, strict=True)
     }
-    joint = {"names": names, "covariance": C, "moves": [[0.25], [0.25, 0.25]]}
+    joint: dict[str, object] = {"names": names, "covariance": C, "moves": [[0.25], [0.25, 0.25]]}
     joint |= {"zeros": {"arm": [0.3, -0.1]}, "units": {"arm": "rad"}}
     text = f"{BEGIN + timedelta(days=day):%Y-%m-%d}"
     measured = {"first": text, "last": text}
@@ -143,7 +143,9 @@ def test_a_change_that_moves_no_parameter_by_its_sd_is_found_and_all_its_causes_
     (step,) = found.changes
     assert (step.way, step.after, step.before) == ("step", 4, 5)
     assert {"a", "b"} <= set(step.causes)
-    assert step.moved == pytest.approx(1e-4, abs=1e-5)  # half the change of the sum, by `moves`
+    # half the change of the sum, by `moves`
+    assert step.moved == pytest.approx(1e-4, abs=1e-5)
+    assert step.moved is not None
     assert step.moved_half is not None
     assert abs(step.moved - 1e-4) <= step.moved_half
     table = str(found).partition("what ")[2]

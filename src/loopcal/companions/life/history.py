@@ -162,36 +162,24 @@ class History:
     @cached_property
     def trends(self) -> tuple[Trend, ...]:
         """Of the parameters of all calibrations."""
-        return tuple(
-            _trend(name, unit, points, self.of_kind("event"), self.changes)
-            for name, (unit, points) in self._points.items()
-        )
-
-    @cached_property
-    def _points(self) -> dict[str, tuple[str, list[Point]]]:
-        """Of each parameter its unit, and the calibrations that determined it."""
-        points: dict[str, tuple[str, list[Point]]] = {}
-        for entry in self.of_kind("calibration"):
-            for name, parameter in entry.content["parameters"].items():
-                point = entry, parameter["value"], parameter["sd"]
-                earlier = points[name][1] if name in points else []
-                points[name] = parameter["unit"], [*earlier, point]
-        return points
+        events = self.of_kind("event")
+        points = _points(self.of_kind("calibration"))
+        return tuple(_trend(name, each, events, self.changes) for name, each in points.items())
 
     @cached_property
     def changes(self) -> tuple[MachineChange, ...]:
         """Steps and drifts of the machine, by all parameters together."""
         entries, by_day = _in_order(self.of_kind("calibration"))
+        points = _points(entries)
         names = [
             name
-            for name, (_, points) in self._points.items()
-            if len(points) > 1 and _comparable([v for _, v, _ in points], [s for *_, s in points])
+            for name, each in points.items()
+            if len(each) > 1 and _comparable([v for _, v, _ in each], [sd for *_, sd in each])
         ]
-        if len(entries) < 2 or not names:
+        if not names:
             return ()
         joints = [Joint.of_content(entry.content).among(names) for entry in entries]
-        begin = {name: self._points[name][1][0][1] for name in names}
-        described = {n: p for entry in entries for n, p in entry.content["parameters"].items()}
+        begin = {name: points[name][0][1] for name in names}
         said = []
         for entry, joint in zip(entries, joints, strict=True):
             estimates = entry.content["parameters"]
@@ -202,6 +190,7 @@ class History:
         place, events = _days_of if by_day else _order_of, self.of_kind("event")
         times = [place(entry) for entry in entries]
         at_events = events_before(times, [place(event) for event in events])
+        described = {n: p for entry in entries for n, p in entry.content["parameters"].items()}
         possible = causes(last, names, described)
         models = [str(entry.content.get("model")) for entry in entries]
         numbered = tuple(models.index(one) for one in models)
@@ -330,6 +319,15 @@ Point = tuple[Entry, float, float]
 """A calibration, and what it has of one parameter: value and sd."""
 
 
+def _points(entries: Sequence[Entry]) -> dict[str, list[Point]]:
+    """Of each parameter, the calibrations that determined it."""
+    points: dict[str, list[Point]] = {}
+    for entry in entries:
+        for name, parameter in entry.content["parameters"].items():
+            points.setdefault(name, []).append((entry, parameter["value"], parameter["sd"]))
+    return points
+
+
 def _in_order(entries: Sequence[Entry]) -> tuple[list[Entry], bool]:
     """Those that are dated, by day, where there are enough of them, else all in their order."""
     dated = [entry for entry in entries if entry.dated]
@@ -341,12 +339,12 @@ def _in_order(entries: Sequence[Entry]) -> tuple[list[Entry], bool]:
 
 def _trend(
     name: str,
-    unit: str,
     points: Sequence[Point],
     events: Sequence[Entry],
     seen: Sequence[MachineChange],
 ) -> Trend:
     entries, by_day = _in_order([entry for entry, _, _ in points])
+    unit = points[-1][0].content["parameters"][name]["unit"]
     each = {entry.sequence: (value, sd) for entry, value, sd in points}
     values, sds = zip(*(each[entry.sequence] for entry in entries), strict=True)
     rate = None
