@@ -156,7 +156,9 @@ def test_a_change_that_moves_no_parameter_by_its_sd_is_found_and_all_its_causes_
 
 def test_a_change_beside_another_choice_of_terms_is_not_taken_for_one(tmp_path: Path) -> None:
     _days_of_two(tmp_path, "sag")
-    assert lc.history(tmp_path).changes == ()
+    found = lc.history(tmp_path)
+    assert found.changes == ()
+    assert "chose different terms" in str(found)
 
 
 @pytest.mark.parametrize(

@@ -277,6 +277,11 @@ class History:
                 f"Date of measurement unknown: entry {numbers}, dated by the day of processing "
                 "('by'). No rate is computed from it. State --date or [record] date."
             )
+        if len({str(one.content.get("model")) for one in self.of_kind("calibration")}) > 1:
+            words.append(
+                "The calibrations chose different terms of the model error. What such a choice "
+                "moves counts as no change."
+            )
         series = [trend for trend in self.trends if len(trend.values) > 1]
         if series and not self.changes:
             words.append(f"No change is seen: parameters of several calibrations: {len(series)}.")

@@ -29,7 +29,8 @@ TOGETHER = "several parameters"
 """The name of changes that are those of no single cause."""
 # Chosen, not derived: what a placement takes up leaves rounding, and the bend of a large turn.
 _TAKEN_UP = 0.01
-"""Share of the largest motion by a joint's zero, below which a zero is one of the placement."""
+"""Sd of the best parameter in its unit over that of a joint's zero, below which the zero is one of
+the placement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +54,9 @@ class Joint:
         if poses is None or not names:
             return cls(tuple(names), covariance, None, {}, {})
         zeros = {joint: v[at] for joint, v in Drifting(calibrated, poses, None).zeros.items()}
+        shown = _shown(calibrated, names, covariance, zeros)
+        zeros = {joint: v for joint, v in zeros.items() if joint in shown}
         moves = _moves(calibrated, at)
-        if moves is not None:
-            size = {joint: float(v @ moves @ v) for joint, v in zeros.items()}
-            least = _TAKEN_UP**2 * max(size.values(), default=0.0)
-            zeros = {joint: v for joint, v in zeros.items() if size[joint] > least}
         units = {joint: calibrated.mechanism.quantities[joint] for joint in zeros}
         return cls(tuple(names), covariance, moves, zeros, units)
 
@@ -92,6 +91,25 @@ class Joint:
         zeros = {joint: v[at] for joint, v in self.zeros.items()}
         covariance = self.covariance[np.ix_(at, at)]
         return Joint(tuple(self.names[i] for i in at), covariance, moves, zeros, self.units)
+
+
+def _shown(
+    calibrated: Calibrated, names: Sequence[str], covariance: Array, zeros: Mapping[str, Array]
+) -> set[str]:
+    """The joints whose zero does more than placements take up."""
+    sd, quantities = np.sqrt(np.diag(covariance)), calibrated.mechanism.quantities
+    if not np.isfinite(covariance).all() or not (sd > 0.0).all():
+        return set()
+    information = np.linalg.pinv(covariance / np.outer(sd, sd), hermitian=True)
+    size = {joint: float(v / sd @ information @ (v / sd)) for joint, v in zeros.items()}
+    alone, most = np.diag(information) / np.square(sd), dict[str, float]()
+    of_parameters = [calibrated.mechanism.parameters[name].unit for name in names]
+    for unit, value in (
+        *zip(of_parameters, alone.tolist(), strict=True),
+        *((quantities[joint], value) for joint, value in size.items()),
+    ):
+        most[unit] = max(value, most.get(unit, 0.0))
+    return {q for q, value in size.items() if value > _TAKEN_UP**2 * most[quantities[q]]}
 
 
 def _moves(calibrated: Calibrated, at: NDArray[np.intp]) -> Array | None:
