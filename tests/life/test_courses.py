@@ -37,7 +37,7 @@ def test_a_machine_that_does_not_change_is_reported_in_at_most_five_percent(
 
 
 def test_a_step_is_found_dated_and_sized() -> None:
-    rates = over(40, lambda rng: stepped(rng, 8, 10.0))
+    rates = over(30, lambda rng: stepped(rng, 8, 10.0))
     assert rates.share("none") <= 0.01
     assert rates.share("step") > 0.75
     assert rates.share("drift", "wander") <= 0.05
@@ -56,20 +56,20 @@ def test_a_step_of_half_an_sd_of_any_single_parameter_is_found() -> None:
 
 
 def test_a_step_at_an_event_is_named_more_often_and_never_a_drift() -> None:
-    at_event = over(50, lambda rng: stepped(rng, 8, 6.0, True))
-    assert at_event.share("step") > over(50, lambda rng: stepped(rng, 8, 6.0)).share("step")
+    at_event = over(30, lambda rng: stepped(rng, 8, 6.0, True))
+    assert at_event.share("step") > over(30, lambda rng: stepped(rng, 8, 6.0)).share("step")
     assert at_event.share("drift", "wander") <= 0.02
 
 
 def test_a_drift_is_found_and_its_interval_holds() -> None:
-    rates = over(40, lambda rng: drifting(rng, 8, 20.0))
+    rates = over(25, lambda rng: drifting(rng, 8, 20.0))
     assert rates.share("drift") > 0.9
     assert rates.share("step") <= 0.05
     assert rates.held >= 0.93 * rates.ways["drift"]
 
 
 def test_sds_that_are_too_small_make_neither_step_nor_drift() -> None:
-    rates = over(25, lambda rng: scattering(rng, 16, 3.0))
+    rates = over(12, lambda rng: scattering(rng, 16, 3.0))
     assert rates.share("step", "drift", "wander") <= 0.05
     assert rates.share("scatter") > 0.5
 
