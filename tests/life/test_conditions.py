@@ -69,7 +69,9 @@ def test_the_scale_of_a_warm_machine_is_stated_whether_or_not_its_tool_is_as_war
     joints = {q: made.later.readings[q] for q in made.joints}
     day = lc.simulate(first.mechanism, joints, noise=made.later.noise, seed=draw, truth=truth)
     read = day.dataset.readings
-    (change,) = lc.verify(first, read).changes.found
+    changes = lc.verify(first, read).changes
+    assert changes is not None
+    (change,) = changes.found
     assert change.kind == "expansion"
     assert change.low < growth < change.high
     assert change.high - change.low < 0.5 * growth

@@ -533,7 +533,7 @@ class _System:
         G = self.linear.weighed(columns, columns) / self.scale
         left = self.linear.weighed(columns, self.linear.left[:, None])[:, 0] / self.scale
         g = left + G[:, :-1] @ self.t[rows]
-        size, covariance = float(self.estimated(chosen).size[at]), np.zeros(0)
+        size, covariance = float(self.estimated(chosen).size[at]), G
         for _ in range(_ROUNDS_OF_GROWTH):
             known = np.zeros(len(g))
             known[-1] = 4.0 / np.square(size)
