@@ -537,7 +537,7 @@ class _System:
         for _ in range(_ROUNDS_OF_GROWTH):
             known = np.zeros(len(g))
             known[-1] = 4.0 / np.square(size)
-            covariance = np.linalg.inv(G + np.diag(known))
+            covariance = np.asarray(np.linalg.inv(G + np.diag(known)))
             size = float((covariance @ (g + 0.5 * size * known))[at])
         return size, float(np.sqrt(covariance[at, at]))
 
