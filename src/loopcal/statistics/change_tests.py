@@ -119,9 +119,11 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         p_values[chosen[-1]] = tests[chosen[-1]]
         rivals[chosen[-1]] = settled.rivals(best, [fit for fit in fits if fit[0] != best])
         kept = system.kept(chosen)
-        if kept and kept != chosen:
+        if kept != chosen:
             given_up |= {*chosen} - {*kept}
             chosen, system = kept, system.settled(kept)
+            alone = {j: system.tests([i for i in kept if i != j]) for j in kept}
+            p_values |= {j: tests[j] for j, tests in alone.items() if j in tests}
     if system.astray and system.present > _EXPLAINED * begun.present:
         chosen, system = (), begun
     whole, left = begun.innovation(()), system.innovation(chosen).p_value
@@ -442,13 +444,17 @@ class _System:
         )
 
     def kept(self, chosen: Sequence[int]) -> tuple[int, ...]:
-        """Those that are still significant beside the others."""
-        kept = []
+        """Those that are still significant beside the others; the least one leaves first, since
+        of two that do the same neither is."""
+        shares = dict[int, float]()  # of what is significant
         for j in chosen:
             part = self.beside(j, [i for i in chosen if i != j])
-            if part.rank and part.gain >= self.scale * self.critical(j, part.rank):
-                kept.append(j)
-        return tuple(kept)
+            limit = self.scale * self.critical(j, part.rank) if part.rank else math.inf
+            shares[j] = part.gain / limit
+        if min(shares.values()) >= 1.0 or len(chosen) == 1:
+            return tuple(chosen)
+        least = min(shares, key=lambda j: shares[j])
+        return self.kept([i for i in chosen if i != least])
 
     def changes(
         self,
@@ -519,10 +525,9 @@ class _System:
         of these two, s / 2 both.
         """
         placement, rows = self.linear.placement, self._rows(*chosen)
-        parameters = placement.problem.mechanism.parameters
         nominal = {
             p.name: p.nominal
-            for p, anew in zip(parameters, placement.anew, strict=True)
+            for p, anew in zip(placement.problem.mechanism.parameters, placement.anew, strict=True)
             if (p.role, p.unit) == ("mounting", "m") and not anew
         }
         (at,) = np.flatnonzero(self.causes.owner[rows] == j)
@@ -533,9 +538,8 @@ class _System:
         G = self.linear.weighed(columns, columns) / self.scale
         left = self.linear.weighed(columns, self.linear.left[:, None])[:, 0] / self.scale
         g = left + G[:, :-1] @ self.t[rows]
-        size, covariance = float(self.estimated(chosen).size[at]), G
+        size, covariance, known = float(self.estimated(chosen).size[at]), G, np.zeros(len(g))
         for _ in range(_ROUNDS_OF_GROWTH):
-            known = np.zeros(len(g))
             known[-1] = 4.0 / np.square(size)
             covariance = np.asarray(np.linalg.inv(G + np.diag(known)))
             size = float((covariance @ (g + 0.5 * size * known))[at])
