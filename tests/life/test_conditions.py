@@ -55,6 +55,28 @@ def test_a_machine_that_warms_up_along_a_run_is_named_with_its_size(warms: bool)
         assert "ppm" in check.verdict["consistent"].words
 
 
+@pytest.mark.parametrize("tool", [True, False])
+@pytest.mark.parametrize("draw", [1, 3, 5])
+def test_the_scale_of_a_warm_machine_is_stated_whether_or_not_its_tool_is_as_warm(
+    draw: int, tool: bool
+) -> None:
+    """What the tool grows looks like more growth of the arm, in part."""
+    made = Days.of("seven", "stated", draw)
+    first, growth = made.calibrated("stated"), 3e-4
+    lengths = {p.name for p in first.mechanism.parameters if p.dimension == "length"}
+    warm = lengths | {"tool_x", "tool_y", "tool_z"} if tool else lengths
+    truth = {n: v * (1.0 + growth * (n in warm)) for n, v in first.value.items()}
+    joints = {q: made.later.readings[q] for q in made.joints}
+    day = lc.simulate(first.mechanism, joints, noise=made.later.noise, seed=draw, truth=truth)
+    read = day.dataset.readings
+    changes = lc.verify(first, read).changes
+    assert changes is not None
+    (change,) = changes.found
+    assert change.kind == "expansion"
+    assert change.low < growth < change.high
+    assert change.high - change.low < 0.5 * growth
+
+
 @pytest.mark.parametrize("draw", [0, 1, 2])
 def test_a_machine_that_grew_is_followed_with_honest_sds(draw: int) -> None:
     made, first = days(draw)

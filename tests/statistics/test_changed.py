@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from functools import cache
-from typing import cast
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from analyses.instruments import setup
 from analyses.verify import another_day
 from analyses.what_changed import CHANGES, draw
 from loopcal.estimation.problem.problem import build_problem
+from loopcal.statistics.change_tests import _System
 from loopcal.statistics.changed import LEVEL, Candidate, Change, WhatChanged
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible
@@ -252,3 +254,35 @@ def test_a_part_that_no_pose_determines_does_not_hide_the_others() -> None:
     bounds = (1e-5, 3.58e-3, 3.62e-3)
     change = Change("tool", "mounting", "m", 3.6e-3, *bounds, 1e-9, (), parts, ("tool_z",))
     assert change.words.endswith("(tool_x 2.00 mm, tool_y -3.00 mm, tool_z unknown)")
+
+
+class Explaining:
+    """Changes that explain so much alone, and so much beside each of the others."""
+
+    scale = 1.0
+    kept: Any = _System.kept
+
+    def __init__(self, *gains: tuple[float, float]) -> None:
+        self.gains = gains
+
+    def critical(self, i: int, rank: int) -> float:
+        return 10.0
+
+    def beside(self, i: int, others: list[int]) -> SimpleNamespace:
+        return SimpleNamespace(rank=1, gain=self.gains[i][bool(others)])
+
+
+@pytest.mark.parametrize(
+    ("gains", "kept"),
+    [
+        (((40.0, 1.0), (90.0, 5.0)), (1,)),
+        (((40.0, 30.0), (90.0, 80.0)), (0, 1)),
+        (((9.0, 9.0),), (0,)),
+    ],
+)
+def test_of_two_changes_that_do_the_same_one_is_kept(
+    gains: tuple[tuple[float, float], ...], kept: tuple[int, ...]
+) -> None:
+    """A load and a zero that each other made superfluous were both named, the zero as moved by
+    -0.0003 ± 0.0081 degrees."""
+    assert Explaining(*gains).kept(tuple(range(len(gains)))) == kept

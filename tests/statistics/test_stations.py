@@ -165,3 +165,32 @@ def test_regions_of_groups_that_place_their_instrument_hold_as_often_as_stated()
         assert found.coverage.poses == 30
         held.append(found.coverage.share)
     assert np.mean(held) == pytest.approx(0.95, abs=0.035)
+
+
+def test_poses_not_used_are_judged_by_the_learnt_sds_of_trackers_that_see_few_of_them() -> None:
+    """The median sd over all poses is infinite where a tracker reads fewer than half of them."""
+    arm, poses = stations("a", "b", "c"), 60
+    noise = lc.Noise({"q*": 1e-5, "[xyz]_*": 1e-4})
+    draw = np.random.default_rng(11)
+    driven = {q: draw.uniform(-1.5, 1.5, poses) for q in READINGS}
+    made = lc.simulate(arm, driven, noise=noise, seed=11).dataset
+    turn = np.arange(poses) % 3
+    by_turn = {
+        f"{axis}_{name}": np.where(turn == i, made[f"{axis}_{name}"], np.nan)
+        for axis in "xyz"
+        for i, name in enumerate("abc")
+    }
+    trackers = [f"[xyz]_{name}" for name in "abc"]
+    guess = lc.Noise(
+        {"q*": 1e-5} | dict.fromkeys(trackers, 2e-5), estimate=dict.fromkeys(trackers, "group")
+    )
+    found = lc.validate(
+        arm,
+        made.with_readings(by_turn),
+        noise=guess,
+        prior=lc.Prior({"*": 1e-4}),
+        method="implicit-loop",
+        folds=5,
+    )
+    assert found.coverage is not None
+    assert found.coverage.share > 0.88

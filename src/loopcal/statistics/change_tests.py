@@ -50,6 +50,9 @@ _MOST = 3
 # Chosen, not derived: a cap, and a step that changes no p-value.
 _ROUNDS, _SETTLED = 8, 1e-3
 """Linearisations of accepted changes, and the step [sds] that ends them."""
+# Chosen, not derived: each round leaves less than half of what the one before has moved.
+_ROUNDS_OF_GROWTH = 10
+"""Of the growth of a machine, on which the prior of its tool's depends."""
 # Chosen, not derived: each candidate costs linearisations; the likeliest come first.
 _TRIED = 3
 # Chosen, not derived: a candidate that does not halve it is not the cause.
@@ -116,9 +119,11 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         p_values[chosen[-1]] = tests[chosen[-1]]
         rivals[chosen[-1]] = settled.rivals(best, [fit for fit in fits if fit[0] != best])
         kept = system.kept(chosen)
-        if kept and kept != chosen:
+        if kept != chosen:
             given_up |= {*chosen} - {*kept}
             chosen, system = kept, system.settled(kept)
+            alone = {j: system.tests([i for i in kept if i != j]) for j in kept}
+            p_values |= {j: tests[j] for j, tests in alone.items() if j in tests}
     if system.astray and system.present > _EXPLAINED * begun.present:
         chosen, system = (), begun
     whole, left = begun.innovation(()), system.innovation(chosen).p_value
@@ -439,13 +444,17 @@ class _System:
         )
 
     def kept(self, chosen: Sequence[int]) -> tuple[int, ...]:
-        """Those that are still significant beside the others."""
-        kept = []
+        """Those that are still significant beside the others; the least one leaves first, since
+        of two that do the same neither is."""
+        shares = dict[int, float]()  # of what is significant
         for j in chosen:
             part = self.beside(j, [i for i in chosen if i != j])
-            if part.rank and part.gain >= self.scale * self.critical(j, part.rank):
-                kept.append(j)
-        return tuple(kept)
+            limit = self.scale * self.critical(j, part.rank) if part.rank else math.inf
+            shares[j] = part.gain / limit
+        if min(shares.values()) >= 1.0 or len(chosen) == 1:
+            return tuple(chosen)
+        least = min(shares, key=lambda j: shares[j])
+        return self.kept([i for i in chosen if i != least])
 
     def changes(
         self,
@@ -459,6 +468,8 @@ class _System:
         for j in chosen:
             one, cause = self.causes.candidate(j), self.causes.causes[j]
             size, sd, t = self._size(j, chosen)
+            if one.kind == "expansion":
+                size, sd = self._with_tools(j, chosen)
             half = t_quantile(0.95, self._freedom(j)) * sd
             parts: dict[str, float] = {}
             hidden: tuple[str, ...] = ()
@@ -506,6 +517,33 @@ class _System:
         length = float(np.linalg.norm(together.size[part]))
         along = together.size[part] / (length or 1.0)
         return length, float(np.sqrt(along @ covariance[np.ix_(part, part)] @ along)), t
+
+    def _with_tools(self, j: int, chosen: Sequence[int]) -> tuple[float, float]:
+        """The growth s of the machine and its sd, whether or not what it carries has grown as well.
+
+        A tool may be colder. Its own growth is as likely 0 as s: its prior has the mean and the sd
+        of these two, s / 2 both.
+        """
+        placement, rows = self.linear.placement, self._rows(*chosen)
+        nominal = {
+            p.name: p.nominal
+            for p, anew in zip(placement.problem.mechanism.parameters, placement.anew, strict=True)
+            if (p.role, p.unit) == ("mounting", "m") and not anew
+        }
+        (at,) = np.flatnonzero(self.causes.owner[rows] == j)
+        tool = placement.columns(tuple(nominal)) @ np.array([*nominal.values()], dtype=float)
+        columns = np.column_stack([self.columns(chosen), tool / np.sqrt(self.linear.factor)])
+        columns = columns - self.linear.F @ (self.linear.solve @ columns)
+        # As in `_System.of`: g as if nothing had changed.
+        G = self.linear.weighed(columns, columns) / self.scale
+        left = self.linear.weighed(columns, self.linear.left[:, None])[:, 0] / self.scale
+        g = left + G[:, :-1] @ self.t[rows]
+        size, covariance, known = float(self.estimated(chosen).size[at]), G, np.zeros(len(g))
+        for _ in range(_ROUNDS_OF_GROWTH):
+            known[-1] = 4.0 / np.square(size)
+            covariance = np.asarray(np.linalg.inv(G + np.diag(known)))
+            size = float((covariance @ (g + 0.5 * size * known))[at])
+        return size, float(np.sqrt(covariance[at, at]))
 
     def _alike(self, chosen: Sequence[int], j: int, rivals: Sequence[int]) -> tuple[Candidate, ...]:
         """The causes in whose presence j adds nothing significant, and that are about as simple;

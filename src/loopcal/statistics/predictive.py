@@ -37,7 +37,7 @@ from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.dependence.seen import Errors, seen
 from loopcal.estimation.fit import used_noise, weighed
 from loopcal.estimation.noise.estimation import scaled
-from loopcal.estimation.noise.learning import with_model
+from loopcal.estimation.noise.learning import typical_sd, with_model
 from loopcal.estimation.noise.linear_model import ModelBlock, linear_model
 from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.pose_equations import pose_equations
@@ -92,8 +92,8 @@ def held_problem(
     problem = build_problem(machine, data, noise, fit.value)
     problem = replace(problem, prior_sd=fit.problem.prior_sd)
     if noise is not None and noise.estimate:
-        stated = np.median(problem.uncertainty.sd, axis=1)
-        problem = scaled(problem, [(i,) for i in range(len(stated))], _ratios(fit, stated))
+        each = range(len(problem.readings))
+        problem = scaled(problem, [(i,) for i in each], _ratios(fit.problem, problem))
     if near:
         problem = begun_near(problem, near)
     return Held(problem, unmeasured_corrections(problem, problem.start))
@@ -116,11 +116,14 @@ def unmeasured_corrections(problem: Problem, parameters: Array) -> Array:
     return corrections
 
 
-def _ratios(fit: FitResult, stated: Array) -> Array:
-    """By how much the fit found the variances to be larger than stated."""
-    learnt = np.median(fit.problem.uncertainty.sd, axis=1)
-    usable = np.isfinite(learnt) & np.isfinite(stated) & (stated > 0.0)
-    return np.where(usable, np.square(learnt / np.where(usable, stated, 1.0)), 1.0)
+def _ratios(learnt: Problem, stated: Problem) -> Array:
+    """(k,) by how much larger variances are learnt than stated, where poses have the reading."""
+    ratios = np.ones(len(stated.readings))
+    for i in range(len(ratios)):
+        before, after = typical_sd(stated, i), typical_sd(learnt, i)
+        if before and after is not None:
+            ratios[i] = (after / before) ** 2
+    return ratios
 
 
 @dataclass(frozen=True)
