@@ -208,6 +208,8 @@ def test_a_lack_of_the_model_counts_by_its_size_where_its_regions_hold(
         )
     ).sound
     assert (found.code, found.passed) == (code, None if code == "model-lacks-little" else False)
+    # nobody is sent to learn terms that are learnt
+    assert ("structured model error" in (found.next or "")) == (not terms)
 
 
 def test_a_prior_that_the_data_contradict_is_named() -> None:

@@ -156,8 +156,9 @@ def _spatial(document: ResultDocument) -> Fact | None:
     worst = depends.spatial[0]
     assert worst.spatial is not None
     share = worst.spatial.correlation
+    code = "learnt-terms-incomplete" if document.terms else "model-incomplete"
     return fact(
-        "model-lacks-little" if _small_and_held(document, share) else "model-incomplete",
+        "model-lacks-little" if _small_and_held(document, share) else code,
         numbers={"shared_variance": share, "p_value": worst.spatial.p_value},
         instrument=repr(worst.instrument),
     )

@@ -76,3 +76,14 @@ def test_an_image_that_was_taken_twice_hides_nothing(tmp_path: Path) -> None:
     T[8], uv[8] = T[WRONG], uv[WRONG]  # to the last digit, so that one row is a copy
     one.write(tmp_path, T=T, uv=uv)
     assert len(lc.init(tmp_path).dataset) == 16
+
+
+def test_an_image_that_copies_another_is_named_and_left_out(tmp_path: Path) -> None:
+    one = shots(5, held=True, images=16)
+    uv = one.uv.copy()
+    uv[WRONG] = uv[9]
+    one.write(tmp_path, T=one.rig.flange(one.read), uv=uv)
+    project = lc.init(tmp_path)
+    assert any("Image 4 copies image 10" in words for words in project.remarks)
+    assert _left_out(project)
+    assert "4" not in project.dataset.poses
