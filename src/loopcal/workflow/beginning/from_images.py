@@ -22,7 +22,7 @@ from loopcal.files.cameras.folder import Files, read_files
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.workflow.beginning.begun import READINGS, Begun
-from loopcal.workflow.beginning.images_hand import Describe, Hand, hand_of, unread
+from loopcal.workflow.beginning.images_hand import Describe, Hand, hand_of, states_flange, unread
 from loopcal.workflow.beginning.images_project import CORNERS, WRONG, ImagesProject
 from loopcal.workflow.beginning.matching import matched
 
@@ -60,15 +60,23 @@ class FromImages:
 
 
 def from_images(
-    entries: Sequence[Any], describe: Describe | None, joints: str | None, folder: Path
+    entries: Sequence[Any],
+    describe: Describe | None,
+    joints: str | None,
+    folder: Path,
+    *,
+    named: bool,
 ) -> FromImages:
     """`init` of a folder or files that hold corners.
 
     describe: the robot by the columns of its joints, None where nothing describes one; joints:
-    these columns, as in `init`; folder: where the project will lie. Raises InputError where
-    something remains open.
+    these columns, as in `init`; folder: where the project will lie; named: whether the user names
+    the robot: one whose file lies beside the others gives way to stated poses of the flange.
+    Raises InputError where something remains open.
     """
     files = read_files(entries)
+    if not named and (not files.poses or states_flange(files)):
+        describe = None
     project, turned = understood(files, hand_of(files, describe, joints, folder))
     remarks = (
         *files.remarks,

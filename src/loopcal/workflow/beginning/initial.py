@@ -356,12 +356,16 @@ def _of_images(
     """The project of a folder or files with corners of boards, or images of them."""
     if write:
         refuse_foreign(*(folder / name for name in (PROJECT, READINGS, CORNERS)))
+    files = files_of(readings)
+    named = any((robot.urdf, robot.dh, robot.machine))
+    if not named:
+        robot, _ = among(files, robot)
     described = [one for one in (robot.urdf, robot.dh, robot.machine) if one is not None]
     describe = partial(_described, robot, folder) if described else None
     robots = {Path(one).resolve() for one in described}
     # A folder may hold the file of the robot as well.
-    readings = [path for path in files_of(readings) if path.resolve() not in robots]
-    made = from_images(readings, describe, robot.joints, folder)
+    readings = [path for path in files if path.resolve() not in robots]
+    made = from_images(readings, describe, robot.joints, folder, named=named)
     project = read_project(folder / PROJECT, text=made.begun.text)
     wrong = left_out(project, made.begun.dataset, made.doubtful)
     return _kept(made.without(*wrong) if wrong else made.begun, folder, write=write)
