@@ -66,15 +66,6 @@ def test_a_folder_becomes_a_project_that_finds_the_lens(tmp_path: Path, robot: b
         assert (robot_code if robot else "unknown-accuracy") in codes
 
 
-def test_a_stated_lens_whose_pixels_are_not_square_is_no_yardstick(tmp_path: Path) -> None:
-    written(tmp_path, pixels(hands(12, 5), on="base"), hands(12, 5))
-    lens = "fx: {}\nfy: 900.0\ncx: 640.0\ncy: 480.0\nwidth: 1300\nheight: 970\n"
-    for fx, sd in ((890.0, 900.0 / 890.0 - 1.0), (899.5, 1e-3)):
-        (tmp_path / "lens.yaml").write_text(lens.format(fx), "utf-8")
-        aspect = lc.init(tmp_path).mechanism.parameters["camera_1_aspect"]
-        assert aspect.prior_sd == pytest.approx(sd, abs=1e-4)
-
-
 def test_corners_without_a_board_are_refused(tmp_path: Path) -> None:
     T = hands(4, 5)
     folder = written(tmp_path, pixels(T, on="base"), T)

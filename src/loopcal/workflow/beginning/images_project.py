@@ -20,7 +20,7 @@ from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.tables.writer import table_bytes
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.measurements.dataset import Dataset
-from loopcal.mechanisms.instruments.camera import ASPECT_SD, PIXEL
+from loopcal.mechanisms.instruments.camera import PIXEL
 from loopcal.mechanisms.placement import rigid, yaw_pitch_roll
 from loopcal.units import from_si, to_si
 from loopcal.workflow.beginning.begun import READINGS
@@ -187,9 +187,6 @@ class ImagesProject:
                         entry["sd"] = round(share * abs(lens.fx), 1)
                 if key in USUAL and lens.lens != "fisheye":
                     entry["sd"] = USUAL[key]
-                if key == "aspect" and abs(value) > ASPECT_SD:
-                    # Pixels are square: what a program states instead may be the print's.
-                    entry["sd"] = round(abs(float(value)), 4)
                 stated[f"{eye}_{key}"] = entry
         for b, board in enumerate(corners.boards):
             Y = begun.Y[b]
