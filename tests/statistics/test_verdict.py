@@ -18,7 +18,7 @@ import loopcal as lc
 from analyses.gauntlet_worlds import Parallel
 from loopcal.cli.application import app
 from loopcal.cli.registry import COMMANDS, loaded
-from loopcal.document.accuracy import Coverage
+from loopcal.document.accuracy import Coverage, PixelSize
 from loopcal.document.catalogue import CATALOGUE
 from loopcal.document.change_points import (
     Change,
@@ -199,15 +199,19 @@ def test_a_lack_of_the_model_counts_by_its_size_where_its_regions_hold(
     whole = None if held is None else Coverage(0.95, held, 120)
     blocked = replace(document.validation, coverage=whole, blocked=None)
     alike = replace(likeness(1e-9), correlation=share)
-    found = verdict_of(
-        replace(
-            document,
-            terms=terms,
-            validation=replace(document.validation, blocked=blocked),
-            dependence=Dependence((InstrumentDependence("T", likeness(1.0), alike),), 0.01),
-        )
-    ).sound
+    alike_near = replace(
+        document,
+        terms=terms,
+        validation=replace(document.validation, blocked=blocked),
+        dependence=Dependence((InstrumentDependence("T", likeness(1.0), alike),), 0.01),
+    )
+    found = verdict_of(alike_near).sound
     assert (found.code, found.passed) == (code, None if code == "model-lacks-little" else False)
+    if not terms and held is not None:  # of images no terms are learnt
+        seen = changed(alike_near, "accuracy.pixels", (PixelSize("eye", 4e-4),))
+        assert verdict_of(seen).sound.code == "model-lacks-little"
+    # nobody is sent to learn terms that are learnt
+    assert ("structured model error" in (found.next or "")) == (not terms)
 
 
 def test_a_prior_that_the_data_contradict_is_named() -> None:

@@ -104,6 +104,15 @@ _ROWS = (
         _AUTO,
     ),
     _not_sound(
+        "learnt-terms-incomplete",
+        "Learnt terms do not follow the error: {shared_variance:1%} of the variance of the "
+        "residuals of {instrument} is common to poses that are near in joint space ({p_value:p}).",
+        "Check the instrument: a lens or a board that is not as stated looks the same as the "
+        "machine. Then measure more poses.",
+        _PLAN,
+        shared="model-incomplete",
+    ),
+    _not_sound(
         "plain-model-wrong",
         "The model without {term} is wrong: {meaning} (-2 log likelihood lower by {gain:2}).",
         "Measure more poses, all over the region, and fit with a structured model error.",

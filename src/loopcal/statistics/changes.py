@@ -3,7 +3,8 @@
 A reflector that slipped bends every machine that is fitted to all poses alike. Change points that
 are certain become effects, and gross outliers beside them are discarded. Only a fit with a
 structured model error is trusted to tell: under a plain fit the error of the machine model itself
-changes from region to region, and looks the same.
+changes from region to region, and looks the same. Images have no such fit; theirs with all sensors
+uncertain has to do, and a change in an order that the joints show is none (`ChangePoint.imitated`).
 """
 
 from __future__ import annotations

@@ -40,6 +40,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import helping, process_cores
+from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
 from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import CERTAIN, Changes, changes, unchanged
@@ -131,7 +132,7 @@ def choose(
         kept = None if other else _of(scheme, run_changes)
         return _compared(case, run_changes, judged, waiting, kept, executor, progress, iterated)
 
-    over = compared(judged, [one for one in waiting if not one.structured])
+    over = compared(judged, [one for one in waiting if not _tells(one)])
     taken = over.taken
     if taken.entrant.structured and not run_changes.points:
         # What is taken may show what the candidate that was searched does not.
@@ -236,9 +237,16 @@ def _refuse(judged: Sequence[Judged]) -> None:
         raise next(one.error for one in able if one.error)
 
 
+def _tells(one: Entrant) -> bool:
+    """Whether a candidate tells what happened during the run: a structured one, of images one that
+    counts neither joints nor poses as exact."""
+    images = any(f.form == PIXELS for f in one.case.mechanism.families)
+    return one.structured or (images and not one.cheap)
+
+
 def _closest(judged: Sequence[Judged]) -> Judged | None:
-    """The structured candidate that fits best: it tells what happened during the run."""
-    able = [one for one in judged if one.entrant.structured and one.whole and not one.failed]
+    """The one that fits best of those that tell what happened during the run."""
+    able = [one for one in judged if one.whole and not one.failed and _tells(one.entrant)]
 
     def misfit(one: Judged) -> float:
         after = one.whole and one.whole.accuracy_after
@@ -250,14 +258,14 @@ def _closest(judged: Sequence[Judged]) -> Judged | None:
 def _searched(
     case: Case, judged: Sequence[Judged], waiting: Sequence[Entrant], iterated: Iterated | None
 ) -> tuple[list[Judged], Changes]:
-    """Those at hand and all structured candidates with their fits; what happened during the run, by
+    """Those at hand and all that tell, with their fits; what happened during the run, by
     the fit of exact readings, which comes closest to the outputs, else by the closest.
 
     Where something happened, the other fits are in vain and left.
     """
-    structured = [one for one in waiting if one.structured]
-    first = next((one for one in structured if one.case.fit.method.exact), None)
-    order = sorted(structured, key=lambda one: one is not first)
+    telling = [one for one in waiting if _tells(one)]
+    first = next((one for one in telling if one.case.fit.method.exact), None)
+    order = sorted(telling, key=lambda one: one is not first)
 
     def with_changes(_: None, one: Entrant) -> tuple[Judged, Changes | None]:
         judged = fitted(one, None if helping() else iterated)
@@ -272,7 +280,7 @@ def _searched(
                 run_changes = fit_changes
                 if run_changes.points:
                     break
-    judged = [*judged, *(done[one.name] for one in structured if one.name in done)]
+    judged = [*judged, *(done[one.name] for one in telling if one.name in done)]
     if run_changes is None:
         best = _closest(judged)
         run_changes = _changes(case, best) if best else None

@@ -156,8 +156,9 @@ def _spatial(document: ResultDocument) -> Fact | None:
     worst = depends.spatial[0]
     assert worst.spatial is not None
     share = worst.spatial.correlation
+    code = "learnt-terms-incomplete" if document.terms else "model-incomplete"
     return fact(
-        "model-lacks-little" if _small_and_held(document, share) else "model-incomplete",
+        "model-lacks-little" if _small_and_held(document, share) else code,
         numbers={"shared_variance": share, "p_value": worst.spatial.p_value},
         instrument=repr(worst.instrument),
     )
@@ -165,9 +166,10 @@ def _spatial(document: ResultDocument) -> Fact | None:
 
 def _small_and_held(document: ResultDocument, share: float) -> bool:
     """Whether a machine model with learnt terms lacks so little that its regions hold, on poses
-    and in whole regions of the joint space that were not used."""
-    validation = document.validation
-    if share >= LEAST_SHARE or not document.terms or validation is None:
+    and in whole regions of the joint space that were not used. Images have no such terms."""
+    validation, accuracy = document.validation, document.accuracy
+    images = accuracy is not None and bool(accuracy.pixels)
+    if share >= LEAST_SHARE or not (document.terms or images) or validation is None:
         return False
     blocked = validation.blocked and validation.blocked.coverage
     tested = [held for held in (validation.coverage, blocked) if held and held.poses]

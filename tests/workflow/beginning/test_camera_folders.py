@@ -248,10 +248,36 @@ def test_a_folder_of_detected_tags(tmp_path: Path) -> None:
 def test_joints_of_the_row_that_the_images_fit_are_used(tmp_path: Path) -> None:
     made = shots(37, held=False, images=12)
     made.write(tmp_path / "images", uv=np.roll(made.uv, 1, axis=0))
-    begun = lc.init(tmp_path / "images", dh=tmp_path / "images" / "dh.csv", out=tmp_path / "c")
+    begun = lc.init(tmp_path / "images", out=tmp_path / "c")  # dh.csv lies in the folder
     assert any("one row earlier, which is used" in remark for remark in begun.remarks)
     assert list(begun.dataset.poses) == [str(i) for i in range(2, 13)]  # the first has no pose
     assert_allclose(begun.dataset.readings["theta_1"], made.read[:-1, 0], atol=1e-8)
+
+
+@pytest.mark.parametrize(("along", "first"), [(False, 0), (True, 0), (False, 1)])
+def test_corners_of_tags_counted_through_are_matched(
+    tmp_path: Path, along: bool, first: int
+) -> None:
+    """A row per image; the numbers run tag by tag, or along whole rows of corners as in Kalibr."""
+    (tmp_path / "target.yaml").write_text(
+        "target_type: aprilgrid\ntagCols: 3\ntagRows: 2\ntagSize: 0.06\ntagSpacing: 0.3\n", "utf-8"
+    )
+    (board,) = read_boards(tmp_path / "target.yaml").values()
+    T, xyz = hands(12, 5), board.xyz
+    points = dict(zip(board.points, map(tuple, xyz.tolist()), strict=True))
+    uv = pixels(T, on="base", points=points)
+    order = np.lexsort((xyz[:, 0], xyz[:, 1])) if along else np.arange(len(xyz))
+    written(tmp_path, pixels(T, on="base"), T)
+    (tmp_path / "points.csv").unlink()
+    head = [f"{axis}_{k + first}" for k in range(len(order)) for axis in "uv"]
+    rows = [[i, *uv[order, :, i].ravel()] for i in range(12)]
+    lines = [",".join(map(str, row)) for row in (["image", *head], *rows)]
+    (tmp_path / "corners.csv").write_text("\n".join(lines) + "\n", "utf-8")
+    project = lc.init(tmp_path)
+    assert "12 images with 288 corners" in str(project)
+    assert any("tag by tag" in words for words in project.remarks)
+    assert any("along whole rows" in words for words in project.remarks) == along
+    assert float(str(project).split(" begins at ")[1].split()[0]) < 0.1
 
 
 def as_matrices(T: np.ndarray) -> np.ndarray:

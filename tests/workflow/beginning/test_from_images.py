@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import loopcal as lc
 from loopcal.document.accuracy import ValidationEntry
+from loopcal.mechanisms.cameras.lens import project
 from loopcal.statistics.verdict import findings_of
 from tests.mechanisms.test_camera import LENS, POINTS, hands, pixels
 from tests.refusals import refused
@@ -95,3 +96,56 @@ def test_cameras_alone_are_judged_by_images_and_not_sent_to_plan(tmp_path: Path)
     assert "joint space" not in result.document.validation.words
     advised = [one.next for one in result.document.findings if one.next]
     assert not any("loopcal plan" in (one.command or "") for one in advised)
+
+
+ORIGINS = ((0.0, 0.0, 0.0), (-1.57, 0.0, 0.0), (0.0, 0.0, 0.0), (-1.57, 0.0, 0.0), (1.57, 0.0, 0.0))
+"""Turns of the links of an arm, each of which is 0.3 m from the one before."""
+
+
+def _forearm(folder: Path, count: int) -> None:
+    """Images of a board on the fourth of five links, and the URDF of the arm."""
+    folder.mkdir()
+    links = [
+        f'<joint name="joint_{k}" type="revolute"><parent link="link_{k - 1}"/><child link='
+        f'"link_{k}"/><origin xyz="0.3 0 0.05" rpy="{r} {p} {y}"/><axis xyz="0 0 1"/><limit '
+        f'lower="-3" upper="3" effort="0" velocity="1"/></joint><link name="link_{k}"/>'
+        for k, (r, p, y) in enumerate(ORIGINS, 1)
+    ]
+    arm = f'<robot name="arm"><link name="link_0"/>{"".join(links)}</robot>'
+    (folder / "arm.urdf").write_text(arm, "utf-8")
+    rng = np.random.default_rng(7)
+    q = rng.uniform(-0.25, 0.25, (count, 5)) * [1.0, 1.0, 1.0, 1.0, 8.0]
+    q[0] = 0.0
+    T = np.eye(4)
+    for k, turn in enumerate(ORIGINS[:4]):
+        step = np.tile(np.eye(4), (count, 1, 1))
+        about = Rotation.from_rotvec(np.outer(q[:, k], [0.0, 0.0, 1.0]))
+        step[:, :3, :3] = (Rotation.from_euler("xyz", turn) * about).as_matrix()
+        step[:, :3, 3] = [0.3, 0.0, 0.05]
+        T = T @ step
+    first = np.eye(4)
+    first[:3, 3] = [-0.05, -0.04, 1.0]
+    board = np.array([(*p, 1.0) for p in POINTS.values()]).T
+    P = (first @ np.linalg.inv(T[0]) @ T @ board).transpose(1, 0, 2)[:3]
+    uv = np.array(project(LENS.lens, P, LENS.values)).transpose(2, 0, 1)
+    written(folder, uv + rng.normal(0.0, 0.1, uv.shape), None)
+    rows = [",".join(map(str, [i, *joints])) for i, joints in enumerate(q)]
+    head = ",".join(["pose", *(f"joint_{k} [rad]" for k in range(1, 6))])
+    (folder / "joints.csv").write_text("\n".join([head, *rows]) + "\n", "utf-8")
+
+
+def test_the_link_that_carries_the_board_is_the_one_that_fits(tmp_path: Path) -> None:
+    _forearm(tmp_path / "images", 14)
+    begun = lc.init(tmp_path / "images")
+    assert [q for q in begun.dataset.readings if "joint" in q] == [
+        f"joint_{k}" for k in range(1, 5)
+    ]
+    assert any("'link_5'" in words and "'link_4'" in words for words in begun.remarks)
+
+
+def test_poses_that_explain_nothing_are_refused(tmp_path: Path) -> None:
+    T = hands(12, 5)
+    uv = pixels(T, on="base") + np.random.default_rng(6).normal(0.0, 0.1, (len(POINTS), 2, 12))
+    written(tmp_path, uv, T[np.random.default_rng(7).permutation(12)])
+    with refused("mismatched-poses", "order of the rows"):
+        lc.init(tmp_path)

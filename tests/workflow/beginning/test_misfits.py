@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,3 +77,32 @@ def test_an_image_that_was_taken_twice_hides_nothing(tmp_path: Path) -> None:
     T[8], uv[8] = T[WRONG], uv[WRONG]  # to the last digit, so that one row is a copy
     one.write(tmp_path, T=T, uv=uv)
     assert len(lc.init(tmp_path).dataset) == 16
+
+
+def test_an_image_that_copies_another_is_named_and_left_out(tmp_path: Path) -> None:
+    one = shots(5, held=True, images=16)
+    uv = one.uv.copy()
+    uv[WRONG] = uv[9]
+    one.write(tmp_path, T=one.rig.flange(one.read), uv=uv)
+    project = lc.init(tmp_path)
+    assert any("Image 4 copies image 10" in words for words in project.remarks)
+    assert _left_out(project)
+    assert "4" not in project.dataset.poses
+
+
+def test_a_board_that_was_moved_between_two_images_is_modelled(tmp_path: Path) -> None:
+    one = shots(6, held=False, images=24)
+    T, uv = one.rig.flange(one.read), one.uv.copy()
+    fixed = one.rig.fixed.copy()
+    fixed[:3, 3] += [0.003, -0.002, 0.0]
+    moved = replace(one.rig, fixed=fixed)
+    uv[12:] += (moved.pixels(one.rig.flange(one.q)) - one.rig.pixels(one.rig.flange(one.q)))[12:]
+    one.write(tmp_path, T=T, uv=uv)
+    project = lc.init(tmp_path)
+    result = lc.calibrate(project.mechanism, project.dataset, noise=project.noise)
+    changes = result.document.change_points
+    assert changes is not None
+    assert [(point.pose, point.modelled) for point in changes.found] == [("13", True)]
+    f = {p.name: p for p in result.document.parameters}["cam_f"]
+    assert f.sd is not None
+    assert abs(f.value - one.rig.lens[0]) < 4.0 * f.sd

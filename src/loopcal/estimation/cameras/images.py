@@ -19,6 +19,8 @@ NEAR = 3.0
 
 SURE = 3
 """Corners that say which pose a view is of: one point is as near to a point of some other pose."""
+SOME = 12
+"""Corners of a view that are sought beside other poses."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,7 @@ def explained(reading: Reading, result: Adjusted) -> Explained:
     scene, facts = result.scene, []
     orders: dict[int, list[str]] = {}
     rows: dict[int, int] = {}
+    copies: dict[int, int] = {}
     wrong: list[int] = []
     new = corners
     for v in np.flatnonzero(medians > FAR * typical):
@@ -46,12 +49,15 @@ def explained(reading: Reading, result: Adjusted) -> Explained:
         if ordered is not None:
             new = _replaced(new, one, ordered)
             orders.setdefault(image, []).append(name)
+        elif (first := _copied(corners, int(v))) is not None:
+            copies[image] = first
         elif (row := _beside(one, scene, NEAR * typical)) is not None:
             rows[image] = row
         else:
             wrong.append(image)
     facts += _order_facts(corners, orders)
     facts += _row_facts(corners, rows)
+    facts += _copy_facts(corners, copies)
     if wrong:
         names = _names(corners, sorted(set(wrong)))
         sentence = (
@@ -89,10 +95,24 @@ def _beside(one: Corners, scene: Scene, limit: float) -> int | None:
     """The image beside whose pose a view fits."""
     if scene.A is None or len(one) < SURE:
         return None
-    some = one.where(np.arange(min(len(one), 12)))
+    some = one.where(np.unique(np.linspace(0, len(one) - 1, SOME).astype(int)))
     sizes = [_median(some, replace(scene, A=np.broadcast_to(A, scene.A.shape))) for A in scene.A]
     row = int(np.argmin(sizes))
     return row if sizes[row] < limit and row != int(one.image[0]) else None
+
+
+def _copied(corners: Corners, view: int) -> int | None:
+    """Another image in which all corners of a view have the same pixels."""
+    views = corners.views
+    mine = np.flatnonzero(views.of_corner == view)
+    alike = np.all([k == k[view] for k in (views.camera, views.board, views.sizes)], axis=0)
+    alike[view] = False
+    for other in np.flatnonzero(alike) if len(mine) >= SURE else ():
+        theirs = views.first[other] + np.arange(len(mine))
+        same = np.array_equal(corners.point[theirs], corners.point[mine])
+        if same and np.array_equal(corners.uv[theirs], corners.uv[mine]):
+            return int(views.image[other])
+    return None
 
 
 def _replaced(corners: Corners, old: Corners, new: Corners) -> Corners:
@@ -144,4 +164,16 @@ def _row_facts(corners: Corners, rows: dict[int, int]) -> list[Fact]:
         )
         names = (corners.poses[image],)
         facts.append(Fact("pose-of-another-image", sentence, values, names, applied=True))
+    return facts
+
+
+def _copy_facts(corners: Corners, copies: dict[int, int]) -> list[Fact]:
+    facts = []
+    for image, first in sorted(copies.items()):
+        sentence = (
+            f"Image {corners.poses[image]} copies image {corners.poses[first]}: all of its corners "
+            "have the same pixels. It does not fit its pose. Detect the corners of its own image."
+        )
+        values: dict[str, float | str] = {"image": corners.poses[first]}
+        facts.append(Fact("image-unexplained", sentence, values, (corners.poses[image],)))
     return facts

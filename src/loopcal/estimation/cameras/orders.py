@@ -35,6 +35,9 @@ def consistent_orders(board: Board) -> list[Order]:
     nx, ny = grid.shape
     if nx > 1 and ny > 1 and nx != ny:
         orders.append(Order("numbers run along columns, not along rows", grid.at(k // ny, k % ny)))
+    if all("." in name for name in board.points):
+        along = grid.at(k % nx, k // nx)
+        orders.append(Order("numbers run along whole rows, not tag by tag", along))
     shift = np.where(grid.y % 2 == 0, 1, -1)
     for sign in (1, -1):
         name = "alternate rows are displaced by a column, as of a legacy pattern"

@@ -130,6 +130,15 @@ def _best_tip(fitting: Iterable[Branch]) -> Branch:
     return leaves[0] if len(leaves) == 1 else links[0]
 
 
+def tips_before(urdf: str | Path, base: str, tip: str) -> list[str]:
+    """A link of each part of a chain that has fewer joints than the whole, the longest first."""
+    every = [b for b in branches(urdf) if b.base == base]
+    whole = next((b.joints for b in every if b.tip == tip), ())
+    parts = (whole[:n] for n in reversed(range(1, len(whole))))
+    links = ([b for b in every if b.joints == part] for part in parts)
+    return [_best_tip(some).tip for some in links if some]
+
+
 def _named_tips(links: Sequence[Branch]) -> list[Branch]:
     """Links named as what tools are mounted on, in the order of these words."""
     return [

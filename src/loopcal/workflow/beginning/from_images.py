@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,10 +21,12 @@ from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.folder import Files, read_files
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
+from loopcal.presentation.shown import significant
 from loopcal.workflow.beginning.begun import READINGS, Begun
-from loopcal.workflow.beginning.images_hand import Describe, Hand, hand_of, unread
+from loopcal.workflow.beginning.images_hand import Describe, Hand, hand_of, states_flange, unread
 from loopcal.workflow.beginning.images_project import CORNERS, WRONG, ImagesProject
 from loopcal.workflow.beginning.matching import matched
+from loopcal.workflow.beginning.searching import CLEARLY, NOTHING, PLAUSIBLE
 
 USUAL_LENS = "brown5"
 CENTRAL = 0.45
@@ -45,6 +47,19 @@ class FromImages:
         facts = self.project.begun.facts
         return tuple(p for f in facts if f.code == "image-unexplained" for p in f.images)
 
+    @property
+    def share(self) -> float:
+        """What poses of the robot leave of how far points move between images; 0 without any."""
+        begun = self.project.begun
+        if begun.T_base_flange is None:
+            return 0.0
+        c = begun.corners
+        of_point = np.unique([c.camera, c.board, c.point], axis=1, return_inverse=True)[1].ravel()
+        count = np.bincount(of_point)
+        away = [x - (np.bincount(of_point, x) / count)[of_point] for x in c.uv.T]
+        left, moved = (float(np.median(np.hypot(*d))) for d in (begun.residuals.T, away))
+        return left / max(moved, 1e-9)
+
     def without(self, readings: Mapping[str, NDArray[np.bool_]], words: str) -> Begun:
         """The same without some readings, by name and pose; words: why, which joins the remarks."""
         project = self.project
@@ -60,15 +75,23 @@ class FromImages:
 
 
 def from_images(
-    entries: Sequence[Any], describe: Describe | None, joints: str | None, folder: Path
+    entries: Sequence[Any],
+    describe: Describe | None,
+    joints: str | None,
+    folder: Path,
+    *,
+    named: bool,
 ) -> FromImages:
     """`init` of a folder or files that hold corners.
 
     describe: the robot by the columns of its joints, None where nothing describes one; joints:
-    these columns, as in `init`; folder: where the project will lie. Raises InputError where
-    something remains open.
+    these columns, as in `init`; folder: where the project will lie; named: whether the user names
+    the robot: one whose file lies beside the others gives way to stated poses of the flange.
+    Raises InputError where something remains open.
     """
     files = read_files(entries)
+    if not named and (not files.poses or states_flange(files)):
+        describe = None
     project, turned = understood(files, hand_of(files, describe, joints, folder))
     remarks = (
         *files.remarks,
@@ -79,6 +102,38 @@ def from_images(
         *(f.sentence for f in project.begun.facts if describe is None or f.code != "board-pitch"),
     )
     return FromImages(_made(project, remarks), project)
+
+
+def on_another_link(
+    made: FromImages, tips: Sequence[str], on: Callable[[str], FromImages]
+) -> FromImages:
+    """The same with what moves on another link, the first of these tips that fits clearly better.
+
+    Raises InputError where poses of the robot explain nothing of what the images show.
+    """
+    best = made
+    for tip in tips:
+        best = min(best, on(tip), key=lambda one: one.share)
+        if best.share < PLAUSIBLE:
+            break
+    if CLEARLY * best.share < made.share:
+        first, last = (one.project.hand.table["tip"] for one in (made, best))
+        rms, more = (significant(one.project.begun.rms, 2) for one in (best, made))
+        words = (
+            f"what moves is taken to be on {last!r}: the images are {rms} px off, and {more} px "
+            f"with it on {first!r}"
+        )
+        remarks = (*best.begun.remarks, words)
+        return replace(best, begun=replace(best.begun, remarks=remarks))
+    if made.share > NOTHING:
+        raise InputError(
+            "the poses of the robot do not explain the images: corners are "
+            f"{significant(made.project.begun.rms, 2)} px off",
+            code="mismatched-poses",
+            remedy="check the joints, their units and signs, the order of the rows, and which link "
+            "carries the camera or the board (--tip LINK)",
+        )
+    return made
 
 
 def _made(project: ImagesProject, remarks: tuple[str, ...]) -> Begun:

@@ -98,6 +98,11 @@ def hand_of(files: Files, describe: Describe | None, joints: str | None, folder:
     return Hand((), {"type": "free-body", "read": False}, {}, None, {}, remarks)
 
 
+def states_flange(files: Files) -> bool:
+    """Whether a table states poses of the flange."""
+    return _stated(files.poses) is not None
+
+
 def _stated(paths: Sequence[Path]) -> PlaceTable | None:
     """The poses of the flange: of the file with most of them, or of files with one pose each, which
     are named as these."""

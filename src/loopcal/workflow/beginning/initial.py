@@ -37,6 +37,7 @@ from loopcal.files.recognition.robots import (
     Robot,
     dh_robot,
     joints_of,
+    tips_before,
     typed_robot,
     urdf_robot,
 )
@@ -55,7 +56,7 @@ from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, before_readings
 from loopcal.workflow.beginning.counts import counted
 from loopcal.workflow.beginning.delays import Delay, delays
-from loopcal.workflow.beginning.from_images import from_images
+from loopcal.workflow.beginning.from_images import FromImages, from_images, on_another_link
 from loopcal.workflow.beginning.from_samples import from_samples, samples_of
 from loopcal.workflow.beginning.from_tree import dh_table, from_tree, urdf_table
 from loopcal.workflow.beginning.images_project import CORNERS
@@ -356,12 +357,26 @@ def _of_images(
     """The project of a folder or files with corners of boards, or images of them."""
     if write:
         refuse_foreign(*(folder / name for name in (PROJECT, READINGS, CORNERS)))
+    files = files_of(readings)
+    named = any((robot.urdf, robot.dh, robot.machine))
+    if not named:
+        robot, _ = among(files, robot)
     described = [one for one in (robot.urdf, robot.dh, robot.machine) if one is not None]
     describe = partial(_described, robot, folder) if described else None
     robots = {Path(one).resolve() for one in described}
     # A folder may hold the file of the robot as well.
-    readings = [path for path in files_of(readings) if path.resolve() not in robots]
-    made = from_images(readings, describe, robot.joints, folder)
+    readings = [path for path in files if path.resolve() not in robots]
+    made = from_images(readings, describe, robot.joints, folder, named=named)
+    if made.share > PLAUSIBLE:
+        table, tips = made.project.hand.table, list[str]()
+        if robot.urdf is not None and robot.tip is None and robot.joints is None:
+            tips = tips_before(robot.urdf, table["base"], table["tip"])
+
+        def on(tip: str) -> FromImages:
+            again = partial(_described, replace(robot, tip=tip), folder)
+            return from_images(readings, again, None, folder, named=True)
+
+        made = on_another_link(made, tips, on)
     project = read_project(folder / PROJECT, text=made.begun.text)
     wrong = left_out(project, made.begun.dataset, made.doubtful)
     return _kept(made.without(*wrong) if wrong else made.begun, folder, write=write)

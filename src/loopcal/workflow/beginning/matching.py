@@ -36,6 +36,11 @@ def matched(
             remarks.append(f"numbers of corners of {name!r} begin at {begins}: matched so")
         for i in mine if step else ():
             points[i] = str(int(points[i]) - step)
+        if begin := _first_of_tags({points[i] for i in mine}, board.points):
+            names = ["", *board.points][1 - int(begin) :]
+            remarks.append(f"corners of {name!r} are numbered tag by tag from {begin}: matched so")
+            for i in mine:
+                points[i] = names[int(points[i])]
     return replace(table, point=tuple(points)), tuple(remarks)
 
 
@@ -72,3 +77,15 @@ def _step(used: Collection[str], points: Collection[str]) -> int:
         return 0
     fitting = (step for step in (1, -1) if {str(int(n) - step) for n in used} <= {*points})
     return next(fitting, 0)
+
+
+def _first_of_tags(used: Collection[str], points: Collection[str]) -> str:
+    """The number of the first of corners that are counted through, on a board that names them by
+    tag and corner; empty where names match."""
+    tags = all(re.fullmatch(r"\d+\.\d+", name) for name in points)
+    if not tags or not used or not all(name.isdecimal() for name in used):
+        return ""
+    most = max(map(int, used))
+    if most < len(points):
+        return "0"
+    return "1" if most == len(points) and "0" not in used else ""
