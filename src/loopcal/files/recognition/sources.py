@@ -513,7 +513,9 @@ def _pose_column(
         if i in numeric or _stem(headings, i) in TIMES | STATIONS | TOOLS | _TARGETS:
             continue
         ids = ids_of(i)
-        if len(ids) > 2 and all(ids) and len(set(ids)) == len(ids) and seconds_of(ids) is None:
+        # Points ahead of their numbers without a header: a few may be measured twice.
+        kinds = 2 * len(set(ids)) if i == 0 and not table.names else len(set(ids))
+        if len(ids) > 2 and all(ids) and kinds >= len(ids) and seconds_of(ids) is None:
             return i
     if not table.names and numeric and numeric[0] == 0:
         first = table.numbers(0, np.arange(len(table.rows)))

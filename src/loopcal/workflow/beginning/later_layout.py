@@ -12,11 +12,12 @@ from loopcal.files.recognition.converting import Reading, dataset_of, quaternion
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import layouts
 from loopcal.files.recognition.logs import at_rest
+from loopcal.files.recognition.robots import parallel_machine
 from loopcal.files.recognition.sources import sources_of_all
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.units import to_si
-from loopcal.workflow.beginning.searching import Machine, every_way
+from loopcal.workflow.beginning.searching import Machine, every_way, machine_of
 from loopcal.workflow.beginning.understanding import understood
 
 _FORMS = frozenset({"point", "pose", "spherical", "length"})
@@ -26,14 +27,15 @@ _FORMS = frozenset({"point", "pose", "spherical", "length"})
 def later_layout(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None:
     """The readings by the only columns and units in which a calibrated machine fits them.
 
-    None for a machine that this cannot be asked of: with a closed loop, constants other than
-    orientations, payloads and temperatures, or other instruments than trackers, poses and lengths.
+    None for a machine that this cannot be asked of: of closed loops in a plane or without an
+    instrument, with constants other than orientations, payloads and temperatures, or with other
+    instruments than trackers, poses and lengths.
     Raises InputError where nothing fits, or several.
     """
     forms = [family.form for family in mechanism.families]
-    if mechanism.home or not mechanism.chain or not forms or not _FORMS.issuperset(forms):
+    machine = _machine(mechanism)
+    if machine is None or not forms or not _FORMS.issuperset(forms):
         return None
-    machine = Machine(mechanism, tuple(mechanism.joints))
     sources, _ = at_rest(sources_of_all(tables_of(entries)), machine.joints)
     fields, stated = _conditions(joined(sources), mechanism)
     oriented = {name for of in mechanism.orientations for name in of.columns}
@@ -62,6 +64,14 @@ def later_layout(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None
     words = f"Other columns than on the first day, read as {'; '.join(meant)}."
     source = replace(made.source, file=", ".join(names), rows_read=len(made), read_as=words)
     return replace(made, source=source)
+
+
+def _machine(mechanism: Mechanism) -> Machine | None:
+    """What the joints move; None where the columns would not show it."""
+    if mechanism.chain:
+        return None if mechanism.home else Machine(mechanism, tuple(mechanism.joints))
+    robot = parallel_machine(mechanism)
+    return None if robot is None else machine_of(robot, "the first day")
 
 
 def _conditions(fields: Fields, mechanism: Mechanism) -> tuple[Fields, dict[str, Reading]]:
