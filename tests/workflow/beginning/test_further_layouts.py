@@ -81,9 +81,34 @@ def structs(w: World, folder: Path) -> list[str]:
     return ["data.mat"]
 
 
+def commanded_ahead(w: World, folder: Path) -> list[str]:
+    command = {"Name": ids(w, "p{}"), **joints(w, values=w.command)}
+    written(folder / "a.csv", command)
+    return ["a.csv", written(folder / "b.csv", {**command, **joints(w)}), tracker(w, folder)]
+
+
+def one_name_twice(w: World, folder: Path) -> list[str]:
+    every = {"Name": ids(w, "p{}"), **joints(w, "J{}x", w.command), **joints(w)}
+    name = written(folder / "a.csv", every)
+    text = (folder / name).read_text("utf-8")
+    head, rest = text.split("\n", 1)
+    (folder / name).write_text(head.replace("x", "") + "\n" + rest, "utf-8")
+    return [name, tracker(w, folder)]
+
+
+def nominal_and_errors(w: World, folder: Path) -> list[str]:
+    off = w.points - w.points.mean(axis=0)
+    errors = off - off[::-1] * 1e-3 - off
+    columns = {**joints(w), **xyz("{}r", w.points, "XYZ"), **xyz("e{}", errors, "XYZ")}
+    return [written(folder / "a.csv", columns)]
+
+
 @pytest.mark.parametrize(
     "maker",
     [
+        commanded_ahead,
+        one_name_twice,
+        nominal_and_errors,
         turns,
         unstated_arcminutes,
         measured_twice,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError
-from loopcal.files.recognition.fields import Field, Source, counted
+from loopcal.files.recognition.fields import Field, Source, counted, told_apart
 from loopcal.files.recognition.headers import heading, sd_of
 from loopcal.files.recognition.shots import pooled
 
@@ -276,5 +276,5 @@ def _named_by_file(field_: Field, doubles: Collection[str]) -> Field:
     number = field_.table + 1
     words = f"{field_.label} (file {number})"
     return replace(
-        field_, heading=replace(field_.heading, text=words, stem=f"{field_.stem}_{number}")
+        field_, heading=replace(field_.heading, text=words, stem=told_apart(field_.stem, number))
     )

@@ -170,6 +170,19 @@ def _single_station(
     return _by_order(fields, count)
 
 
+def with_points_for_turns(layout: Layout) -> Layout | None:
+    """With three columns that were taken for turns as a point of their own, such as errors eX, eY,
+    eZ; None where there are none."""
+    seen = []
+    for one in layout.seen:
+        if one.form != "turns":
+            seen.append(one)
+            continue
+        seen.append(replace(one, kind="point", turned=(), form=""))
+        seen.append(Seen("point", one.turned, station=one.station))
+    return None if len(seen) == len(layout.seen) else replace(layout, seen=tuple(seen))
+
+
 def _read_by(fields: Sequence[Field], joints: Sequence[Field]) -> set[int]:
     """Columns whose place in their table is that of a joint that was computed from them."""
     places = {(f.table, f.position) for f in joints}

@@ -22,6 +22,7 @@ from loopcal.files.recognition.fields import (
     Source,
     column_key,
     counted,
+    told_apart,
 )
 from loopcal.files.recognition.framed import framed_table
 from loopcal.files.recognition.headers import (
@@ -375,12 +376,15 @@ def _without_blanks(
 
 
 def _distinct(fields: Sequence[Field]) -> tuple[Field, ...]:
-    """With a number behind the name of a column that an earlier one has too, as X beside x."""
+    """With a letter behind the name of a column that an earlier one has too, as X beside x."""
     made, met = list[Field](), dict[str, int]()
     for f in fields:
         met[f.stem] = met.get(f.stem, 0) + 1
         if f.heading and f.stem and met[f.stem] > 1:
-            f = replace(f, heading=replace(f.heading, stem=f"{f.stem}_{met[f.stem]}"))
+            text = f"{f.label} (column {f.position + 1})"
+            f = replace(
+                f, heading=replace(f.heading, text=text, stem=told_apart(f.stem, met[f.stem]))
+            )
         made.append(f)
     return tuple(made)
 

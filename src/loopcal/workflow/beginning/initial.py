@@ -28,7 +28,7 @@ from loopcal.files.recognition.converting import dataset_of
 from loopcal.files.recognition.expressions import joint_columns, turned_columns
 from loopcal.files.recognition.fields import Field, Source
 from loopcal.files.recognition.joins import Fields, joined
-from loopcal.files.recognition.layouts import Layout, layouts
+from loopcal.files.recognition.layouts import Layout, layouts, with_points_for_turns
 from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.observations import observations
 from loopcal.files.recognition.robots import (
@@ -484,6 +484,11 @@ def _readable(robot: Robot, fields: Fields, columns: tuple[Field, ...], folder: 
     every_layout = layouts(fields.fields, robot.joints, robot.names, columns)
     _refuse_zeros(every_layout, fields)
     ways = sorted(every_way(machine, every_layout), key=lambda u: u.share)
+    if not (ways and ways[0].share <= PLAUSIBLE):
+        others = tuple(o for one in every_layout if (o := with_points_for_turns(one)))
+        further = sorted(every_way(machine, others), key=lambda u: u.share)
+        if further and further[0].share <= PLAUSIBLE:
+            every_layout, ways = others, further
     return _Readable(robot, machine, fields, conditions, every_layout, ways)
 
 
