@@ -12,7 +12,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
-from analyses.layouts import World, described, ids, joints, of, written, xyz
+from analyses.layouts import World, described, ids, joints, of, polar, written, xyz
 from loopcal.workflow.readings import new_readings
 from tests.refusals import refused
 
@@ -244,6 +244,29 @@ def test_a_later_day_of_closed_loops_may_have_other_columns(tmp_path: Path) -> N
     read = new_readings(tmp_path / "later.csv", project.inputs, project.mechanism, whole=True)
     assert np.allclose(read["slide_2"], 1e-3 * q[:, 1], atol=1e-8)
     assert np.allclose(read["y"], 1e-3 * points[:, 1], atol=1e-8)
+
+
+@pytest.mark.parametrize("first", ["points", "polar"])
+def test_a_later_day_may_have_points_in_place_of_range_and_angles(
+    tmp_path: Path, first: str
+) -> None:
+    """And the reverse."""
+    world = World("six", 12)
+    described(world, tmp_path)
+    measured = {
+        "points": xyz("{} [mm]", world.points),
+        "polar": of(["Range [mm]", "Hz [deg]", "V [deg]"], polar(world.points) * [1, -1, 1]),
+    }
+    written(tmp_path / "first.csv", {**joints(world), **measured.pop(first)}, digits=9)
+    project = lc.init(tmp_path / "first.csv", dh=tmp_path / "dh.csv")
+    (later,) = measured.values()
+    written(tmp_path / "b.csv", {**joints(world, "axis {} [deg]"), **later}, digits=9)
+    read = new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
+    for name, values in project.dataset.readings.items():
+        if "azimuth" in name:
+            assert np.allclose(np.exp(1j * (read[name] - values)), 1.0, atol=1e-8)
+        else:
+            assert np.allclose(read[name], values, atol=1e-8)
 
 
 def test_legs_that_no_platform_has_are_refused(tmp_path: Path) -> None:
