@@ -103,9 +103,19 @@ def nominal_and_errors(w: World, folder: Path) -> list[str]:
     return [written(folder / "a.csv", columns)]
 
 
+def matrices_below_each_other(w: World, folder: Path) -> list[str]:
+    T = np.tile(np.eye(4), (len(w.q), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = w.turns, 1e3 * w.points
+    blocks = ["\n".join(" ".join(f"{v:.9f}" for v in row) for row in one) for one in T]
+    text = "".join(f"Pose {i}\n{block}\n\n" for i, block in enumerate(blocks, 1))
+    (folder / "poses.txt").write_text(text, "utf-8")
+    return [written(folder / "a.csv", {"Pose": ids(w, "{}"), **joints(w)}), "poses.txt"]
+
+
 @pytest.mark.parametrize(
     "maker",
     [
+        matrices_below_each_other,
         commanded_ahead,
         one_name_twice,
         nominal_and_errors,
@@ -129,7 +139,8 @@ def test_what_was_measured_is_read(tmp_path: Path, maker: Maker) -> None:
     assert np.allclose(np.column_stack([read[n] for n in names]), world.read, atol=1e-6)
     assert np.allclose(np.column_stack([read[n] for n in "xyz"]), world.points, atol=1e-6)
     forms = [family.form for family in project.mechanism.families]
-    assert forms == ["pose" if maker is unit_vectors else "point"]
+    six = maker in (unit_vectors, matrices_below_each_other)
+    assert forms == ["pose" if six else "point"]
 
 
 def test_a_log_at_ten_times_a_second_beside_points_by_time(tmp_path: Path) -> None:
@@ -160,6 +171,18 @@ def test_one_coordinate_is_no_length_of_a_wire(tmp_path: Path, name: str) -> Non
     written(tmp_path / "a.csv", {**joints(world, "J{} [deg]"), name: 1e3 * world.points[:, 2]})
     with refused("missing-column", name, "plane"):
         lc.init(tmp_path / "a.csv", dh=tmp_path / "dh.csv")
+
+
+@pytest.mark.parametrize("names", ["J1 J2 J3 J4 J5 J6", "S L U R B T"])
+def test_a_table_with_a_row_per_joint_is_no_readings(tmp_path: Path, names: str) -> None:
+    """Its numbers had joined those of the poses, of which six were left."""
+    world = World("six", 13)
+    described(world, tmp_path)
+    columns = {"no": [f"{i}" for i in range(1, len(world.q) + 1)], **joints(world)}
+    written(tmp_path / "a.csv", {**columns, **xyz("{} [mm]", world.points)})
+    written(tmp_path / "b.csv", {"joint": names.split(), "offset": np.arange(6.0)})
+    with refused("mismatched-poses", "b.csv", "row per joint"):
+        lc.init(tmp_path / "a.csv", tmp_path / "b.csv", dh=tmp_path / "dh.csv")
 
 
 ROWS = ["1,0,0,-90,-90,p", "2,0,400,-90,-90,p", "3,0,600,0,0,p", "4,0,80,90,0,r", "5,0,30,0,0,r"]

@@ -18,6 +18,7 @@ from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.recognition.fields import Field, Source, counted, told_apart
 from loopcal.files.recognition.headers import heading, sd_of
+from loopcal.files.recognition.joint_sets import names_joints
 from loopcal.files.recognition.shots import pooled
 
 Rows = NDArray[np.intp]
@@ -51,6 +52,7 @@ def joined(sources: Sequence[Source]) -> Fields:
 
     Raises InputError where none of this is possible, or where tables have rows of unlike poses.
     """
+    _refuse_rows_of_joints(sources)
     sources = _named_by_files(sources)
     first = sources[0]
     if len(sources) == 1:
@@ -81,6 +83,22 @@ def joined(sources: Sequence[Source]) -> Fields:
     fields = _without_doubles([f for s in sources for f in s.fields])
     remark = f"{' and '.join(lengths)} share no pose ids: their rows are joined by order"
     return Fields(tuple(sources), poses, fields, True, (remark,))
+
+
+def _refuse_rows_of_joints(sources: Sequence[Source]) -> None:
+    """Raise InputError for a table with a row per joint beside one of poses."""
+    for source in sources:
+        ids = source.ids or ()
+        others = [s for s in sources if s is not source]
+        more = any(len(s) >= 2 * len(ids) and not {*ids} & {*(s.ids or ())} for s in others)
+        if more and names_joints(ids, every=True):
+            raise InputError(
+                f"{source.name} has a row per joint, {ids[0]} to {ids[-1]}, and is no table of "
+                "readings",
+                code="mismatched-poses",
+                remedy="leave it out: zeros belong into the column theta of the table for --dh, "
+                "degrees per count into --joints, such as J1*0.0007+12.5",
+            )
 
 
 def _named_by_files(sources: Sequence[Source]) -> Sequence[Source]:

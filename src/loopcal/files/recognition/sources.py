@@ -37,7 +37,7 @@ from loopcal.files.recognition.joins import in_numbers
 from loopcal.files.recognition.lists import listed_columns
 from loopcal.files.recognition.records import FEWEST, are_records, records_table
 from loopcal.files.recognition.shots import MOST_TARGETS, pooled, widened
-from loopcal.files.recognition.turned_over import turned_over
+from loopcal.files.recognition.turned_over import matrices_unfolded, turned_over
 from loopcal.files.tables import bag
 from loopcal.files.tables.cells import is_missing, is_number
 from loopcal.files.tables.raw import Text, read_text
@@ -235,7 +235,8 @@ def _of_file(
 def _framed(path: Path, part: str | int | None) -> tuple[Table, str]:
     """The table of a file with a row per pose, and what to say of the rows around it."""
     table, title = framed_table(path, part, _NAMES)
-    table, turned = turned_over(table)
+    table, unfolded = matrices_unfolded(table)
+    table, turned = (table, unfolded) if unfolded else turned_over(table)
     return table, f"{title} {turned}".strip()
 
 
