@@ -36,6 +36,8 @@ _NUMBERS = re.compile(r"(?<![\w.])[-+]?\.?\d")
 _BELONGS = frozenset(":=[({\"'")
 """Marks that may stand between a word and its numbers; a list also has commas between these."""
 _OPENING = frozenset("[({")
+_BOUNDS = frozenset("[]()")
+"""Marks at which a list of numbers ends or begins."""
 MARKS = frozenset("={[<")
 """Marks that no table has between its numbers."""
 _IN_LISTS = frozenset(",;[](){}")
@@ -141,7 +143,7 @@ def _runs(content: str) -> list[_Run]:
                 current = _Run(word, match.start(), bool(_OPENING & {*marks}))
                 depth = sum(mark in _OPENING for mark in marks)
                 runs.append(current)
-            elif "]" in marks or ")" in marks:
+            elif _BOUNDS & {*marks}:
                 current.lists.append([])
             current.lists[-1].append(value)
             word, marks = "", ""
