@@ -112,19 +112,9 @@ def matrices_below_each_other(w: World, folder: Path) -> list[str]:
     return [written(folder / "a.csv", {"Pose": ids(w, "{}"), **joints(w)}), "poses.txt"]
 
 
-def a_list_behind_a_count(w: World, folder: Path) -> list[str]:
-    lines = [
-        f"{i}; [{', '.join(f'{v:.7f}' for v in q)}]; {'; '.join(f'{1e3 * v:.4f}' for v in point)}"
-        for i, (q, point) in enumerate(zip(w.read, w.points, strict=True), 1)
-    ]
-    (folder / "a.txt").write_text("\n".join(lines) + "\n", "utf-8")
-    return ["a.txt"]
-
-
 @pytest.mark.parametrize(
     "maker",
     [
-        a_list_behind_a_count,
         matrices_below_each_other,
         commanded_ahead,
         one_name_twice,
