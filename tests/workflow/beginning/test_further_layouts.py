@@ -143,6 +143,29 @@ def test_what_was_measured_is_read(tmp_path: Path, maker: Maker) -> None:
     assert forms == ["pose" if six else "point"]
 
 
+RUSSIAN = ("№ точки", "Температура", "Ось {} (град)", "{} заданное (мм)", "{} изм. (мм)")
+TURKISH = ("Nokta", "Sıcaklık", "Eksen {} (derece)", "{} hedef (mm)", "{} ölçülen (mm)")
+
+
+@pytest.mark.parametrize("words", [RUSSIAN, TURKISH])
+def test_headers_in_russian_and_turkish(tmp_path: Path, words: tuple[str, ...]) -> None:
+    world = World("six", 14)
+    described(world, tmp_path)
+    pose, warmth, joint, aim, seen = words
+    columns = {
+        pose: ids(world, "{}"),
+        warmth: world.rng.uniform(19.0, 24.0, len(world.q)),
+        **joints(world, joint),
+        **xyz(aim, world.commanded, "XYZ"),
+        **xyz(seen, world.points, "XYZ"),
+    }
+    written(tmp_path / "a.csv", columns, sep=";", decimal=",")
+    made = lc.init(tmp_path / "a.csv", dh=tmp_path / "dh.csv")
+    assert "temperature" in made.dataset.readings
+    assert made.dataset.poses[:2] == ("1", "2")
+    assert np.allclose(made.dataset["x"], world.points[:, 0], atol=1e-8)
+
+
 def test_a_log_at_ten_times_a_second_beside_points_by_time(tmp_path: Path) -> None:
     world = World("ur", 9)
     described(world, tmp_path)
