@@ -116,8 +116,7 @@ def understood(
         and u.share < CLEARLY * best.share
     ]
     # Slides and points in one wrong unit fit as well.
-    if likely := [u for u in (best, *rivals) if _in_proportion(machine, u)]:
-        best, *rivals = likely
+    best, *rivals = _in_proportion(machine, [best, *rivals])
     # Readings without noise: at such a misfit rounding alone separates the ways.
     if rivals and best.share > 1e-9:
         best = _asked([best, *rivals], ask)
@@ -126,11 +125,18 @@ def understood(
     return replace(best, remarks=(*remarks, *_alternatives(best, ways), *further))
 
 
-def _in_proportion(machine: Machine, way: Understood) -> bool:
-    """Whether the body moves about as far as the machine is long."""
+def _in_proportion(machine: Machine, ways: list[Understood]) -> list[Understood]:
+    """Of ways with slides in several units those in which the body moves about as far as the
+    machine is long; all where none does, or where angles differ too."""
+    if (
+        len({tuple(u for u, si in zip(w.units, w.kinds, strict=True) if si != "m") for w in ways})
+        > 1
+    ):
+        return ways
     size = sum(abs(p.nominal) for p in machine.mechanism.parameters if p.unit == "m")
-    moved = way.bodies.extent
-    return moved < _PROPORTION * size and size < _PROPORTION * moved
+    travels = [way.bodies.extent for way in ways]
+    some = [1.0 / _PROPORTION * size < moved < _PROPORTION * size for moved in travels]
+    return [way for way, fits in zip(ways, some, strict=True) if fits] or ways
 
 
 def _alternatives(best: Understood, ways: Sequence[Understood]) -> tuple[str, ...]:
