@@ -56,8 +56,11 @@ _MIDDLE = (0.05, 0.95)
 
 
 def extent(points: Array) -> float:
-    """How far [m] the middle nine tenths of points (N, 3) reach along their longest axis."""
+    """How far [m] the middle nine tenths of points (N, 3) reach along their longest axis; 0 of
+    none."""
     complete = points[np.isfinite(points).all(axis=1)]
+    if not len(complete):
+        return 0.0
     return float(np.ptp(np.quantile(complete, _MIDDLE, axis=0), axis=0).max())
 
 

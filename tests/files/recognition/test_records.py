@@ -111,3 +111,12 @@ def test_rows_of_a_table_are_no_records() -> None:
 def test_steps_grow_as_the_text_does(pattern: re.Pattern[str], part: str) -> None:
     short, long = (steps(pattern, part * n).count for n in (200, 400))
     assert long <= 2.6 * short
+
+
+def test_a_bracket_begins_a_list_of_its_own() -> None:
+    made = table("".join(f"{i}; [{a}, {b}]; {c}\n" for i, (a, b, c) in enumerate(VALUES)))
+    assert made is not None
+    assert np.allclose(numbers(made, 0), range(len(VALUES)))
+    assert np.allclose(numbers(made, 1), [a for a, _, _ in VALUES])
+    assert made.names[1].startswith("_b")
+    assert made.names[3] == "_c"

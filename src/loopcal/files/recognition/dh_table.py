@@ -114,7 +114,9 @@ def read_dh(path: str | Path) -> DhTable:
                 f"the table of the robot has no column {key!r}",
                 code="missing-column",
                 place=path.name,
-                remedy='name its columns "a", "d", "alpha", "theta"; theta holds the offsets',
+                remedy='name its columns "a", "d", "alpha", "theta"; theta holds the offsets. '
+                "Axes of a product of exponentials go into a mechanism file for --machine: loopcal "
+                "new ARM --mechanism exponentials",
             )
     every = np.arange(len(table.rows))
     cells: dict[str, list[_Cell]] = {

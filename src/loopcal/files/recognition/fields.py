@@ -139,6 +139,16 @@ def taken_in(columns: Mapping[str, Field], units: Mapping[str, str]) -> dict[str
     return taken
 
 
+def told_apart(stem: str, number: int) -> str:
+    """The name of the second, third, ... column of one name. It is a letter that tells them apart:
+    a number would be that of a joint.
+
+    >>> told_apart("j1", 2)
+    'j1_b'
+    """
+    return f"{stem}_{'abcdefghijklmnopqrstuvwxyz'[(number - 1) % 26]}"
+
+
 def counted(field: Field, names: Sequence[str]) -> Field:
     """A column of names, numbered from 1 as they occur; NaN for an empty cell."""
     order = tuple(dict.fromkeys(name for name in names if name))

@@ -7,6 +7,7 @@ mutual, and nearer than a quarter of the time between two rows.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError
-from loopcal.files.recognition.fields import Field, Source, counted
-from loopcal.files.recognition.headers import sd_of
+from loopcal.files.recognition.fields import Field, Source, counted, told_apart
+from loopcal.files.recognition.headers import heading, sd_of
+from loopcal.files.recognition.joint_sets import names_joints
 from loopcal.files.recognition.shots import pooled
 
 Rows = NDArray[np.intp]
@@ -50,6 +52,8 @@ def joined(sources: Sequence[Source]) -> Fields:
 
     Raises InputError where none of this is possible, or where tables have rows of unlike poses.
     """
+    _refuse_rows_of_joints(sources)
+    sources = _named_by_files(sources)
     first = sources[0]
     if len(sources) == 1:
         poses = first.ids or tuple(str(i) for i in range(1, len(first) + 1))
@@ -79,6 +83,39 @@ def joined(sources: Sequence[Source]) -> Fields:
     fields = _without_doubles([f for s in sources for f in s.fields])
     remark = f"{' and '.join(lengths)} share no pose ids: their rows are joined by order"
     return Fields(tuple(sources), poses, fields, True, (remark,))
+
+
+def _refuse_rows_of_joints(sources: Sequence[Source]) -> None:
+    """Raise InputError for a table with a row per joint beside one of poses."""
+    for source in sources:
+        ids = source.ids or ()
+        others = [s for s in sources if s is not source]
+        more = any(len(s) >= 2 * len(ids) and not {*ids} & {*(s.ids or ())} for s in others)
+        if more and names_joints(ids, every=True):
+            raise InputError(
+                f"{source.name} has a row per joint, {ids[0]} to {ids[-1]}, and is no table of "
+                "readings",
+                code="mismatched-poses",
+                remedy="leave it out: zeros belong into the column theta of the table for --dh, "
+                "degrees per count into --joints, such as J1*0.0007+12.5",
+            )
+
+
+def _named_by_files(sources: Sequence[Source]) -> Sequence[Source]:
+    """Tables of one column each, such as a file per joint: a column that several have is called as
+    its file."""
+    columns = [[f for f in s.fields if not f.is_time] for s in sources]
+    shared = Counter(some[0].stem for some in columns if len(some) == 1)
+    made = []
+    for source, some in zip(sources, columns, strict=True):
+        one = some[0] if len(some) == 1 else None
+        if one is not None and shared[one.stem] > 1 and source.path is not None:
+            unit = f" [{one.unit}]" if one.unit else ""
+            named = replace(one, heading=heading(f"{source.path.stem}{unit}"))
+            fields = tuple(named if f is one else f for f in source.fields)
+            source = replace(source, fields=fields)
+        made.append(source)
+    return made
 
 
 def in_numbers(sources: Sequence[Source]) -> tuple[list[Source], list[str]] | None:
@@ -204,6 +241,8 @@ def _stacked(sources: Sequence[Source]) -> Fields | None:
     first = sources[0]
     columns = [{(f.stem, f.unit) for f in s.fields} for s in sources]
     named = len(columns[0]) == len(first.fields) and all(f.stem for f in first.fields)
+    if {stem for stem, _ in columns[0]} <= {*"xyz"}:
+        return None  # points alone, or the slides of a machine beside its points
     if not named or any(quantities != columns[0] for quantities in columns):
         return None
     by_stem = [{f.stem: f for f in s.fields} for s in sources]
@@ -255,5 +294,5 @@ def _named_by_file(field_: Field, doubles: Collection[str]) -> Field:
     number = field_.table + 1
     words = f"{field_.label} (file {number})"
     return replace(
-        field_, heading=replace(field_.heading, text=words, stem=f"{field_.stem}_{number}")
+        field_, heading=replace(field_.heading, text=words, stem=told_apart(field_.stem, number))
     )

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from loopcal.files.recognition.fields import Field, moving
-from loopcal.files.recognition.headers import arms, stem, words
+from loopcal.files.recognition.headers import arms, heading, stem, words
 
 _JOINT_WORDS = frozenset(words("columns", "joint"))
 _ARMS = arms()
@@ -58,6 +58,13 @@ def usual_joints(fields: Sequence[Field]) -> tuple[Field, ...]:
             return moving(columns)
     named = [members for word, members in families_of(fields) if _is_joint_word(word)]
     return max(named, key=len, default=())
+
+
+def names_joints(names: Sequence[str], *, every: bool = False) -> bool:
+    """Whether some of these names, or all, are those of joints."""
+    fields = [Field(0, i, heading(n), np.arange(2.0)) for i, n in enumerate(names) if n]
+    count = len(usual_joints(fields))
+    return count > 1 and (not every or count == len(names))
 
 
 def joint_sets(fields: Sequence[Field], count: int, names: Sequence[str]) -> list[Joints]:

@@ -28,6 +28,7 @@ _POLAR = [words("columns", name) for name in ("range", "azimuth", "elevation")]
 _TURN_WORDS = frozenset(words("columns", "turn"))
 _TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"))
 _UNMEASURED = frozenset(words("columns", "unmeasured"))
+_COORDINATES = frozenset(words("columns", "coordinate"))
 _NO_PLACES = _UNMEASURED.union(words("columns", "temperature"), words("columns", "payload"))
 _CELL = re.compile(r"^(?P<word>[a-z_]*?)_?(?P<row>[0-4])_?(?P<column>[0-4])$")
 FEWEST = 5
@@ -169,6 +170,19 @@ def _single_station(
     return _by_order(fields, count)
 
 
+def with_points_for_turns(layout: Layout) -> Layout | None:
+    """With three columns that were taken for turns as a point of their own, such as errors eX, eY,
+    eZ; None where there are none."""
+    seen = []
+    for one in layout.seen:
+        if one.form != "turns":
+            seen.append(one)
+            continue
+        seen.append(replace(one, kind="point", turned=(), form=""))
+        seen.append(Seen("point", one.turned, station=one.station))
+    return None if len(seen) == len(layout.seen) else replace(layout, seen=tuple(seen))
+
+
 def _read_by(fields: Sequence[Field], joints: Sequence[Field]) -> set[int]:
     """Columns whose place in their table is that of a joint that was computed from them."""
     places = {(f.table, f.position) for f in joints}
@@ -192,6 +206,13 @@ def _with_joints(
     numbered = _numbered(free)
     if numbered:
         return (_layout(joints, numbered, fields, how),)
+    if coordinates := [f for f in free if f.span > 0.0 and _is_coordinate(f)]:
+        raise InputError(
+            f"{unnamed(coordinates)} alone places no point",
+            code="missing-column",
+            remedy="measure x, y and z. Heights above a plate are the gap of an instrument of type "
+            '"plane", in a mechanism file: docs/reference/mechanism-file.md',
+        )
     raise InputError(
         f"no column of an instrument is recognised among {unnamed(rest)}"
         if rest
@@ -272,7 +293,7 @@ def _read_in_order(fields: Sequence[Field]) -> Iterator[Seen]:
     """What columns without names may be, by their number and their lengths."""
     f = tuple(fields)
     match len(f):
-        case 1:
+        case 1 if not _is_coordinate(f[0]):
             yield Seen("length", f)
         case 3:
             yield Seen("point", f)
@@ -292,6 +313,11 @@ def _read_in_order(fields: Sequence[Field]) -> Iterator[Seen]:
             for whole in (rows, [tuple(column) for column in zip(*rows, strict=True)]):
                 if _is_last_row(whole[3]):
                     yield from _of_rows(whole[:3])
+
+
+def _is_coordinate(field: Field) -> bool:
+    """Whether its name is that of one coordinate of a point: z, z_meas, height."""
+    return bool(_COORDINATES & {*field.stem.split("_")})
 
 
 def _numbered(fields: Sequence[Field]) -> tuple[Seen, ...]:
@@ -407,6 +433,10 @@ def _matrices(
         position = tuple(row[3] for row in grid if row[3] is not None)
         if len(turned) == 9 and _orthonormal(turned):
             yield turned, position if len(position) == 3 else ()
+    for i in range(len(fields) - 8):  # unit vectors, whatever they are called: Xi, Xj, Xk, Yi, ...
+        nine = tuple(fields[i : i + 9])
+        if len({f.table for f in nine}) == 1 and _orthonormal(nine):
+            yield nine, ()
     names = [f"{c}{a}" for a in "xyz" for c in "noa"]  # the columns n, o, a and p of robotics
     if set(names) <= set(by_stem) and _orthonormal([by_stem[n] for n in names]):
         position = tuple(by_stem[f"p{a}"] for a in "xyz" if f"p{a}" in by_stem)

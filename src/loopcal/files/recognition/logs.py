@@ -13,7 +13,7 @@ from loopcal.files.recognition.headers import stem
 from loopcal.files.recognition.joint_sets import usual_joints
 from loopcal.files.tables.recording import STILL, Recording, Series
 
-_OFTEN = STILL / 4.0
+_OFTEN = STILL / 3.0
 """[s] between rows of a log at most: some of them lie in each window. Poses come more slowly."""
 _FEW = 50
 # Seconds since 1970 are 10 digits, the others 3 more each.
@@ -77,6 +77,9 @@ def at_rest(sources: Sequence[Source], names: Collection[str] = ()) -> tuple[lis
     )
     remark = f"{names}: a log. {' '.join(recording.words())}"
     first = next(iter(logs))
+    if len(logs) == 1:
+        middle = recording.stands.mean(axis=1) + begin - _OFTEN
+        poses = (_when(sources[first], stamped, middle), *poses)
     made = Source(None, None, poses, None, None, label=names, remark=remark)
     kept = [
         made if i == first else one for i, one in enumerate(sources) if i not in logs or i == first
@@ -115,13 +118,25 @@ def _is_stamp(field: Field) -> bool:
 
 def _times(source: Source, stamped: bool) -> Array | None:
     """(N,) times [s] of a log, its stamps where it has some; None of a table of poses."""
-    columns = (f for f in source.fields if (_is_stamp(f) if stamped else f.is_time))
-    column = next(columns, None)
+    column = _clock(source, stamped)
     if column is None or len(source) < _FEW:
         return None
     times = _factor(column) * column.values
     steps = np.abs(np.diff(times[np.isfinite(times)]))
     return times if steps.size and 0.0 < np.median(steps) <= _OFTEN else None
+
+
+def _clock(source: Source, stamped: bool) -> Field | None:
+    """The column of times that counts."""
+    return next((f for f in source.fields if (_is_stamp(f) if stamped else f.is_time)), None)
+
+
+def _when(source: Source, stamped: bool, times: Array) -> Field:
+    """The column of times of a log, a row for each of its stands: an instrument that was read once
+    at each joins by it. times: (N,) [s]."""
+    column = _clock(source, stamped)
+    assert column is not None
+    return replace(column, values=times / _factor(column))
 
 
 def _factor(column: Field) -> float:

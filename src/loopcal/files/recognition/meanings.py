@@ -21,8 +21,9 @@ from loopcal.files.recognition.layouts import Seen
 from loopcal.units import to_si, unit
 
 LENGTHS, ANGLES = ("m", "mm", "cm", "in"), ("rad", "deg", "gon")
+JOINT_ANGLES = (*ANGLES, "turn", "arcmin")
 _MOST_TURNS = 4.0 * np.pi
-"""No joint is read beyond this [rad]: readings that are larger are in degrees or gon."""
+"""No joint is read beyond this [rad]: readings that are larger are in another unit."""
 _FORMS: tuple[tuple[str, str, tuple[int, int, int]], ...] = (
     ("a rotation vector", "rotation-vector", (0, 1, 2)),
     ("turns about x, y and z, Rz Ry Rx", "rz ry rx", (2, 1, 0)),
@@ -251,7 +252,7 @@ def joint_units(
     """
     turning = [f for f, si in zip(fields, kinds, strict=True) if si == "rad"]
     sliding = [f for f, si in zip(fields, kinds, strict=True) if si == "m"]
-    angles = _units(turning, ANGLES, as_stated) if turning else ("rad",)
+    angles = _units(turning, JOINT_ANGLES, as_stated) if turning else ("rad",)
     lengths = _units(sliding, LENGTHS, as_stated) if sliding else ("m",)
     for angle, length in product(angles if not mixed else ("",), lengths):
         choices = list[tuple[str, ...]]()
@@ -263,7 +264,15 @@ def joint_units(
             else:
                 some = ANGLES[:2] if mixed else (angle,)
                 largest = float(np.nanmax(np.abs(f.values), initial=0.0))
-                choices.append(tuple(a for a in some if a != "rad" or largest <= _MOST_TURNS))
+                choices.append(tuple(a for a in some if _as_usual(a, largest)))
         for units in product(*choices):
             if not mixed or len({u for u, si in zip(units, kinds, strict=True) if si == "rad"}) > 1:
                 yield units
+
+
+def _as_usual(angle: str, largest: float) -> bool:
+    """Whether a column whose largest number this is may be in a unit: degrees and gon always, the
+    others where no unit between theirs and a degree would be as likely."""
+    if angle in ("rad", "turn"):
+        return unit(angle).factor * largest <= _MOST_TURNS
+    return angle != "arcmin" or unit("deg").factor * largest > _MOST_TURNS

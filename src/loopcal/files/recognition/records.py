@@ -36,6 +36,8 @@ _NUMBERS = re.compile(r"(?<![\w.])[-+]?\.?\d")
 _BELONGS = frozenset(":=[({\"'")
 """Marks that may stand between a word and its numbers; a list also has commas between these."""
 _OPENING = frozenset("[({")
+_BOUNDS = frozenset("[]()")
+"""Marks at which a list of numbers ends or begins."""
 MARKS = frozenset("={[<")
 """Marks that no table has between its numbers."""
 _IN_LISTS = frozenset(",;[](){}")
@@ -132,27 +134,29 @@ def _arrays(name: str, runs: Sequence[_Run]) -> dict[str, Array]:
 
 def _runs(content: str) -> list[_Run]:
     runs: list[_Run] = []
-    word, current, marks = "", None, ""
+    word, current, marks, depth = "", None, "", 0
     for match in _TOKEN.finditer(content):
         kind, token = match.lastgroup, match[0]
         if kind == "number":
             value = np.nan if token in ("nan", "NaN", "null") else float(token)
             if current is None:
                 current = _Run(word, match.start(), bool(_OPENING & {*marks}))
+                depth = sum(mark in _OPENING for mark in marks)
                 runs.append(current)
-            elif "]" in marks or ")" in marks:
+            elif _BOUNDS & {*marks}:
                 current.lists.append([])
             current.lists[-1].append(value)
             word, marks = "", ""
         elif kind == "word":
             word, current, marks = token, None, ""
         elif kind == "line":  # only what is in brackets goes on
-            if current is not None and not current.enclosed:
+            if current is not None and not (current.enclosed and depth > 0):
                 current = None
             elif current is None and not _OPENING & {*marks}:
                 word = ""
         else:
             marks += token
+            depth += (token in _OPENING) - (token in "])}")
             if current is not None and token not in _IN_LISTS:
                 current = None
             if current is None and token not in _BELONGS:

@@ -321,6 +321,19 @@ def typed_robot(named: str) -> Robot:
     return Robot(table, len(driven), driven, point=point, apart=apart)
 
 
+def parallel_machine(mechanism: Mechanism) -> Robot | None:
+    """The machine of closed loops that instruments look at, in space; None for any other."""
+    described = mechanism.description or {}
+    if mechanism.chain or "platform_z" not in mechanism.home or "instrument" not in described:
+        return None
+    from loopcal.files.machines.mechanism_file import mechanism_from_data
+
+    table = {key: described[key] for key in ("type", "passive", "home") if key in described}
+    bare = mechanism_from_data(table, described["type"])
+    values = {p.name: p.nominal for p in mechanism.parameters if p.name in bare.parameters.names}
+    return _closed({**table, "parameters": values}, bare)
+
+
 def _table_of(path: str) -> dict[str, Any]:
     """A mechanism file without its instruments and what it says of them."""
     from loopcal.files.machines.mechanism_file import mechanism_from_data

@@ -22,6 +22,7 @@ from loopcal.files.recognition.fields import (
     Source,
     column_key,
     counted,
+    told_apart,
 )
 from loopcal.files.recognition.framed import framed_table
 from loopcal.files.recognition.headers import (
@@ -36,7 +37,7 @@ from loopcal.files.recognition.joins import in_numbers
 from loopcal.files.recognition.lists import listed_columns
 from loopcal.files.recognition.records import FEWEST, are_records, records_table
 from loopcal.files.recognition.shots import MOST_TARGETS, pooled, widened
-from loopcal.files.recognition.turned_over import turned_over
+from loopcal.files.recognition.turned_over import matrices_unfolded, turned_over
 from loopcal.files.tables import bag
 from loopcal.files.tables.cells import is_missing, is_number
 from loopcal.files.tables.raw import Text, read_text
@@ -234,7 +235,8 @@ def _of_file(
 def _framed(path: Path, part: str | int | None) -> tuple[Table, str]:
     """The table of a file with a row per pose, and what to say of the rows around it."""
     table, title = framed_table(path, part, _NAMES)
-    table, turned = turned_over(table)
+    table, unfolded = matrices_unfolded(table)
+    table, turned = (table, unfolded) if unfolded else turned_over(table)
     return table, f"{title} {turned}".strip()
 
 
@@ -375,12 +377,15 @@ def _without_blanks(
 
 
 def _distinct(fields: Sequence[Field]) -> tuple[Field, ...]:
-    """With a number behind the name of a column that an earlier one has too, as X beside x."""
+    """With a letter behind the name of a column that an earlier one has too, as X beside x."""
     made, met = list[Field](), dict[str, int]()
     for f in fields:
         met[f.stem] = met.get(f.stem, 0) + 1
         if f.heading and f.stem and met[f.stem] > 1:
-            f = replace(f, heading=replace(f.heading, stem=f"{f.stem}_{met[f.stem]}"))
+            text = f"{f.label} (column {f.position + 1})"
+            f = replace(
+                f, heading=replace(f.heading, text=text, stem=told_apart(f.stem, met[f.stem]))
+            )
         made.append(f)
     return tuple(made)
 
@@ -513,7 +518,9 @@ def _pose_column(
         if i in numeric or _stem(headings, i) in TIMES | STATIONS | TOOLS | _TARGETS:
             continue
         ids = ids_of(i)
-        if len(ids) > 2 and all(ids) and len(set(ids)) == len(ids) and seconds_of(ids) is None:
+        # Points ahead of their numbers without a header: a few may be measured twice.
+        kinds = 2 * len(set(ids)) if i == 0 and not table.names else len(set(ids))
+        if len(ids) > 2 and all(ids) and kinds >= len(ids) and seconds_of(ids) is None:
             return i
     if not table.names and numeric and numeric[0] == 0:
         first = table.numbers(0, np.arange(len(table.rows)))

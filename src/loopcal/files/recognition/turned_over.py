@@ -7,9 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopcal.files.recognition.fields import Field
-from loopcal.files.recognition.headers import heading
-from loopcal.files.recognition.joint_sets import usual_joints
+from loopcal.files.recognition.joint_sets import names_joints
 from loopcal.files.tables.cells import is_number
 from loopcal.files.tables.table import Table
 
@@ -19,10 +17,21 @@ _ROWS = 3
 """Such rows for each column beside them, at most: names of points have three coordinates each."""
 
 
-def names_joints(names: Sequence[str]) -> bool:
-    """Whether some of these names are those of joints."""
-    fields = [Field(0, i, heading(n), np.arange(2.0)) for i, n in enumerate(names) if n]
-    return len(usual_joints(fields)) > 1
+def matrices_unfolded(table: Table) -> tuple[Table, str]:
+    """A table of 4x4 matrices below each other with a row for each, and what to say of it, "" where
+    it holds none: every fourth row is 0, 0, 0, 1."""
+    count, four = len(table.rows), [0, 1, 2, 3]
+    if sorted(table.columns) != four or [*table.numeric()] != four or count % 4:
+        return table, ""
+    cells = np.array([table.numbers(i, np.arange(count)) for i in range(4)]).T
+    if not (cells[3::4] == np.eye(4)[3]).all():
+        return table, ""
+    rows = cells.reshape(-1, 16)
+    names = tuple(f"T{i}{j}" for i in range(1, 5) for j in range(1, 5))
+    columns = dict(enumerate(rows.T))
+    numbers = np.arange(1, len(rows) + 1, dtype=np.int64)
+    made = replace(table, names=names, columns=columns, rows=numbers)
+    return made, f"{table.name} holds {len(rows)} matrices of four rows: one for each pose."
 
 
 def turned_over(

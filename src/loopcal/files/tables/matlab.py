@@ -1,7 +1,7 @@
 """Variables of a MATLAB file (format 4 to 7, not 7.3) as a table.
 
 Three habits are read: a numeric matrix, its columns by number; vectors and matrices by their names;
-a struct whose fields are such, or an array of structs with one number or text per field.
+a struct whose fields are such, or an array of structs with numbers or a text per field.
 """
 
 from __future__ import annotations
@@ -75,6 +75,8 @@ def _load(path: Path) -> dict[str, Any]:
     variables = {
         n: v for n, v in contents.items() if not n.startswith("__") and isinstance(v, np.ndarray)
     }
+    # A text of its own says what the file is.
+    variables = {n: v for n, v in variables.items() if v.dtype.kind != "U" or v.size > 1}
     if not variables:
         raise InputError(
             "it holds no arrays",
@@ -86,18 +88,23 @@ def _load(path: Path) -> dict[str, Any]:
 
 
 def _fields(value: Any, name: str) -> dict[str, Any]:
-    """The columns of a struct of vectors, or of an array of structs with one entry per field."""
+    """The columns of a struct of vectors, or of an array of structs with one entry per field, or
+    equally many numbers."""
     if value.size == 1:
         return {field: np.atleast_1d(value[field].item()) for field in value.dtype.names}
     columns = {}
     for field in value.dtype.names:
         entries = [np.asarray(entry) for entry in value[field].ravel()]
-        if any(entry.size > 1 for entry in entries):
+        sizes = {entry.size for entry in entries}
+        if max(sizes) > 1 and len(sizes) == 1 and entries[0].dtype.kind in "fiu":
+            columns[field] = np.stack([np.squeeze(entry) for entry in entries])
+            continue
+        if max(sizes) > 1:
             raise InputError(
-                f"field {field!r} has several numbers per struct",
+                f"field {field!r} has several numbers in some structs",
                 code="invalid-number",
                 place=name,
-                remedy="give each number a separate field",
+                remedy="give each struct equally many",
             )
         columns[field] = np.array(
             [entry.ravel()[0] if entry.size else None for entry in entries], dtype=object

@@ -20,8 +20,6 @@ from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.atomic import write_files
 from loopcal.files.cameras.folder import are_images, files_of, tables_of
-from loopcal.files.machines.mechanism_file import mechanism_from_data
-from loopcal.files.machines.registry import machine_type
 from loopcal.files.machines.trees import tree_table
 from loopcal.files.outputs import carried_over, one_command, refuse_foreign, relative, sealed
 from loopcal.files.project.project_file import Project, read_project
@@ -30,7 +28,7 @@ from loopcal.files.recognition.converting import dataset_of
 from loopcal.files.recognition.expressions import joint_columns, turned_columns
 from loopcal.files.recognition.fields import Field, Source
 from loopcal.files.recognition.joins import Fields, joined
-from loopcal.files.recognition.layouts import Layout, layouts
+from loopcal.files.recognition.layouts import Layout, layouts, with_points_for_turns
 from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.observations import observations
 from loopcal.files.recognition.robots import (
@@ -68,6 +66,7 @@ from loopcal.workflow.beginning.searching import (
     Machine,
     Understood,
     every_way,
+    machine_of,
 )
 from loopcal.workflow.beginning.stating import First, Statement, stated
 from loopcal.workflow.beginning.understanding import USUAL as NEAR_ENOUGH
@@ -447,14 +446,6 @@ def _robot(robot: RobotFile, fields: Fields, folder: Path, signs: Sequence[int])
     return typed_robot(str(robot.machine))
 
 
-def _machine(robot: Robot, fields: Fields, folder: Path) -> Machine:
-    mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
-    if not robot.unread:
-        return Machine(mechanism, tuple(mechanism.joints))
-    frame = machine_type(robot.table["type"]).make().frame
-    return Machine(mechanism, robot.names, frame)
-
-
 def _joined(sources: Sequence[Source], robot: RobotFile, folder: Path) -> Fields:
     """The tables as one; where nothing else joins them, as the nominal machine shows."""
     try:
@@ -468,7 +459,7 @@ def _joined(sources: Sequence[Source], robot: RobotFile, folder: Path) -> Fields
             columns, signs = _joints(kept, robot)
             made = _robot(robot, kept, folder, signs)
             some = layouts(kept.fields, made.joints, made.names, columns)
-            return _machine(made, kept, folder), some
+            return machine_of(made, str(folder / PROJECT)), some
 
         by_machine = aligned(sources, read)
         if by_machine is None:
@@ -503,11 +494,16 @@ class _Readable:
 
 
 def _readable(robot: Robot, fields: Fields, columns: tuple[Field, ...], folder: Path) -> _Readable:
-    machine = _machine(robot, fields, folder)
+    machine = machine_of(robot, str(folder / PROJECT))
     fields, conditions = apart(fields, robot.names, arm=in_space(machine.mechanism))
     every_layout = layouts(fields.fields, robot.joints, robot.names, columns)
     _refuse_zeros(every_layout, fields)
     ways = sorted(every_way(machine, every_layout), key=lambda u: u.share)
+    if not (ways and ways[0].share <= PLAUSIBLE):
+        others = tuple(o for one in every_layout if (o := with_points_for_turns(one)))
+        further = sorted(every_way(machine, others), key=lambda u: u.share)
+        if further and further[0].share <= PLAUSIBLE:
+            every_layout, ways = others, further
     return _Readable(robot, machine, fields, conditions, every_layout, ways)
 
 

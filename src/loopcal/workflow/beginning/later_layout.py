@@ -6,34 +6,41 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from loopcal.files.cameras.folder import tables_of
 from loopcal.files.recognition.conditions import by_condition, degrees_of
 from loopcal.files.recognition.converting import Reading, dataset_of, quaternions, readings_of
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import layouts
 from loopcal.files.recognition.logs import at_rest
+from loopcal.files.recognition.meanings import Meaning
+from loopcal.files.recognition.robots import parallel_machine
 from loopcal.files.recognition.sources import sources_of_all
 from loopcal.measurements.dataset import Dataset
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.units import to_si
-from loopcal.workflow.beginning.searching import Machine, every_way
+from loopcal.workflow.beginning.searching import Machine, every_way, machine_of
 from loopcal.workflow.beginning.understanding import understood
 
 _FORMS = frozenset({"point", "pose", "spherical", "length"})
 """Instruments whose readings are all columns."""
+_PLACES = {"point": ("m", "m", "m"), "spherical": ("m", "rad", "rad")}
+"""Units of instruments that read where a point is, of which one may take the place of another."""
 
 
 def later_layout(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None:
     """The readings by the only columns and units in which a calibrated machine fits them.
 
-    None for a machine that this cannot be asked of: with a closed loop, constants other than
-    orientations, payloads and temperatures, or other instruments than trackers, poses and lengths.
+    None for a machine that this cannot be asked of: of closed loops in a plane or without an
+    instrument, with constants other than orientations, payloads and temperatures, or with other
+    instruments than trackers, poses and lengths.
     Raises InputError where nothing fits, or several.
     """
     forms = [family.form for family in mechanism.families]
-    if mechanism.home or not mechanism.chain or not forms or not _FORMS.issuperset(forms):
+    machine = _machine(mechanism)
+    if machine is None or not forms or not _FORMS.issuperset(forms):
         return None
-    machine = Machine(mechanism, tuple(mechanism.joints))
     sources, _ = at_rest(sources_of_all(tables_of(entries)), machine.joints)
     fields, stated = _conditions(joined(sources), mechanism)
     oriented = {name for of in mechanism.orientations for name in of.columns}
@@ -42,12 +49,13 @@ def later_layout(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None
     every = layouts(fields.fields, len(machine.joints), machine.joints)
     ways = sorted(every_way(machine, every), key=lambda way: way.share)
     way = understood(machine, every, fields, None, ways)
-    if [meaning.seen.kind for meaning in way.seen] != forms:
+    kinds = [meaning.seen.kind for meaning in way.seen]
+    if len(kinds) != len(forms) or not all(map(_serves, kinds, forms)):
         return None
     columns = zip(machine.joints, way.layout.joints, machine.units, way.units, strict=True)
     readings = {name: Reading(way.joints[name], si, f, of) for name, f, si, of in columns} | stated
     for family, meaning in zip(mechanism.families, way.seen, strict=True):
-        readings |= readings_of(replace(meaning, turns=None), family.readings)
+        readings |= _placed(replace(meaning, turns=None), family)
         for orientation in mechanism.orientations:
             if orientation.turns == family.readings[-3:] and meaning.turns is not None:
                 written = orientation.written(quaternions(meaning.turns))
@@ -62,6 +70,31 @@ def later_layout(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None
     words = f"Other columns than on the first day, read as {'; '.join(meant)}."
     source = replace(made.source, file=", ".join(names), rows_read=len(made), read_as=words)
     return replace(made, source=source)
+
+
+def _serves(kind: str, form: str) -> bool:
+    """Whether an instrument of a kind reads what one of a form did."""
+    return kind == form or (form in _PLACES and kind in (*_PLACES, "pose"))
+
+
+def _placed(meaning: Meaning, family: Family) -> dict[str, Reading]:
+    """What a family reads, of range and angles as coordinates and the reverse."""
+    if meaning.seen.kind == family.form:
+        return readings_of(meaning, family.readings)
+    x, y, z = values = meaning.position.T
+    if family.form == "spherical":
+        flat = np.hypot(x, y)
+        values = np.array([np.hypot(flat, z), np.arctan2(y, x), np.arctan2(z, flat)])
+    every = zip(family.readings, values, _PLACES[family.form], strict=True)
+    return {name: Reading(v, si, None, si) for name, v, si in every}
+
+
+def _machine(mechanism: Mechanism) -> Machine | None:
+    """What the joints move; None where the columns would not show it."""
+    if mechanism.chain:
+        return None if mechanism.home else Machine(mechanism, tuple(mechanism.joints))
+    robot = parallel_machine(mechanism)
+    return None if robot is None else machine_of(robot, "the first day")
 
 
 def _conditions(fields: Fields, mechanism: Mechanism) -> tuple[Fields, dict[str, Reading]]:

@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.estimation.mounted import KEPT, Bodies, bodies_of, evenly, extent
+from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.files.machines.registry import machine_type
 from loopcal.files.recognition.fields import names_of
 from loopcal.files.recognition.layouts import Layout
 from loopcal.files.recognition.meanings import Meaning, joint_units, meanings
+from loopcal.files.recognition.robots import Robot
 from loopcal.mechanisms.frame import ChainFrame, Frame, Values, forward_kinematics
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.closing import close_loops, reachable
@@ -131,6 +134,15 @@ class Machine:
                 self.mechanism, parameters, x[:, at], none[:, at], unread, some
             )
         return closed
+
+
+def machine_of(robot: Robot, file: str) -> Machine:
+    """The machine of a robot's table; file: what messages call it."""
+    mechanism = mechanism_from_data(dict(robot.table), file)
+    if not robot.unread:
+        return Machine(mechanism, tuple(mechanism.joints))
+    frame = machine_type(robot.table["type"]).make().frame
+    return Machine(mechanism, robot.names, frame)
 
 
 def every_way(

@@ -32,6 +32,9 @@ _COMMANDED = frozenset(words("performance", "commanded")) | frozenset(
     words("columns", "unmeasured")
 )
 
+# Chosen, not derived: between mm and cm lies a factor of 10.
+_PROPORTION = 4.0
+"""A machine is no longer, and no shorter, than so many times its travel."""
 _MIXED = 4
 """Ways with joints in units of their own that are looked at closely."""
 
@@ -112,12 +115,28 @@ def understood(
         and u.layout.seen == best.layout.seen
         and u.share < CLEARLY * best.share
     ]
+    # Slides and points in one wrong unit fit as well.
+    best, *rivals = _in_proportion(machine, [best, *rivals])
     # Readings without noise: at such a misfit rounding alone separates the ways.
     if rivals and best.share > 1e-9:
         best = _asked([best, *rivals], ask)
     best = replace(best, seen=tuple(m.fitted(best.bodies) for m in best.seen))
     best, further = measured_only(machine, [best, *near], best)
     return replace(best, remarks=(*remarks, *_alternatives(best, ways), *further))
+
+
+def _in_proportion(machine: Machine, ways: list[Understood]) -> list[Understood]:
+    """Of ways with slides in several units those in which the body moves about as far as the
+    machine is long; all where none does, or where angles differ too."""
+    if (
+        len({tuple(u for u, si in zip(w.units, w.kinds, strict=True) if si != "m") for w in ways})
+        > 1
+    ):
+        return ways
+    size = sum(abs(p.nominal) for p in machine.mechanism.parameters if p.unit == "m")
+    travels = [way.bodies.extent for way in ways]
+    some = [1.0 / _PROPORTION * size < moved < _PROPORTION * size for moved in travels]
+    return [way for way, fits in zip(ways, some, strict=True) if fits] or ways
 
 
 def _alternatives(best: Understood, ways: Sequence[Understood]) -> tuple[str, ...]:
@@ -153,6 +172,11 @@ def _joints_chosen(
     if len(sets) == 1:
         return next(iter(sets.values())), ()
     ways = [replace(w, seen=tuple(m.fitted(w.bodies) for m in w.seen)) for w in sets.values()]
+    if set(machine.units) == {"m"}:
+        # Slides and the points that they move look alike.
+        ways.sort(key=lambda w: min(f.table for f in w.layout.joints))
+        best = _asked(ways, ask)
+        return next(w for w in sets.values() if w.layout.joints == best.layout.joints), ()
     compared = compared_joints(machine, [measured_only(machine, ways, w)[0] for w in ways])
     best = compared[0][1]
     near = [w for worse, w in compared[1:] if worse < CONVINCING]

@@ -1,0 +1,325 @@
+"""Layouts of real files that were refused, or read with less than they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+from scipy.spatial.transform import Rotation
+
+import loopcal as lc
+from analyses.layouts import World, described, ids, joints, of, polar, written, xyz
+from loopcal.workflow.readings import new_readings
+from tests.refusals import refused
+
+Maker = Callable[[World, Path], list[str]]
+DEGREES = np.pi / 180
+AWAY, TARGET = np.array([2400.0, 900.0, 300.0]), np.array([40.0, -25.0, 130.0])
+
+
+def tracker(w: World, folder: Path, rows: Any = slice(None)) -> str:
+    columns = {"Name": ids(w, "p{}"), **xyz("{}", w.points, "XYZ")}
+    return written(folder / "points.csv", {k: np.array(v)[rows] for k, v in columns.items()})
+
+
+def turns(w: World, folder: Path) -> list[str]:
+    columns = {
+        "Name": ids(w, "p{}"),
+        **of((f"A{i} [rev]" for i in range(1, 7)), w.read / 2 / np.pi),
+    }
+    return [written(folder / "a.csv", columns, digits=9), tracker(w, folder)]
+
+
+def unstated_arcminutes(w: World, folder: Path) -> list[str]:
+    columns = {"Name": ids(w, "p{}"), **of((f"J{i}" for i in range(1, 7)), w.read / DEGREES * 60)}
+    return [written(folder / "a.csv", columns), tracker(w, folder)]
+
+
+def measured_twice(w: World, folder: Path) -> list[str]:
+    lines = ["// SpatialAnalyzer", "// Group, Point, X, Y, Z"]
+    for i, point in enumerate(1e3 * w.points):
+        text = ", ".join(f"{v:.6f}" for v in point)
+        lines += [f"Robot::p{i + 1}, {text}"] * (2 if i in (4, 9) else 1)
+    (folder / "sa.txt").write_text("\n".join(lines), "utf-8")
+    return [written(folder / "a.csv", {"Point": ids(w, "p{}"), **joints(w)}), "sa.txt"]
+
+
+def jointtargets_in_a_log(w: World, folder: Path) -> list[str]:
+    nines = ",".join(["9E+09"] * 6)
+    lines = [
+        f"2024-03-01 10:{i:02d}:00 p{i + 1} [[{','.join(f'{v:.6f}' for v in q)}],[{nines}]]"
+        for i, q in enumerate(w.shown(w.read))
+    ]
+    (folder / "a.log").write_text("\n".join(lines) + "\n", "utf-8")
+    return ["a.log", tracker(w, folder)]
+
+
+def a_file_per_column(w: World, folder: Path) -> list[str]:
+    columns = {**joints(w), **xyz("{}", w.points, "XYZ")}
+    return [
+        written(folder / f"{name}.csv", {"point": ids(w), "value": values})
+        for name, values in columns.items()
+    ]
+
+
+def unit_vectors(w: World, folder: Path) -> list[str]:
+    names = [f"{a}{i}" for a in "XYZ" for i in "ijk"]
+    axes = of(names, w.turns.transpose(0, 2, 1).reshape(-1, 9))
+    columns = {**joints(w), **xyz("{}", w.points, "XYZ"), **axes}
+    return [written(folder / "a.csv", columns, digits=9)]
+
+
+def structs(w: World, folder: Path) -> list[str]:
+    data = np.zeros(len(w.q), dtype=[("name", "O"), ("q", "O"), ("p", "O")])
+    for i in range(len(w.q)):
+        data[i] = (f"P{i}", w.read[i], 1e3 * w.points[i])
+    savemat(folder / "data.mat", {"data": data, "info": "cell 3"})
+    return ["data.mat"]
+
+
+def commanded_ahead(w: World, folder: Path) -> list[str]:
+    command = {"Name": ids(w, "p{}"), **joints(w, values=w.command)}
+    written(folder / "a.csv", command)
+    return ["a.csv", written(folder / "b.csv", {**command, **joints(w)}), tracker(w, folder)]
+
+
+def one_name_twice(w: World, folder: Path) -> list[str]:
+    every = {"Name": ids(w, "p{}"), **joints(w, "J{}x", w.command), **joints(w)}
+    name = written(folder / "a.csv", every)
+    text = (folder / name).read_text("utf-8")
+    head, rest = text.split("\n", 1)
+    (folder / name).write_text(head.replace("x", "") + "\n" + rest, "utf-8")
+    return [name, tracker(w, folder)]
+
+
+def nominal_and_errors(w: World, folder: Path) -> list[str]:
+    off = w.points - w.points.mean(axis=0)
+    errors = off - off[::-1] * 1e-3 - off
+    columns = {**joints(w), **xyz("{}r", w.points, "XYZ"), **xyz("e{}", errors, "XYZ")}
+    return [written(folder / "a.csv", columns)]
+
+
+def matrices_below_each_other(w: World, folder: Path) -> list[str]:
+    T = np.tile(np.eye(4), (len(w.q), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = w.turns, 1e3 * w.points
+    blocks = ["\n".join(" ".join(f"{v:.9f}" for v in row) for row in one) for one in T]
+    text = "".join(f"Pose {i}\n{block}\n\n" for i, block in enumerate(blocks, 1))
+    (folder / "poses.txt").write_text(text, "utf-8")
+    return [written(folder / "a.csv", {"Pose": ids(w, "{}"), **joints(w)}), "poses.txt"]
+
+
+@pytest.mark.parametrize(
+    "maker",
+    [
+        matrices_below_each_other,
+        commanded_ahead,
+        one_name_twice,
+        nominal_and_errors,
+        turns,
+        unstated_arcminutes,
+        measured_twice,
+        jointtargets_in_a_log,
+        a_file_per_column,
+        unit_vectors,
+        structs,
+    ],
+)
+def test_what_was_measured_is_read(tmp_path: Path, maker: Maker) -> None:
+    world = World("six", 8)
+    described(world, tmp_path)
+    files = maker(world, tmp_path)
+    lc.init(*(tmp_path / f for f in files), dh=tmp_path / "dh.csv", out=tmp_path / "cal")
+    project = lc.read_project(tmp_path / "cal" / "project.toml")
+    read = lc.load_dataset(project).dataset
+    names = list(project.mechanism.joints)
+    assert np.allclose(np.column_stack([read[n] for n in names]), world.read, atol=1e-6)
+    assert np.allclose(np.column_stack([read[n] for n in "xyz"]), world.points, atol=1e-6)
+    forms = [family.form for family in project.mechanism.families]
+    six = maker in (unit_vectors, matrices_below_each_other)
+    assert forms == ["pose" if six else "point"]
+
+
+RUSSIAN = ("№ точки", "Температура", "Ось {} (град)", "{} заданное (мм)", "{} изм. (мм)")
+TURKISH = ("Nokta", "Sıcaklık", "Eksen {} (derece)", "{} hedef (mm)", "{} ölçülen (mm)")
+
+
+@pytest.mark.parametrize("words", [RUSSIAN, TURKISH])
+def test_headers_in_russian_and_turkish(tmp_path: Path, words: tuple[str, ...]) -> None:
+    world = World("six", 14)
+    described(world, tmp_path)
+    pose, warmth, joint, aim, seen = words
+    columns = {
+        pose: ids(world, "{}"),
+        warmth: world.rng.uniform(19.0, 24.0, len(world.q)),
+        **joints(world, joint),
+        **xyz(aim, world.commanded, "XYZ"),
+        **xyz(seen, world.points, "XYZ"),
+    }
+    written(tmp_path / "a.csv", columns, sep=";", decimal=",")
+    made = lc.init(tmp_path / "a.csv", dh=tmp_path / "dh.csv")
+    assert "temperature" in made.dataset.readings
+    assert made.dataset.poses[:2] == ("1", "2")
+    assert np.allclose(made.dataset["x"], world.points[:, 0], atol=1e-8)
+
+
+def test_a_log_at_ten_times_a_second_beside_points_by_time(tmp_path: Path) -> None:
+    world = World("ur", 9)
+    described(world, tmp_path)
+    gone, rows, times, stood = 7, list[np.ndarray](), list[float](), list[float]()
+    for i, q in enumerate(world.q):
+        before = world.q[i - 1] if i else q
+        for share in (*np.linspace(0.1, 0.9, 8), *np.ones(12)):
+            rows.append(before + share * (q - before))
+            times.append(100.0 + 0.1 * len(times))
+        stood.append(times[-6] + 0.04)
+    noise = np.random.default_rng(1).normal(0.0, 1e-6, (len(rows), 6))
+    columns = of((f"actual_q_{i}" for i in range(6)), np.array(rows) + noise)
+    written(tmp_path / "rtde.csv", {"timestamp": times, **columns}, sep=" ", digits=8)
+    seen = np.arange(len(world.q)) != gone
+    points = xyz("{} [mm]", world.points[seen])
+    written(tmp_path / "tracker.csv", {"time [s]": np.array(stood)[seen], **points})
+    made = lc.init(tmp_path / "rtde.csv", tmp_path / "tracker.csv", dh=tmp_path / "dh.csv")
+    assert np.allclose(made.dataset["actual_q_0"], world.q[seen, 0], atol=1e-5)
+    assert np.allclose(made.dataset["z"], world.points[seen, 2], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["Z [mm]", "Höhe [mm]", "z_meas"])
+def test_one_coordinate_is_no_length_of_a_wire(tmp_path: Path, name: str) -> None:
+    world = World("six", 10)
+    described(world, tmp_path)
+    written(tmp_path / "a.csv", {**joints(world, "J{} [deg]"), name: 1e3 * world.points[:, 2]})
+    with refused("missing-column", name, "plane"):
+        lc.init(tmp_path / "a.csv", dh=tmp_path / "dh.csv")
+
+
+@pytest.mark.parametrize("names", ["J1 J2 J3 J4 J5 J6", "S L U R B T"])
+def test_a_table_with_a_row_per_joint_is_no_readings(tmp_path: Path, names: str) -> None:
+    """Its numbers had joined those of the poses, of which six were left."""
+    world = World("six", 13)
+    described(world, tmp_path)
+    columns = {"no": [f"{i}" for i in range(1, len(world.q) + 1)], **joints(world)}
+    written(tmp_path / "a.csv", {**columns, **xyz("{} [mm]", world.points)})
+    written(tmp_path / "b.csv", {"joint": names.split(), "offset": np.arange(6.0)})
+    with refused("mismatched-poses", "b.csv", "row per joint"):
+        lc.init(tmp_path / "a.csv", tmp_path / "b.csv", dh=tmp_path / "dh.csv")
+
+
+ROWS = ["1,0,0,-90,-90,p", "2,0,400,-90,-90,p", "3,0,600,0,0,p", "4,0,80,90,0,r", "5,0,30,0,0,r"]
+
+
+def slides(folder: Path, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The first joints of a machine tool in mm and deg, and measured points [mm]."""
+    text = "\n".join(["joint,a [mm],d [mm],alpha [deg],theta [deg],type", *ROWS[:count]])
+    (folder / "dh.csv").write_text(text, "utf-8")
+    rng = np.random.default_rng(11)
+    q = rng.uniform([0, 0, 0, -90, -170], [1200, 900, 600, 90, 170], (40, 5))
+    T = np.eye(4)[None]
+    for i in range(count):
+        _, _, d, alpha, theta, kind = ROWS[i].split(",")
+        step = np.tile(np.eye(4), (len(q), 1, 1))
+        turn = float(theta) + (q[:, [i]] if kind == "r" else np.zeros((len(q), 1)))
+        tilt = Rotation.from_euler("x", float(alpha), degrees=True)
+        step[:, :3, :3] = (Rotation.from_euler("z", turn, degrees=True) * tilt).as_matrix()
+        step[:, 2, 3] = float(d) + (q[:, i] if kind == "p" else 0.0)
+        T = T @ step
+    points = T[:, :3, 3] + T[:, :3, :3] @ TARGET
+    S = Rotation.from_rotvec([0.1, -0.2, 0.7])
+    return q[:, :count], S.apply(points) + AWAY + rng.normal(0, 0.02, points.shape)
+
+
+def test_a_machine_is_about_as_long_as_it_travels(tmp_path: Path) -> None:
+    q, points = slides(tmp_path, 5)
+    columns = {**of("XYZBC", q), **of(["Xm", "Ym", "Zm"], points)}
+    written(tmp_path / "nc.csv", columns)
+    made = lc.init(tmp_path / "nc.csv", dh=tmp_path / "dh.csv")
+    assert np.allclose(made.dataset["x"], 1e-3 * points[:, 0], atol=1e-8)
+
+
+def test_slides_and_the_points_that_they_move_are_told_by_the_user(tmp_path: Path) -> None:
+    q, points = slides(tmp_path, 3)
+    numbers = [str(i) for i in range(len(q))]
+    written(tmp_path / "nc.csv", {"N": numbers, **of("XYZ", q)})
+    written(tmp_path / "tracker.csv", {"N": numbers, **of("XYZ", points)})
+    files = tmp_path / "nc.csv", tmp_path / "tracker.csv"
+    with refused("unknown-unit", "--joints") as caught:
+        lc.init(*files, dh=tmp_path / "dh.csv")
+    assert caught.value.options == ("--joints", "X,Y,Z")
+    made = lc.init(*files, dh=tmp_path / "dh.csv", joints="X,Y,Z")
+    assert np.allclose(made.dataset["x"], 1e-3 * points[:, 0], atol=1e-8)
+
+
+MACHINE = """schema = 1
+type = "linear-delta"
+units = { length = "mm", angle = "deg" }
+home = { platform_z = 35 }
+[parameters]
+a1_x = -121.244
+a1_y = -70.0
+a2_x = 121.244
+a2_y = -70.0
+a3_x = 0.0
+a3_y = 140.0
+"rod_*" = 300
+"""
+
+
+def delta(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Carriages and points [mm] of a linear delta, seen from anywhere."""
+    rng = np.random.default_rng(seed)
+    a = np.array([[-121.244, -70.0], [121.244, -70.0], [0.0, 140.0]])
+    P = rng.uniform([-70, -70, -15], [70, 70, 85], (40, 3))
+    across = np.square(P[:, None, :2] - a).sum(axis=2)
+    carriages = P[:, 2:] + np.sqrt(300.0**2 - across)
+    points = Rotation.from_rotvec([0.01, 0.02, rng.uniform(-3, 3)]).apply(P) + AWAY
+    return carriages, points + rng.normal(0.0, 0.015, points.shape)
+
+
+def test_a_later_day_of_closed_loops_may_have_other_columns(tmp_path: Path) -> None:
+    (tmp_path / "delta.toml").write_text(MACHINE, "utf-8")
+    q, points = delta(1)
+    first = {**of((f"Turm {i} [mm]" for i in "ABC"), q), **xyz("{} [mm]", 1e-3 * points)}
+    written(tmp_path / "first.csv", first)
+    project = lc.init(tmp_path / "first.csv", machine=str(tmp_path / "delta.toml"))
+    q, points = delta(2)
+    later = {**of((f"Carriage{i}" for i in (1, 2, 3)), q), **of(["Px", "Py", "Pz"], points)}
+    written(tmp_path / "later.csv", later)
+    read = new_readings(tmp_path / "later.csv", project.inputs, project.mechanism, whole=True)
+    assert np.allclose(read["slide_2"], 1e-3 * q[:, 1], atol=1e-8)
+    assert np.allclose(read["y"], 1e-3 * points[:, 1], atol=1e-8)
+
+
+@pytest.mark.parametrize("first", ["points", "polar"])
+def test_a_later_day_may_have_points_in_place_of_range_and_angles(
+    tmp_path: Path, first: str
+) -> None:
+    """And the reverse."""
+    world = World("six", 12)
+    described(world, tmp_path)
+    measured = {
+        "points": xyz("{} [mm]", world.points),
+        "polar": of(["Range [mm]", "Hz [deg]", "V [deg]"], polar(world.points) * [1, -1, 1]),
+    }
+    written(tmp_path / "first.csv", {**joints(world), **measured.pop(first)}, digits=9)
+    project = lc.init(tmp_path / "first.csv", dh=tmp_path / "dh.csv")
+    (later,) = measured.values()
+    written(tmp_path / "b.csv", {**joints(world, "axis {} [deg]"), **later}, digits=9)
+    read = new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
+    for name, values in project.dataset.readings.items():
+        if "azimuth" in name:
+            assert np.allclose(np.exp(1j * (read[name] - values)), 1.0, atol=1e-8)
+        else:
+            assert np.allclose(read[name], values, atol=1e-8)
+
+
+def test_legs_that_no_platform_has_are_refused(tmp_path: Path) -> None:
+    """Where the loops close nowhere no trial of signs has a body to compare with."""
+    rng = np.random.default_rng(3)
+    legs = {f"L{i} [mm]": rng.uniform(630, 760, 40) for i in range(1, 7)}
+    written(tmp_path / "a.csv", {**legs, **xyz("{} [mm]", rng.uniform(1.0, 2.0, (40, 3)))})
+    (tmp_path / "m.toml").write_text('schema = 1\ntype = "stewart-gough"\n', "utf-8")
+    with refused("implausible-readings", "does not describe"):
+        lc.init(tmp_path / "a.csv", machine=str(tmp_path / "m.toml"))
