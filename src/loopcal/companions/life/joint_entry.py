@@ -3,8 +3,8 @@
 Instruments are placed anew each day. So the covariance is that of what remains when placements may
 be anything, and a change v of the parameters moves the measured points of the calibration's poses
 by the root mean square sqrt(v^T M v), M = S^T P S / (points), S the derivatives of the points, P
-what no placement takes up. What is mounted is kept with the machine: one that is mounted anew is a
-change, and is told from one of the machine. Terms of the model error are left out.
+what no placement takes up. What is mounted is kept with the machine: where it is mounted anew, that
+is a cause beside those of the machine. Terms of the model error are left out.
 """
 
 from __future__ import annotations
@@ -35,9 +35,11 @@ the placement."""
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Of n parameters: names; covariance and moves M, None where no points are seen, (n, n) [SI];
-    zeros: of each joint without a parameter of its own what its zero changes, (n,) per unit, and
-    units of these."""
+    """Of n parameters: names; covariance and moves M, None where no points are seen, (n, n) [SI].
+
+    zeros: joints whose zero is no parameter; for each, how the parameters (n,) change with its zero
+    [SI per unit of the joint]. units: of these joints.
+    """
 
     names: tuple[str, ...]
     covariance: Array

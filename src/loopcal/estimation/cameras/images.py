@@ -172,7 +172,7 @@ def _copy_facts(corners: Corners, copies: dict[int, int]) -> list[Fact]:
     for image, first in sorted(copies.items()):
         sentence = (
             f"Image {corners.poses[image]} copies image {corners.poses[first]}: all of its corners "
-            "have the same pixels. It does not fit its pose. Detect the corners of its own image."
+            "have the same pixels. It does not fit its pose. Detect its corners again."
         )
         values: dict[str, float | str] = {"image": corners.poses[first]}
         facts.append(Fact("image-unexplained", sentence, values, (corners.poses[image],)))

@@ -75,7 +75,7 @@ def _load(path: Path) -> dict[str, Any]:
     variables = {
         n: v for n, v in contents.items() if not n.startswith("__") and isinstance(v, np.ndarray)
     }
-    # A text of its own says what the file is.
+    # A single text describes the file and is no column.
     variables = {n: v for n, v in variables.items() if v.dtype.kind != "U" or v.size > 1}
     if not variables:
         raise InputError(

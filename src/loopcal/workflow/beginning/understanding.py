@@ -128,10 +128,8 @@ def understood(
 def _in_proportion(machine: Machine, ways: list[Understood]) -> list[Understood]:
     """Of ways with slides in several units those in which the body moves about as far as the
     machine is long; all where none does, or where angles differ too."""
-    if (
-        len({tuple(u for u, si in zip(w.units, w.kinds, strict=True) if si != "m") for w in ways})
-        > 1
-    ):
+    each = [tuple(zip(way.units, way.kinds, strict=True)) for way in ways]
+    if len({tuple(u for u, si in units if si != "m") for units in each}) > 1:
         return ways
     size = sum(abs(p.nominal) for p in machine.mechanism.parameters if p.unit == "m")
     travels = [way.bodies.extent for way in ways]
