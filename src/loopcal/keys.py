@@ -128,12 +128,13 @@ def _has_keys(kind: type) -> bool:
 
 
 def type_name(make: Callable[..., Any]) -> str:
-    """What files call the type: `draw_wire` is "draw-wire".
+    """What files call the type: `draw_wire` is "draw-wire", `StationScales` "station-scales".
 
     >>> type_name(type_name)
     'type-name'
     """
-    return make.__name__.lower().replace("_", "-")
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "-", make.__name__)
+    return words.lower().replace("_", "-")
 
 
 def by_type(makers: Iterable[Callable[..., Any]]) -> dict[str, Callable[..., Any]]:

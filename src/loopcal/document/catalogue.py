@@ -23,6 +23,9 @@ _WITHIN = (
     "95 % of poses {where} are within {error:3} (guard band {low:3} to {high:3}); "
     "the tolerance is {tolerance:3}."
 )
+_SCALE = "The scale of {subject} differs by {ppm:2} ppm (sd {sd:2} ppm) from that of {other}"
+_AT_BOTH = "Check temperature, pressure and units of the instrument at both stations."
+_MOVES = "That moves the points by {moves:2} (rms)."
 _INSTEAD = "{rms:3} rms on poses not used instead of {rival_rms:3} (sd of the difference {sd:2})."
 _PAIRED = "{rms:3} rms instead of {nominal_rms:3} (difference {difference:3}, sd {sd:2})."
 _not_sound = partial(Row, "sound", "refuse")
@@ -255,19 +258,20 @@ _ROWS = (
         _CHECK,
         shared="off-the-drawing",
     ),
+    _sound_open("scales-unlike", f"{_SCALE}.", _AT_BOTH, _REPORT, detail=_MOVES),
     _sound_open(
-        "scales-unlike",
-        "The scale of {subject} differs by {ppm:2} ppm (sd {sd:2} ppm) from that of {other}.",
-        "Check temperature, pressure and units of the instrument at both stations.",
+        "scales-modelled",
+        f"{_SCALE}; in this fit each station has a scale.",
+        _AT_BOTH,
         _REPORT,
-        detail="That moves the points by {moves:2} (rms).",
+        detail="Without these the points would move by {moves:2} (rms).",
     ),
     _sound_open(
         "scale-off-the-drawing",
-        "The scale of {subject} differs by {ppm:2} ppm (sd {sd:2} ppm) from that of {other}.",
+        f"{_SCALE}.",
         "Check the temperature of the machine, the certificate of the instrument, and the drawing.",
         _REPORT,
-        detail="That moves the points by {moves:2} (rms).",
+        detail=_MOVES,
     ),
     _sound_open(
         "sds-contradicted",
@@ -345,8 +349,7 @@ _ROWS = (
     _sound("model-learnt", "The model has learnt: {effects}."),
     _sound(
         "scale-little-off",
-        "The scale of {subject} differs by {ppm:2} ppm (sd {sd:2} ppm) from that of {other}, which "
-        "moves the points by {moves:2} (rms), less than half their predicted sd.",
+        f"{_SCALE}, which moves points by {{moves:2}} (rms), less than half their predicted sd.",
     ),
     _sound(
         "sds-made-good",

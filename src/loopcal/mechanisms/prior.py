@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from loopcal.errors import InputError, nearest
+from loopcal.mechanisms.effects.effect import OF_INSTRUMENTS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.terms import stated_terms
 from loopcal.units import unit
@@ -90,10 +91,16 @@ class Prior:
     __hash__ = None  # type: ignore[assignment]
 
     def apply(self, mechanism: Mechanism) -> Mechanism:
-        """The mechanism with these prior sds, and a term for each group whose sd is learnt."""
-        parameters = mechanism.parameters.with_prior(self.sds)
+        """The mechanism with these prior sds, and a term for each group whose sd is learnt.
+
+        Globs do not mean what instruments may do (`OF_INSTRUMENTS`): whoever wrote them did not
+        know that a choice of methods adds this.
+        """
+        added = {n for t in mechanism.terms if t.name in OF_INSTRUMENTS for n in t.parameters}
+        learnt = {p.name: p.prior_sd for p in mechanism.parameters if p.name in added}
+        parameters = mechanism.parameters.with_prior({**self.sds, **learnt})
         keys = {key: key in self.estimate for key in self.sds}
-        terms = stated_terms(mechanism.terms, parameters, keys)
+        terms = stated_terms(mechanism.terms, parameters, keys, added)
         return replace(mechanism, parameters=parameters, terms=terms)
 
 

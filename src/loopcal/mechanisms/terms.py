@@ -11,7 +11,7 @@ The prior sd of each such parameter is the present value of s, where a search fo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from loopcal.errors import InputError, nearest
@@ -121,14 +121,18 @@ def _check_sds(members: Sequence[Parameter], term: Term) -> None:
 
 
 def stated_terms(
-    terms: Sequence[Term], parameters: Parameters, keys: Mapping[str, bool]
+    terms: Sequence[Term],
+    parameters: Parameters,
+    keys: Mapping[str, bool],
+    aside: Collection[str] = (),
 ) -> tuple[Term, ...]:
     """The terms after priors have been stated by name or glob, each learnt as a group or not.
 
     parameters: with these priors; keys: name or glob -> whether its sd is learnt; later ones win.
-    A parameter whose prior is stated leaves the term that it was in.
+    A parameter whose prior is stated leaves the term that it was in; aside: names that no glob
+    means.
     """
-    owner = {name: key for key in keys for name in parameters.matching(key)}
+    owner = {name: key for key in keys for name in parameters.matching(key) if name not in aside}
     kept = []
     for term in terms:
         names = tuple(name for name in term.parameters if name not in owner)

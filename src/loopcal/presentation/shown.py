@@ -11,8 +11,8 @@ from loopcal.units import from_si
 
 SHOWN = {"m": "mm", "rad": "deg", "m/K": "um/K", "rad/K": "urad/K"}
 """Units in which SI values are printed, because drawings and controllers use them."""
-FINE = {"m": "um", "rad": "urad"}
-"""Units in which sds of sensors are printed."""
+FINE = {"m": "um", "rad": "urad", "1": "ppm"}
+"""Units in which sds of sensors and learnt scales are printed."""
 NONE = "–"
 LEAST_P = 1e-6
 """Smaller ones are not told apart."""

@@ -29,7 +29,7 @@ from loopcal.lazy import cached_property
 from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
-from loopcal.mechanisms.effects.effect import RUN_DRIFT
+from loopcal.mechanisms.effects.effect import OF_INSTRUMENTS
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.structure.structured import mounted, without
 
@@ -235,6 +235,11 @@ def unstated_lenses(mechanism: Mechanism) -> set[str]:
     return {n for n in lens for f in free if n.startswith(f.removesuffix("f"))}
 
 
+def instruments_alone(mechanism: Mechanism) -> set[str]:
+    """Parameters of drifts and scales of instruments that a choice adds."""
+    return {n for name in OF_INSTRUMENTS for n in mechanism.effects.get(name, ())}
+
+
 def nominal_machine(mechanism: Mechanism, moved: Collection[str] = ()) -> Mechanism:
     """Fix all parameters but those of placements, mountings and unstated lenses.
 
@@ -243,7 +248,7 @@ def nominal_machine(mechanism: Mechanism, moved: Collection[str] = ()) -> Mechan
     moved: parameters of what slipped during the run, which is no fault of the drawing's.
     """
     placed = {*mechanism.parameters.of_role("placement", "mounting"), *moved}
-    placed |= {*mechanism.effects.get(RUN_DRIFT, ())}  # no fault of the drawing's
+    placed |= instruments_alone(mechanism)  # no fault of the drawing's
     placed |= unstated_lenses(mechanism)
     fixed = [p.name for p in mechanism.parameters if p.name not in placed]
     made = mounted(mechanism)

@@ -61,6 +61,7 @@ from loopcal.statistics.risks import (
     significantly_better,
 )
 from loopcal.statistics.run_drift import with_run_drift
+from loopcal.statistics.station_scales import with_station_scales
 from loopcal.statistics.validation import (
     Failed,
     Plan,
@@ -113,7 +114,7 @@ def choose(
     import scipy.linalg  # noqa: F401  ahead of the copies, each of which would load it
 
     reuse_memory(32)
-    case = with_run_drift(case)
+    case = with_station_scales(with_run_drift(case))
     judged, waiting = list[Judged](), list(entrants(case))
     doubted = waiting[0].case.may_be_faulty
     while doubted and waiting and not any(one.whole for one in judged):

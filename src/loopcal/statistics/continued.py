@@ -17,7 +17,7 @@ from loopcal.document.change_points import ChangePoint
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
-from loopcal.mechanisms.effects.effect import RUN_DRIFTS
+from loopcal.mechanisms.effects.effect import OF_INSTRUMENTS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case, Entrant, entrants, without_terms
 from loopcal.statistics.changes import NUMBER, with_shifts
@@ -90,10 +90,12 @@ def continued(case: Case, ending: Ending) -> FitResult:
 
 def _chosen(case: Case, ending: Ending) -> Entrant:
     """The candidate that was taken, with the terms that it kept; else the first."""
-    if not {*RUN_DRIFTS}.isdisjoint(ending.terms):
-        from loopcal.statistics.run_drift import with_run_drift  # loaded where it is used
+    if not {*OF_INSTRUMENTS}.isdisjoint(ending.terms):
+        # loaded where they are used
+        from loopcal.statistics.run_drift import with_run_drift
+        from loopcal.statistics.station_scales import with_station_scales
 
-        case = with_run_drift(case)
+        case = with_station_scales(with_run_drift(case))
     able = [one for one in entrants(case) if not one.drawn]
     taken = next((one for one in able if one.name == ending.method), None)
     if taken is None:

@@ -12,9 +12,8 @@ from dataclasses import replace
 
 from loopcal.document.choice import Candidate
 from loopcal.execution.executor import Executor
-from loopcal.mechanisms.effects.effect import RUN_DRIFT
 from loopcal.mechanisms.mechanism import PIXELS
-from loopcal.statistics.case import Case, Entrant, nominal_case, unstated_lenses
+from loopcal.statistics.case import Case, Entrant, instruments_alone, nominal_case, unstated_lenses
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.judged import Judged, fitted
 from loopcal.statistics.risks import risk_of
@@ -57,7 +56,7 @@ def _freed(case: Case, moved: Collection[str]) -> dict[str, Case]:
     """The nominal machine with what belongs to the robot, the lens, the board."""
     mechanism = case.fit.with_prior(case.mechanism)
     placed = {*mechanism.parameters.of_role("placement", "mounting"), *moved}
-    placed |= {*mechanism.effects.get(RUN_DRIFT, ())} | unstated_lenses(mechanism)
+    placed |= instruments_alone(mechanism) | unstated_lenses(mechanism)
     groups: dict[str, list[str]] = {}
     for p in mechanism.parameters:
         if not p.fixed and p.name not in placed:

@@ -40,6 +40,8 @@ _ABSORBED = 1e-4
 """A step that the fit takes up but for this share cannot be told from it: columns stand at the
 corrected readings, which follow the errors, and what is left of them may be these alone."""
 
+_HELD = 1e6
+"""Precision of what is held, over that which the readings give it."""
 # Chosen, not derived: large enough for the products to be fast.
 _PART = 256
 """Poses whose columns are made at a time, for an array of all is large."""
@@ -276,6 +278,16 @@ class Fitted:
             pull=np.pad(self.pull, (d, 0)),
             products=np.block([[Q, U], [U.T, self.products]]),
         )
+
+    def held(self, names: Sequence[str]) -> Fitted:
+        """The fit with these parameters at their nominal values, rows scaled as they are."""
+        if not names:
+            return self
+        at = self.further + np.array([self.system.problem.names.index(n) for n in names])
+        precision, pull = self.precision.copy(), self.pull.copy()
+        precision[at] = np.maximum(_HELD * np.diag(self.products)[at], precision[at])
+        pull[at] *= precision[at] / self.precision[at]
+        return replace(self, precision=precision, pull=pull)
 
     def without(self, first: int, count: int) -> Fitted:
         """The fit without some of its further columns, rows scaled as they are."""

@@ -29,12 +29,12 @@ from loopcal.arrays import Array
 from loopcal.document.findings import ScaleEntry
 from loopcal.estimation.dependence.seen import instruments
 from loopcal.estimation.problem.problem import Problem
+from loopcal.mechanisms.effects.effect import STATION_SCALES
+from loopcal.mechanisms.effects.station_scales import by_station, lengths_read
 from loopcal.mechanisms.mechanism import Family
 from loopcal.small_samples import f_tail
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem
 
-_FORMS = {"point": 3, "pose": 3, "spherical": 1, "polar": 1}
-"""What reads lengths from where it stands, and how many of its readings are lengths."""
 # Far above rounding, 1e-16 times the condition of the products. Chosen, not derived.
 _ABSORBED = 1e-10
 """Of the square of a column, what is left beside all else, below which it is rounding."""
@@ -44,8 +44,11 @@ _LEFT = 0.01
 
 
 def scales(fit: Fitted) -> tuple[ScaleEntry, ...]:
-    """The scales of a calibration, each with its sd and the p-value of one that is not there."""
-    system = fit.system
+    """The scales of a calibration, each with its sd and the p-value of one that is not there.
+
+    Those that are in the fit are tested as if they were not.
+    """
+    fit, system = fit.held(fit.system.problem.mechanism.effects.get(STATION_SCALES, ())), fit.system
     stations = scale_columns(system)
     spreads = [_spread(system.problem, families) for families, _ in stations]
     entries = [
@@ -61,22 +64,15 @@ def scales(fit: Fitted) -> tuple[ScaleEntry, ...]:
 
 def scale_columns(system: OrderedSystem) -> list[tuple[list[Family], Array]]:
     """The instruments of each station, and the column (N, R, 1) of their scale."""
-    return [(families, _column(system, families)) for families in _by_station(system.problem)]
-
-
-def _by_station(problem: Problem) -> list[list[Family]]:
-    """The instruments that read lengths, by where they stand."""
-    groups: dict[tuple[str, ...], list[Family]] = {}
-    for family in instruments(problem):
-        if family.form in _FORMS and family.name in {f.name for f in problem.mechanism.families}:
-            groups.setdefault(tuple(family.standing), []).append(family)
-    return list(groups.values())
+    seen = {family.name for family in instruments(system.problem)}
+    groups = [[f for f in one if f.name in seen] for one in by_station(system.problem.mechanism)]
+    return [(families, _column(system, families)) for families in groups if families]
 
 
 def _column(system: OrderedSystem, families: list[Family]) -> Array:
     """(N, R, 1) of a scale that is larger by one."""
     problem = system.problem
-    names = [q for f in families for q in f.readings[: _FORMS[f.form]]]
+    names = lengths_read(families)
     rows = [problem.mechanism.tape.quantities.index(q) for q in names]
     read = np.nan_to_num(problem.readings[rows][:, system.order].T)
     return np.asarray(np.einsum("nrq,nq->nr", system.columns(names), read)[:, :, None])
@@ -98,7 +94,7 @@ def _spread(problem: Problem, families: list[Family]) -> float:
     """Rms distance [m] of the points from their mean; of ranges, from theirs."""
     squares = []
     for family in families:
-        names = family.readings[: _FORMS[family.form]]
+        names = lengths_read([family])
         rows = [problem.mechanism.tape.quantities.index(q) for q in names]
         squares.append(float(np.nansum(np.nanvar(problem.readings[rows], axis=1))))
     return math.sqrt(max(squares))

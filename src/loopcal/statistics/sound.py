@@ -16,7 +16,7 @@ from loopcal.document.choice import DECISIVE, TermEntry
 from loopcal.document.findings import ConflictEntry, HalvesEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
-from loopcal.mechanisms.effects.effect import RUN_DRIFTS
+from loopcal.mechanisms.effects.effect import RUN_DRIFTS, STATION_SCALES
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.presentation.shown import percent
 from loopcal.small_samples import t_quantile
@@ -258,7 +258,8 @@ def _scales(document: ResultDocument) -> Fact | None:
     stated = None if region is None else region.of("m")
     sd = 0.0 if stated is None else stated.sd_at_poses or 0.0
     little = worst.moves < SMALL * sd
-    code, other = "scales-unlike", "the first station"
+    modelled = any(term.name == STATION_SCALES for term in document.terms)
+    code, other = "scales-modelled" if modelled else "scales-unlike", "the first station"
     subject = ", ".join(map(repr, worst.instruments))
     if not subject:
         code, subject, other = "scale-off-the-drawing", "the instrument", "the drawing"

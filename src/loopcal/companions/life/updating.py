@@ -65,6 +65,7 @@ from loopcal.statistics.another_day import Day, as_learnt, day_problem, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.gauge import values_of
 from loopcal.statistics.replacing import Replaced, freed
+from loopcal.statistics.station_scales import by_same_stations
 from loopcal.statistics.verified import Verification
 
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
@@ -141,7 +142,7 @@ def updated(
     held = stated is not None
     if stated is None:
         stated, data = noise_of(calibrated), as_learnt(calibrated, data)
-    data = with_latest(calibrated.mechanism, data)
+    data = with_latest(calibrated.mechanism, by_same_stations(calibrated.mechanism, data))
     with one_blas_thread():
         day = Day.of(calibrated, data, stated, since.remounted)
         if not since.moved:

@@ -39,6 +39,7 @@ from loopcal.mechanisms.station import MOTIONS, Station
 from loopcal.mechanisms.structure.structured import EFFECT
 from loopcal.mechanisms.tree import BODY
 from loopcal.small_samples import t_quantile
+from loopcal.statistics.case import instruments_alone
 from loopcal.statistics.predictor import Predictor
 
 # 1200 coordinates are some times the parameters of any arm (record 0080).
@@ -65,14 +66,13 @@ def exported(
     if not mechanism.joints:
         eyes, images = _eyes(mechanism, values), _images(mechanism)
         return Exported(name, None, (), document.parameters, values, eyes=eyes, images=images)
-    beyond = {
-        n: v for names in mechanism.effects.values() for n in names if (v := values[n]) != 0.0
-    }
+    effects = {n for names in mechanism.effects.values() for n in names}
+    beyond = {n: v for n in effects - instruments_alone(mechanism) if (v := values[n]) != 0.0}
     if predictor is not None and poses is not None:
         kept = [i for i, pose in enumerate(poses.poses) if pose not in document.data.discarded]
         poses = after_last_change(predictor.mechanism, poses.take(kept))
     full = None if predictor is None else _Full.of(document, predictor, poses)
-    bare = {n: 0.0 if n in beyond else v for n, v in values.items()}
+    bare = {n: 0.0 if n in effects else v for n, v in values.items()}
     geometry, warnings = bare, list[str]()
     if beyond and full is not None:
         free = [p.name for p in mechanism.parameters if not p.fixed and p.role not in BEYOND]

@@ -28,6 +28,10 @@ Name = Annotated[str, Key("Name of the effect in comparisons of models.")]
 RUN_DRIFTS = RUN_DRIFT, RUN_DRIFT_TURNS = "run_drift", "run_drift_turns"
 """Names of the effect, and of its terms, of a drift that is there because the joints tell the order
 of the poses (`statistics.run_drift`)."""
+STATION_SCALES = "station_scales"
+"""Name of the term of the scales of several stations (`statistics.station_scales`)."""
+OF_INSTRUMENTS = *RUN_DRIFTS, STATION_SCALES
+"""Terms of what instruments do, which is no fault of the machine's."""
 LENGTHS = "lengths"
 """What changes where all lengths of the machine do, in proportion."""
 LOAD = "load"

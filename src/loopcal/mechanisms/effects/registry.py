@@ -8,9 +8,19 @@ from loopcal.mechanisms.effects.compliance import Compliance
 from loopcal.mechanisms.effects.drift import Drift, Shift
 from loopcal.mechanisms.effects.harmonics import Harmonics
 from loopcal.mechanisms.effects.scale import Scale
+from loopcal.mechanisms.effects.station_scales import StationScales
 from loopcal.mechanisms.effects.thermal import Thermal
 
-__all__ = ["Backlash", "Compliance", "Drift", "Harmonics", "Scale", "Shift", "Thermal"]
+__all__ = [
+    "Backlash",
+    "Compliance",
+    "Drift",
+    "Harmonics",
+    "Scale",
+    "Shift",
+    "StationScales",
+    "Thermal",
+]
 
 EFFECTS = by_type(globals()[name] for name in __all__)
 """By the type that files name, the effect."""

@@ -1,0 +1,98 @@
+"""Scales of several stations: lengths that each reads too long by a share of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from loopcal.keys import Key
+from loopcal.mechanisms.effects.effect import Name
+from loopcal.mechanisms.frame import Values
+from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.mechanisms.parameters import Parameter
+
+SD = 1e-5
+"""Prior sd of a scale: of trackers and arms by their data sheets, and of 10 K of air."""
+_LENGTHS = {"point": 3, "pose": 3, "spherical": 1, "polar": 1}
+"""What reads lengths from where it stands, and how many of its readings are lengths."""
+
+
+@dataclass(frozen=True)
+class StationScales:
+    """Stations with scales s_k of their own: what station k reads is (1 + s_k t) times too long.
+
+    The machine and all else that is read are as the first station sees them, in proportion:
+
+        p' = p (1 + s_1 t) of the machine's lengths,
+        x' = x (1 + (s_1 - s_k) t) of what station k reads,
+        x' = x (1 + s_1 t) of slides and other lengths.
+
+    Scales of the readings alone would shrink them to nothing, because their noise shrinks too.
+
+    column: the known constant t, 1 in what is calibrated. Readings to predict from that lack it
+    are true lengths, t = 0. Without a column t = 1 always: predictions are as each station reads.
+    """
+
+    column: Annotated[
+        str,
+        Key("Known constant that is 1 in what is calibrated, 0 for true lengths. Default: 1."),
+    ] = ""
+    name: Name = "station_scales"
+
+    def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
+        """INSTRUMENT_scale of each station, by its first instrument."""
+        return {
+            name: Parameter(name, 0.0, "1", SD, meaning=f"scale of {one[0].name}")
+            for one in by_station(mechanism)
+            for name in [_named(one)]
+        }
+
+    def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
+        """The column."""
+        return {self.column: "1"} if self.column else {}
+
+    def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
+        """The lengths of the machine, and those that are read, but by the first station."""
+        first, *others = by_station(mechanism)
+        t, seen = x[self.column] if self.column else 1.0, p[_named(first)]
+        scales = {q: seen - p[_named(one)] for one in others for q in lengths_read(one)}
+        still = lengths_read(first)
+        for v in mechanism.variables:
+            if (v.role, v.unit, v.first) == ("reading", "m", None) and v.name not in still:
+                scales.setdefault(v.name, seen)
+        parameters = mechanism.parameters
+        return {
+            **{q.name: p[q.name] * (1.0 + seen * t) for q in parameters if _grows(q)},
+            **{name: x[name] * (1.0 + scale * t) for name, scale in scales.items()},
+        }
+
+    def latest(self) -> dict[str, float]:
+        """The column, where lengths are true."""
+        return {self.column: 0.0} if self.column else {}
+
+
+def by_station(mechanism: Mechanism) -> list[list[Family]]:
+    """The instruments that read lengths, by where they stand."""
+    groups: dict[tuple[str, ...], list[Family]] = {}
+    for family in mechanism.families:
+        if family.form in _LENGTHS:
+            groups.setdefault(tuple(family.standing), []).append(family)
+    return list(groups.values())
+
+
+def lengths_read(instruments: Sequence[Family]) -> list[str]:
+    """The readings of instruments that are lengths from where these stand."""
+    return [q for f in instruments for q in f.readings[: _LENGTHS[f.form]]]
+
+
+def _grows(parameter: Parameter) -> bool:
+    """Whether it is a length of the machine or of what is mounted on it.
+
+    A station stands where it is seen: predictions keep that place.
+    """
+    return parameter.unit == "m" and parameter.role != "placement"
+
+
+def _named(instruments: Sequence[Family]) -> str:
+    return f"{instruments[0].name}_scale"
