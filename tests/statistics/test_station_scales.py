@@ -18,7 +18,7 @@ from loopcal.mechanisms.effects.station_scales import SD
 from loopcal.statistics.case import Case
 from loopcal.statistics.ordered_system import ordered_system
 from loopcal.statistics.scales import scales
-from loopcal.statistics.station_scales import with_station_scales
+from loopcal.statistics.station_scales import SPREAD, with_station_scales
 from tests.estimation.test_contacts import READINGS
 from tests.statistics.test_stations import stations
 
@@ -101,11 +101,11 @@ def test_the_difference_is_stated_as_if_it_were_not_in_the_fit() -> None:
 
 
 def test_true_points_are_in_their_stated_regions_whatever_the_scales_are() -> None:
-    """Scales of 60 instruments drawn as the prior says, their sd known to a factor of e."""
+    """Scales of 60 pairs of instruments drawn as the prior says."""
     rng = np.random.default_rng(7)
     held = []
     for seed in range(60):
-        sd = SD * math.exp(rng.standard_normal())
+        sd = SD * math.exp(SPREAD * rng.standard_normal())
         first, second = (sd * rng.standard_normal(2)).tolist()
         made = with_station_scales(case(100 + seed, (first, second)))
         held.append((squares(made.calibrated(), 100 + seed) < HELD).mean())

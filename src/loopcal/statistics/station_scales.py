@@ -19,6 +19,8 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.terms import Term
 from loopcal.statistics.case import Case
 
+SPREAD = 2.0
+"""sd of the logarithm of the learnt sd: from 1 ppm of an interferometer to 100 ppm of cameras."""
 COLUMN = "in_calibration"
 """The known constant that is 1 in what is calibrated: no file has it."""
 
@@ -36,7 +38,7 @@ def with_station_scales(case: Case) -> Case:
     except InputError:
         return case
     words = "the scales of the stations differ by {scale}"
-    term = Term(STATION_SCALES, made.effects[STATION_SCALES], SD, words=words)
+    term = Term(STATION_SCALES, made.effects[STATION_SCALES], SD, SPREAD, words)
     made = made.with_terms(term)
     return replace(case, mechanism=made, data=by_same_stations(made, case.data))
 
