@@ -37,7 +37,7 @@ def with_station_scales(case: Case) -> Case:
         made = with_effects(case.mechanism, [StationScales(COLUMN, STATION_SCALES)])
     except InputError:
         return case
-    words = "the scales of the stations differ by {scale}"
+    words = "the stations have scales of {scale} (sd)"
     term = Term(STATION_SCALES, made.effects[STATION_SCALES], SD, SPREAD, words)
     made = made.with_terms(term)
     return replace(case, mechanism=made, data=by_same_stations(made, case.data))
