@@ -42,6 +42,9 @@ def test_what_was_stated_wrongly_is_at_fault(f: float, size: float, fault: str) 
     parts = judged(f, size)
     culprits = parts.culprits
     assert [one.name for one in culprits][1:3] == ["lens", "board"]
+    # Corners of an image share the errors of its pose: no method takes poses as exact.
+    assert parts.chosen is not None
+    assert {one.name for one in parts.chosen.over} == {"implicit-loop", "nominal"}
     words = culprit_words(culprits, "px")
     assert f"Freeing the {fault} gains most" in words
     table = culprit_table(culprits, "px")
@@ -53,6 +56,20 @@ def test_what_was_stated_wrongly_is_at_fault(f: float, size: float, fault: str) 
     assert parts.validation.images.places
     assert {one.name for one in parts.halves} >= {"eye_f", "eye_cx", "eye_k1"}
     assert max(abs(one.sds) for one in parts.halves) < 4.0
+
+
+def test_what_moved_before_a_camera_is_a_camera_or_a_board() -> None:
+    T, moved = hands(30, 2), np.eye(4)
+    moved[:3, 3] = 2e-3, -1e-3, 0.0
+    T_seen = np.where(np.arange(30)[:, None, None] < 15, T, moved @ T)
+    uv = pixels(T_seen, on="base") + np.random.default_rng(3).normal(0.0, 0.2, (12, 2, 30))
+    noise = lc.Noise({"[xyz]": 1e-4, "w?": 1e-4, "eye": 0.2})
+    made = mechanism("base")
+    made = made.with_parameters(made.parameters.with_prior(PRIORS))
+    data = lc.Dataset.from_arrays(readings(T, uv))
+    (point,) = lc.find_shifts(lc.calibrate(made, data, noise=noise, method="implicit-loop")).found
+    assert point.of == "the camera 'eye'"
+    assert "the place of the camera 'eye' changed (eye_x" in point.what
 
 
 def test_a_gain_below_two_standard_errors_accuses_nothing() -> None:

@@ -170,10 +170,11 @@ def entrants(
     fit, lossless = case.fit, case.fit.robust_loss is None
     methods = fit.among(case.data, case.noise)
     machine, with_error = fit.with_prior(case.mechanism), fit.changed(model_error="structured")
-    pixels = {q for f in case.mechanism.families if f.form == PIXELS for q in f.readings}
-    images = bool(pixels)
-    # Cameras alone: no joint and no pose is read that could count as exact.
-    alone = images and not any(q in case.data.readings for q in {*machine.quantities} - pixels)
+    images = any(f.form == PIXELS for f in case.mechanism.families)
+    if images:
+        # Exact poses, or a drawing without its priors, make corners of an image say more than they
+        # can; the weights of READ cost as much as a fit.
+        methods = tuple(m for m in methods if m.weighting is Weighting.CORRECTED) or methods
     if made is None and images:
         made = machine  # what is smooth in pixels is the lens's as well as the arm's
     if made is None:
@@ -186,12 +187,6 @@ def entrants(
         name = f"{method.name} with model error"
         yield Entrant(name, replace(case, mechanism=made, fit=error_fit), True)
     for method in methods:
-        if images and (
-            method.weighting is Weighting.READ or (method.exact and (machine.joints or alone))
-        ):
-            # The weights of images cost as much as a fit; without its drawing's priors an arm that
-            # pixels alone see lies in a valley.
-            continue
         plain = fit.changed(method=method, model_error="none")
         yield Entrant(method.name, replace(case, fit=plain))
     if case.mechanism.outputs:
