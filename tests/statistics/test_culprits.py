@@ -8,6 +8,7 @@ import pytest
 import loopcal as lc
 from loopcal.document.accuracy import Distances
 from loopcal.document.choice import Candidate
+from loopcal.document.fit import NoiseEntry
 from loopcal.document.parts import Parts
 from loopcal.document.tables import culprit_table, culprit_words
 from loopcal.estimation.fit import Fit
@@ -97,3 +98,13 @@ def test_regions_of_the_image_are_where_the_camera_sees_the_board() -> None:
     assert made is not None
     assert sorted(map(tuple, made.indices)) == [(0, 4, 8, 12), tuple(np.flatnonzero(~far))]
     assert image_regions(mechanism("base"), data.take(slice(9)), np.arange(9)) is None
+
+
+def test_sensors_have_names_for_the_reader() -> None:
+    def label(*names: str) -> str:
+        return NoiseEntry(names, "1", 1.0, None, "given").label
+
+    assert label("eye:board:0:u", "eye:board:17:v") == "corners of 'eye'"
+    assert label("wx", "wy", "wz") == "small turns wx, wy, wz"
+    assert label("x", "y", "z") == "x, y, z"
+    assert label(*(f"q{i}" for i in range(20))) == "q0 ... q19"
