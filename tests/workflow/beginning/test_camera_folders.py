@@ -25,6 +25,7 @@ from loopcal.mechanisms.cameras.board import Board
 from loopcal.statistics.case import nominal_machine
 from loopcal.workflow.beginning.matching import matched
 from tests.mechanisms.test_camera import LENS, POINTS, hands, pixels
+from tests.refusals import refused
 from tests.workflow.beginning.test_from_images import written
 
 
@@ -274,6 +275,15 @@ def test_joints_come_before_the_poses_beside_them_where_a_file_describes_the_rob
     begun = lc.init(folder, out=tmp_path / "c")
     assert ("theta_1" in begun.dataset.readings) is joints
     assert any("not the poses of the flange" in remark for remark in begun.remarks) is joints
+
+
+def test_a_type_of_machine_takes_images_of_its_board(tmp_path: Path) -> None:
+    """As a chain, for which any instrument serves; these images are those of another arm."""
+    made = shots(37, held=False, images=12)
+    made.write(tmp_path / "images")
+    (tmp_path / "images" / "dh.csv").unlink()
+    with refused("mismatched-poses"):
+        lc.init(tmp_path / "images", machine="motoman-ma1400")
 
 
 @pytest.mark.parametrize(("along", "first"), [(False, 0), (True, 0), (False, 1)])
