@@ -130,6 +130,10 @@ def test_cameras_without_a_robot_are_not_planned() -> None:
     alone = mechanism_from_data({"type": "free-body", "read": False, "instrument": [eye]}, "x.toml")
     with refused("undetermined-quantities", "no robot moves camera or board"):
         lc.plan(alone, 5, noise={"*": 1e-4})
+    flange = mechanism_from_data({"type": "free-body", "instrument": [eye]}, "x.toml")
+    ranges = dict.fromkeys(("x", "y", "z", "qw", "qx", "qy", "qz"), (-1.0, 1.0))
+    with refused("undetermined-quantities", "poses of its flange and no joints"):
+        ranges_of(flange, ranges, None)
 
 
 def test_rules_need_a_point() -> None:

@@ -8,6 +8,7 @@ import pytest
 import loopcal as lc
 from loopcal.document.accuracy import Distances
 from loopcal.document.choice import Candidate
+from loopcal.document.fit import NoiseEntry
 from loopcal.document.parts import Parts
 from loopcal.document.tables import culprit_table, culprit_words
 from loopcal.estimation.fit import Fit
@@ -55,6 +56,20 @@ def test_what_was_stated_wrongly_is_at_fault(f: float, size: float, fault: str) 
     assert max(abs(one.sds) for one in parts.halves) < 4.0
 
 
+def test_what_moved_before_a_camera_is_a_camera_or_a_board() -> None:
+    T, moved = hands(30, 2), np.eye(4)
+    moved[:3, 3] = 2e-3, -1e-3, 0.0
+    T_seen = np.where(np.arange(30)[:, None, None] < 15, T, moved @ T)
+    uv = pixels(T_seen, on="base") + np.random.default_rng(3).normal(0.0, 0.2, (12, 2, 30))
+    noise = lc.Noise({"[xyz]": 1e-4, "w?": 1e-4, "eye": 0.2})
+    made = mechanism("base")
+    made = made.with_parameters(made.parameters.with_prior(PRIORS))
+    data = lc.Dataset.from_arrays(readings(T, uv))
+    (point,) = lc.find_shifts(lc.calibrate(made, data, noise=noise, method="implicit-loop")).found
+    assert point.of == "the camera 'eye'"
+    assert "the place of the camera 'eye' changed (eye_x" in point.what
+
+
 def test_a_gain_below_two_standard_errors_accuses_nothing() -> None:
     def one(name: str, rms: float, gain: float) -> Candidate:
         distances = Distances(rms, rms, rms, rms, 20)
@@ -80,3 +95,13 @@ def test_regions_of_the_image_are_where_the_camera_sees_the_board() -> None:
     assert made is not None
     assert sorted(map(tuple, made.indices)) == [(0, 4, 8, 12), tuple(np.flatnonzero(~far))]
     assert image_regions(mechanism("base"), data.take(slice(9)), np.arange(9)) is None
+
+
+def test_sensors_have_names_for_the_reader() -> None:
+    def label(*names: str) -> str:
+        return NoiseEntry(names, "1", 1.0, None, "given").label
+
+    assert label("eye:board:0:u", "eye:board:17:v") == "corners of 'eye'"
+    assert label("wx", "wy", "wz") == "small turns wx, wy, wz"
+    assert label("x", "y", "z") == "x, y, z"
+    assert label(*(f"q{i}" for i in range(20))) == "q0 ... q19"

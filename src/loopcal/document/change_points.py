@@ -15,7 +15,7 @@ from loopcal.presentation.shown import enumerated, p_words, percent, significant
 Moved = Literal["target", "station", "joint", "reading", "load", "expansion", "link"]
 _WORDS = {
     "target": ("the target {names}", "moved", "on the body"),
-    "station": ("the place of the instrument", "changed", "({names})"),
+    "station": ("the place of {of}", "changed", "({names})"),
     "joint": ("the zero of the joint {names}", "changed", ""),
     "reading": ("the zero of {names}", "changed", ""),
     "load": ("the load on the tool", "changed", ""),
@@ -70,6 +70,9 @@ class ChangePoint:
     """Of a ramp, the number of the last pose in which it was seen; null: a step."""
     bends: Count = 0
     """Of a ramp, terms of the smooth curve that the readings show beside a straight line."""
+    of: str = ""
+    """Whose place it is, where images see it: a camera or a board; empty: another target or
+    instrument."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -84,11 +87,14 @@ class ChangePoint:
     @property
     def what(self) -> str:
         """When it changed, and what."""
-        subject, verb, more = _WORDS[self.moved]
+        subject, verb, more = _WORDS["station" if self.of else self.moved]
         if self.shape == "ramp":
             verb = "drifted along a curve" if self.bends else "drifted"
         names = ", ".join(self.names)
-        subject, more = subject.format(names=names), more.format(names=names)
+        subject, more = (
+            subject.format(names=names, of=self.of or "the instrument"),
+            more.format(names=names),
+        )
         text = " ".join(part for part in (when([self]), subject, verb, more) if part)
         return f"{text} (or else {'; '.join(self.alternatives)})" if self.alternatives else text
 

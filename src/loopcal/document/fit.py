@@ -9,6 +9,7 @@ from typing import Literal
 from loopcal.chi_squared import tail
 from loopcal.document.bounds import Count, Probability, Size
 from loopcal.document.triangle import Rows
+from loopcal.errors import listed
 from loopcal.mechanisms.parameters import Role, dimension_of
 
 
@@ -116,6 +117,10 @@ class CovarianceEntry:
     dependent. Rows of its lower triangle; null: it is `plain`, or `matrix` without that."""
 
 
+_FEW = 12
+"""Quantities of a sensor that its row names: images have hundreds."""
+
+
 @dataclass(frozen=True)
 class NoiseEntry:
     """The sd [SI unit] used for one or several quantities."""
@@ -148,6 +153,17 @@ class NoiseEntry:
     variance_factor: Size | None = None
     """Chi-squared of their corrections over their redundancy: 1 where the sd is right (Foerstner
     1979). The sensor with the largest is the first to suspect."""
+
+    @property
+    def label(self) -> str:
+        """For the reader: what a camera sees, turns of a pose, or else the names."""
+        names = self.quantities
+        if all(name.count(":") > 2 for name in names):
+            eyes = listed(list(dict.fromkeys(name.split(":")[0] for name in names)), _FEW)
+            return f"corners of {eyes}"
+        shown = ", ".join(names) if len(names) <= _FEW else f"{names[0]} ... {names[-1]}"
+        turns = {name.rpartition("_")[2] for name in names} <= {"wx", "wy", "wz"}
+        return f"small turns {shown}" if turns else shown
 
 
 @dataclass(frozen=True)

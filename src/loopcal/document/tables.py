@@ -267,11 +267,10 @@ def sensor_table(noise: Sequence[NoiseEntry]) -> list[str]:
     """One line per sensor: its sd, how sure and from where, and its variance factor."""
     rows = [["sensor", "sd", "sd of sd", "at most", "factor", "from", "unit"]]
     for entry in noise:
-        first, last = entry.quantities[0], entry.quantities[-1]
         sd_of_sd, upper = entry.sd_of_sd, entry.upper
         rows.append(
             [
-                first if first == last else f"{first} ... {last}",
+                entry.label,
                 size(entry.sd, entry.unit, 3, fine=True),
                 "" if sd_of_sd is None else size(sd_of_sd, entry.unit, 2, fine=True),
                 "" if upper is None else size(upper, entry.unit, 2, fine=True),

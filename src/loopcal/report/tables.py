@@ -101,13 +101,8 @@ def model_table(document: ResultDocument) -> Table | None:
     return Table(caption, (*head, "behind", "sd"), tuple(rows))
 
 
-_MOST_NAMES, _MOST_SENSORS = 12, 40
-"""Quantities of a sensor that its row names; rows of sensors: images have hundreds of corners."""
-
-
-def _listed(quantities: Sequence[str]) -> str:
-    few = len(quantities) <= _MOST_NAMES
-    return ", ".join(quantities) if few else f"{quantities[0]} ... {quantities[-1]}"
+_MOST_SENSORS = 40
+"""Rows of sensors: images have hundreds of corners."""
 
 
 def sensor_table(source: Source) -> Table | None:
@@ -123,7 +118,7 @@ def sensor_table(source: Source) -> Table | None:
         mean = f"{values.mean():+z.2f}" if values.size else NONE
         rows.append(
             (
-                _listed(entry.quantities),
+                entry.label,
                 size(entry.sd, unit, 3, fine=True),
                 size(entry.sd_of_sd, unit, 2, fine=True),
                 size(entry.upper, unit, 2, fine=True),

@@ -298,9 +298,10 @@ class Search:
             },
             estimated.before(spare),
             min(1.0, math.exp(estimated.log_p(spare)) * self.tests[step.ramp]),
-            tuple(", ".join(c.change.titles) for c in alike),
+            tuple(c.change.label or ", ".join(c.change.titles) for c in alike),
             until=None if step.until is None else step.until + 1,
             bends=bends,
+            of=change.label,
         )
 
     def _alike(self, rest: Fitted, step: _Step) -> list[_Candidate]:

@@ -187,7 +187,7 @@ def _mounted(problem: Problem) -> Iterator[tuple[str, ...]]:
 def _targets(problem: Problem) -> Iterator[Possible]:
     """Each thing on the body."""
     for names in _mounted(problem):
-        yield Possible("target", names)
+        yield Possible("target", names, label=_seen_by_images(problem, names))
 
 
 def _stations(problem: Problem) -> Iterator[Possible]:
@@ -198,7 +198,19 @@ def _stations(problem: Problem) -> Iterator[Possible]:
     for place in (mechanism.placement, *(f.placement for f in mechanism.families)):
         parameters = () if place is None else place.parameters
         if estimated := tuple(n for n in parameters if n in problem.names):
-            yield Possible("station", estimated)
+            label = _seen_by_images(problem, estimated)
+            yield Possible("station", estimated, label=label)
+
+
+def _seen_by_images(problem: Problem, names: Sequence[str]) -> str:
+    """The camera or the board whose place these parameters are; empty for that of another thing."""
+    owners = {problem.mechanism.parameters[n].owner for n in names}
+    for f in problem.mechanism.families if len(owners) == 1 else ():
+        if f.form == PIXELS:
+            for what, name in zip(("camera", "board"), f.readings[0].split(":"), strict=False):
+                if owners == {name}:
+                    return f"the {what}" if name == what else f"the {what} {name!r}"
+    return ""
 
 
 def _joints(problem: Problem) -> Iterator[Possible]:

@@ -27,6 +27,19 @@ def test_camera_board_and_lens_from_nothing(held: bool, stated: bool) -> None:
     assert {fact.code for fact in begun.facts} == {"mount"}
 
 
+@pytest.mark.parametrize("held", [True, False])
+def test_what_would_sit_far_from_the_flange_is_not_on_it(held: bool) -> None:
+    """Inverted poses are those of the other mount: the same equations, and the same pixels."""
+    true = shots(3 + held, held=held)
+    begun = true.start(T=np.linalg.inv(true.T), held=None)
+    assert begun.held is held
+    assert begun.T_base_flange is not None
+    np.testing.assert_allclose(begun.T_base_flange, true.T, atol=1e-9)
+    (fact,) = (fact for fact in begun.facts if fact.code == "mount")
+    assert "the poses are inverted" in fact.sentence
+    assert " m from the flange" in fact.sentence
+
+
 def test_wrong_corners_do_not_move_it() -> None:
     true = shots(7, wrong=0.1)
     begun = true.start()

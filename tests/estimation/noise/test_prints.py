@@ -118,3 +118,16 @@ def test_a_column_that_is_off_is_named(tmp_path: Path) -> None:
     result = _calibrated(_shots(off), tmp_path)
     (points,) = result.terms_with_parts()
     assert points.sentences[0].startswith("the column at x = ")
+
+
+def test_images_of_few_corners_leave_the_corners_their_noise(tmp_path: Path) -> None:
+    """No image keeps a row that only its corners' noise acts on."""
+    off = np.random.default_rng(7).normal(0.0, 1.5e-4, (COLUMNS * ROWS, 3)) * [1.0, 1.0, 0.0]
+    shots = _shots(off)
+    uv, rng = shots.uv.copy(), np.random.default_rng(8)
+    for image in uv:
+        image[rng.choice(len(image), len(image) - 12, replace=False)] = np.nan
+    result = _calibrated(replace(shots, uv=uv), tmp_path)
+    assert [term.name for term in result.terms] == ["points"]
+    (sd,) = [entry.sd for entry in result.noise if entry.quantities[0].startswith("cam")]
+    assert sd == pytest.approx(shots.rig.corner, rel=0.2)

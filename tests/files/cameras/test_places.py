@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from loopcal.files.cameras.places import read_places, read_samples
 from tests.refusals import refused
@@ -64,6 +65,17 @@ def test_poses_of_a_table_with_quaternions_in_any_order(tmp_path: Path) -> None:
     text = "pose,x_m,y_m,z_m,qx,qy,qz,qw\na,1,2,3,0,0,0.70710678,0.70710678\nb,0,0,0,0,0,0,1\n"
     other = read_places(written(tmp_path, text, "poses.csv"))
     np.testing.assert_allclose(other.T, places.T, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "names", ["r00,r01,r02,t0,r10,r11,r12,t1,r20,r21,r22,t2", "a,b,c,d,e,f,g,h,i,j,k,l", ""]
+)
+def test_three_rows_of_a_matrix_with_any_names(names: str, tmp_path: Path) -> None:
+    by_cell = names or "r11,r12,r13,r21,r22,r23,r31,r32,r33,t1,t2,t3"
+    rows = np.c_[TURNED, (1, 2, 3)] if names else np.r_[TURNED.ravel(), 1, 2, 3]
+    text = f"pose,{by_cell}\nn1," + ",".join(f"{value:g}" for value in rows.ravel()) + "\n"
+    places = read_places(written(tmp_path, text + text.split("\n")[1] + "\n", "poses.csv"))
+    np.testing.assert_allclose(places.T[0, :3], np.c_[TURNED, (1, 2, 3)], atol=1e-12)
 
 
 def test_poses_that_are_none_are_refused(tmp_path: Path) -> None:

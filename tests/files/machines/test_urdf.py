@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from loopcal.errors import InputError
+from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.urdf import read_urdf, urdf_machine
 from loopcal.mechanisms.origins import LinkJoint, Mimic, joint_chain
 from tests.reference.robots import CHAINS, urdf_of
@@ -211,3 +212,13 @@ def test_a_machine_of_a_file_is_that_of_its_joints(tmp_path):
     }
     with refused("unknown-name", "'nowhere'"):
         urdf_machine(path, "a", "nowhere")
+
+
+def test_a_joint_may_have_the_name_of_the_usual_target(tmp_path):
+    axis = '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
+    inside = link("base") + link("arm") + link("tip")
+    inside += joint("j1", "base", "arm", axis) + joint("tool", "arm", "tip", kind="fixed")
+    (tmp_path / "robot.urdf").write_text(f'<robot name="r">{inside}</robot>', "utf-8")
+    table = {"type": "urdf", "file": "robot.urdf", "base": "base", "tip": "tip"}
+    mechanism = mechanism_from_data(table, str(tmp_path / "mechanism.toml"))
+    assert {"tool_x", "target_x"} <= {*mechanism.parameters.names}

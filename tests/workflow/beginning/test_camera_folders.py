@@ -25,6 +25,7 @@ from loopcal.mechanisms.cameras.board import Board
 from loopcal.statistics.case import nominal_machine
 from loopcal.workflow.beginning.matching import matched
 from tests.mechanisms.test_camera import LENS, POINTS, hands, pixels
+from tests.refusals import refused
 from tests.workflow.beginning.test_from_images import written
 
 
@@ -252,6 +253,37 @@ def test_joints_of_the_row_that_the_images_fit_are_used(tmp_path: Path) -> None:
     assert any("one row earlier, which is used" in remark for remark in begun.remarks)
     assert list(begun.dataset.poses) == [str(i) for i in range(2, 13)]  # the first has no pose
     assert_allclose(begun.dataset.readings["theta_1"], made.read[:-1, 0], atol=1e-8)
+
+
+@pytest.mark.parametrize("joints", [True, False])
+def test_joints_come_before_the_poses_beside_them_where_a_file_describes_the_robot(
+    joints: bool, tmp_path: Path
+) -> None:
+    made = shots(37, held=False, images=12)
+    folder = tmp_path / "images"
+    made.write(folder)
+    T = made.rig.flange(made.read)
+    places = np.c_[T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_quat()]
+    head, *rows = (folder / "poses.csv").read_text(encoding="utf-8").splitlines()
+    rows = [row if joints else row.split(",")[0] for row in rows]
+    rows = [
+        ",".join([row, *(f"{value:.9f}" for value in place)])
+        for row, place in zip(rows, places, strict=True)
+    ]
+    head = ",".join([head if joints else "pose", "x_m,y_m,z_m,qx,qy,qz,qw"])
+    (folder / "poses.csv").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    begun = lc.init(folder, out=tmp_path / "c")
+    assert ("theta_1" in begun.dataset.readings) is joints
+    assert any("not the poses of the flange" in remark for remark in begun.remarks) is joints
+
+
+def test_a_type_of_machine_takes_images_of_its_board(tmp_path: Path) -> None:
+    """As a chain, for which any instrument serves; these images are those of another arm."""
+    made = shots(37, held=False, images=12)
+    made.write(tmp_path / "images")
+    (tmp_path / "images" / "dh.csv").unlink()
+    with refused("mismatched-poses"):
+        lc.init(tmp_path / "images", machine="motoman-ma1400")
 
 
 @pytest.mark.parametrize(("along", "first"), [(False, 0), (True, 0), (False, 1)])

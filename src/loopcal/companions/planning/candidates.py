@@ -115,6 +115,14 @@ def ranges_of(
                 low, high = min(low, middle - _QUARTER), max(high, middle + _QUARTER)
             ranges[q] = (low, high)
     images = any(family.form == PIXELS for family in mechanism.families)
+    if images and "wx" in mechanism.implied and not mechanism.joints:
+        raise InputError(
+            "the robot states poses of its flange and no joints, so poses cannot be planned",
+            code="undetermined-quantities",
+            remedy="take images in random order, with the hand turned by 30 deg about two axes, at "
+            "several distances and in all parts of the image; or read the joints, and describe the "
+            "robot to `loopcal init` (--urdf or --dh)",
+        )
     if images and not any(q in ranges for q in mechanism.quantities):
         raise InputError(
             "no robot moves camera or board, so poses cannot be planned",

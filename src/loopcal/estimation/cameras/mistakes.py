@@ -27,6 +27,7 @@ from loopcal.estimation.cameras.orders import (
 from loopcal.estimation.cameras.placing import Reading, closed_forms, placed, view_poses
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.placement import inverse
+from loopcal.presentation.shown import significant
 
 CLEAR = 0.6
 """Twenty images of two residuals each: log likelihood ratio 40 ln(1 / 0.6) = 20."""
@@ -57,6 +58,9 @@ LARGEST_BOARD = 5.0
 """Half a diagonal [m] above which a board was not stated in metres."""
 SMALLEST_BOARD = 1e-3
 """Half a diagonal [m] below which a board was not stated in mm: no camera shows its corners."""
+FAR, FARTHER = 0.5, 3.0
+"""What sits on a flange is not that far [m] from it, and so many times as far as what stands beside
+the robot is from its base."""
 FARTHEST_HAND = 20.0
 """Spread of positions [m] above which a hand was not stated in metres."""
 
@@ -101,7 +105,8 @@ def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]
             break
         facts, sizes, before = [*facts, *more], [], float(more[0].values["px_after"])
     if reading.T_base_flange is not None and held is None:
-        facts.append(_mount(reading, sizes))
+        reading, fact = _mount(reading, sizes)
+        facts.append(fact)
     return reading, facts
 
 
@@ -265,20 +270,46 @@ def _mounted(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact], 
     return best, facts, sizes
 
 
-def _mount(reading: Reading, misfits: list[float]) -> Fact:
-    where = "the board is on the flange" if reading.held else "the camera is on the flange"
-    other = "camera" if reading.held else "board"
+def _mount(reading: Reading, misfits: list[float]) -> tuple[Reading, Fact]:
+    """The reading with what is likelier on the flange, where two are the same equations."""
+    things = ("board", "camera") if reading.held else ("camera", "board")
     clear = len(misfits) < 2 or min(misfits) < CLEAR * max(misfits)
-    doubt = (
-        f"If the {other} is on the flange, the poses are inverted (base in the flange)."
-        if clear
-        else f"The {other} on the flange fits as well. Take images in which the hand is turned by "
-        "30 deg about two axes: they decide it."
-    )
+    away = _away(reading) if clear else (0.0, 0.0)
+    if away[0] > max(FAR, FARTHER * away[1]):
+        assert reading.T_base_flange is not None
+        far, near = (f"{significant(one, 2)} m" for one in away)
+        words = (
+            f"The images fit if the {things[1]} is on the flange and the poses are inverted (base "
+            f"in the flange), which is taken to be so. As they stand, the {things[0]} would sit "
+            f"{far} from the flange, and the {things[1]} {near} from the base."
+        )
+        reading = replace(
+            reading, T_base_flange=inverse(reading.T_base_flange), held=not reading.held
+        )
+    else:
+        doubt = (
+            f"If the {things[1]} is on the flange, the poses are inverted (base in the flange)."
+            if clear
+            else f"The {things[1]} on the flange fits as well. Take images in which the hand is "
+            "turned by 30 deg about two axes: they decide it."
+        )
+        words = f"The images fit if the {things[0]} is on the flange. {doubt}"
     values: dict[str, float | str] = {"held": "board" if reading.held else "camera"}
     if misfits:
         values |= {"px": min(misfits), "px_other": max(misfits)}
-    return Fact("mount", f"The images fit if {where}. {doubt}", values, applied=True)
+    return reading, Fact("mount", words, values, applied=True)
+
+
+def _away(reading: Reading) -> tuple[float, float]:
+    """How far [m] from the flange that is which is taken to be on it, and the other from the
+    base."""
+    few = reading.thinned(*THINNED)
+    free = () if reading.stated else ("f", "k1")
+    best = placed(few, view_poses(few), free, iterations=8, draws=DRAWS)
+    if best is None:
+        return 0.0, 0.0
+    X, Y = (float(np.linalg.norm(T[0, :3, 3])) for T in (best.scene.X, best.scene.Y))
+    return (Y, X) if reading.held else (X, Y)
 
 
 def _scale(reading: Reading) -> tuple[Reading, list[Fact]]:

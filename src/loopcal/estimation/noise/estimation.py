@@ -35,6 +35,7 @@ from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.solve.solution import Solution
 from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
+from loopcal.mechanisms.mechanism import PIXELS
 
 
 class Fitting(Protocol):
@@ -118,14 +119,15 @@ class NoiseEstimate:
     @cached_property
     def model(self) -> LinearModel:
         """The loops linearised at this fit."""
+        positions = [component.quantities for component in self.stated]
         model = linear_model(
             replace(self.began, prior_sd=self.problem.prior_sd),
             self.solution.parameters,
             self.solution.corrections,
-            [component.quantities for component in self.stated],
+            positions,
             [component.spread for component in self.stated],
         )
-        return _spent(model, self.prints)
+        return _spent(model, self.prints, self.began, positions)
 
     @property
     def ratios(self) -> Array:
@@ -381,7 +383,7 @@ class _Search:
             self.positions,
             self.spreads.tolist(),
         )
-        model = _spent(model, prints)
+        model = _spent(model, prints, self.stated, self.positions)
         end = None if self.as_read else solution
         return in_turn(present, model, ratios, lowest, common=self.common, end=end)
 
@@ -401,14 +403,26 @@ def scaled(problem: Problem, components: Sequence[Sequence[int]], ratios: Array)
     return replace(problem, uncertainty=ReadingUncertainty(sd, blocks, uncertainty.sources))
 
 
-def _spent(model: LinearModel, prints: Prints | None) -> LinearModel:
-    """The model without the equations of corners that offsets of points use up."""
+def _spent(
+    model: LinearModel,
+    prints: Prints | None,
+    problem: Problem,
+    positions: Sequence[Sequence[int]],
+) -> LinearModel:
+    """The model without the equations of corners that offsets of points use up.
+
+    Each component of these positions gives them by its pixels. An image of few corners has no spare
+    row to take them from: spare rows are then fewer than none, as where corners are missing.
+    """
     if prints is None or not prints.freedom:
         return model
-    total = np.sum([block.spare_of(model.components) for block in model.blocks], axis=0)
-    share = prints.freedom * np.append(total, 0.0) / max(float(total.sum()), 1e-300)
+    pixels = {q for f in problem.mechanism.families if f.form == PIXELS for q in f.readings}
+    seen = np.isfinite(problem.uncertainty.sd).sum(axis=1)
+    seen *= [q in pixels for q in problem.mechanism.tape.quantities]
+    count = np.array([*(seen[list(p)].sum() for p in positions), 0.0])
     images = sum(len(block.spare) for block in model.blocks)
-    blocks = tuple(replace(block, spare=block.spare - share / images) for block in model.blocks)
+    share = prints.freedom * count / max(float(count.sum()), 1.0) / images
+    blocks = tuple(replace(block, spare=block.spare - share) for block in model.blocks)
     return replace(model, blocks=blocks)
 
 

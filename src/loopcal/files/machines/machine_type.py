@@ -130,11 +130,15 @@ def looked_at(
     place: Place,
     nominal: Mapping[str, float] | None = None,
 ) -> Mechanism:
-    """The mechanism of a machine and the [[instrument]] entries; None stands for a `point`.
+    """The mechanism of a machine and the [[instrument]] entries; None stands for a `point`, whose
+    target has another name than a joint.
 
     Raises InputError at the instrument that does not fit.
     """
     at = place.at("instrument")
-    looking = [point()] if entries is None else instruments(entries, machine, scope, at)
+    target = "target" if "tool_x" in machine.parameters else "tool"
+    looking = (
+        [point(target=target)] if entries is None else instruments(entries, machine, scope, at)
+    )
     with placed(at):
         return assemble(machine, looking, nominal)

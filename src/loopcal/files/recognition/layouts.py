@@ -355,6 +355,10 @@ def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:
     triples = list(_triples(rest))
     points = [t for word, t in triples if not _of_something_else(word, t, by_stem)]
     seen: list[Seen] = []
+    if form == "matrix" and not (position or points):  # such as t1, t2, t3 behind it
+        behind = [f for f in rest if f.table == turned[0].table]
+        behind = [f for f in behind if f.position > turned[-1].position]
+        position = tuple(behind[:3]) if len(behind) > 2 else ()
     if turned and (position or points):
         if not position:  # that whose columns stand next to those of the turn
             beside = min(points, key=lambda t: abs(turned[0].position - t[-1].position))
@@ -420,6 +424,11 @@ def _matrices(
     fields: Sequence[Field], by_stem: dict[str, Field]
 ) -> Iterator[tuple[tuple[Field, ...], tuple[Field, ...]]]:
     """Nine orthonormal columns, with a fourth column of the matrix as position if it is there."""
+    for i in range(len(fields) - 11):  # three rows of four, whatever they are called
+        twelve = tuple(fields[i : i + 12])
+        if len({f.table for f in twelve}) == 1:
+            for seen in _of_rows([twelve[4 * k : 4 * k + 4] for k in range(3)]):
+                yield seen.turned, seen.position
     cells: dict[str, dict[tuple[int, int], Field]] = {}
     for field in fields:
         match = _CELL.match(field.stem)

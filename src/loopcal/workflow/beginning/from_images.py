@@ -90,7 +90,10 @@ def from_images(
     Raises InputError where something remains open.
     """
     files = read_files(entries)
-    if not named and (not files.poses or states_flange(files)):
+    if describe is not None and not named and (not files.poses or states_flange(files)):
+        made = _by_joints(entries, describe, joints, folder) if files.poses else None
+        if made is not None:
+            return made
         describe = None
     project, turned = understood(files, hand_of(files, describe, joints, folder))
     remarks = (
@@ -102,6 +105,23 @@ def from_images(
         *(f.sentence for f in project.begun.facts if describe is None or f.code != "board-pitch"),
     )
     return FromImages(_made(project, remarks), project)
+
+
+def _by_joints(
+    entries: Sequence[Any], describe: Describe, joints: str | None, folder: Path
+) -> FromImages | None:
+    """The same by joints that stand beside poses of the flange, where they explain the images."""
+    try:
+        made = from_images(entries, describe, joints, folder, named=True)
+    except InputError:
+        return None
+    words = "a file describes the robot: joints are used, not the poses of the flange beside them"
+    remarks = (*made.begun.remarks, words)
+    return (
+        replace(made, begun=replace(made.begun, remarks=remarks))
+        if (made.share < PLAUSIBLE)
+        else None
+    )
 
 
 def on_another_link(
