@@ -67,9 +67,17 @@ class Searched(Generic[Place]):
 
 
 def search(
-    likelihood: Likelihood[Place], at: Place, bounds: Bounds, *, enough: float = SETTLED
+    likelihood: Likelihood[Place],
+    at: Place,
+    bounds: Bounds,
+    *,
+    enough: float = SETTLED,
+    correcting: bool = True,
 ) -> Searched[Place]:
     """The greatest likelihood over what is free; it ends where a step promises no more than enough.
+
+    correcting: the information by what each step shows. Then that of the end may be from farther
+    away, and serves for steps alone.
 
     -2 log of the likelihood falls with every step.
     """
@@ -88,7 +96,8 @@ def search(
         serves = False
         if lower is not None:
             share = (at.criterion - lower.criterion) / promised
-            curvature = _corrected(curvature, lower.x - at.x, at.score - lower.score)
+            if correcting:
+                curvature = _corrected(curvature, lower.x - at.x, at.score - lower.score)
             at, serves = lower, lower.fresh or _KEPT < share < 1.0 / _KEPT
     else:
         return Searched(at, step, promised, False)
