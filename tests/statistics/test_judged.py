@@ -14,7 +14,7 @@ from analyses.gauntlet_worlds import Event, Rng, Run, World, nothing
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.statistics.case import Case, entrants, without_terms
-from loopcal.statistics.judged import Judged, fitted, lean
+from loopcal.statistics.judged import Judged, begun, fitted, lean
 
 DRAWN = {name for name, _, _ in GEOMETRY_TERMS.values()}
 
@@ -51,6 +51,19 @@ def test_a_machine_of_geometry_alone_keeps_its_dimensions_only() -> None:
     # what left is gone in later fits of the same candidate, too
     again = fewer.entrant.case.calibrated(np.arange(40))
     assert set(again.value) == set(fewer.whole.value)
+
+
+def test_a_fit_that_begins_where_another_ended_is_given_up_soon(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    case, full = judged(World(poses=50))
+    assert full.whole is not None
+    plain = next(one for one in entrants(case) if not (one.structured or one.drawn))
+    near = begun(plain, full.whole)
+    assert not fitted(near).failed
+    monkeypatch.setattr("loopcal.statistics.case.NEAR", 1)
+    assert "max_iterations" in fitted(near).failed
+    assert not fitted(plain).failed  # one that begins as it is asked to takes its time
 
 
 def test_an_arm_that_sags_keeps_its_sag() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from scipy.special import chdtri
 import loopcal as lc
 from analyses.variance_components import SMALL, SmallNoise
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.noise import estimation
 from loopcal.estimation.noise.estimation import estimate_noise
 from loopcal.estimation.noise.learning import components
 from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model, whitened
@@ -29,6 +31,7 @@ from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import solve
+from loopcal.execution.forked import Forked
 from loopcal.mechanisms.model_error import with_model_error
 from tests.refusals import refused
 
@@ -168,6 +171,21 @@ def test_noise_that_is_not_there_ends_at_zero_below_a_bound() -> None:
         below += entry.sd < 1.5e-4
     assert ended >= 6  # about half, by symmetry about zero
     assert below >= 18
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux alone")
+def test_components_judged_side_by_side_are_those_judged_in_turn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arm, poses = lc.planar_two_link(), planar_poses()
+    data = lc.simulate(arm, poses, noise=lc.Noise({"?P": 1e-4, "phi?": 1e-3}), seed=3).dataset
+    start = lc.Noise({"?P": 1e-4, "phi?": 1e-3}, estimate={"phi?": "each"})
+    problem = build_problem(arm, data, start)
+    estimate = estimate_noise(problem, components(problem, start), solve)
+    in_turn = estimate.components  # small enough
+    monkeypatch.setattr(estimation, "_LONG", 0)
+    monkeypatch.setattr(estimation, "process_cores", lambda: Forked(2))
+    assert replace(estimate).components == in_turn
 
 
 def test_two_sensors_that_only_show_as_a_sum_are_named() -> None:

@@ -32,7 +32,10 @@ from loopcal.estimation.noise.variances import (
     with_scales,
 )
 from loopcal.estimation.problem.problem import Problem, Weighting
+from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
+from loopcal.execution.executor import gathered
+from loopcal.execution.forked import process_cores
 from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 from loopcal.mechanisms.mechanism import PIXELS
@@ -77,6 +80,10 @@ _HOPELESS = 1e5
 # Chosen, not derived: an interval of two such sds reaches zero.
 _UNCERTAIN = 0.5
 """Relative sd of an sd from which on an upper bound says more than the estimate."""
+
+# Chosen, not derived: some 10 ms, which is what a copy of a process costs.
+_LONG = 10_000_000
+"""Products of one evaluation of the likelihood from which on components are judged side by side."""
 
 
 @dataclass(frozen=True)
@@ -185,11 +192,18 @@ class NoiseEstimate:
         if self.variances.by_sums and self.variances.terms is not None:
             sd = 0.5 * float(self.variances.terms.sds[0])  # of the factor common to all noise
             return tuple(replace(one, sd_of_ratio=one.ratio * sd) for one in plain)
+        import scipy.special  # noqa: F401  ahead of the copies, each of which would load it
+
         unsure = {name for pair in self.alike for name in pair}
-        return tuple(
-            judged(self.model, self.sensor_estimate, i, component, component.name in unsure)
-            for i, component in enumerate(self.stated)
-        )
+        model, at = self.model, self.sensor_estimate
+
+        def said(_: None, which: int) -> EstimatedSd:
+            component = self.stated[which]
+            return judged(model, at, which, component, component.name in unsure)
+
+        cores = process_cores() if model.products >= _LONG else None
+        with one_blas_thread():
+            return tuple(gathered(cores, said, None, range(len(self.stated))))
 
     def gain(self, which: int) -> float | None:
         """By how much one component lowers -2 log of the likelihood; None where that is not known.

@@ -100,6 +100,11 @@ class LinearModel:
         """c, how many there are."""
         return len(self.spreads)
 
+    @property
+    def products(self) -> int:
+        """How many numbers the sum [J e]^T [J e] multiplies."""
+        return sum(block.rows.size for block in self.blocks) * (len(self.precision) + 1)
+
 
 @dataclass(frozen=True)
 class MixedFit:

@@ -5,13 +5,15 @@ bound: each step is the best one that keeps it so, hence a ratio reaches zero, o
 the likelihood says so (Karush, Kuhn and Tucker), whatever the sds stated.
 
 The information costs most. That of one place serves for the next steps, with the exact score of
-each, until a step does not keep what it promised.
+each, until a step does not keep what it promised. Meanwhile the change of the score along each step
+corrects it (Broyden, Fletcher, Goldfarb and Shanno 1970): where a component that the data demand is
+left out, the information expected is far from the curvature.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -65,18 +67,27 @@ class Searched(Generic[Place]):
 
 
 def search(
-    likelihood: Likelihood[Place], at: Place, bounds: Bounds, *, enough: float = SETTLED
+    likelihood: Likelihood[Place],
+    at: Place,
+    bounds: Bounds,
+    *,
+    enough: float = SETTLED,
+    correcting: bool = True,
 ) -> Searched[Place]:
     """The greatest likelihood over what is free; it ends where a step promises no more than enough.
 
+    correcting: the information by what each step shows. Then that of the end may be from farther
+    away, and serves for steps alone.
+
     -2 log of the likelihood falls with every step.
     """
-    serves = at.fresh
+    serves, curvature = at.fresh, at.information
     for _ in range(_MOST):
         if not serves:
             at = likelihood(at.x, None) or at
-        step = scoring_step(at, bounds)
-        promised = max(float(step @ (2.0 * at.score - at.information @ step)), 0.0)
+        curvature = at.information if at.fresh else curvature
+        step = scoring_step(replace(at, information=curvature), bounds)
+        promised = max(float(step @ (2.0 * at.score - curvature @ step)), 0.0)
         if promised <= enough + _ROUNDING * abs(at.criterion):
             break
         lower = _lower(likelihood, at, step, bounds)
@@ -85,10 +96,23 @@ def search(
         serves = False
         if lower is not None:
             share = (at.criterion - lower.criterion) / promised
+            if correcting:
+                curvature = _corrected(curvature, lower.x - at.x, at.score - lower.score)
             at, serves = lower, lower.fresh or _KEPT < share < 1.0 / _KEPT
     else:
         return Searched(at, step, promised, False)
     return Searched(at, step, promised, True)
+
+
+def _corrected(curvature: Array, step: Array, change: Array) -> Array:
+    """The curvature (c, c) that along a step d changes the score as it has, where that is down."""
+    foreseen = curvature @ step
+    along, seen = float(step @ foreseen), float(step @ change)
+    if not (along > 0.0 and seen > 0.0):
+        return curvature
+    return np.asarray(
+        curvature - np.outer(foreseen, foreseen) / along + np.outer(change, change) / seen
+    )
 
 
 def scoring_step(at: MixedFit, bounds: Bounds) -> Array:
@@ -119,12 +143,32 @@ def scoring_step(at: MixedFit, bounds: Bounds) -> Array:
 
 
 def _least_above_zero(A: Array, b: Array) -> Array:
-    """The u >= 0 of least |A u - b| that is not the least of all; A: square, of full rank."""
-    if len(b) == 1:
-        return np.zeros(1)
-    from scipy.optimize import nnls  # slow to load, and seldom needed
+    """The u >= 0 of least |A u - b|; A: of full rank.
 
-    return np.asarray(nnls(A, b)[0])
+    What is zero and would gain most is freed, until nothing would gain; what then falls below zero
+    is held there. Source: Lawson and Hanson (1974), chapter 23. SciPy has it, but loads for longer
+    than a fit takes, in every process that learns sds.
+    """
+    u, free = np.zeros(A.shape[1]), np.zeros(A.shape[1], dtype=bool)
+    least = _RIDGE * np.linalg.norm(A, axis=0) * np.linalg.norm(b)
+    for _ in range(3 * len(u)):
+        gain = np.where(free, -np.inf, A.T @ (b - A @ u) - least)
+        first = int(gain.argmax())
+        if gain[first] <= 0.0:
+            break
+        free[first] = True
+        while True:
+            best = np.zeros(len(u))
+            best[free] = np.linalg.lstsq(A[:, free], b, rcond=None)[0]
+            below = free & (best <= 0.0)
+            if not below.any():
+                break
+            shares = u[below] / np.maximum(u[below] - best[below], 1e-300)
+            u = u + shares.min() * (best - u)
+            free[np.flatnonzero(below)[shares.argmin()]] = False
+            free &= u > 0.0
+        u = best
+    return u
 
 
 def _lower(likelihood: Likelihood[Place], at: Place, step: Array, bounds: Bounds) -> Place | None:

@@ -41,18 +41,19 @@ class _Profile:
         c = self.model.components
         self.bounds = Bounds(np.zeros(c), np.arange(c) != self.which)
 
-    def at(self, ratio: float, enough: float) -> MixedFit | None:
+    def at(self, ratio: float, enough: float, *, informed: bool = True) -> MixedFit | None:
         """The place of greatest likelihood where the component has this ratio.
 
-        enough: the search ends where a step promises the criterion no more. None where the loops
-        have no noise.
+        enough: the search ends where a step promises the criterion no more; informed: whether the
+        information there is asked for. None where the loops have no noise.
         """
         ratios = self.last.x.copy()
         ratios[self.which] = ratio
         place = fit(self.model, ratios)
         if place is None:
             return None
-        end = search(partial(fit, self.model), place, self.bounds, enough=enough)
+        likelihood = partial(fit, self.model)
+        end = search(likelihood, place, self.bounds, enough=enough, correcting=not informed)
         self.last = end.at
         # The last step, which is not made, would gain what it promises to second order.
         return replace(end.at, criterion=end.at.criterion - end.promised)
@@ -63,7 +64,7 @@ def without_component(model: LinearModel, estimate: Estimate, which: int) -> flo
 
     None where the loops could not close without it.
     """
-    place = _Profile(model, estimate, which).at(0.0, _ENOUGH)
+    place = _Profile(model, estimate, which).at(0.0, _ENOUGH, informed=False)
     return None if place is None else place.criterion
 
 
