@@ -50,7 +50,7 @@ class JointErrors:
     @classmethod
     def of(cls, linear: Linearised, changes: Array) -> JointErrors | None:
         """From the equations of a day after changes with these columns (R, m); None where no joint
-        is read with noise, or nothing is left of the equations."""
+        turns or is read with noise, nothing is left of the equations, or the share is 0."""
         X = np.hstack([linear.F, changes])
         length = np.linalg.norm(X, axis=0)
         U, s, _ = np.linalg.svd(X / np.where(length > 0.0, length, 1.0), full_matrices=False)
@@ -77,7 +77,8 @@ class JointErrors:
         weights = np.exp(logs - logs.max())
         weights /= weights.sum()
         share = float(weights @ _SHARES)
-        return cls(waves, share, float(np.sqrt(weights @ np.square(_SHARES - share))))
+        sd = float(np.sqrt(weights @ np.square(_SHARES - share)))
+        return cls(waves, share, sd) if share > 0.0 else None
 
     def within(self, linear: Linearised) -> Linearised:
         """The equations of a machine whose joints err so."""
