@@ -18,6 +18,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Linearised, components_of
+from loopcal.statistics.joint_errors import JointErrors
 from loopcal.statistics.possible_changes import (
     ALONG_A_RUN,
     changed_share,
@@ -34,7 +35,8 @@ class Day:
 
     problem: at the calibrated parameters, all of which count as estimated; freed: names of what
     is found anew; places: of these roughly, by images alone; moved: what changed along the run, by
-    any size; drift: what may have drifted along it, by name, with its sd [SI].
+    any size; drift: what may have drifted along it, by name, with its sd [SI]; joints: errors that
+    their poses share.
     """
 
     calibrated: Calibrated
@@ -43,6 +45,7 @@ class Day:
     places: Mapping[str, float] = field(default_factory=dict)
     moved: tuple[ChangePoint, ...] = ()
     drift: Mapping[str, float] = field(default_factory=dict)
+    joints: JointErrors | None = None
 
     @classmethod
     def of(
@@ -106,7 +109,8 @@ class Day:
         """The equations of the held machine where it is placed anew after these changes."""
         placement = self.placed(changes)
         drift = self._drift(placement) if self.drift else None
-        return Linearised.of(placement, self.calibrated, self._columns(placement), drift)
+        made = Linearised.of(placement, self.calibrated, self._columns(placement), drift)
+        return made if self.joints is None else self.joints.within(made)
 
     def _drift(self, placement: Replaced) -> NDArray[np.float64]:
         """(R, q) of what may have drifted, by one sd over the run."""

@@ -40,6 +40,7 @@ from loopcal.statistics.changed import DRIFT_OR_CHANGE, WhatChanged
 from loopcal.statistics.day_run import Run, faults, searched
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
+from loopcal.statistics.joint_errors import JointErrors
 from loopcal.statistics.other_conditions import unlike
 from loopcal.statistics.verdict import Quantile
 from loopcal.statistics.verified import Placed, Verification, WorstPose
@@ -164,7 +165,8 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
 
     What happens during a run looks like changes before it, and these like a step at its begin: the
     run is searched beside the changes, and then the changes beside what it shows. Where the joints
-    tell the order of the poses, a drift of the instrument may explain the changes.
+    tell the order of the poses, a drift of the instrument may explain the changes, and anywhere
+    errors of joints that poses share.
     """
     explained = what_changed(day, linear)
     if explained is None:
@@ -172,12 +174,15 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     run = searched(explained)
     if run.shifts.found or run.outliers:
         moved = replace(day, moved=run.shifts.found)
-        calm = moved.without(np.array(run.outliers, dtype=np.intp))
-        explained = what_changed(calm, calm.linearised()) or explained
+        day = moved.without(np.array(run.outliers, dtype=np.intp))
+        explained = what_changed(day, day.linearised()) or explained
     elif explained.what.found and (drifting := day.drifting):
         beside = what_changed(drifting, drifting.linearised())
         if beside is not None and beside.what.verdict == "unchanged":
             return replace(explained.what, verdict=DRIFT_OR_CHANGE), run
+    if explained.what.verdict != "unchanged":
+        day = replace(day, joints=JointErrors.of(explained.linear, explained.columns))
+        explained = what_changed(day, day.linearised()) or explained
     return explained.what, run
 
 
