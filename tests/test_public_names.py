@@ -12,6 +12,7 @@ import pytest
 
 import loopcal
 from loopcal.files.machines.registry import kinds
+from loopcal.keys import type_name
 from loopcal.mechanisms.effects.registry import EFFECTS
 from loopcal.mechanisms.instruments.registry import INSTRUMENTS
 from tests.documentation import blocks
@@ -115,5 +116,5 @@ def test_the_namespaces_hold_what_mechanism_files_do() -> None:
     assert found == instruments
     found = {name for name in LISTED["machines"] if inspect.isfunction(public(f"machines.{name}"))}
     assert found == machines
-    effects = {name.lower() for name in LISTED["effects"]} - {"load"}
+    effects = {type_name(public(f"effects.{name}")) for name in LISTED["effects"]} - {"load"}
     assert effects == set(EFFECTS)

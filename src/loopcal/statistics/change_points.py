@@ -301,7 +301,7 @@ class Search:
             tuple(c.change.label or ", ".join(c.change.titles) for c in alike),
             until=None if step.until is None else step.until + 1,
             bends=bends,
-            of=change.label,
+            of=change.label if change.kind in ("station", "target") else "",
         )
 
     def _alike(self, rest: Fitted, step: _Step) -> list[_Candidate]:

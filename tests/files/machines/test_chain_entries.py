@@ -174,7 +174,12 @@ MALFORMED = {
     "limits": (joint(limits=[2, 1]), "joint[1].limits", "from 2 to 1", "lower one first"),
     "one name": (joint(name="elbow"), "project", "'elbow'", "unique name"),
     "station": (joint(name="base"), "instrument", "of a joint and", "differently"),
-    "target": (joint(name="tool"), "instrument", "of a joint and", "differently"),
+    "target": (
+        joint(name="tool") | {"instrument": [{"type": "point"}]},
+        "instrument",
+        "of a joint and",
+        "differently",
+    ),
     "screw": (screw(axis=[1, 1, 1]), "joint[1]", "norm 1.73205", "0.577350269"),
     "screw limits": (screw(limits=[1, 1]), "joint[1].limits", "from 1 to 1", "lower"),
     "unknown key": (screw(pont=[0, 0, 0]), "joint[1].pont", "unknown key 'pont'", "'point'"),

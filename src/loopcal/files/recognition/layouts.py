@@ -428,7 +428,9 @@ def _matrices(
         twelve = tuple(fields[i : i + 12])
         if len({f.table for f in twelve}) == 1:
             for seen in _of_rows([twelve[4 * k : 4 * k + 4] for k in range(3)]):
-                yield seen.turned, seen.position
+                # the zeros below a matrix that stands column by column are no position
+                if any(f.values.any() for f in seen.position):
+                    yield seen.turned, seen.position
     cells: dict[str, dict[tuple[int, int], Field]] = {}
     for field in fields:
         match = _CELL.match(field.stem)

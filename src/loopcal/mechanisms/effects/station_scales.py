@@ -32,6 +32,9 @@ class StationScales:
 
     column: the known constant t, 1 in what is calibrated. Readings to predict from that lack it
     are true lengths, t = 0. Without a column t = 1 always: predictions are as each station reads.
+
+    >>> StationScales("in_calibration").latest()
+    {'in_calibration': 0.0}
     """
 
     column: Annotated[
