@@ -131,3 +131,14 @@ def test_all_that_is_read_is_seen_in_proportion_and_predictions_are_true_lengths
             np.testing.assert_allclose(true, plain[f"{axis}_{name}"], atol=1e-12)
             # of first order: a scale of a scale is less than a rounding of the readings
             np.testing.assert_allclose(seen, true * (1.0 + truth[f"{name}_scale"]), rtol=1e-8)
+
+
+def test_a_tool_that_moved_is_seen_by_the_one_station_that_is_there() -> None:
+    """An instrument without any reading that day raised warnings of NumPy."""
+    result = with_station_scales(case(1, (0.0, 0.0))).calibrated()
+    moved = truth(1) | {"tool_x": truth(1)["tool_x"] + 5e-3}
+    day = lc.simulate(ARM, FRESH, noise=NOISE, seed=2, truth=moved).dataset
+    day = day.with_readings({f"{axis}_b": np.full(20, np.nan) for axis in "xyz"})
+    what = lc.verify(result, day)
+    assert what.changes is not None
+    assert "tool" in str(what.changes)

@@ -96,7 +96,8 @@ def _spread(problem: Problem, families: list[Family]) -> float:
     for family in families:
         names = lengths_read([family])
         rows = [problem.mechanism.tape.quantities.index(q) for q in names]
-        squares.append(float(np.nansum(np.nanvar(problem.readings[rows], axis=1))))
+        read = [r[np.isfinite(r)] for r in problem.readings[rows]]
+        squares.append(float(sum(np.var(r) for r in read if r.size)))
     return math.sqrt(max(squares))
 
 

@@ -160,6 +160,14 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
     )
 
 
+def _fewer(what: WhatChanged, before: WhatChanged) -> bool:
+    """Whether nothing changed, or some of what changed before and nothing else."""
+    names = {one.name for one in what.found}
+    return what.verdict == "unchanged" or (
+        bool(names) and names <= {one.name for one in before.found}
+    )
+
+
 def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     """What changed since the calibration, and during the run.
 
@@ -181,8 +189,11 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
         if beside is not None and beside.what.verdict == "unchanged":
             return replace(explained.what, verdict=DRIFT_OR_CHANGE), run
     if explained.what.verdict != "unchanged":
-        day = replace(day, joints=JointErrors.of(explained.linear, explained.columns))
-        explained = what_changed(day, day.linearised()) or explained
+        joints = JointErrors.of(explained.linear, explained.columns)
+        day = replace(day, joints=joints)
+        beside = None if joints is None else what_changed(day, day.linearised())
+        if beside is not None and _fewer(beside.what, explained.what):
+            explained = beside
     return explained.what, run
 
 
