@@ -20,6 +20,7 @@ from loopcal.statistics.ordered_system import ordered_system
 from loopcal.statistics.scales import scales
 from loopcal.statistics.station_scales import SPREAD, with_station_scales
 from tests.estimation.test_contacts import READINGS
+from tests.refusals import refused
 from tests.statistics.test_stations import stations
 
 ARM = stations("a", "b")
@@ -70,6 +71,8 @@ def fitted(scale: float, modelled: bool) -> list[FitResult]:
 def test_only_several_stations_get_scales_which_no_prior_of_the_user_means() -> None:
     alone = Case(stations("a"), lc.Dataset.from_arrays(POSES), None, Fit())
     assert with_station_scales(alone) is alone
+    with refused("unsupported", "1 of them", "another station"):
+        lc.with_effects(stations("a"), [lc.effects.StationScales()])
     robust = case(1, (0.0, 0.0), loss="huber")
     assert with_station_scales(robust) is robust
     made = with_station_scales(case(1, (0.0, 0.0)))

@@ -14,7 +14,7 @@ import numpy as np
 from loopcal.errors import InputError
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.effects.effect import STATION_SCALES, with_effects
-from loopcal.mechanisms.effects.station_scales import SD, StationScales, by_station
+from loopcal.mechanisms.effects.station_scales import SD, StationScales
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.terms import Term
 from loopcal.statistics.case import Case
@@ -31,7 +31,7 @@ def with_station_scales(case: Case) -> Case:
     Itself elsewhere, under a robust loss, and where an instrument compares two poses or has such a
     scale already.
     """
-    if len(by_station(case.mechanism)) < 2 or case.fit.robust_loss is not None:
+    if case.fit.robust_loss is not None:
         return case
     try:
         made = with_effects(case.mechanism, [StationScales(COLUMN, STATION_SCALES)])

@@ -301,8 +301,7 @@ def _mount(reading: Reading, misfits: list[float]) -> tuple[Reading, Fact]:
 
 
 def _away(reading: Reading) -> tuple[float, float]:
-    """How far [m] from the flange that is which is taken to be on it, and the other from the
-    base."""
+    """Distances [m]: of what is taken to be on the flange from it, of the other from the base."""
     few = reading.thinned(*THINNED)
     free = () if reading.stated else ("f", "k1")
     best = placed(few, view_poses(few), free, iterations=8, draws=DRAWS)

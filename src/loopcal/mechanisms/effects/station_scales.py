@@ -1,4 +1,4 @@
-"""Scales of several stations: lengths that each reads too long by a share of its own."""
+"""Scales of several stations: each multiplies the lengths that it reads by one factor."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+from loopcal.errors import InputError
 from loopcal.keys import Key
 from loopcal.mechanisms.effects.effect import Name
 from loopcal.mechanisms.frame import Values
@@ -20,7 +21,7 @@ _LENGTHS = {"point": 3, "pose": 3, "spherical": 1, "polar": 1}
 
 @dataclass(frozen=True)
 class StationScales:
-    """Stations with scales s_k of their own: what station k reads is (1 + s_k t) times too long.
+    """Stations with scales s_k: station k reads a length times 1 + s_k t.
 
     The machine and all else that is read are as the first station sees them, in proportion:
 
@@ -35,6 +36,8 @@ class StationScales:
 
     >>> StationScales("in_calibration").latest()
     {'in_calibration': 0.0}
+
+    Raises InputError where lengths are read from fewer than two stations.
     """
 
     column: Annotated[
@@ -45,9 +48,17 @@ class StationScales:
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """INSTRUMENT_scale of each station, by its first instrument."""
+        stations = by_station(mechanism)
+        if len(stations) < 2:
+            raise InputError(
+                f"the effect {self.name!r} compares stations, and lengths are read from "
+                f"{len(stations)} of them",
+                code="unsupported",
+                remedy="remove the effect, or add the instrument of another station",
+            )
         return {
             name: Parameter(name, 0.0, "1", SD, meaning=f"scale of {one[0].name}")
-            for one in by_station(mechanism)
+            for one in stations
             for name in [_named(one)]
         }
 

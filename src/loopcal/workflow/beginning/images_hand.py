@@ -147,7 +147,7 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
             + listed([f.label for f in source.fields], 20),
         )
     columns, how = every[0]
-    robot = robot.apart or robot  # a type with a point of its own, as a chain for any instrument
+    robot = robot.apart or robot  # without the point that its type states: cameras see it
     mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
     stated = dict(zip(mechanism.joints, columns, strict=True))
     readings = in_si(stated, mechanism.joints)
