@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -67,9 +68,13 @@ def test_a_moved_camera_is_named(
 ) -> None:
     x, y, z, rz, ry, rx = test_camera.FAR
     monkeypatch.setattr(test_camera, "FAR", (x + 0.004, y, z, rz, ry + 0.004, rx))
-    done = verified(first, day(tmp_path, 7, 8))
+    folder = day(tmp_path, 7, 8)
+    done = verified(first, folder)
     assert not done.verdict["consistent"].passed
-    assert changes(done)[0] == "eye"
+    assert changes(done) == ["eye"]
+    assert "(--anew eye)" in (done.verdict["consistent"].next or "")
+    stated = lc.verify(lc.read_result(first), folder, remounted=["eye"])
+    assert stated.verdict["consistent"].passed
 
 
 def test_another_size_of_the_print_is_named(
@@ -79,7 +84,48 @@ def test_another_size_of_the_print_is_named(
     monkeypatch.setattr(test_camera, "POINTS", larger)
     done = verified(first, day(tmp_path, 7, 8))
     assert not done.verdict["consistent"].passed
-    assert changes(done)[0] == "board_scale"
+    assert changes(done) == ["board_scale"]
+    assert "board_scale changed by" in done.headline
+    assert "ppm" in done.headline
+    assert "same print" in (done.verdict["consistent"].next or "")
+
+
+def spoilt(folder: Path, number: int) -> Path:
+    """The same with corners of so many images 15 px off."""
+    lines = (folder / "corners.csv").read_text("utf-8").splitlines()
+    for i in range(number):
+        row = 1 + 9 * i  # of 8 images in turn, for each point
+        cells = lines[row].split(",")
+        cells[4] = f"{float(cells[4]) + 15.0}"
+        lines[row] = ",".join(cells)
+    (folder / "corners.csv").write_text("\n".join(lines) + "\n", "utf-8")
+    return folder
+
+
+def test_wrong_corners_are_left_out_with_a_word(first: Path, tmp_path: Path) -> None:
+    done = verified(first, spoilt(day(tmp_path, 7, 8), 5))
+    assert done.verdict["consistent"].passed
+    assert f"Left out 5 of {8 * len(POINTS)} corners, in 5 of 8 images" in "\n".join(done.remarks)
+    assert done.calibrated is not None
+    assert done.calibrated.rms < 3.0 * SD
+
+
+def test_an_update_leaves_wrong_corners_out_as_well(first: Path, tmp_path: Path) -> None:
+    result = lc.read_result(first)
+    for name in ("good", "bad"):
+        (tmp_path / name).mkdir()
+    good = lc.update(result, day(tmp_path / "good", 7, 8))
+    spoiled = lc.update(result, spoilt(day(tmp_path / "bad", 7, 8), 5))
+    for name in ("eye_f", "eye_x"):
+        sd = good.sd[name]
+        assert sd is not None
+        assert spoiled.value[name] == pytest.approx(good.value[name], abs=0.3 * sd)
+    assert any("Left out 5" in one for one in spoiled.warnings)
+
+
+def test_turns_of_the_flange_are_no_conditions(first: Path) -> None:
+    document = json.loads((first / "result.json").read_text("utf-8"))
+    assert document["prediction"]["conditions"] == {}
 
 
 def test_another_board_is_refused_with_the_point_that_differs(first: Path, tmp_path: Path) -> None:

@@ -70,3 +70,19 @@ def test_a_zero_that_moved_is_named(first: tuple[Rig, Path], tmp_path: Path) -> 
     assert done.changes is not None
     (change, *_) = done.changes.found
     assert "theta_3" in change.zeros
+
+
+def test_a_zero_is_named_where_corners_are_missing(first: tuple[Rig, Path], tmp_path: Path) -> None:
+    rig, result = first
+    links = list(rig.arm.links)
+    links[2] = replace(links[2], offset=links[2].offset + np.radians(0.2))
+    folder = files(replace(rig, arm=replace(rig.arm, links=tuple(links))), 3, tmp_path / "day-2")
+    (corners,) = [one for one in folder.iterdir() if one.name == "readings.csv"]
+    head, *lines = corners.read_text("utf-8").splitlines()
+    seen = np.random.default_rng(3).random(len(lines)) > 0.1
+    rest = [line for line, kept in zip(lines, seen.tolist(), strict=True) if kept]
+    corners.write_text("\n".join([head, *rest]) + "\n", "utf-8")
+    done = verified(result, folder)
+    assert done.verdict["consistent"].code == "re-master"
+    assert done.changes is not None
+    assert [change.name for change in done.changes.found] == ["theta_3"]

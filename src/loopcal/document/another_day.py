@@ -77,6 +77,14 @@ ANOTHER_DAY = (
         shared="changed",
     ),
     _not_consistent(
+        "camera-moved",
+        _NOT_AS_CALIBRATED,
+        "If it was placed anew, state it ({anew}). Otherwise inspect its support, or calibrate "
+        "anew.",
+        f"{_VERIFY} --anew {{camera}}",
+        shared="changed",
+    ),
+    _not_consistent(
         "machine-changed",
         _NOT_AS_CALIBRATED,
         "Inspect the worst poses. Calibrate anew.",
@@ -86,9 +94,17 @@ ANOTHER_DAY = (
     _not_consistent(
         "changed",
         _NOT_AS_CALIBRATED,
-        "Inspect the worst poses. If the reflector was mounted anew, state it (--remounted). "
-        "Otherwise calibrate anew.",
+        "Inspect the worst poses. If the reflector or the board was mounted anew, state it "
+        "(--remounted). Otherwise calibrate anew.",
         f"{_VERIFY} --remounted",
+    ),
+    _not_consistent(
+        "images-changed",
+        _NOT_AS_CALIBRATED,
+        "Check the focus of the lens, and whether the board is the same print. Then calibrate "
+        "anew, or update the calibration with these images.",
+        _UPDATE,
+        shared="changed",
     ),
     _not_consistent(
         "load-changed",

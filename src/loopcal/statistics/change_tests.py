@@ -38,7 +38,7 @@ from loopcal.arrays import Array
 from loopcal.errors import NoTrustworthyResult
 from loopcal.small_samples import f_limit, f_tail, t_quantile
 from loopcal.statistics.another_day import Day
-from loopcal.statistics.changed import LEVEL, POWER, Candidate, Change, WhatChanged
+from loopcal.statistics.changed import LEVEL, PLACED, POWER, Candidate, Change, WhatChanged
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.innovation import Innovation, Linearised
 from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible
@@ -473,7 +473,7 @@ class _System:
             half = t_quantile(0.95, self._freedom(j)) * sd
             parts: dict[str, float] = {}
             hidden: tuple[str, ...] = ()
-            if one.kind == "mounting" and len(cause.names) > 1 and not cause.parts:
+            if one.kind in PLACED and len(cause.names) > 1 and not cause.parts:
                 rows = self.causes.rows(j)
                 names = [cause.names[k] for k in np.flatnonzero(self.causes.in_unit(j, rows))]
                 parts = self.causes.changes(t)

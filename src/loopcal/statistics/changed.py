@@ -30,6 +30,7 @@ _WORDS = {
     "angle": "angles",
     "length": "lengths",
     "mounting": "mountings",
+    "camera": "cameras",
     "scale": "scales",
     "lens": "lenses",
     "print": "prints",
@@ -39,7 +40,11 @@ DRIFT_OR_CHANGE = "drift-or-change"
 """The verdict where a drift of the instrument along the run explains the changes."""
 _CONDITIONS = ("load", "expansion")
 """Kinds of changes of what a machine is used under, not of itself."""
-_VERBS = {"zero": "moved", "mounting": "moved"}
+_OF_IMAGES = {"lens", "print"}
+"""Kinds of changes of a camera and of what it sees."""
+PLACED = ("mounting", "camera")
+"""Kinds of changes of where something sits."""
+_VERBS = {"zero": "moved", **dict.fromkeys(PLACED, "moved")}
 # Chosen, not derived: what fits a line.
 _MOST_NAMED = 4
 # Chosen, not derived: such a change would be of the size of the machine.
@@ -54,7 +59,8 @@ _WIDER = 1.5
 class Candidate:
     """What may have changed: the zero of a joint, a parameter, or several that change together.
 
-    kind: "zero" of the joint `name`, "mounting", "load", "expansion" of the machine, or the kind of
+    kind: "zero" of the joint `name`, "mounting", "camera" beside the machine, "load", "expansion"
+    of the machine, or the kind of
     the parameter `name`. p_value: of its test, adjusted for the others (Holm), None where these
     poses do not show it. smallest: the change [unit] that is seen with probability `POWER`, None
     likewise.
@@ -69,7 +75,7 @@ class Candidate:
     @property
     def seen(self) -> str:
         """The smallest change that is seen."""
-        if self.kind == "expansion":
+        if self.unit == "1":
             return f"{significant(1e6 * (self.smallest or 0.0), 2)} ppm"
         return with_unit(self.smallest, self.unit, 2)
 
@@ -104,7 +110,7 @@ class Change:
     @property
     def zeros(self) -> tuple[str, ...]:
         """The joints whose zero explains the change, where no mounting explains it better."""
-        if self.kind == "mounting":
+        if self.kind in PLACED:
             return ()
         names = (self.name,) if self.kind == "zero" else ()
         return (*names, *(other.name for other in self.alike if other.kind == "zero"))
@@ -112,7 +118,7 @@ class Change:
     @property
     def mounted(self) -> bool:
         """Whether something that was mounted anew explains the change."""
-        return "mounting" in (self.kind, *(other.kind for other in self.alike))
+        return not {*PLACED}.isdisjoint({self.kind, *(other.kind for other in self.alike)})
 
     @property
     def conditional(self) -> bool:
@@ -135,7 +141,7 @@ class Change:
         if self.parts and half >= abs(self.value):
             # A part that these poses do not show is as large as the sum of those that they show.
             return f"{self.where} {verb}, by a size that these poses do not determine"
-        if self.kind == "expansion":
+        if self.unit == "1":
             value, sure = (significant(1e6 * one, 3) for one in (self.value, half))
             return f"{self.where} {verb} by {value} ± {sure} ppm"
         moved, unit = by_sd(self.value, self.sd, self.unit), unit_shown(self.unit)
@@ -211,7 +217,9 @@ class WhatChanged:
         if len(kinds) == 1 and not kinds.isdisjoint(_CONDITIONS):
             return f"{kinds.pop()}-changed"
         if self.found and mounted:
-            return "mounting-changed"
+            return "camera-moved" if kinds == {"camera"} else "mounting-changed"
+        if kinds and kinds <= _OF_IMAGES:
+            return "images-changed"
         if any(change.conditional for change in self.found):
             return "conditions-first"
         stated = not any(one.kind == "mounting" for one in self.candidates)

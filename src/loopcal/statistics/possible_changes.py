@@ -29,6 +29,7 @@ _MOST = {
     "angle": 0.05,
     "length": 0.03,
     "mounting": 1.0,
+    "camera": 1.0,
     "scale": 0.1,
     "print": 0.1,
     "expansion": 1.2e-3,
@@ -42,6 +43,8 @@ _USUAL = {
     ("zero", "m"): 3e-4,
     ("mounting", "m"): 5e-3,
     ("mounting", "rad"): 2e-2,
+    ("camera", "m"): 5e-3,
+    ("camera", "rad"): 2e-2,
     ("angle", "rad"): 5e-4,
     ("length", "m"): 3e-4,
     ("expansion", "1"): 2e-4,
@@ -52,7 +55,7 @@ EXPANSION = "the scale of the machine"
 """The name of its growth in all directions, as it warms up."""
 # As in `change_points`: joints are mastered, tools exchanged, other loads carried and machines warm
 # more often than links bend.
-_OFTEN, _RARE = ("zero", "mounting", "load", "expansion"), 10.0
+_OFTEN, _RARE = ("zero", "mounting", "camera", "load", "expansion"), 10.0
 """Kinds of changes that happen, and by how much others are less likely [log]."""
 
 
@@ -292,7 +295,7 @@ def _cameras(problem: Problem) -> Iterator[Possible]:
     for eye in dict.fromkeys(p.owner for p in parameters if p.role == "lens"):
         lens_names = {p.name.removeprefix(f"{eye}_"): p.name for p in parameters if p.owner == eye}
         if place := tuple(p.name for p in parameters if p.owner == eye and p.role == "placement"):
-            yield Possible("mounting", place, label=eye)
+            yield Possible("camera", place, label=eye)
         if "f" in lens_names:
             yield Possible("lens", (lens_names["f"],))
         if centre := tuple(lens_names[key] for key in ("cx", "cy") if key in lens_names):

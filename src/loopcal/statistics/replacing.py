@@ -84,7 +84,15 @@ def mounted(mechanism: Mechanism, remounted: bool = True) -> tuple[str, ...]:
 
 
 def _named(mechanism: Mechanism, name: str) -> tuple[str, ...]:
-    """The parameters of an instrument's mounting, of a target, or that a name or glob matches."""
+    """The parameters of an instrument's mounting, of where a camera sits, of a target, or that a
+    name or glob matches."""
+    places = tuple(
+        p.name
+        for p in mechanism.parameters
+        if p.owner == name and p.role in ("placement", "mounting")
+    )
+    if any(p.owner == name and p.role == "lens" for p in mechanism.parameters) and places:
+        return places
     families = {family.name: family.mounted for family in mechanism.families}
     if name in families and name not in mechanism.parameters.names:
         return families[name]
@@ -197,9 +205,12 @@ class Replaced:
         ):
             values = sweeper.loop_values(pattern, block)
             unmeasured = list(block.noise.unmeasured)
-            by_reading = values.by_quantity[list(quantities)]
+            by_quantity = values.by_quantity
+            if block.noise.predicted:  # what is missing says nothing
+                by_quantity = by_quantity * np.isfinite(block.noise.sd[list(block.noise.predicted)])
+            by_reading = by_quantity[list(quantities)]
             if unmeasured:
-                by_reading = eliminate(values.by_quantity[unmeasured]).apply(by_reading)
+                by_reading = eliminate(by_quantity[unmeasured]).apply(by_reading)
             columns = by_reading[:, len(unmeasured) :].transpose(2, 1, 0)
             by_block.append(np.linalg.solve(rows.root, columns).reshape(-1, len(quantities)))
         return np.concatenate(by_block)

@@ -41,6 +41,7 @@ from loopcal.statistics.day_run import Run, faults, searched
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.joint_errors import JointErrors
+from loopcal.statistics.later_images import fitting_corners
 from loopcal.statistics.other_conditions import unlike
 from loopcal.statistics.verdict import Quantile
 from loopcal.statistics.verified import Placed, Verification, WorstPose
@@ -73,13 +74,25 @@ def verify(
     calibrated = (
         Calibrated.of(calibration, "") if isinstance(calibration, FitResult) else calibration
     )
-    calibrated = calibrated.stationed
     data = data.dataset if isinstance(data, FitResult) else data
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     check_tolerance(tolerance)
+    calibrated, stated = calibrated.stationed, Noise.of(noise)
+    data = fitting_corners(calibrated, data, stated, remounted)
+    return verified(calibrated, data, stated, remounted, tolerance)
+
+
+def verified(
+    calibrated: Calibrated,
+    data: Dataset,
+    stated: Noise | None,
+    remounted: bool | Sequence[str] = False,
+    tolerance: float | None = None,
+) -> Verification:
+    """`verify`, of readings whose corners fit the others of their images."""
+    calibrated = calibrated.stationed
     mechanism = calibrated.mechanism
     copied = copies(data, mechanism.recorded, mechanism.outputs).copied
-    stated = Noise.of(noise)
     if copied.size:
         kept = np.delete(np.arange(len(data)), copied)
         data, stated = data.without_copies(copied), stated and stated.take(kept)

@@ -148,6 +148,8 @@ class Verification:
             statistic=self._statistic(),
             changes=words,
             joints=", ".join(changes.joints),
+            camera=changes.found[0].name if changes.found else "",
+            anew=" ".join(f"--anew {one.name}" for one in changes.found),
         )
 
     def _moved(self) -> Fact | None:

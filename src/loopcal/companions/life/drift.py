@@ -34,7 +34,7 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.changed import LEVEL, Change
 from loopcal.statistics.possible_changes import EXPANSION
 from loopcal.statistics.predictive import unmeasured_corrections
-from loopcal.statistics.verification import verify
+from loopcal.statistics.verification import verified
 from loopcal.statistics.verified import Verification
 
 DRIFTING: tuple[str, ...] = tuple(
@@ -107,7 +107,7 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         """Where these have moved: no line from where the calibration was reaches a large change."""
         machine, readings = drifting.after(moved)
         drifted = machine.drifted(drift)
-        return Allowance(drift, verify(drifted, readings, noise=noise, remounted=since.remounted))
+        return Allowance(drift, verified(drifted, readings, noise, since.remounted))
 
     def followed(allowance: Allowance, within: Container[str] | None = None) -> Allowance:
         """With the changes that its check found; itself where they are none, or not all within."""

@@ -64,6 +64,7 @@ from loopcal.small_samples import LearntCovariance, contrasts
 from loopcal.statistics.another_day import Day, as_learnt, day_problem, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.gauge import values_of
+from loopcal.statistics.later_images import fitting_corners
 from loopcal.statistics.replacing import Replaced, freed
 from loopcal.statistics.station_scales import by_same_stations
 from loopcal.statistics.verified import Verification
@@ -136,7 +137,9 @@ def updated(
             code="missing-sd",
             remedy="give noise, or update a calibration by another method",
         )
-    calibrated = replace(calibrated.stationed if since.moved else calibrated, residual=None)
+    calibrated = calibrated.stationed if since.moved else calibrated
+    data = fitting_corners(calibrated, data, stated, since.remounted)
+    calibrated = replace(calibrated, residual=None)
     allowance = allowed(calibrated, data, since, stated)
     drift = allowance.drift
     held = stated is not None

@@ -19,7 +19,9 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import ReadingUncertainty
 from loopcal.mechanisms.effects.backlash import directions
 from loopcal.mechanisms.instruments.orientation import Orientation
+from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parallel.free_body import BEGIN, COLUMNS
 
 
 def with_implied(mechanism: Mechanism, data: Dataset) -> Dataset:
@@ -60,11 +62,13 @@ def as_now(mechanism: Mechanism, constants: Array) -> Array:
 def conditions_of(mechanism: Mechanism, constants: Array) -> dict[str, tuple[float, float]]:
     """Constants (c, N) [SI] of its tape that a machine may meet again -> their ranges.
 
-    Not those that date a change, the numbers of an orientation, and what no loop depends on.
+    Not those that date a change, the numbers of an orientation, where the search for a free body
+    begins, and what no loop depends on.
     """
+    body = {name + end for name in (*BEGIN, *COLUMNS) for end in ENDS}
     turns = {column for orientation in mechanism.orientations for column in orientation.columns}
     used = frozenset().union(*mechanism.tape.depends_on())
-    aside = {*mechanism.latest, *turns, *directions(mechanism)}
+    aside = {*mechanism.latest, *turns, *body, *directions(mechanism)}
     return {
         name: (float(values.min()), float(values.max()))
         for name, values in zip(mechanism.tape.pose_constants, constants, strict=True)
