@@ -19,7 +19,7 @@ from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.structured import driven_joints
-from loopcal.statistics.replacing import IN_PROPORTION
+from loopcal.statistics.replacing import CAMERAS, IN_PROPORTION
 
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
 # joint that is mastered anew, a link that a crash bends, a tool that is exchanged, a print that was
@@ -53,6 +53,8 @@ _USUAL = {
 """The usual size of a change of a kind, by the unit of its part [SI]; any, where none is stated."""
 EXPANSION = "the scale of the machine"
 """The name of its growth in all directions, as it warms up."""
+_PLACE = ("x", "y", "z", "rz", "ry", "rx")
+"""Ends of the names of where a camera sits."""
 # As in `change_points`: joints are mastered, tools exchanged, other loads carried and machines warm
 # more often than links bend.
 _OFTEN, _RARE = ("zero", "mounting", "camera", "load", "expansion"), 10.0
@@ -300,9 +302,61 @@ def _cameras(problem: Problem) -> Iterator[Possible]:
             yield Possible("lens", (lens_names["f"],))
         if centre := tuple(lens_names[key] for key in ("cx", "cy") if key in lens_names):
             yield Possible("lens", centre, label=f"the principal point of {eye}")
+    for role, kind in (("placement", "camera"), ("mounting", "mounting")):
+        if len(eyes := _sitting(problem, role)) > 1:
+            yield _bracket(problem, eyes, kind)
     for p in parameters:
         if p.role == "print" and p.name == f"{p.owner}_scale":
             yield Possible("print", (p.name,))
+
+
+def _sitting(problem: Problem, role: str) -> list[str]:
+    """The cameras whose whole place is estimated: beside the machine, or mounted on it."""
+    parameters = [p for p in problem.mechanism.parameters if p.name in problem.names]
+    eyes = dict.fromkeys(p.owner for p in parameters if p.role == "lens")
+    placed = {p.name for p in parameters if p.role == role}
+    return [eye for eye in eyes if placed.issuperset(f"{eye}_{end}" for end in _PLACE)]
+
+
+def _bracket(problem: Problem, eyes: Sequence[str], kind: str) -> Possible:
+    """A rigid motion of these cameras, which one bracket carries, about the middle of them.
+
+    A camera beside the machine has T_camera_base = T(t) R, which becomes T_camera_base M^-1 where
+    it is moved by M; one that is mounted has T_body_camera, which becomes M T_body_camera. With M
+    of a small shift v and turn w about the middle c of all cameras,
+
+        dt = -R (v - w x c),   dR = [-R w] R,   and   dt = v + w x (t - c),   dR = [w] R.
+    """
+    values = {p.name: p.nominal for p in problem.mechanism.parameters}
+    beside, poses = kind == "camera", []
+    for eye in eyes:
+        x, y, z, rz, ry, rx = (values[f"{eye}_{end}"] for end in _PLACE)
+        by_z, by_y, by_x = (_turn(i, angle) for i, angle in ((2, rz), (1, ry), (0, rx)))
+        # Columns: the turns by rz, ry and rx as vectors.
+        rates = np.column_stack([np.eye(3)[2], by_z[:, 1], (by_z @ by_y)[:, 0]])
+        poses.append((np.array([x, y, z]), by_z @ by_y @ by_x, rates))
+    middle = np.mean([-R.T @ t if beside else t for t, R, _ in poses], axis=0)
+    parts = []
+    for v, w in [*((e, 0.0 * e) for e in np.eye(3)), *((0.0 * e, e) for e in np.eye(3))]:
+        part: list[tuple[str, float]] = []
+        for eye, (t, R, rates) in zip(eyes, poses, strict=True):
+            shift = -R @ (v - np.cross(w, middle)) if beside else v + np.cross(w, t - middle)
+            # In turns about one axis where two of the three are.
+            angles = np.linalg.lstsq(rates, -R @ w if beside else w, rcond=1e-9)[0]
+            moved = np.concatenate([shift, angles]).tolist()
+            part += [(f"{eye}_{end}", by) for end, by in zip(_PLACE, moved, strict=True)]
+        parts.append(tuple(part))
+    names = tuple(f"{eye}_{end}" for eye in eyes for end in _PLACE)
+    return Possible(kind, names, parts=tuple(parts), units=("m",) * 3 + ("rad",) * 3, label=CAMERAS)
+
+
+def _turn(axis: int, angle: float) -> Array:
+    """Rotation about a coordinate axis."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    R = np.eye(3)
+    R[[i, j], [i, j]] = math.cos(angle)
+    R[j, i], R[i, j] = math.sin(angle), -math.sin(angle)
+    return R
 
 
 def _dimensions(problem: Problem) -> Iterator[Possible]:

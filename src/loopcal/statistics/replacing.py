@@ -29,6 +29,8 @@ from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.predictive import unmeasured_corrections
 
+CAMERAS = "cameras"
+"""All cameras that sit beside the machine, or that it carries."""
 IN_PROPORTION = " in proportion"
 """Behind the name of a reading: all that it reads is larger by the same share."""
 
@@ -86,12 +88,14 @@ def mounted(mechanism: Mechanism, remounted: bool = True) -> tuple[str, ...]:
 def _named(mechanism: Mechanism, name: str) -> tuple[str, ...]:
     """The parameters of an instrument's mounting, of where a camera sits, of a target, or that a
     name or glob matches."""
+    eyes = {p.owner for p in mechanism.parameters if p.role == "lens"}
+    eyes = eyes if name == CAMERAS else eyes & {name}
     places = tuple(
         p.name
         for p in mechanism.parameters
-        if p.owner == name and p.role in ("placement", "mounting")
+        if p.owner in eyes and p.role in ("placement", "mounting")
     )
-    if any(p.owner == name and p.role == "lens" for p in mechanism.parameters) and places:
+    if places:
         return places
     families = {family.name: family.mounted for family in mechanism.families}
     if name in families and name not in mechanism.parameters.names:
