@@ -13,6 +13,7 @@ import loopcal as lc
 from loopcal.companions.life.history import chart
 from loopcal.companions.life.history_folder import append_entry, read_entries
 from loopcal.companions.life.pages import history_figures, history_html
+from loopcal.estimation.result import UPDATED
 from tests.command_line import run_here as run
 from tests.life.test_updating import PROJECT
 from tests.refusals import refused
@@ -159,6 +160,13 @@ def test_a_change_beside_another_choice_of_terms_is_not_taken_for_one(tmp_path: 
     found = lc.history(tmp_path)
     assert found.changes == ()
     assert "chose different terms" in str(found)
+
+
+def test_an_update_is_no_other_choice_of_terms(tmp_path: Path) -> None:
+    _days_of_two(tmp_path, UPDATED)
+    found = lc.history(tmp_path)
+    assert [one.way for one in found.changes] == ["step"]
+    assert "chose different terms" not in str(found)
 
 
 @pytest.mark.parametrize(

@@ -77,6 +77,22 @@ def test_a_moved_camera_is_named(
     assert stated.verdict["consistent"].passed
 
 
+def test_an_update_follows_a_moved_camera_and_its_turn(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    x, y, z, rz, ry, rx = test_camera.FAR
+    moved = (x + 0.004, y, z, rz, ry + 0.004, rx)
+    monkeypatch.setattr(test_camera, "FAR", moved)
+    result = lc.update(lc.read_result(first), day(tmp_path, 7, 8))
+    assert result.chi_squared is not None
+    assert result.chi_squared.p_value is not None
+    assert result.chi_squared.p_value > 1e-3
+    for end, true in zip(("x", "y", "z", "rz", "ry", "rx"), moved, strict=True):
+        sd = result.sd[f"eye_{end}"]
+        assert sd is not None
+        assert result.value[f"eye_{end}"] == pytest.approx(true, abs=4.0 * sd)
+
+
 def test_another_size_of_the_print_is_named(
     first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,7 +31,7 @@ from loopcal.mechanisms.redundancy import exchanged
 from loopcal.mechanisms.structure.structured import driven_joints
 from loopcal.statistics.another_day import day_problem
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.changed import LEVEL, Change
+from loopcal.statistics.changed import LEVEL, PLACED, Change
 from loopcal.statistics.possible_changes import EXPANSION
 from loopcal.statistics.predictive import unmeasured_corrections
 from loopcal.statistics.verification import verified
@@ -51,6 +51,7 @@ _SURE = 1e-3
 # Chosen, not derived: a prior of so many times a change shrinks its estimate by 1 %.
 _ALLOWED = 10.0
 """Sd that a change gets which the check found, over its size."""
+_PLACES = ("placement", "mounting")
 _TOOLS = "the scale of what is mounted"
 """Estimated apart: a tool may be as warm as the machine or not, and the scale of another instrument
 changes both alike."""
@@ -116,7 +117,8 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         sure = [change for change in named if change.p_value < _SURE]
         # One that the poses hardly show is followed where it is the zero of one joint alone.
         changes = sure or [change for change in named if len(change.zeros) == 1]
-        sds = drifting.followed(changes)
+        every_move = {} if check.changes is None else check.changes.moved
+        sds = drifting.followed(changes, every_move)
         if allowance.consistent or not sds or not all(within is None or n in within for n in sds):
             return allowance
         moved = check.changes.moved if check.changes and len(changes) == len(named) else {}
@@ -189,10 +191,23 @@ class Drifting:
             sds |= dict.fromkeys(named, sd)
         return sds
 
-    def followed(self, changes: Sequence[Change]) -> dict[str, float]:
-        """The same of changes that a check found; empty where one of them cannot be followed."""
+    def followed(self, changes: Sequence[Change], moved: Mapping[str, float]) -> dict[str, float]:
+        """The same of changes that a check found; empty where one of them cannot be followed.
+
+        moved: what all of them move [SI].
+        """
         mechanism, sds = self.calibrated.mechanism, dict[str, float]()
+        places = {p.name: p.unit for p in mechanism.parameters if p.role in _PLACES}
         for change in changes:
+            if change.kind in PLACED:
+                # What sits elsewhere is turned as well, and several things move as one.
+                by_unit: dict[str, dict[str, float]] = {}
+                for name in moved.keys() & places.keys():
+                    by_unit.setdefault(places[name], {})[name] = moved[name]
+                for every in by_unit.values():
+                    sds |= dict.fromkeys(every, _ALLOWED * float(np.linalg.norm([*every.values()])))
+                if not change.parts and sds:
+                    continue
             if change.kind == "expansion" and _TOOLS in self._steps:
                 sds[_TOOLS] = abs(change.value)
             for cause in causes_of(change):

@@ -30,6 +30,7 @@ from loopcal.companions.life.courses import (
 )
 from loopcal.companions.life.history_folder import Entries, Entry, Skipped
 from loopcal.companions.life.joint_entry import Joint, causes
+from loopcal.estimation.result import UPDATED
 from loopcal.lazy import cached_property
 from loopcal.presentation.shown import by_sd, columns, p_words, size, unit_shown, with_unit, wrapped
 from loopcal.small_samples import t_quantile
@@ -192,7 +193,7 @@ class History:
         at_events = events_before(times, [place(event) for event in events])
         described = {n: p for entry in entries for n, p in entry.content["parameters"].items()}
         possible = causes(last, names, described)
-        models = [str(entry.content.get("model")) for entry in entries]
+        models = _models(entries)
         numbered = tuple(models.index(one) for one in models)
         course = Course(np.array(times), tuple(said), possible, at_events, numbered)
         span = (entries[-1].day - entries[0].day).total_seconds() if by_day else 0.0
@@ -277,7 +278,7 @@ class History:
                 f"Date of measurement unknown: entry {numbers}, dated by the day of processing "
                 "('by'). No rate is computed from it. State --date or [record] date."
             )
-        if len({str(one.content.get("model")) for one in self.of_kind("calibration")}) > 1:
+        if len({*_models(self.of_kind("calibration"))}) > 1:
             words.append(
                 "The calibrations chose different terms of the model error. What such a choice "
                 "moves counts as no change."
@@ -331,6 +332,18 @@ def _points(entries: Sequence[Entry]) -> dict[str, list[Point]]:
         for name, parameter in entry.content["parameters"].items():
             points.setdefault(name, []).append((entry, parameter["value"], parameter["sd"]))
     return points
+
+
+def _models(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
+    """Method and terms of the model error of each calibration; an update keeps those of the one
+    that it began from."""
+    models: list[tuple[str, ...]] = []
+    for entry in entries:
+        label, *terms = entry.content.get("model") or [""]
+        if label == UPDATED:
+            label = next((one[0] for one in reversed(models) if [*one[1:]] == terms), label)
+        models.append((label, *terms))
+    return models
 
 
 def _in_order(entries: Sequence[Entry]) -> tuple[list[Entry], bool]:
