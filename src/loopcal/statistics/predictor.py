@@ -33,6 +33,7 @@ from loopcal.statistics.calibrated import (
     by_residuals,
     rejected_by,
     residual_factor,
+    residual_variance,
     stored_covariance,
 )
 from loopcal.statistics.other_conditions import MEASURE, unlike
@@ -224,8 +225,8 @@ def predictor(result: FitResult) -> Predictor | None:
         replace(one, residual=_residual_sd(result, groups[one.instrument, one.unit].outputs))
         for one in made.usual
     )
-    images = result.image_errors
-    shared = {} if images is None else {q: tuple(images.factor[names.index(q)]) for q in made.units}
+    residual = residual_variance(result) if result.image_errors else None
+    shared = {} if residual is None else residual.shared
     return replace(made, usual=usual, factor=factor, conditions=result.conditions, shared=shared)
 
 

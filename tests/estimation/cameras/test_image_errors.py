@@ -139,3 +139,22 @@ def test_a_saved_result_predicts_with_what_an_image_shares(tmp_path: Any) -> Non
 
 def test_few_images_have_none() -> None:
     assert calibrated(np.random.default_rng(1), 1e-3, 5).image_errors is None
+
+
+def test_another_day_is_as_calibrated_and_a_lens_that_was_turned_is_not(tmp_path: Any) -> None:
+    answers = []
+    for seed in range(8):
+        random = np.random.default_rng(50 + seed)
+        result = lc.Result.of(calibrated(random, 1e-3))
+        T = poses(random, 20)
+        uv = images(moved(T, random, 1e-3)) + random.normal(0.0, CORNER, (len(NAMES), 20))
+        turned = 1.1 * (uv - 550.0) + 550.0  # f + 10 %
+        days = [stated(T) | dict(zip(NAMES, day, strict=True)) for day in (uv, turned)]
+        if seed == 0:
+            result.save(tmp_path)
+            one, other = (lc.verify(r, days[0]) for r in (result, lc.load(tmp_path)))
+            assert other.innovation.p_value == pytest.approx(one.innovation.p_value, rel=1e-6)
+        answers.append([bool(lc.verify(result, day).verdict["consistent"].passed) for day in days])
+    # Of 8 true ones at 1 % none, or one by chance.
+    assert np.sum(answers, axis=0)[0] >= 7
+    assert np.sum(answers, axis=0)[1] == 0
