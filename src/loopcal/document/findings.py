@@ -192,7 +192,7 @@ class UsualSd:
     """Root of the trace of their covariance, not exceeded at 95 % of the calibration poses."""
     residual: Size | None = None
     """Of a method that takes readings as exact: the sd of one of these outputs that its residuals
-    show; null: the sds of the readings say it."""
+    show, beside what an image shares; null: the sds of the readings say it."""
 
 
 @dataclass(frozen=True)
@@ -302,6 +302,9 @@ class PredictionEntry:
     """The working region; null: not known, or written by an earlier version."""
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Temperature, load or another known column -> least and largest value [SI] in the poses."""
+    shared: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """Output -> what each of the independent errors, of one sd, that all outputs of an image share
+    does to it, beside `residual`; empty: the outputs err by themselves."""
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from loopcal.estimation.dependence.dependence import (
     covariance_under,
     dependence,
 )
+from loopcal.estimation.dependence.image_errors import ImageErrors, image_errors
 from loopcal.estimation.document_parts import absorbed, data_entry, identifiability, shares
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.noise.learning import entries, words
@@ -179,6 +180,9 @@ class FitResult:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
             return LearntCovariance.certain(sums.covariance(self.spectrum, self.problem.prior_sd))
         if method.exact:
+            images = self.image_errors
+            if images is not None:
+                return LearntCovariance.scaled(images.covariance, images.freedom)
             return self._by_residuals()
         factor = self._variance_factor if self.variance_factor_applied else None
         if self.learnt is not None:
@@ -187,6 +191,14 @@ class FitResult:
         if factor is not None:
             return self._by_residuals()
         return LearntCovariance.certain(self.spectrum.covariance())
+
+    @cached_property
+    def image_errors(self) -> ImageErrors | None:
+        """What least squares leaves in images beside the poses of a robot; None elsewhere."""
+        exact = self.fit.solver.exact and self.fit.robust_loss is None
+        if not exact or self.all_poses is not None or not self.status.converged:
+            return None
+        return image_errors(self.problem, self.solution, self.pose_equations())
 
     def _by_residuals(self) -> LearntCovariance:
         """Scaled by the mean square of the residuals."""

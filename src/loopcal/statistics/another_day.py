@@ -81,11 +81,6 @@ class Day:
         units = {n: unit_of(problem, n) for n in drifting(mechanism)}
         return replace(self, drift={n: SDS[unit] for n, unit in units.items() if unit in SDS})
 
-    @property
-    def variance(self) -> float | None:
-        """Of every loop equation, where the readings are taken as exact."""
-        return None if self.calibrated.residual is None else self.calibrated.residual.value
-
     def placed(self, changes: Mapping[str, float] = {}) -> Replaced:
         """With what stands elsewhere placed anew, after changes [SI] of parameters, of the zeros of
         readings and of readings in proportion, by name."""
@@ -102,7 +97,11 @@ class Day:
         changed = _with_values(replace(problem, readings=readings), start)
         components = components_of(self.calibrated, order)
         return replaced(
-            changed, self.freed, self.places, variance=self.variance, components=components
+            changed,
+            self.freed,
+            self.places,
+            residual=self.calibrated.residual,
+            components=components,
         )
 
     def linearised(self, changes: Mapping[str, float] = {}) -> Linearised:

@@ -23,10 +23,19 @@ from loopcal.statistics.scatter import Scatter, scatter
 
 @dataclass(frozen=True)
 class ResidualVariance:
-    """Of a loop equation [SI squared], from residuals with so many degrees of freedom."""
+    """Of a loop equation [SI squared], from residuals with so many degrees of freedom; shared:
+    output -> what errors that an image shares do to it beside that (`PredictionEntry`)."""
 
     value: float
-    freedom: int
+    freedom: float
+    shared: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def root(self, names: Sequence[str]) -> Array:
+        """(o, q + o) of the covariance of these outputs."""
+        alone = math.sqrt(self.value) * np.eye(len(names))
+        if not self.shared:
+            return alone
+        return np.hstack([np.array([self.shared[name] for name in names]), alone])
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +91,7 @@ class Calibrated:
             rejected_by(result.chi_squared, result.variance_factor_applied),
             result.terms,
             result.noise,
-            _residual(result.solution.chi_squared, result.freedom) if exact else None,
+            residual_variance(result) if exact else None,
             LearntCovariance.certain(result.spectrum.covariance()).within(size, free).matrix,
             seen and seen.through(np.eye(size)[:, free]),
             _hidden(result),
@@ -123,7 +132,7 @@ class Calibrated:
             rejected_by(document.chi_squared, document.variance_factor_applied),
             document.terms,
             document.noise,
-            _residual(_squares(document), _freedom(document)) if exact else None,
+            _stored_residual(document, covariance) if exact else None,
             None
             if unwidened is None
             else LearntCovariance.certain(unwidened).within(len(names), free).matrix,
@@ -230,6 +239,26 @@ def by_residuals(covariance: LearntCovariance, rejected: ChiSquared | None) -> L
 
 def _residual(squares: float, freedom: int) -> ResidualVariance | None:
     return ResidualVariance(squares / freedom, freedom) if freedom > 0 and squares > 0.0 else None
+
+
+def residual_variance(result: FitResult) -> ResidualVariance | None:
+    """Of a method that takes readings as exact."""
+    images, names = result.image_errors, result.mechanism.tape.quantities
+    if images is None:
+        return _residual(result.solution.chi_squared, result.freedom)
+    outputs = result.mechanism.outputs
+    shared = {q: tuple(images.factor[names.index(q)].tolist()) for q in outputs}
+    return ResidualVariance(images.sd**2, images.freedom, shared)
+
+
+def _stored_residual(
+    document: ResultDocument, covariance: LearntCovariance
+) -> ResidualVariance | None:
+    stored = document.prediction
+    if stored is None or not stored.shared:
+        return _residual(_squares(document), _freedom(document))
+    sd = next(one.residual for one in stored.by if one.residual is not None)
+    return ResidualVariance(sd**2, float(covariance.freedom.min()), stored.shared)
 
 
 def _values(document: ResultDocument) -> int:

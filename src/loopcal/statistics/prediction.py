@@ -446,10 +446,16 @@ def _left(calibrated: Predictor, poses: int) -> LearntCovariance | None:
         variance[list(group.rows)] = np.nan if sd is None else sd**2
     if not np.isfinite(variance).all():
         return None
-    matrix = np.broadcast_to(np.diag(variance), (poses, len(variance), len(variance)))
+    matrix = unsure = np.diag(variance)
+    if calibrated.shared:  # the variance of single pixels comes from thousands of them
+        factor = np.array([calibrated.shared[q] for q in calibrated.units])
+        unsure = factor @ factor.T
+        matrix = matrix + unsure
     C = calibrated.covariance
     relative = np.einsum("aii->a", C.slopes) / max(float(np.trace(C.plain)), 1e-300)
-    return LearntCovariance(matrix, matrix, np.multiply.outer(relative, matrix))
+    every = np.broadcast_to(matrix, (poses, *matrix.shape))
+    slopes = np.multiply.outer(relative, np.broadcast_to(unsure, every.shape))
+    return LearntCovariance(every, every, slopes)
 
 
 def _marginal(

@@ -34,11 +34,12 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.estimation.dependence.dependence import Drifting
+from loopcal.estimation.dependence.image_errors import ImageErrors
 from loopcal.estimation.dependence.seen import Errors, seen
 from loopcal.estimation.fit import used_noise, weighed
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.noise.learning import typical_sd, with_model
-from loopcal.estimation.noise.linear_model import ModelBlock, linear_model
+from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
 from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, build_problem
@@ -164,9 +165,13 @@ def predictive(
     if drifting is not None and run is not None:
         shared = SameRun.of(fit, problem, held.corrections, drifting, run)
     learnt = () if shared is not None else fit.learnt_noise
-    model = linear_model(problem, problem.start, held.corrections, [c for c, _ in learnt])
-    unit_variance = 0.0
-    if fit.fit.solver.exact:
+    images, unit_variance = fit.image_errors, 0.0
+    if images is None:
+        model = linear_model(problem, problem.start, held.corrections, [c for c, _ in learnt])
+    else:
+        model = _with_shared(problem, held.corrections, images)
+        unit_variance = images.sd**2
+    if fit.fit.solver.exact and images is None:
         variance = fit.fit.solver.unit_variance(fit.information.chi_squared, fit.freedom)
         if variance is None:
             return None
@@ -191,7 +196,10 @@ def predictive(
             slopes = np.zeros((len(covariance.slopes), *W.shape))
             if unit_variance and len(slopes):
                 # A variance from nu residuals has the relative sd sqrt(2 / nu).
-                slopes += math.sqrt(2.0 / fit.freedom) * W
+                if images is None:
+                    slopes += math.sqrt(2.0 / fit.freedom) * W
+                else:  # the variance of single pixels comes from thousands of them
+                    slopes += math.sqrt(2.0 / images.freedom) * block.fixed
             elif len(slopes):
                 for j, (_, relative) in enumerate(learnt):
                     G = block.G[:, :, block.owner == j]
@@ -206,6 +214,18 @@ def predictive(
         density[poses], squares[poses] = densities[0] - 0.5 * aside, densities[1]
         loops[poses], denominator[poses] = block.equations, total.denominator
     return Predictive(density, squares, loops, denominator)
+
+
+def _with_shared(problem: Problem, corrections: Array, images: ImageErrors) -> LinearModel:
+    """The model of images with what all pixels of one share; its rows vary by what is beside it."""
+    blocks = []
+    for block in pose_equations(problem, problem.start, corrections, images.factor):
+        rows = np.concatenate([block.D, block.E[:, :, None]], axis=2)
+        nothing, owner = np.zeros((*block.E.shape, 0)), np.zeros(0, dtype=np.intp)
+        spare = (block.count - block.E.shape[1])[:, None]
+        blocks.append(ModelBlock(rows, images.shared(block), nothing, owner, spare))
+    unused = np.zeros(len(problem.free))
+    return LinearModel(tuple(blocks), unused, unused, np.zeros(0))
 
 
 def _densities(

@@ -33,6 +33,7 @@ from loopcal.statistics.calibrated import (
     by_residuals,
     rejected_by,
     residual_factor,
+    residual_variance,
     stored_covariance,
 )
 from loopcal.statistics.other_conditions import MEASURE, unlike
@@ -94,7 +95,8 @@ class Predictor:
     sd that parameters alone cause; typical: quantity -> a reading [SI] to start the search for
     outputs from; at_poses: (n, n) the covariance for the poses of the fit, None: the same; factor:
     by which the variances are larger here than the result states them, for its residuals are;
-    conditions: known column (temperature, load) -> its range [SI] in the calibration.
+    conditions: known column (temperature, load) -> its range [SI] in the calibration; shared:
+    output -> what errors that all outputs of an image share do to it (`PredictionEntry`).
     """
 
     __repr__ = brief
@@ -109,6 +111,7 @@ class Predictor:
     at_poses: Array | None = None
     factor: float = 1.0
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    shared: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def units(self) -> dict[str, str]:
@@ -127,6 +130,7 @@ class Predictor:
             self.usual,
             tuple(sorted(self.readings.unmeasured)),
             conditions=self.conditions,
+            shared=self.shared,
         )
 
     def unlike(self, columns: Mapping[str, Array]) -> list[str]:
@@ -181,6 +185,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
         stored.typical,
         factor=residual_factor(rejected),
         conditions=stored.conditions,
+        shared=stored.shared,
     )
 
 
@@ -220,13 +225,17 @@ def predictor(result: FitResult) -> Predictor | None:
         replace(one, residual=_residual_sd(result, groups[one.instrument, one.unit].outputs))
         for one in made.usual
     )
-    return replace(made, usual=usual, factor=factor, conditions=result.conditions)
+    residual = residual_variance(result) if result.image_errors else None
+    shared = {} if residual is None else residual.shared
+    return replace(made, usual=usual, factor=factor, conditions=result.conditions, shared=shared)
 
 
 def _residual_sd(result: FitResult, outputs: Sequence[str]) -> float | None:
     """Of one of these outputs [SI], by the residuals; None where sds of readings say it."""
     if result.noise or result.freedom <= 0:
         return None
+    if result.image_errors is not None:
+        return result.image_errors.sd
     square = np.square([result.differences_after[q] for q in outputs])
     square = square[np.isfinite(square)]
     if not square.size:

@@ -27,6 +27,7 @@ from loopcal.estimation.solve.kernel import eliminate
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.calibrated import ResidualVariance
 from loopcal.statistics.predictive import unmeasured_corrections
 
 CAMERAS = "cameras"
@@ -225,17 +226,17 @@ def replaced(
     names: Sequence[str],
     places: Mapping[str, float] = {},
     *,
-    variance: float | None = None,
+    residual: ResidualVariance | None = None,
     components: Sequence[Sequence[int]] = (),
 ) -> Replaced:
     """The machine of a problem, at its start, placed anew by the problem's poses.
 
     problem: of which every parameter counts as estimated; names: of what is found anew; places:
-    roughly, of some of it, where another search may begin; variance: of every loop equation, where
+    roughly, of some of it, where another search may begin; residual: of every loop equation, where
     the readings are taken as exact; components: quantities whose noise is kept apart in the rows.
     Raises NoTrustworthyResult where a loop has no value.
     """
-    search = _Search(problem, names, variance, components)
+    search = _Search(problem, names, residual, components)
     lowest = search.lowest(search.begun())
     if lowest.merit > ASTRAY * len(lowest.e):
         starts = search.elsewhere(lowest.parameters, places)
@@ -273,7 +274,7 @@ class _Search:
 
     problem: Problem
     names: Sequence[str]
-    variance: float | None
+    residual: ResidualVariance | None
     components: Sequence[Sequence[int]]
 
     @property
@@ -347,10 +348,17 @@ class _Search:
         model = linear_model(problem, values, corrections, self.components, compressed=False)
         everything = np.arange(len(problem.poses))
         by_block = []
-        for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
+        for (pattern, poses), block in zip(problem.blocks(), model.blocks, strict=True):
             W = block.fixed + block.G @ block.G.transpose(0, 2, 1)
-            if self.variance is not None:
-                W = self.variance * np.broadcast_to(np.eye(W.shape[1]), W.shape)
+            if self.residual is not None:
+                W = self.residual.value * np.broadcast_to(np.eye(W.shape[1]), W.shape)
+                if self.residual.shared:
+                    names = [problem.mechanism.tape.quantities[i] for i in pattern.predicted]
+                    read = np.any(
+                        block.J, axis=2, keepdims=True
+                    )  # corners that were not detected say nothing
+                    root = self.residual.root(names)[:, : -len(names)] * read
+                    W = W + root @ np.swapaxes(root, 1, 2)
             # NaN makes the merit infinite, and a step to such a place is refused.
             columns = np.concatenate([block.rows, block.G], axis=2)
             L, whitened = W, np.full_like(columns, np.nan)

@@ -34,7 +34,7 @@ from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.statistics.another_day import Day
-from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.calibrated import Calibrated, ResidualVariance
 from loopcal.statistics.change_tests import what_changed
 from loopcal.statistics.changed import DRIFT_OR_CHANGE, WhatChanged
 from loopcal.statistics.day_run import Run, faults, searched
@@ -144,7 +144,7 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
         nominal, others = _distances(apart_as_drawn), by_pose(apart_as_drawn)
         if distances is not None and others is not None:
             gain = Gain.in_rms(np.square(distances), np.square(others))
-    calibrated, (expected, chance) = _distances(apart), _expected(linear, day.variance)
+    calibrated, (expected, chance) = _distances(apart), _expected(linear, day.calibrated.residual)
     rare = 1.0 if calibrated is None else chance(calibrated.rms)
     columns = faults(day, linear)
     changes, run = (None, Run()) if columns else _searched(day, linear)
@@ -256,7 +256,7 @@ def _placed(linear: Linearised, names: Sequence[str]) -> tuple[Placed, ...]:
 
 
 def _expected(
-    linear: Linearised, variance: float | None
+    linear: Linearised, residual: ResidualVariance | None
 ) -> tuple[Distances | None, Callable[[float], float]]:
     """The distances that the stated covariance leads one to expect, as means over random draws, and
     the share of draws whose rms is at least so large.
@@ -280,7 +280,7 @@ def _expected(
     g = placement.directions.shape[1]
     follows = placement.directions @ (linear.solve @ linear.A)[:g]
     machine = S.by_parameter @ (follows - linear.root)
-    noise = _reading_noise(problem, S.by_reading, outputs, variance)
+    noise = _reading_noise(problem, S.by_reading, outputs, residual)
     # The placement takes up as many equations as it has rank, and their share of the noise.
     left = (len(linear.e) - linear.rank) / max(len(linear.e), 1)
     noise = noise * np.sqrt(max(left, 0.0) * linear.factor)
@@ -311,14 +311,16 @@ def _expected(
 
 
 def _reading_noise(
-    problem: Problem, by_reading: Array, outputs: Sequence[int], variance: float | None
+    problem: Problem,
+    by_reading: Array,
+    outputs: Sequence[int],
+    residual: ResidualVariance | None,
 ) -> Array:
     """(N, o, k) a square root of the covariance that the readings of these poses cause."""
     T = np.nan_to_num(by_reading)
     # Computed minus measured: an error of the measured output enters with the other sign.
     T[:, range(len(outputs)), list(outputs)] = -1.0
-    if variance is not None:
-        sd = np.zeros(T.shape[2])
-        sd[list(outputs)] = np.sqrt(variance)
-        return np.asarray(T * sd)
+    if residual is not None:
+        names = [problem.mechanism.tape.quantities[i] for i in outputs]
+        return np.asarray(T[:, :, list(outputs)] @ residual.root(names))
     return problem.uncertainty.through(T)

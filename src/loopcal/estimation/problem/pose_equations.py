@@ -75,16 +75,17 @@ class PoseEquations:
 
 
 def pose_equations(
-    problem: Problem, parameters: Array, corrections: Array
+    problem: Problem, parameters: Array, corrections: Array, modes: Array | None = None
 ) -> tuple[PoseEquations, ...]:
     """The equations at parameters (n_all,) and corrections (k, N) that close the loops there.
 
     Whitened as the problem weighs them: loop values as they are where all count alike, D where the
-    readings stand for the reweighted fit.
+    readings stand for the reweighted fit. modes: (k, q) of pixels that the equations of images
+    keep, by default those of this problem.
     """
     sweeper, as_read = Sweeper(problem), problem.weighting is Weighting.READ
     everything = np.arange(len(problem.poses))
-    modes = image_modes(problem)
+    modes = image_modes(problem) if modes is None else modes
     equations = []
     for pattern, block in sweeper.blocks(parameters, corrections):
         J_p = sweeper.loop_values(pattern, block.read).by_parameter.copy() if as_read else None
