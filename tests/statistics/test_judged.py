@@ -1,4 +1,4 @@
-"""Terms that a structured candidate gains nothing by leave it; those of the drawing stay."""
+"""Terms that readings contradict leave a structured candidate; those of the drawing stay."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ import pytest
 import loopcal as lc
 from analyses.gauntlet_truth import Arm
 from analyses.gauntlet_worlds import Event, Rng, Run, World, nothing
+from loopcal.estimation.noise.term_parts import support
+from loopcal.estimation.noise.term_scales import searched
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.statistics.case import Case, entrants, without_terms
 from loopcal.statistics.judged import Judged, begun, fitted, lean
+from loopcal.statistics.predictor import predictor
 
 DRAWN = {name for name, _, _ in GEOMETRY_TERMS.values()}
 
@@ -37,7 +40,7 @@ def names(one: Judged) -> set[str]:
 def test_a_machine_of_geometry_alone_keeps_its_dimensions_only() -> None:
     case, full = judged(World(poses=50))
     assert names(full) > DRAWN & names(full)
-    fewer = lean(case, full, 10.0)
+    fewer = lean(case, full)
     assert fewer.whole is not None
     assert names(fewer) == {"lengths", "zeros", "twists"}
     assert fewer.whole.status.converged
@@ -72,17 +75,63 @@ def test_an_arm_that_sags_keeps_its_sag() -> None:
     assert "sag" in names(fewer)
     assert names(fewer) <= names(full)
     assert fewer.whole is not None
-    assert all(
-        term.gain is None or term.gain > 0.0 or term.name in DRAWN for term in fewer.whole.terms
-    )
 
 
-def test_sag_stays_whose_load_changed() -> None:
+def test_what_readings_cannot_show_stays_and_widens_the_stated_sds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """12 poses of a rigid arm: a good tracker excludes sag, one of 0.1 mm does not."""
+    good, full = judged(World(poses=12))
+    assert names(lean(good, full)) <= DRAWN
+    poor, full = judged(World(poses=12, sd=1e-4, encoder=1e-4))
+    fewer = lean(poor, full)
+    assert {"sag", "sag_across", "harmonics"} <= names(fewer)
+    monkeypatch.setattr("loopcal.statistics.judged._ABSENT", -math.inf)
+    bare = lean(poor, full)
+    assert names(bare) <= DRAWN
+    assert usual_sd(fewer) > 1.1 * usual_sd(bare)
+
+
+def usual_sd(one: Judged) -> float:
+    assert one.whole is not None
+    made = predictor(one.whole)
+    assert made is not None
+    return made.usual[0].sd
+
+
+def test_support_is_the_integral_over_the_scale() -> None:
+    """Laplace's method beside quadrature: the criterion at many scales, the others learnt anew."""
+    _, full = judged(World(poses=12, worn=sagging))
+    assert full.whole is not None
+    assert full.whole.estimate is not None
+    learnt = full.whole.estimate.variances.terms
+    assert learnt is not None
+    system, every = learnt.system, np.ones(len(learnt.at.x), dtype=bool)
+    present = searched(system, learnt.at.x, every)
+    z = np.linspace(-4.0, 4.0, 81)
+    for i, term in enumerate(system.terms):
+        rest = np.arange(len(every)) != 1 + i
+        likelihoods = []
+        for log_scale in math.log(term.sd) + term.spread * z:
+            x = present.at.x.copy()
+            x[1 + i] = 2.0 * log_scale
+            likelihoods.append(-0.5 * searched(system, x, rest).at.criterion)
+        most = max(likelihoods)  # with the prior of the scale but for 1/((2 pi)^(1/2) spread)
+        mean = np.trapezoid(np.exp(np.array(likelihoods) - most), z) / math.sqrt(2.0 * math.pi)
+        x = present.at.x.copy()
+        x[1 + i] = 2.0 * math.log(1e-6 * term.sd)
+        without = searched(system, x, rest).at
+        exact = 2.0 * (most + math.log(mean)) + without.criterion - without.penalties[i]
+        assert support(present, i) == pytest.approx(exact, abs=0.5), term.name
+
+
+def test_sag_stays_whose_load_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("loopcal.statistics.judged._ABSENT", -math.inf)
     trial = World(poses=30).made(np.random.default_rng([3, 1]))
     data = lc.Dataset.from_arrays(trial.readings | {"pose": np.arange(30.0)})
     machine = lc.with_effects(trial.mechanism, [lc.effects.Shift(("load",), (15.0,))])
     case = Case(machine, data, trial.noise, lc.Fit(method="auto"), trusted=True)
-    fewer = lean(case, fitted(next(iter(entrants(case)))), math.inf)
+    fewer = lean(case, fitted(next(iter(entrants(case)))))
     sags = {"sag", "sag_across", "sag_changed", "sag_across_changed"}
     assert names(fewer) - DRAWN == sags
 
@@ -111,13 +160,17 @@ def loose(run: Run, rng: Rng) -> None:
 
 
 @pytest.mark.parametrize(("event", "stays"), [(nothing, False), (loose, True)])
-def test_a_white_error_leaves_that_the_instrument_explains(event: Event, stays: bool) -> None:
+def test_a_white_error_leaves_that_the_instrument_explains(
+    event: Event, stays: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Noise twice as large as stated is the instrument's, 0.3 mm at the tool the machine's."""
     case, full = judged(World(poses=60, event=event, learnt=True, stated=0.5))
     assert full.whole is not None
     assert machine_error(full.whole) > 0.0
-    assert lean(case, full, -math.inf) is full  # beside a smooth discrepancy it is what that leaves
-    fewer = lean(case, full, 10.0)
+    with monkeypatch.context() as all_stay:
+        all_stay.setattr("loopcal.statistics.judged._ABSENT", math.inf)
+        assert lean(case, full) is full  # beside a smooth discrepancy it is what that leaves
+    fewer = lean(case, full)
     assert fewer.whole is not None
     assert (machine_error(fewer.whole) > 0.0) is stays
     # later fits of the same candidate have none either

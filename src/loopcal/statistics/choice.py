@@ -7,17 +7,16 @@ parts: poses at random, and regions of the joint space. The risk of a candidate 
 squared distance there, averaged over both ways to leave the pose out; without outputs it is minus
 twice the log density of its loops.
 
-Of structured candidates those terms leave whose gain is not positive, and the white error of the
-machine that the instrument explains as well. The one of least risk is preferred, of those that take
-no sensor as exact where there are any: exact readings make the noise of the instrument an error of
-the machine. It keeps its certain terms alone where these predict within one paired standard error.
-It is taken, or without one the first method, unless another is significantly better: lower in both,
-by more than the 97.5 % point of Student's t times the standard error of the mean difference.
-Errors in one region are not independent, so
-regions are the units of the second; the units of the first are poses. Against a structured
-candidate both must be significant, because poses of a narrow set cannot show what its prior is good
-for elsewhere; between plain methods one is enough. What another candidate beats by the rule of the
-verdict (`loopcal.document.choice.beats`) is never taken.
+Of structured candidates those terms leave that the readings contradict, and the white error of
+the machine that the instrument explains as well. The one of least risk is preferred, of those that
+take no sensor as exact where there are any: exact readings make the noise of the instrument an
+error of the machine. It is taken, or without one the first method, unless another is significantly
+better: lower in both, by more than the 97.5 % point of Student's t times the standard error of the
+mean difference. Errors in one region are not independent, so regions are the units of the second;
+the units of the first are poses. Against a structured candidate both must be significant, because
+poses of a narrow set cannot show what its prior is good for elsewhere: where poses are too few for
+regions it stays. Between plain methods one is enough. What another candidate beats by the rule of
+the verdict (`loopcal.document.choice.beats`) is never taken.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.document.change_points import NOT_SEARCHED
-from loopcal.document.choice import DECISIVE, Candidate, Chosen
+from loopcal.document.choice import Candidate, Chosen
 from loopcal.estimation.dependence.dependence import likenesses
 from loopcal.estimation.plausible import CODE as CONTRADICTED
 from loopcal.estimation.result import FitResult
@@ -54,7 +53,6 @@ from loopcal.statistics.noise_floor import excess, noise_floor
 from loopcal.statistics.risks import (
     beats,
     mean_risk,
-    predicts_as_well,
     risk_of,
     rms_of,
     rms_over,
@@ -212,7 +210,6 @@ def _compared(
     judged = gathered(process_cores(), lean, case, judged)
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
-        judged = _with_fewer(case, judged, plan, executor, progress)
         judged = _refitted(judged, plan, len(case.data), executor)
     return _Compared(case, judged, plan, *_choice(judged, plan, len(case.data)))
 
@@ -320,30 +317,6 @@ def _all_fitted(
 
     outcomes: list[Any] = gathered(process_cores(), made, None, [*entrants, None])
     return outcomes[:-1], outcomes[-1]
-
-
-def _with_fewer(
-    case: Case,
-    judged: Sequence[Judged],
-    plan: Plan,
-    executor: Executor | None,
-    progress: Progress | None,
-) -> list[Judged]:
-    """What would be taken, with only those terms that are certain where that predicts as well:
-    within one paired standard error, at random poses and in regions."""
-    made = [one for one in judged if one.made]
-    if all(one.entrant.drawn for one in made):
-        return [*judged]
-    risks = {one.name: risk_of(one, plan, len(case.data)) for one in made}
-    taken = _taken(made, risks, plan)
-    fewer = lean(case, taken, DECISIVE)
-    if fewer is taken:
-        return [*judged]
-    (fewer,) = _validated([fewer], plan, executor, progress)
-    risk = risk_of(fewer, plan, len(case.data))
-    if fewer.failed or not predicts_as_well(risk, risks[taken.name], plan):
-        return [*judged]
-    return [fewer if one is taken else one for one in judged]
 
 
 def _refitted(
@@ -513,11 +486,11 @@ def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> 
     structured = [one for one in judged if one.entrant.structured]
     uncertain = [one for one in structured if not one.entrant.case.fit.method.exact]
     preferred = min(uncertain or structured, key=score) if structured else judged[0]
-    enough = all if structured else any
+    enough, shown = (all, plan.blocked is not None) if structured else (any, True)
     better = [
         one
         for one in judged
-        if significantly_better(risks[one.name], risks[preferred.name], plan, enough)
+        if shown and significantly_better(risks[one.name], risks[preferred.name], plan, enough)
     ]
     taken = min(better, key=score) if better else preferred
     # Each round lowers the rms on common poses. The bound ends a cycle of candidates that failed

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
-from loopcal.estimation.noise.term_parts import idle
+from loopcal.estimation.noise.term_parts import idle, support
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.measurements.noise import MODEL
@@ -15,6 +16,9 @@ from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.statistics.case import Begin, Case, Entrant, without_terms
 from loopcal.statistics.validation import Outcome, unread
 
+# docs/decisions/0158.
+_ABSENT = 2.0 * math.log(5.0)
+"""A term leaves where the readings are five times more probable without it: 2 log of that."""
 # docs/decisions/0142.
 _ONE_SD = 1.0
 """By so much -2 log of the likelihood rises where a stated sd is off by one sd of its logarithm."""
@@ -65,16 +69,16 @@ def fitted(
     return Judged(one, whole)
 
 
-def lean(case: Case, one: Judged, least: float = 0.0) -> Judged:
-    """The candidate without the terms whose gain is at most so much, and without the white error of
-    the machine that the stated sds of sensors explain as well; itself if there are none.
+def lean(case: Case, one: Judged) -> Judged:
+    """The candidate without the terms that the readings contradict, and without the white error
+    of the machine that the stated sds of sensors explain as well; itself if there are none.
 
-    Dimensions of the drawing stay: without a term they would be exact. So does what changed along
-    the run. Where one term leaves, others may gain less or more, so this goes on until all that are
-    left gain more.
+    What the readings cannot show stays: its learnt sd widens the stated ones. Dimensions of the
+    drawing stay: without a term they would be exact. So does what changed along the run. Where one
+    term leaves, the readings may say more of others, so this goes on until no other leaves.
     """
     while one.entrant.structured and one.whole is not None and not one.failed:
-        fewer = _with_fewer_terms(case, one, one.whole, least) or _by_sensors(one, one.whole)
+        fewer = _with_fewer_terms(case, one, one.whole) or _by_sensors(one, one.whole)
         if fewer is None:
             break
         begin = Begin.of(one.whole, fewer.case.mechanism)
@@ -89,14 +93,14 @@ def lean(case: Case, one: Judged, least: float = 0.0) -> Judged:
     return one
 
 
-def _with_fewer_terms(case: Case, one: Judged, whole: FitResult, least: float) -> Entrant | None:
+def _with_fewer_terms(case: Case, one: Judged, whole: FitResult) -> Entrant | None:
     learnt = whole.estimate.variances.terms if whole.estimate else None
     if learnt is None:
         return None
     keep = {name for name, _, _ in GEOMETRY_TERMS.values()}
     changed = {n for p in whole.mechanism.parameters if p.changes for n in (p.name, p.changes)}
     keep |= {t.name for t in whole.mechanism.terms if not changed.isdisjoint(t.parameters)}
-    return without_terms(case, one.entrant, idle(learnt, least, keep=keep))
+    return without_terms(case, one.entrant, idle(learnt, -_ABSENT, support, keep=keep))
 
 
 def _by_sensors(one: Judged, whole: FitResult) -> Entrant | None:

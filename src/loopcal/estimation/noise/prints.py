@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.choice import DECISIVE, TermEntry, TermPart
-from loopcal.estimation.noise.term_parts import idle, term_entries
+from loopcal.estimation.noise.term_parts import gain, idle, term_entries
 from loopcal.estimation.noise.term_scales import Sums, TermVariances, learn_scales, term_system
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.kernel import TurnedImages
@@ -217,7 +217,7 @@ class Prints:
         learnt = learn_scales(system, begun, common=common)
         kept = self.kept
         if asking and not kept.all():
-            gone = idle(learnt, DECISIVE)
+            gone = idle(learnt, DECISIVE, gain)
             kept |= np.array([term.name not in gone for term in layout.terms])
         scales = np.where(kept, learnt.scales, 0.0)
         sds = scales[layout.owner]

@@ -11,7 +11,7 @@ out of round. A smooth discrepancy is told by its rms, and by the joints on whic
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry, TermPart
-from loopcal.estimation.noise.term_scales import TermFit, TermSystem, TermVariances, searched
+from loopcal.estimation.noise.term_scales import TermVariances, searched
 from loopcal.estimation.problem.problem import Problem
 from loopcal.expressions.engine import LoopValues, engine_for
 from loopcal.expressions.tape import Tape
@@ -268,6 +268,8 @@ _QUANTILE = 1.959963984540054
 # Chosen, not derived: far below any effect that readings show.
 _ABSENT = 1e-6
 """A term with this share of its expected sd has no effect."""
+Worth = Callable[[TermVariances, int, Sequence[int]], float]
+"""Of a term, where others are absent: `gain` or `support`."""
 
 
 def term_entries(mechanism: Mechanism, learnt: TermVariances) -> tuple[TermEntry, ...]:
@@ -277,7 +279,7 @@ def term_entries(mechanism: Mechanism, learnt: TermVariances) -> tuple[TermEntry
     """
     system, at, sds = learnt.system, learnt.at, learnt.sds
     # With all noise free to have a factor, which may grow in the place of a term.
-    present = searched(system, at.x, np.ones(len(at.x), dtype=bool)).at
+    present = searched(system, at.x, np.ones(len(at.x), dtype=bool))
     entries = []
     for i, term in enumerate(system.terms):
         unit = mechanism.parameters[term.parameters[0]].unit
@@ -293,7 +295,7 @@ def term_entries(mechanism: Mechanism, learnt: TermVariances) -> tuple[TermEntry
                 term.sd,
                 int((system.owner == i).sum()),
                 max(float(at.freedom[i]), 0.0),
-                _gain(system, present, i),
+                gain(present, i),
                 words.replace("{scale}", with_unit(scale, unit, 2, fine=True)),
                 tuple(n for n in term.parameters if mechanism.roles.get(n) in BEYOND),
             )
@@ -301,41 +303,60 @@ def term_entries(mechanism: Mechanism, learnt: TermVariances) -> tuple[TermEntry
     return tuple(entries)
 
 
-def idle(learnt: TermVariances, least: float = 0.0, *, keep: Collection[str] = ()) -> set[str]:
-    """The terms that gain at most so much, taken out one after the other, the idlest first.
+def idle(
+    learnt: TermVariances, least: float, worth: Worth, *, keep: Collection[str] = ()
+) -> set[str]:
+    """The terms that are worth at most so much, taken out one after the other, the idlest first.
 
-    Of two that say the same each gains nothing beside the other: one stays. keep: terms that do.
+    Of two that say the same each gains nothing beside the other: one stays. worth: `gain` or
+    `support`; keep: terms that do.
     """
     system, every = learnt.system, np.ones(len(learnt.at.x), dtype=bool)
-    present = searched(system, learnt.at.x, every).at
+    present = searched(system, learnt.at.x, every)
     absent: dict[int, str] = {}
     while True:
-        gains = {
-            i: _gain(system, present, i, [*absent])
+        worths = {
+            i: worth(present, i, [*absent])
             for i, term in enumerate(system.terms)
             if term.name not in keep and i not in absent
         }
-        i = min(gains, key=lambda k: gains[k], default=-1)
-        if i < 0 or gains[i] > least:
+        i = min(worths, key=lambda k: worths[k], default=-1)
+        if i < 0 or worths[i] > least:
             return {*absent.values()}
         absent[i] = system.terms[i].name
-        present = _absent(system, present, [*absent])
+        present = _absent(present, [*absent])
 
 
-def _absent(system: TermSystem, present: TermFit, terms: Sequence[int]) -> TermFit:
+def _absent(present: TermVariances, terms: Sequence[int]) -> TermVariances:
     """The fit without these terms."""
-    x, others = present.x.copy(), np.ones(len(present.x), dtype=bool)
+    system, x = present.system, present.at.x.copy()
+    others = np.ones(len(x), dtype=bool)
     for term in terms:
         x[1 + term], others[1 + term] = 2.0 * math.log(_ABSENT * system.terms[term].sd), False
-    return searched(system, x, others).at
+    return searched(system, x, others)
 
 
-def _gain(system: TermSystem, present: TermFit, term: int, absent: Sequence[int] = ()) -> float:
+def gain(present: TermVariances, term: int, absent: Sequence[int] = ()) -> float:
     """By how much the criterion is lower with a term than without it, others being absent.
 
     present: with all terms, and all noise free to have a factor. Without a term the other terms and
     that factor make up for it where they can.
     """
-    without = _absent(system, present, [*absent, term])
-    gain = without.criterion - present.criterion
-    return gain - float(without.penalties[term] - present.penalties[term])
+    without, at = _absent(present, [*absent, term]).at, present.at
+    lower = without.criterion - at.criterion
+    return lower - float(without.penalties[term] - at.penalties[term])
+
+
+def support(present: TermVariances, term: int, absent: Sequence[int] = ()) -> float:
+    """2 log of how much more probable the readings are with a term than without it.
+
+    Of its scale all that its prior expects counts, not the best alone: with z the log of the scale
+    and sd(z) by the curvature, the integral over z is L p(z) sd(z) (2 pi)^(1/2) (Laplace), so
+
+        support = gain - ((z - log median)/spread)^2 + 2 log(sd(z)/spread).
+
+    Readings that say nothing of a term leave it at 0, such as show that there is none far below.
+    Arguments as in `gain`. Kass and Raftery 1995.
+    """
+    sd = 0.5 * float(present.sds[1 + term]) / present.system.terms[term].spread
+    return gain(present, term, absent) - float(present.at.penalties[term]) + 2.0 * math.log(sd)
