@@ -84,7 +84,7 @@ lint: $(STAMP) ## ruff: rules and format
 	$(BIN)/ruff format --check .
 
 types: $(STAMP) ## mypy; the modules of benchmarks import each other as scripts do
-	$(BIN)/mypy
+	$(BIN)/mypy -n $(JOBS)
 	cd benchmarks && MYPYPATH=.. $(abspath $(BIN))/mypy --config-file ../pyproject.toml --cache-dir ../.cache/mypy *.py
 
 suite: $(STAMP) ## pytest alone

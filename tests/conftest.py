@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import hypothesis
 import numpy as np
 import pytest
 from _pytest.approx import ApproxNumpy
+from _pytest.doctest import DoctestModule
 
 from loopcal.expressions.choice import AVAILABLE, ENGINES, cores
 
@@ -44,6 +45,25 @@ if int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) >= cores():
 # The same examples in every run, and no clock that could fail a slow machine.
 hypothesis.settings.register_profile("loopcal", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("loopcal")
+
+
+class _Prompts:
+    """Doctests only of files that show a prompt: to look for them, pytest imports a file and goes
+    through all that it holds."""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_collect_file(
+        self, file_path: Path
+    ) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
+        made = yield
+        if file_path.suffix == ".py" and b">>> " not in file_path.read_bytes():
+            made = [one for one in made if not isinstance(one, DoctestModule)]
+        return made
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Also for files beside this folder."""
+    config.pluginmanager.register(_Prompts())
 
 
 @pytest.fixture(scope="session")

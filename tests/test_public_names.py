@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from loopcal.mechanisms.instruments.registry import INSTRUMENTS
 from tests.documentation import blocks
 
 ROOT = Path(__file__).resolve().parents[1]
+EXTRAS = {"collada", "cv2", "distributed", "nicegui", "rosbags", "starlette", "tomlkit"}
 REFERENCE = "\n".join(p.read_text("utf-8") for p in sorted((ROOT / "docs/reference").glob("*.md")))
 NAMESPACES = {"": loopcal} | {
     n: getattr(loopcal, n) for n in ("effects", "instruments", "machines")
@@ -92,6 +94,19 @@ def test_an_example_that_runs_shows_it(name: str) -> None:
     shown = ">>>" in (inspect.getdoc(public(name)) or "")
     shown = shown or re.search(rf"\b{re.escape(name)}\b", documentation_code()) is not None
     assert shown, f"use {name} in a Python block of a page, or behind >>> in its docstring"
+
+
+def test_every_module_can_be_imported() -> None:
+    """Without a warning; one that only an extra has may be absent."""
+    package, absent = Path(loopcal.__file__).parent, set()
+    for path in sorted(package.rglob("*.py")):
+        name = ".".join(path.relative_to(package.parent).with_suffix("").parts)
+        if path.name != "__main__.py":
+            try:
+                import_module(name.removesuffix(".__init__"))
+            except ModuleNotFoundError as error:
+                absent.add(error.name)
+    assert absent <= EXTRAS
 
 
 @pytest.mark.parametrize("name", DOCUMENTED)

@@ -403,7 +403,8 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULE:
         from loopcal.errors import closest
 
-        close = closest(name, __all__)
+        # Programs that look into modules ask for names with an underscore, hundreds of times.
+        close = None if name.startswith("_") else closest(name, __all__)
         near = f"did you mean {close!r}?" if close else "help(loopcal) lists what there is"
         near = f"use {_INSTEAD[name]}" if name in _INSTEAD else near
         raise AttributeError(f"module 'loopcal' has no attribute {name!r}: {near}")

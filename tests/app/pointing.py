@@ -37,7 +37,11 @@ DRAWN = "e => JSON.stringify((e.querySelector('.js-plotly-plot') ?? e).data[0].y
 
 
 _OPENED: dict[tuple[tuple[str, Any], ...], Any] = {}
-"""By look: where pages are opened, so that the next has the scripts that the first has compiled."""
+"""By look: where pages are opened, so that the next has the scripts that the first has compiled.
+
+Each keeps an empty page: the first page of a window costs Chromium a second, every other one
+little.
+"""
 
 
 def new_page(browser: Any, size: tuple[int, int] = (1440, 900), **look: Any) -> Any:
@@ -46,6 +50,7 @@ def new_page(browser: Any, size: tuple[int, int] = (1440, 900), **look: Any) -> 
     key = (*sorted(look.items()),)
     if key not in _OPENED:
         _OPENED[key] = browser.new_context(**look)
+        _OPENED[key].new_page()
     page = _OPENED[key].new_page()
     width, height = size
     page.set_viewport_size({"width": width, "height": height})

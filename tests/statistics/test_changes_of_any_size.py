@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -11,10 +12,11 @@ import pytest
 
 import loopcal as lc
 from analyses.instruments import setup
+from loopcal.arrays import Array
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.statistics import another_day
 from loopcal.statistics.innovation import Linearised
-from loopcal.statistics.replacing import Replaced, replaced
+from loopcal.statistics.replacing import Replaced, _Search, replaced
 from tests.reference.simulated import planar_arm
 from tests.statistics.test_comparison import sds_of
 from tests.statistics.test_rigid_motion import EXACT, TERMS, calibrated, machine, noise_of, seen
@@ -134,6 +136,24 @@ def test_a_misfit_that_no_change_explains_is_stated_without_a_cause(
     assert found.changes is not None
     assert found.changes.found == ()
     assert len(calls) < 4 * len(found.changes.candidates)
+
+
+@pytest.mark.parametrize(
+    ("size", "left", "tried"),
+    [(1e4, 0.9995, 11), (1e4, 0.95, 101), (17.0, 0.9995, 101)],
+    ids=["gross and slow", "gross and quick", "less gross and slow"],
+)
+def test_a_gross_misfit_that_hardly_falls_is_left(size: float, left: float, tried: int) -> None:
+    """Equations of one parameter whose misclosure each step leaves but for a share."""
+    asked = []
+
+    def at(values: Array, near: object = None) -> SimpleNamespace:
+        asked.append(values)
+        e = size * left**values
+        return SimpleNamespace(parameters=values, e=e, J=e[:, None], merit=float(e @ e))
+
+    _Search.lowest(cast("_Search", SimpleNamespace(at=at, _free=[0])), np.zeros(1))
+    assert len(asked) == tried
 
 
 def test_what_the_machine_explains_of_a_column_leaves_a_positive_square() -> None:

@@ -45,6 +45,10 @@ _MOST_DAMPING = 1e12
 # A mean square is about 1 where machine and sds are right.
 ASTRAY, _STARTS = 100.0, 10
 """A mean square from which on a misfit is gross; then so many other starts are tried."""
+# Chosen, not derived: at this pace 100 steps leave a third of a misfit, which stays gross.
+_PACE, _SLOW = 10, 0.9
+"""Of a mean square three times as gross, so many steps leave less than this share, or are the last
+ones."""
 # Chosen, not derived: far above rounding, far below a direction that poses show.
 DETERMINED = 1e-9
 """Singular values so far below the largest are of directions that these poses do not show."""
@@ -307,9 +311,14 @@ class _Search:
     def lowest(self, values: Array, steps: int = _STEPS) -> Replaced:
         """The lowest place near one, or that after so many steps."""
         lowest, damping, free = self.at(values), 1e-3, self._free
-        for _ in range(steps):
+        before = np.inf
+        for number in range(steps):
             if not free or not damping < _MOST_DAMPING or not np.isfinite(lowest.merit):
                 break
+            if number % _PACE == 0:
+                if lowest.merit > max(_SLOW * before, 3.0 * ASTRAY * len(lowest.e)):
+                    break
+                before = lowest.merit
             A = lowest.J[:, free]
             step = least_squares(A, lowest.e[:, None], damping)[:, 0]
             promised = lowest.merit - float(np.square(lowest.e - A @ step).sum())
