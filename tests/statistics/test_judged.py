@@ -1,4 +1,4 @@
-"""Terms that readings contradict leave a structured candidate; those of the drawing stay."""
+"""Terms leave a structured candidate by a rule; those of the drawing stay."""
 
 from __future__ import annotations
 
@@ -11,14 +11,23 @@ import pytest
 import loopcal as lc
 from analyses.gauntlet_truth import Arm
 from analyses.gauntlet_worlds import Event, Rng, Run, World, nothing
-from loopcal.estimation.noise.term_parts import support
+from loopcal.estimation.noise.term_parts import gain, support
 from loopcal.estimation.noise.term_scales import searched
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.statistics.case import Case, entrants, without_terms
-from loopcal.statistics.judged import Judged, begun, fitted, lean
+from loopcal.statistics.judged import (
+    EXCLUDED,
+    UNCERTAIN,
+    Judged,
+    Rule,
+    begun,
+    fitted,
+    lean,
+)
 from loopcal.statistics.predictor import predictor
 
+ALL = Rule(gain, math.inf)
 DRAWN = {name for name, _, _ in GEOMETRY_TERMS.values()}
 
 
@@ -40,7 +49,7 @@ def names(one: Judged) -> set[str]:
 def test_a_machine_of_geometry_alone_keeps_its_dimensions_only() -> None:
     case, full = judged(World(poses=50))
     assert names(full) > DRAWN & names(full)
-    fewer = lean(case, full)
+    fewer = lean(case, full, UNCERTAIN)
     assert fewer.whole is not None
     assert names(fewer) == {"lengths", "zeros", "twists"}
     assert fewer.whole.status.converged
@@ -75,19 +84,19 @@ def test_an_arm_that_sags_keeps_its_sag() -> None:
     assert "sag" in names(fewer)
     assert names(fewer) <= names(full)
     assert fewer.whole is not None
+    assert all(
+        term.gain is None or term.gain > 0.0 or term.name in DRAWN for term in fewer.whole.terms
+    )
 
 
-def test_what_readings_cannot_show_stays_and_widens_the_stated_sds(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_readings_cannot_show_stays_and_widens_the_stated_sds() -> None:
     """12 poses of a rigid arm: a good tracker excludes sag, one of 0.1 mm does not."""
     good, full = judged(World(poses=12))
-    assert names(lean(good, full)) <= DRAWN
+    assert names(lean(good, full, EXCLUDED)) <= DRAWN
     poor, full = judged(World(poses=12, sd=1e-4, encoder=1e-4))
-    fewer = lean(poor, full)
+    fewer = lean(poor, full, EXCLUDED)
     assert {"sag", "sag_across", "harmonics"} <= names(fewer)
-    monkeypatch.setattr("loopcal.statistics.judged._ABSENT", -math.inf)
-    bare = lean(poor, full)
+    bare = lean(poor, full, ALL)
     assert names(bare) <= DRAWN
     assert usual_sd(fewer) > 1.1 * usual_sd(bare)
 
@@ -125,13 +134,12 @@ def test_support_is_the_integral_over_the_scale() -> None:
         assert support(present, i) == pytest.approx(exact, abs=0.5), term.name
 
 
-def test_sag_stays_whose_load_changed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("loopcal.statistics.judged._ABSENT", -math.inf)
+def test_sag_stays_whose_load_changed() -> None:
     trial = World(poses=30).made(np.random.default_rng([3, 1]))
     data = lc.Dataset.from_arrays(trial.readings | {"pose": np.arange(30.0)})
     machine = lc.with_effects(trial.mechanism, [lc.effects.Shift(("load",), (15.0,))])
     case = Case(machine, data, trial.noise, lc.Fit(method="auto"), trusted=True)
-    fewer = lean(case, fitted(next(iter(entrants(case)))))
+    fewer = lean(case, fitted(next(iter(entrants(case)))), ALL)
     sags = {"sag", "sag_across", "sag_changed", "sag_across_changed"}
     assert names(fewer) - DRAWN == sags
 
@@ -160,17 +168,14 @@ def loose(run: Run, rng: Rng) -> None:
 
 
 @pytest.mark.parametrize(("event", "stays"), [(nothing, False), (loose, True)])
-def test_a_white_error_leaves_that_the_instrument_explains(
-    event: Event, stays: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_white_error_leaves_that_the_instrument_explains(event: Event, stays: bool) -> None:
     """Noise twice as large as stated is the instrument's, 0.3 mm at the tool the machine's."""
     case, full = judged(World(poses=60, event=event, learnt=True, stated=0.5))
     assert full.whole is not None
     assert machine_error(full.whole) > 0.0
-    with monkeypatch.context() as all_stay:
-        all_stay.setattr("loopcal.statistics.judged._ABSENT", math.inf)
-        assert lean(case, full) is full  # beside a smooth discrepancy it is what that leaves
-    fewer = lean(case, full)
+    none = Rule(gain, -math.inf)
+    assert lean(case, full, none) is full  # beside a smooth discrepancy it is what that leaves
+    fewer = lean(case, full, UNCERTAIN)
     assert fewer.whole is not None
     assert (machine_error(fewer.whole) > 0.0) is stays
     # later fits of the same candidate have none either

@@ -7,16 +7,18 @@ parts: poses at random, and regions of the joint space. The risk of a candidate 
 squared distance there, averaged over both ways to leave the pose out; without outputs it is minus
 twice the log density of its loops.
 
-Of structured candidates those terms leave that the readings contradict, and the white error of
-the machine that the instrument explains as well. The one of least risk is preferred, of those that
-take no sensor as exact where there are any: exact readings make the noise of the instrument an
-error of the machine. It is taken, or without one the first method, unless another is significantly
-better: lower in both, by more than the 97.5 % point of Student's t times the standard error of the
-mean difference. Errors in one region are not independent, so regions are the units of the second;
-the units of the first are poses. Against a structured candidate both must be significant, because
-poses of a narrow set cannot show what its prior is good for elsewhere: where poses are too few for
-regions it stays. Between plain methods one is enough. What another candidate beats by the rule of
-the verdict (`loopcal.document.choice.beats`) is never taken.
+Of structured candidates those terms leave whose gain is not positive, and the white error of the
+machine that the instrument explains as well. The one of least risk is preferred, of those that take
+no sensor as exact where there are any: exact readings make the noise of the instrument an error of
+the machine. It keeps its certain terms alone where these predict within one paired standard error.
+It is taken, or without one the first method, unless another is significantly better: lower in both,
+by more than the 97.5 % point of Student's t times the standard error of the mean difference. Errors
+in one region are not independent, so regions are the units of the second; the units of the first
+are poses. Against a structured candidate both must be significant, because poses of a narrow set
+cannot show what its prior is good for elsewhere; between plain methods one is enough. What another
+beats by the rule of the verdict (`loopcal.document.choice.beats`) is never taken. Where poses are
+too few for regions, only terms leave that the readings contradict, and no significance replaces a
+structured candidate (record 0158).
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,11 +51,12 @@ from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.halves import lens_halves
 from loopcal.statistics.image_regions import image_validation
-from loopcal.statistics.judged import Judged, begun, fitted, lean
+from loopcal.statistics.judged import EXCLUDED, IDLE, UNCERTAIN, Judged, begun, fitted, lean
 from loopcal.statistics.noise_floor import excess, noise_floor
 from loopcal.statistics.risks import (
     beats,
     mean_risk,
+    predicts_as_well,
     risk_of,
     rms_of,
     rms_over,
@@ -207,9 +211,12 @@ def _compared(
     more, plan = _all_fitted([begun(one, near) for one in waiting], iterated, whole_fits, planned)
     judged = [*judged, *more]
     _refuse(judged)
-    judged = gathered(process_cores(), lean, case, judged)
+    few = plan is not None and plan.blocked is None
+    leave = partial(lean, rule=EXCLUDED if few else IDLE)
+    judged = gathered(process_cores(), leave, case, judged)
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
+        judged = judged if few else _with_fewer(case, judged, plan, executor, progress)
         judged = _refitted(judged, plan, len(case.data), executor)
     return _Compared(case, judged, plan, *_choice(judged, plan, len(case.data)))
 
@@ -317,6 +324,29 @@ def _all_fitted(
 
     outcomes: list[Any] = gathered(process_cores(), made, None, [*entrants, None])
     return outcomes[:-1], outcomes[-1]
+
+
+def _with_fewer(
+    case: Case,
+    judged: Sequence[Judged],
+    plan: Plan,
+    executor: Executor | None,
+    progress: Progress | None,
+) -> list[Judged]:
+    """What would be taken, with only those terms that are certain where that predicts as well:
+    within one paired standard error, at random poses and in regions."""
+    made = [one for one in judged if one.made]
+    if all(one.entrant.drawn for one in made):
+        return [*judged]
+    risks = {one.name: risk_of(one, plan, len(case.data)) for one in made}
+    taken = _taken(made, risks, plan)
+    fewer = lean(case, taken, UNCERTAIN)
+    if fewer is taken:
+        return [*judged]
+    (fewer,) = _validated([fewer], plan, executor, progress)
+    risk, least = risk_of(fewer, plan, len(case.data)), risks[taken.name]
+    well = not fewer.failed and predicts_as_well(risk, least, plan)
+    return [fewer if one is taken and well else one for one in judged]
 
 
 def _refitted(
@@ -467,14 +497,13 @@ def _choice(
 def _tell_order(judged: Sequence[Judged], ordered: Sequence[Judged], over: list[Candidate]) -> None:
     """Note at the first plain candidate whether its residuals depend on the pose order."""
     plain = (one for one in judged if not (one.entrant.structured or one.entrant.drawn))
-    first = next((one for one in plain if one.whole and not one.failed), None)
-    if first is None or first.whole is None:
-        return
-    whole = first.whole
-    tests = likenesses(whole.problem, whole.solution, whole.pose_equations())
-    if tests.serial:
-        i = ordered.index(first)
-        over[i] = replace(over[i], serial=tests.serial[0].serial)
+    for one in plain:
+        if (whole := one.whole) is not None and not one.failed:
+            tests = likenesses(whole.problem, whole.solution, whole.pose_equations())
+            if tests.serial:
+                i = ordered.index(one)
+                over[i] = replace(over[i], serial=tests.serial[0].serial)
+            return
 
 
 def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> Judged:
@@ -486,12 +515,9 @@ def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> 
     structured = [one for one in judged if one.entrant.structured]
     uncertain = [one for one in structured if not one.entrant.case.fit.method.exact]
     preferred = min(uncertain or structured, key=score) if structured else judged[0]
-    enough, shown = (all, plan.blocked is not None) if structured else (any, True)
-    better = [
-        one
-        for one in judged
-        if shown and significantly_better(risks[one.name], risks[preferred.name], plan, enough)
-    ]
+    enough, least = all if structured else any, risks[preferred.name]
+    rivals = judged if plan.blocked is not None or not structured else ()
+    better = [one for one in rivals if significantly_better(risks[one.name], least, plan, enough)]
     taken = min(better, key=score) if better else preferred
     # Each round lowers the rms on common poses. The bound ends a cycle of candidates that failed
     # on different ones.

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from loopcal.document.choice import DECISIVE
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
-from loopcal.estimation.noise.term_parts import idle, support
+from loopcal.estimation.noise.term_parts import Worth, gain, idle, support
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.measurements.noise import MODEL
@@ -69,16 +70,29 @@ def fitted(
     return Judged(one, whole)
 
 
-def lean(case: Case, one: Judged) -> Judged:
-    """The candidate without the terms that the readings contradict, and without the white error
-    of the machine that the stated sds of sensors explain as well; itself if there are none.
+@dataclass(frozen=True)
+class Rule:
+    """Terms leave that are worth at most so much."""
 
-    What the readings cannot show stays: its learnt sd widens the stated ones. Dimensions of the
-    drawing stay: without a term they would be exact. So does what changed along the run. Where one
-    term leaves, the readings may say more of others, so this goes on until no other leaves.
+    worth: Worth
+    least: float
+
+
+IDLE, UNCERTAIN = Rule(gain, 0.0), Rule(gain, DECISIVE)
+EXCLUDED = Rule(support, -_ABSENT)
+"""What the readings cannot show stays: its learnt sd widens the stated ones."""
+
+
+def lean(case: Case, one: Judged, rule: Rule = IDLE) -> Judged:
+    """The candidate without the terms that leave by a rule, and without the white error of
+    the machine that the stated sds of sensors explain as well; itself if there are none.
+
+    Dimensions of the drawing stay: without a term they would be exact. So does what changed along
+    the run. Where one term leaves, others may gain less or more, so this goes on until no other
+    leaves.
     """
     while one.entrant.structured and one.whole is not None and not one.failed:
-        fewer = _with_fewer_terms(case, one, one.whole) or _by_sensors(one, one.whole)
+        fewer = _with_fewer_terms(case, one, one.whole, rule) or _by_sensors(one, one.whole)
         if fewer is None:
             break
         begin = Begin.of(one.whole, fewer.case.mechanism)
@@ -93,14 +107,14 @@ def lean(case: Case, one: Judged) -> Judged:
     return one
 
 
-def _with_fewer_terms(case: Case, one: Judged, whole: FitResult) -> Entrant | None:
+def _with_fewer_terms(case: Case, one: Judged, whole: FitResult, rule: Rule) -> Entrant | None:
     learnt = whole.estimate.variances.terms if whole.estimate else None
     if learnt is None:
         return None
     keep = {name for name, _, _ in GEOMETRY_TERMS.values()}
     changed = {n for p in whole.mechanism.parameters if p.changes for n in (p.name, p.changes)}
     keep |= {t.name for t in whole.mechanism.terms if not changed.isdisjoint(t.parameters)}
-    return without_terms(case, one.entrant, idle(learnt, -_ABSENT, support, keep=keep))
+    return without_terms(case, one.entrant, idle(learnt, rule.least, rule.worth, keep=keep))
 
 
 def _by_sensors(one: Judged, whole: FitResult) -> Entrant | None:

@@ -90,6 +90,13 @@ def significantly_better(
     )
 
 
+def predicts_as_well(risk: Array, best: Array, plan: Plan) -> bool:
+    """Whether a candidate predicts within one paired standard error of another, in both ways."""
+    ways = zip(best, risk, _clusters(plan), strict=False)
+    gains = [Gain.in_rms(one, two, clusters) for one, two, clusters in ways]
+    return all(gain is None or gain.difference <= gain.sd for gain in gains)
+
+
 def _clusters(plan: Plan) -> list[Index]:
     """(N,) labels of poses whose errors belong together: at random, and in regions where any."""
     if plan.blocked is None:
