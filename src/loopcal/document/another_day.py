@@ -79,8 +79,8 @@ ANOTHER_DAY = (
     _not_consistent(
         "camera-moved",
         _NOT_AS_CALIBRATED,
-        "If it was placed anew, state it ({anew}). Otherwise inspect its support, or calibrate "
-        "anew.",
+        "If it was placed anew, state it (--anew {camera}). Otherwise inspect its support, or "
+        "calibrate anew.",
         f"{_VERIFY} --anew {{camera}}",
         shared="changed",
     ),

@@ -27,7 +27,6 @@ from loopcal.estimation.dependence.dependence import (
     covariance_under,
     dependence,
 )
-from loopcal.estimation.dependence.image_errors import ImageErrors, image_errors
 from loopcal.estimation.document_parts import absorbed, data_entry, identifiability, shares
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.noise.learning import entries, words
@@ -48,6 +47,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.small_samples import LearntCovariance
 
 if TYPE_CHECKING:
+    from loopcal.estimation.dependence.image_errors import ImageErrors
     from loopcal.estimation.noise.estimation import NoiseEstimate
     from loopcal.estimation.noise.kenward_roger import LearntParameters
 
@@ -198,6 +198,8 @@ class FitResult:
         exact = self.fit.solver.exact and self.fit.robust_loss is None
         if not exact or self.all_poses is not None or not self.status.converged:
             return None
+        from loopcal.estimation.dependence.image_errors import image_errors  # where it is used
+
         return image_errors(self.problem, self.solution, self.pose_equations())
 
     def _by_residuals(self) -> LearntCovariance:

@@ -28,13 +28,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.estimation.dependence.dependence import Drifting
-from loopcal.estimation.dependence.image_errors import ImageErrors
 from loopcal.estimation.dependence.seen import Errors, seen
 from loopcal.estimation.fit import used_noise, weighed
 from loopcal.estimation.noise.estimation import scaled
@@ -52,6 +52,9 @@ from loopcal.estimation.steps import begun_near
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.small_samples import LearntCovariance, f_limit
+
+if TYPE_CHECKING:
+    from loopcal.estimation.dependence.image_errors import ImageErrors
 
 # Chosen, not derived: far above rounding, far below an effect that counts.
 _UNPREDICTABLE = 1e-6

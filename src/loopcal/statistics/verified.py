@@ -149,7 +149,6 @@ class Verification:
             changes=words,
             joints=", ".join(changes.joints),
             camera=changes.found[0].name if changes.found else "",
-            anew=" ".join(f"--anew {one.name}" for one in changes.found),
         )
 
     def _moved(self) -> Fact | None:
