@@ -1,4 +1,4 @@
-"""Images of another day: corners that do not fit the others of their images say nothing of it.
+"""Images of another day, without the corners that do not fit the others of their images.
 
 A machine that changed moves all corners of an image together. So the readings are fitted with all
 that the calibration estimated free, and what is left of single corners is tested as on the first
@@ -33,7 +33,7 @@ _READ = 1e-4
 def fitting_corners(
     calibrated: Calibrated, data: Dataset, noise: Noise | None, remounted: bool | Sequence[str]
 ) -> Dataset:
-    """The readings without wrong corners, of which the source tells; as they are without images.
+    """The readings without wrong corners, which the source counts. Without images they stay.
 
     noise: theirs, else that of the calibration; remounted: as in `verify`. Raises InputError where
     readings or sds are missing, and for a name that is not there.

@@ -341,7 +341,7 @@ def _bracket(problem: Problem, eyes: Sequence[str], kind: str) -> Possible:
         part: list[tuple[str, float]] = []
         for eye, (t, R, rates) in zip(eyes, poses, strict=True):
             shift = -R @ (v - np.cross(w, middle)) if beside else v + np.cross(w, t - middle)
-            # In turns about one axis where two of the three are.
+            # Where two of the three axes are one, the shortest of all that do.
             angles = np.linalg.lstsq(rates, -R @ w if beside else w, rcond=1e-9)[0]
             moved = np.concatenate([shift, angles]).tolist()
             part += [(f"{eye}_{end}", by) for end, by in zip(_PLACE, moved, strict=True)]

@@ -363,9 +363,8 @@ class _Search:
                 W = self.residual.value * np.broadcast_to(np.eye(W.shape[1]), W.shape)
                 if self.residual.shared:
                     names = [problem.mechanism.tape.quantities[i] for i in pattern.predicted]
-                    read = np.any(
-                        block.J, axis=2, keepdims=True
-                    )  # corners that were not detected say nothing
+                    # Corners that were not detected say nothing.
+                    read = np.any(block.J, axis=2, keepdims=True)
                     root = self.residual.root(names)[:, : -len(names)] * read
                     W = W + root @ np.swapaxes(root, 1, 2)
             # NaN makes the merit infinite, and a step to such a place is refused.

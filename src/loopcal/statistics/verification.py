@@ -89,7 +89,7 @@ def verified(
     remounted: bool | Sequence[str] = False,
     tolerance: float | None = None,
 ) -> Verification:
-    """`verify`, of readings whose corners fit the others of their images."""
+    """`verify` of readings without wrong corners."""
     calibrated = calibrated.stationed
     mechanism = calibrated.mechanism
     copied = copies(data, mechanism.recorded, mechanism.outputs).copied

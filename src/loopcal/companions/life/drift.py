@@ -200,7 +200,7 @@ class Drifting:
         places = {p.name: p.unit for p in mechanism.parameters if p.role in _PLACES}
         for change in changes:
             if change.kind in PLACED:
-                # What sits elsewhere is turned as well, and several things move as one.
+                # What was moved was turned as well, and several things may move as one.
                 by_unit: dict[str, dict[str, float]] = {}
                 for name in moved.keys() & places.keys():
                     by_unit.setdefault(places[name], {})[name] = moved[name]

@@ -335,8 +335,8 @@ def _points(entries: Sequence[Entry]) -> dict[str, list[Point]]:
 
 
 def _models(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
-    """Method and terms of the model error of each calibration; an update keeps those of the one
-    that it began from."""
+    """Method and terms of the model error of each calibration. An update has those of the
+    calibration before it."""
     models: list[tuple[str, ...]] = []
     for entry in entries:
         label, *terms = entry.content.get("model") or [""]
