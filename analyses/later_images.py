@@ -174,7 +174,7 @@ def row(name: str, draws: Sequence[Draw]) -> str:
     if KINDS[name][1] is not None:
         parts += [_rate([one[key] for one in told]) for key in ("named", "alone")]
     refused = len(answers) - len(told)
-    return "".join(parts) + (f"  refused {refused}" if refused else "")
+    return ("".join(parts) + (f"  refused {refused}" if refused else "")).rstrip()
 
 
 def _rate(of: Sequence[bool]) -> str:
@@ -200,7 +200,7 @@ def main() -> None:
     wanted = [("robot", i) for i in range(given.first, given.first + given.robots)]
     work = partial(robot, root=folder)
     draws = complete(folder / "answers.jsonl", wanted, work, given.processes)
-    text = "\n".join([HEAD, *(row(name, draws) for name in KINDS)])
+    text = "\n".join([HEAD.rstrip(), *(row(name, draws) for name in KINDS)])
     print(text)
     if given.write:
         write_block(given.write, "later_images", text)
