@@ -34,7 +34,7 @@ from analyses.gauntlet_asked import asked
 from analyses.gauntlet_truth import turned_by
 from analyses.kept import Draw, complete
 from analyses.lives_truth import DEGREE
-from analyses.rates import interval
+from analyses.rates import rate
 from analyses.written import write_block
 
 FOLDER = Path(".cache/later-images")
@@ -170,21 +170,19 @@ def _answer(out: str, error: str, name: str, rig: Rig, changed: Rig) -> dict[str
 def row(name: str, draws: Sequence[Draw]) -> str:
     answers = [d["days"][name] for d in draws if name in d["days"]]
     told = [one for one in answers if "refused" not in one]
-    parts = [f"{name:17}{len(told):6d}", _rate([one["passed"] is not True for one in told])]
+    parts = [f"{name:17}{len(told):6d}", rate(one["passed"] is not True for one in told)]
     if KINDS[name][1] is not None:
-        parts += [_rate([one[key] for one in told]) for key in ("named", "alone")]
+        parts += [rate(one[key] for one in told) for key in ("named", "alone")]
     refused = len(answers) - len(told)
-    return ("".join(parts) + (f"  refused {refused}" if refused else "")).rstrip()
-
-
-def _rate(of: Sequence[bool]) -> str:
-    low, high = interval(sum(of), len(of))
-    held = f" ({100 * low:.0f} to {100 * high:.0f})"
-    return f"{100 * sum(of) / max(len(of), 1):9.0f}{held:14}"
+    return (
+        parts[0]
+        + "".join(f"{one:>20}" for one in parts[1:])
+        + (f"  refused {refused}" if refused else "")
+    ).rstrip()
 
 
 HEAD = f"{'later day':17}{'draws':>6}" + "".join(
-    f"{name:>9}{' [%]':14}" for name in ("changed", "named", "alone")
+    f"{name + ' [%]':>20}" for name in ("changed", "named", "alone")
 )
 
 
@@ -200,7 +198,7 @@ def main() -> None:
     wanted = [("robot", i) for i in range(given.first, given.first + given.robots)]
     work = partial(robot, root=folder)
     draws = complete(folder / "answers.jsonl", wanted, work, given.processes)
-    text = "\n".join([HEAD.rstrip(), *(row(name, draws) for name in KINDS)])
+    text = "\n".join([HEAD, *(row(name, draws) for name in KINDS)])
     print(text)
     if given.write:
         write_block(given.write, "later_images", text)

@@ -176,8 +176,8 @@ def row(kind: Kind, draws: Sequence[Draw]) -> str:
         better = f"{100 * sum(map(called_better, draws)) / max(len(draws), 1):.0f}"
     held = [d["inside"]["held"] for d in draws if not kind.later and d.get("inside")]
     return (
-        f"{kind.name:34}{len(draws):5d} {_rate(map(alarmed, draws)):>15} {_rate(names):>15}"
-        f" {_rate(map(wrong, draws)):>14} {better:>8} {sum(map(worse, draws)) or '':>5}"
+        f"{kind.name:34}{len(draws):5d} {rate(map(alarmed, draws)):>15} {rate(names):>15}"
+        f" {rate(map(wrong, draws)):>14} {better:>8} {sum(map(worse, draws)) or '':>5}"
         f" {_mean(ratios):>8} {_mean(held, 100.0, 1):>6} {over['nominal']:>8}"
         f" {over['least squares']:>8}"
     )
@@ -198,7 +198,8 @@ def _mean(values: Sequence[float], factor: float = 1.0, places: int = 2) -> str:
     return f"{factor * float(np.mean(values)):.{places}f}" if values else ""
 
 
-def _rate(of: Iterable[bool]) -> str:
+def rate(of: Iterable[bool]) -> str:
+    """In per cent, with its 95 % interval."""
     every = list(of)
     if not every:
         return ""

@@ -41,7 +41,7 @@ from loopcal.statistics.day_run import Run, faults, searched
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.joint_errors import JointErrors
-from loopcal.statistics.later_images import fitting_corners
+from loopcal.statistics.later_corners import fitting_corners
 from loopcal.statistics.other_conditions import unlike
 from loopcal.statistics.verdict import Quantile
 from loopcal.statistics.verified import Placed, Verification, WorstPose

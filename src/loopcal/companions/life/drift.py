@@ -197,16 +197,10 @@ class Drifting:
         moved: what all of them move [SI].
         """
         mechanism, sds = self.calibrated.mechanism, dict[str, float]()
-        places = {p.name: p.unit for p in mechanism.parameters if p.role in _PLACES}
         for change in changes:
             if change.kind in PLACED:
-                # What was moved was turned as well, and several things may move as one.
-                by_unit: dict[str, dict[str, float]] = {}
-                for name in moved.keys() & places.keys():
-                    by_unit.setdefault(places[name], {})[name] = moved[name]
-                for every in by_unit.values():
-                    sds |= dict.fromkeys(every, _ALLOWED * float(np.linalg.norm([*every.values()])))
-                if not change.parts and sds:
+                sds |= self._placed(moved)
+                if sds and not change.parts:
                     continue
             if change.kind == "expansion" and _TOOLS in self._steps:
                 sds[_TOOLS] = abs(change.value)
@@ -215,6 +209,16 @@ class Drifting:
                 size = shift_sd(mechanism.quantities[cause]) if other else abs(change.value)
                 sds[self._zeros.get(cause, cause)] = _ALLOWED * size
         return sds if sds.keys() <= self._steps.keys() else {}
+
+    def _placed(self, moved: Mapping[str, float]) -> dict[str, float]:
+        """Sds [SI] of all places that moved: what was shifted was turned as well, and several
+        things may move as one."""
+        parameters, sds = self.calibrated.mechanism.parameters, dict[str, float]()
+        for unit in ("m", "rad"):
+            places = {p.name for p in parameters if p.role in _PLACES and p.unit == unit}
+            sizes = {name: by for name, by in moved.items() if name in places}
+            sds |= dict.fromkeys(sizes, _ALLOWED * float(np.linalg.norm([*sizes.values()])))
+        return sds
 
     def columns(self, sds: Mapping[str, float]) -> Array:
         """(n_all, k) steps [SI] of one sd of each of these changes."""

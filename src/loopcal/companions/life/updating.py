@@ -64,7 +64,7 @@ from loopcal.small_samples import LearntCovariance, contrasts
 from loopcal.statistics.another_day import Day, as_learnt, day_problem, noise_of
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.gauge import values_of
-from loopcal.statistics.later_images import fitting_corners
+from loopcal.statistics.later_corners import fitting_corners
 from loopcal.statistics.replacing import Replaced, freed
 from loopcal.statistics.station_scales import by_same_stations
 from loopcal.statistics.verified import Verification

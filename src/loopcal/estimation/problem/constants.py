@@ -65,7 +65,9 @@ def conditions_of(mechanism: Mechanism, constants: Array) -> dict[str, tuple[flo
     Not those that date a change, the numbers of an orientation, where the search for a free body
     begins, and what no loop depends on.
     """
-    body = {name + end for name in (*BEGIN, *COLUMNS) for end in ENDS}
+    names = {*mechanism.tape.pose_constants}
+    bodies = [end for end in ENDS if names.issuperset(name + end for name in COLUMNS)]
+    body = {name + end for name in (*BEGIN, *COLUMNS) for end in bodies}
     turns = {column for orientation in mechanism.orientations for column in orientation.columns}
     used = frozenset().union(*mechanism.tape.depends_on())
     aside = {*mechanism.latest, *turns, *body, *directions(mechanism)}
