@@ -56,6 +56,10 @@ NEXT = {
         f"calibrate {P} --tolerance 0.5mm",
         f"calibrate {P} --tolerance 0.5",
     ),
+    "more folds than poses": (
+        f"calibrate {P} --folds 4000",
+        f"calibrate {P} --folds 42",
+    ),
     "no number": (f"calibrate {P} --folds ten", f"calibrate {P}"),
     "no project": ("check", f"check {P}"),
     "a project that is absent": ("check nothing-like-it.toml", f"check {P}"),

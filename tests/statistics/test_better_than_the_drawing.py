@@ -96,7 +96,7 @@ def test_an_own_machine_that_is_as_drawn_is_about_as_good() -> None:
     verdict = lc.calibrate(own, data).verdict
     assert verdict is not None
     assert verdict.better.code == "no-better"
-    assert verdict.better.words.startswith("About as good as the nominal machine")
+    assert verdict.better.words.startswith("Not significantly better than the nominal machine")
 
 
 @pytest.mark.parametrize("name", ["two_link", "crank"])

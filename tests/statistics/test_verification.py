@@ -169,6 +169,20 @@ def test_it_stands_beside_the_nominal_machine_placed_with_the_same_freedom() -> 
     assert lc.verify(result, elsewhere(arm, 5, 40).read(sds_of(arm), 2), tolerance=5e-5).failed
 
 
+def test_what_is_open_does_not_hide_that_the_machine_is_as_calibrated() -> None:
+    arm = planar_arm(60)
+    off = arm.off(2e-4, 2e-4, seed=3)
+    noise = lc.Noise(sds_of(arm))
+    result = lc.calibrate(
+        off, arm.read(sds_of(arm), 1), noise=noise, start="nominal", method="implicit-loop"
+    )
+    found = lc.verify(result, elsewhere(arm, 5, 3).read(sds_of(arm), 2))
+    assert found.verdict["consistent"].code == "unchanged"
+    assert found.verdict["better"].code == "like-nominal"
+    assert found.headline.startswith("The machine is as calibrated: ")
+    assert "does not predict these poses significantly better than the nominal" in found.headline
+
+
 def test_the_readings_of_another_result_serve_as_well() -> None:
     arm = planar_arm(40)
     day = elsewhere(arm, 5, 30).read(sds_of(arm), 2)

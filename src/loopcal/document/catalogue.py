@@ -493,7 +493,7 @@ _ROWS = (
     ),
     _better_open(
         "no-better",
-        f"About as good as {{rival}}: {_INSTEAD}",
+        f"Not significantly better than {{rival}}: {_INSTEAD}",
         "Measure more poses to decide.",
         _PLAN,
     ),
@@ -545,8 +545,8 @@ _ROWS = (
     ),
     _better_open(
         "like-nominal",
-        "The calibrated machine predicts these poses about as well as the nominal machine: "
-        f"{_PAIRED}",
+        "The calibrated machine does not predict these poses significantly better than the nominal "
+        f"machine: {_PAIRED}",
         "Measure more poses to decide.",
         "loopcal plan {project}",
     ),

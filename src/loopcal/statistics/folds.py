@@ -208,7 +208,7 @@ def folds(groups: Index, number: int, seed: int) -> tuple[Index, ...]:
             f"folds is {number}, but there are {len(distinct)} different poses",
             code="too-few-poses",
             remedy=f"use 2 to {len(distinct)} folds",
-        )
+        ).meaning(str(number), str(len(distinct)))
     # PCG64 by name: the default generator of NumPy may change, and the folds with it.
     order = np.random.Generator(np.random.PCG64(seed)).permutation(len(distinct))
     # Larger groups first, each to the emptiest fold, keeps the folds even (Graham 1969).
@@ -276,7 +276,7 @@ def blocks(mechanism: Mechanism, data: Dataset, groups: Index, number: int) -> t
             f"blocks is {number}, but there are {len(distinct)} different poses",
             code="too-few-poses",
             remedy=f"use 2 to {len(distinct)} blocks",
-        )
+        ).meaning(str(number), str(len(distinct)))
     return _regions(_features(mechanism, data), where, number)
 
 

@@ -214,10 +214,16 @@ class Verification:
 
     @property
     def headline(self) -> str:
-        """The worst answer in a sentence: what failed, then what is open, else the test."""
+        """The worst answer in a sentence: what failed, then what is open, else the test.
+
+        What is open beside a machine that is as calibrated follows that answer.
+        """
         asked = {q: a for q, a in self.verdict.items() if a.asked}
         worst = min(asked, key=lambda q: {False: 0, None: 1, True: 2}[asked[q].passed])
-        return next(one.words for one in self.findings if one.question == worst)
+        both = asked["consistent"].passed and asked[worst].passed is None
+        shown = ("consistent", worst) if both else (worst,)
+        first = {one.question: one.words for one in reversed(self.findings)}
+        return " ".join(first[question] for question in shown)
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""

@@ -44,7 +44,8 @@ def _board(reading: Reading, result: Adjusted, lens: Sequence[str]) -> Iterator[
         number = f"{1.0 + value:.4f} ± {sd:.1g}"
         sentence = (
             f"Board and robot disagree about lengths: the robot's make the board's pitch {number} "
-            "of the stated one. Measure the print, or state the pitch as a parameter."
+            "of the stated one. The calibration estimates the pitch by the robot. Measure the "
+            "print to see which of them is right."
             if name == "pitch"
             else f"Height and width of the board fit as {number} of the stated ratio, if pixels "
             "are square. Measure both on the print."
