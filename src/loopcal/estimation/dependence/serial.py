@@ -129,41 +129,34 @@ def _criterion(
     flat = columns.reshape(N * q, -1)
     # Woodbury's identity: V^-1 needs only the inverse of the band R^-1 + M.
     taken = flat.T @ cho_solve_banded((factor, False), flat)
-    left = _Left(
+    s2, criterion = _at_the_best(
         whole, whole.DD - taken[:-1, :-1], whole.DE - taken[:-1, -1], whole.EE - taken[-1, -1]
     )
-    s2 = left.variance()
-    return log_V + left.criterion(s2), s2
+    return log_V + criterion, s2
 
 
-@dataclass(frozen=True)
-class _Left:
-    """Products of D and E weighted by s^2 V^-1."""
+def _at_the_best(whole: Whole, DD: Array, DE: Array, EE: float) -> tuple[float, float]:
+    """The s^2 of largest restricted likelihood, and -2 log of it there but for log|V / s^2|.
 
-    whole: Whole
-    DD: Array
-    DE: Array
-    EE: float
-
-    def variance(self) -> float:
-        """The s^2 of largest restricted likelihood: squares left over their degrees of freedom."""
-        s2 = 1.0
-        for _ in range(50):
-            H = self.DD / s2 + self.whole.P
-            z = np.linalg.solve(H, self.DE / s2 + self.whole.offset)
-            square = self.EE - 2.0 * (z @ self.DE) + z @ self.DD @ z
-            used = float(np.trace(np.linalg.solve(H, self.DD))) / s2
-            new = max(float(square), 1e-300) / max(self.whole.equations - used, 1.0)
-            if abs(new - s2) <= 1e-6 * s2:
-                break
-            s2 = new
-        return s2
-
-    def criterion(self, s2: float) -> float:
-        """-2 log of the restricted likelihood at s^2, but for log|V / s^2|."""
-        whole = self.whole
-        H = self.DD / s2 + whole.P
-        g = self.DE / s2 + whole.offset
-        square = self.EE / s2 + whole.square - float(g @ np.linalg.solve(H, g))
-        log_H = float(np.linalg.slogdet(H)[1])
-        return whole.equations * math.log(s2) + log_H + square
+    DD, DE, EE: products of D and E weighted by s^2 V^-1.
+    """
+    # Directions with D^T D = diag(d) and P = 1 - diag(d): there every s^2 costs O(k).
+    lower = np.linalg.cholesky(DD + whole.P)
+    inverse = np.linalg.inv(lower)
+    d, Q = np.linalg.eigh(inverse @ DD @ inverse.T)
+    d = np.clip(d, 0.0, 1.0)
+    a, b = Q.T @ inverse @ DE, Q.T @ inverse @ whole.offset
+    s2 = 1.0
+    for _ in range(50):
+        h = d / s2 + 1.0 - d
+        y = (a / s2 + b) / h
+        square = EE - 2.0 * (y @ a) + y @ (d * y)
+        used = float(np.sum(d / h)) / s2
+        new = max(float(square), 1e-300) / max(whole.equations - used, 1.0)
+        if abs(new - s2) <= 1e-6 * s2:
+            break
+        s2 = new
+    h, g = d / s2 + 1.0 - d, a / s2 + b
+    left = EE / s2 + whole.square - float(g @ (g / h))
+    log_H = 2.0 * float(np.log(np.diag(lower)).sum()) + float(np.log(h).sum())
+    return s2, whole.equations * math.log(s2) + log_H + left
