@@ -26,18 +26,41 @@ def columns(mechanism: lc.Mechanism) -> list[str]:
     return [n for term in mechanism.terms if term.name == "couplings" for n in term.parameters]
 
 
+def read_from(folder: Path, urdf: str) -> lc.Mechanism:
+    path = folder / "another.urdf"
+    path.write_text(urdf)
+    return lc.assemble(lc.load_urdf(path, "base", "flange"), [lc.instruments.point("tracker")])
+
+
+WAVES = ["cos1", "sin1", "cos2", "sin2", "cos3", "sin3"]
+HELD = [
+    *(f"J2_2_coupling_{angle}{wave}" for angle in ("", "J3_", "of_J3_") for wave in WAVES),
+    *(f"J3_2_coupling_{angle}{wave}" for angle in ("", "of_J2_", "of_J2_2_J3_") for wave in WAVES),
+]
+"""By the angles of the lower arm, of the forearm, and between both: bars hold the wrist against
+the table, whatever the lower arm does."""
+
+
+def test_joints_that_follow_are_held_by_every_angle_of_their_plane(tmp_path: Path) -> None:
+    assert columns(lc.structured(arm(tmp_path))) == HELD
+
+
 def test_only_joints_that_follow_another_are_coupled(tmp_path: Path) -> None:
-    # The plate at the elbow follows J2 and carries J3 on its axis; the wrist follows J3.
-    waves = ["cos1", "sin1", "cos2", "sin2"]
-    elbow = [f"J2_2_coupling_{ahead}{wave}" for ahead in ("", "J3_") for wave in waves]
-    wrist = [f"J3_2_coupling_{wave}" for wave in waves]
-    assert columns(lc.structured(arm(tmp_path))) == elbow + wrist
     alone = PALLETISER_URDF.replace('<mimic joint="J2" multiplier="-1"/>', "")
     alone = alone.replace('<mimic joint="J3" multiplier="-1"/>', "")
-    path = tmp_path / "serial.urdf"
-    path.write_text(alone)
-    serial = lc.assemble(lc.load_urdf(path, "base", "flange"), [lc.instruments.point("tracker")])
-    assert not columns(lc.structured(serial))
+    assert not columns(lc.structured(read_from(tmp_path, alone)))
+
+
+def test_axes_are_compared_as_they_stand_and_not_as_they_are_named(tmp_path: Path) -> None:
+    """The arm drawn with all axes along z of frames that are turned: the table's and the gripper's
+    are no less perpendicular to the others."""
+    turned = 'rpy="-1.5707963267948966 0 0"/><axis xyz="0 0 1"/>'
+    drawn = PALLETISER_URDF.replace('0.3 0 0"/><axis xyz="0 1 0"/>', f'0.3 0 0" {turned}')
+    drawn = drawn.replace('"0 0 1"/><axis xyz="0 1 0"/>', '"0 -1 0"/><axis xyz="0 0 1"/>')
+    drawn = drawn.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 0 1"/>')
+    drawn = drawn.replace(f'rpy="{np.pi} 0 0"', 'rpy="-1.5707963267948966 0 0"')
+    assert drawn.count('<axis xyz="0 0 1"/>') == 6
+    assert columns(lc.structured(read_from(tmp_path, drawn))) == HELD
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
