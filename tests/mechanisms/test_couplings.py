@@ -51,6 +51,27 @@ def test_only_joints_that_follow_another_are_coupled(tmp_path: Path) -> None:
     assert not columns(lc.structured(read_from(tmp_path, alone)))
 
 
+def test_a_finger_of_joints_that_follow_one_reading_has_waves_of_one_angle(tmp_path: Path) -> None:
+    """Multiples of one angle have no waves each: three orders of one say what a reading does."""
+    follows = '<mimic joint="knuckle" multiplier="{}"/>'
+    rows = [("knuckle", "base", "bone_1", ""), ("middle", "bone_1", "bone_2", follows.format(0.9))]
+    rows.append(("tip", "bone_2", "bone_3", follows.format(0.6)))
+    joints = "".join(
+        f'<joint name="{name}" type="revolute"><parent link="{ahead}"/><child link="{behind}"/>'
+        f'<origin xyz="0.1 0 0"/><axis xyz="0 1 0"/><limit lower="0" upper="1.5" effort="1" '
+        f'velocity="1"/>{followed}</joint>'
+        f'<link name="{behind}"/>'
+        for name, ahead, behind, followed in rows
+    )
+    end = '<parent link="bone_3"/><child link="flange"/><origin xyz="0.1 0 0"/>'
+    end = f'<joint name="end" type="fixed">{end}</joint><link name="flange"/>'
+    finger = f'<robot name="finger"><link name="base"/>{joints}{end}</robot>'
+    followers = ("knuckle_2", "knuckle_3")
+    assert columns(lc.structured(read_from(tmp_path, finger))) == [
+        f"{joint}_coupling_{wave}" for joint in followers for wave in WAVES
+    ]
+
+
 def test_axes_are_compared_as_they_stand_and_not_as_they_are_named(tmp_path: Path) -> None:
     """The arm drawn with all axes along z of frames that are turned: the table's and the gripper's
     are no less perpendicular to the others."""

@@ -191,24 +191,25 @@ class Branch:
 
     def _angles(self, name: str) -> dict[str, dict[str, float]]:
         """The angles between the links that turn about the axis of a joint, ahead of it and behind:
-        by the joints between two links, the factor of each reading."""
+        by the joints between two links, the factor of each reading. One of those in proportion."""
         axes = self._axes()
         side = {joint: _side(axis, axes[name]) for joint, axis in axes.items()}
         alike = [list(run) for _, run in groupby(side, lambda joint: side[joint] != 0)]
         run = next(run for run in alike if name in run)
         between = [run[i:j] for i, j in combinations(range(len(run) + 1), 2)]
-        angles: dict[str, dict[str, float]] = {}
+        angles: dict[frozenset[tuple[str, float]], tuple[str, dict[str, float]]] = {}
         for joints in sorted(between, key=lambda joints: (joints[0] != name, len(joints))):
-            angle: dict[str, float] = defaultdict(float)
+            total: dict[str, float] = defaultdict(float)
             for joint in joints:
                 step = self.chain[self.joints[joint]]
-                angle[str(step.joint)] += step.direction * side[joint]
-            angle = {joint: factor for joint, factor in angle.items() if factor}
-            turned = {joint: -factor for joint, factor in angle.items()}
-            if angle and angle not in angles.values() and turned not in angles.values():
-                words = joints[1:] if joints[0] == name else ["of", *joints]
-                angles["".join(f"{word}_" for word in words)] = angle
-        return angles
+                total[str(step.joint)] += step.direction * side[joint]
+            angle = {joint: total[joint] for joint in sorted(total) if abs(total[joint]) > _ALIKE}
+            size = next(iter(angle.values()), 1.0)
+            way = frozenset((joint, round(factor / size, 6)) for joint, factor in angle.items())
+            words = joints[1:] if joints[0] == name else ["of", *joints]
+            if angle:
+                angles.setdefault(way, ("".join(f"{word}_" for word in words), angle))
+        return dict(angles.values())
 
     def _axes(self) -> dict[str, Array]:
         """By turning joint, its axis (3,) in the first frame, as drawn at readings of 0."""
