@@ -17,10 +17,11 @@ moment of all that stand behind it, with a compliance c [rad/(N m)]:
 
     w = c e (e . sum_k m_k g_0 (r_k - o_j) x g),    g_0 standard gravity.
 
-A joint that follows another one's reading, by bars, belts or gears, is off by a few waves: a bar of
-another length between crank and horn turns a parallelogram by (a + b cos f) / sin f, f the angle
-between arm and crank. Bars hold a link against any link ahead, whatever turns between, so that f is
-any of the angles between links that turn about one axis.
+A joint that follows another one's reading, by bars, belts or gears, is off. An eccentric wheel
+turns it by a cos f + b sin f. A bar of another length between crank and horn turns a parallelogram
+by (a + b sin f) / cos f, f the angle of arm and crank from square, nominally at readings of 0. Bars
+hold a link against any link ahead, whatever turns between, so that f is any of the angles between
+links that turn about one axis.
 
 What the tool carries is estimated where the masses of the links are known, and may be known to
 differ by pose.
@@ -63,9 +64,11 @@ MASSES = "masses"
 """Stands for all known masses behind a joint, where others name the point of a weight."""
 # Random poses show which columns act; columns equal to nine digits in all of them are one.
 _POSES, _ALIKE = 24, 1e-9
-_ORDERS = (1, 2, 3)
-"""Of the waves of a coupling. Of what bars do that are off by 0.1 mm at cranks of 0.25 m, two leave
-up to 0.2 mrad within 60 degrees from square, three leave 0.04."""
+_SHAPES = ("cos", "sin", "sec", "tan")
+"""What a coupling is off by: as an eccentric wheel, and as a bar (see the head)."""
+# Chosen, not derived: bars that carry a load stay 30 degrees and more from flat, cos^2 > 0.25.
+_FLAT = 0.05
+"""Added to cos^2 where it divides, so that no reading of a belt or gear is infinitely off."""
 _PARALLEL = 0.99
 """Cosine of two axes that are one in the drawing, up to its digits."""
 _PAYLOADS = (1.0, 5.0)
@@ -77,8 +80,8 @@ _NEXT = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
 class Column:
     """One way to give way: at `joint`, about `axis` of its link, under a weight at `load`.
 
-    own: whether the axis is that of a turning joint itself; wave: of a coupling, the angle
-    whose cosine it is off by: the factors of readings, and what is taken off.
+    about_joint: whether the axis is that of a turning joint itself; off_by: of a coupling, the
+    factors of readings in an angle, and by what function of it the joint is off.
     """
 
     parameter: str
@@ -86,7 +89,7 @@ class Column:
     axis: str
     load: str
     about_joint: bool
-    wave: tuple[tuple[tuple[str, float], ...], float] = ((), 0.0)
+    off_by: tuple[tuple[tuple[str, float], ...], str] = ((), "")
 
     @property
     def term(self) -> str:
@@ -176,18 +179,16 @@ class Branch:
         yield from self._couplings()
 
     def _couplings(self) -> Iterator[Column]:
-        """What turns a joint as the reading of another one says: harmonics of every angle that
-        bars may hold it by (docs/decisions/0152)."""
+        """What turns a joint as the reading of another one says: by every angle that bars may hold
+        it by (docs/decisions/0152)."""
         for name, i in self.joints.items():
             step = self.chain[i]
             if step.joint in (None, name) or step.motion[0] == "t":
                 continue
-            for (label, angle), order in product(self._angles(name).items(), _ORDERS):
-                factors = tuple((joint, order * factor) for joint, factor in angle.items())
-                for part, off in (("cos", 0.0), ("sin", 0.5 * np.pi)):
-                    parameter = f"{name}_coupling_{label}{part}{order}"
-                    axis, wave = step.motion[1], (factors, off)
-                    yield Column(parameter, name, axis, COUPLINGS, True, wave)
+            for (label, angle), shape in product(self._angles(name).items(), _SHAPES):
+                parameter = f"{name}_coupling_{label}{shape}"
+                off_by = tuple(angle.items()), shape
+                yield Column(parameter, name, step.motion[1], COUPLINGS, True, off_by)
 
     def _angles(self, name: str) -> dict[str, dict[str, float]]:
         """The angles between the links that turn about the axis of a joint, ahead of it and behind:
@@ -279,7 +280,7 @@ class Branch:
                 for column in on_link:
                     if column.axis == axis:
                         one = column.load
-                        does = _wave(column, x) if one == COUPLINGS else dot(e, moments[one])
+                        does = _off(column, x) if one == COUPLINGS else dot(e, moments[one])
                         angle = angle + p[column.parameter] * does
                 turn = turn + e * angle
             turns[number] = turn
@@ -491,12 +492,12 @@ def _side(axis: Array, other: Array) -> int:
     return round(cosine) if abs(cosine) > _PARALLEL else 0
 
 
-def _wave(column: Column, x: Values) -> Any:
-    factors, off = column.wave
-    angle: Any = -off
-    for joint, factor in factors:
-        angle = angle + factor * x[joint]
-    return np.cos(angle)
+def _off(column: Column, x: Values) -> Any:
+    factors, shape = column.off_by
+    angle: Any = sum(factor * x[joint] for joint, factor in factors)
+    c, s = np.cos(angle), np.sin(angle)
+    secant = c / (c * c + _FLAT)
+    return {"cos": c, "sin": s, "sec": secant, "tan": s * secant}[shape]
 
 
 def _alike(one: Array, other: Array, size: float) -> bool:
