@@ -17,9 +17,11 @@ moment of all that stand behind it, with a compliance c [rad/(N m)]:
 
     w = c e (e . sum_k m_k g_0 (r_k - o_j) x g),    g_0 standard gravity.
 
-A joint that follows another one's reading, by bars, belts or gears, is off by a few waves of its
-angle: a bar of another length between crank and horn turns a parallelogram by
-(a + b cos f) / sin f, f the angle between arm and crank.
+A joint that follows another one's reading, by bars, belts or gears, is off. An eccentric wheel
+turns it by a cos f + b sin f. A bar of another length between crank and horn turns a parallelogram
+by (a + b sin f) / cos f, f the angle of arm and crank from square, nominally at readings of 0. Bars
+hold a link against any link ahead, whatever turns between, so that f is any of the angles between
+links that turn about one axis.
 
 What the tool carries is estimated where the masses of the links are known, and may be known to
 differ by pose.
@@ -31,8 +33,10 @@ way under each arm apart, so that the joints of the other arms need not be read.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations, groupby, product
 from typing import Any, cast
 
 import numpy as np
@@ -42,6 +46,7 @@ from loopcal.expressions.engine import engine_for
 from loopcal.expressions.trace import trace
 from loopcal.expressions.vectors import cross, dot, norm, rotate, vector
 from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.chain import product as multiplied
 from loopcal.mechanisms.effects.gravity import ACCELERATION, Load, end_of
 from loopcal.mechanisms.frame import ChainFrame, Direction, Values, Vector
 from loopcal.mechanisms.structure.smooth import Smooth
@@ -59,6 +64,13 @@ MASSES = "masses"
 """Stands for all known masses behind a joint, where others name the point of a weight."""
 # Random poses show which columns act; columns equal to nine digits in all of them are one.
 _POSES, _ALIKE = 24, 1e-9
+_SHAPES = ("cos", "sin", "sec", "tan")
+"""What a coupling is off by: as an eccentric wheel, and as a bar (see the head)."""
+# Chosen, not derived: bars that carry a load stay 30 degrees and more from flat, cos^2 > 0.25.
+_FLAT = 0.05
+"""Added to cos^2 where it divides, so that no reading of a belt or gear is infinitely off."""
+_PARALLEL = 0.99
+"""Cosine of two axes that are one in the drawing, up to its digits."""
 _PAYLOADS = (1.0, 5.0)
 """Masses [kg] that a tool carries in these poses."""
 _NEXT = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
@@ -68,8 +80,8 @@ _NEXT = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
 class Column:
     """One way to give way: at `joint`, about `axis` of its link, under a weight at `load`.
 
-    own: whether the axis is that of a turning joint itself; wave: of a coupling, the angle
-    whose cosine it is off by: the factors of readings, and what is taken off.
+    about_joint: whether the axis is that of a turning joint itself; off_by: of a coupling, the
+    factors of readings in an angle, and by what function of it the joint is off.
     """
 
     parameter: str
@@ -77,7 +89,7 @@ class Column:
     axis: str
     load: str
     about_joint: bool
-    wave: tuple[tuple[tuple[str, float], ...], float] = ((), 0.0)
+    off_by: tuple[tuple[tuple[str, float], ...], str] = ((), "")
 
     @property
     def term(self) -> str:
@@ -167,24 +179,47 @@ class Branch:
         yield from self._couplings()
 
     def _couplings(self) -> Iterator[Column]:
-        """What turns a joint as the reading of another one says: harmonics of its angle, and of
-        that with the next joint's where they have one axis (docs/decisions/0152)."""
-        joints = [*self.joints.items()]
-        for (name, i), (behind, k) in zip(joints, [*joints[1:], ("", 0)], strict=True):
-            step, next_step = self.chain[i], self.chain[k]
+        """What turns a joint as the reading of another one says: by every angle that bars may hold
+        it by (docs/decisions/0152)."""
+        for name, i in self.joints.items():
+            step = self.chain[i]
             if step.joint in (None, name) or step.motion[0] == "t":
                 continue
-            turns: dict[str, tuple[tuple[str, float], ...]]
-            turns = {"": ((str(step.joint), step.direction),)}
-            if behind and next_step.motion == step.motion:
-                turns[f"{behind}_"] = (*turns[""], (str(next_step.joint), next_step.direction))
-            for label, angle in turns.items():
-                for order in (1.0, 2.0):
-                    factors = tuple((joint, order * factor) for joint, factor in angle)
-                    for part, off in (("cos", 0.0), ("sin", 0.5 * np.pi)):
-                        parameter = f"{name}_coupling_{label}{part}{order:g}"
-                        axis = step.motion[1]
-                        yield Column(parameter, name, axis, COUPLINGS, True, (factors, off))
+            for (label, angle), shape in product(self._angles(name).items(), _SHAPES):
+                parameter = f"{name}_coupling_{label}{shape}"
+                off_by = tuple(angle.items()), shape
+                yield Column(parameter, name, step.motion[1], COUPLINGS, True, off_by)
+
+    def _angles(self, name: str) -> dict[str, dict[str, float]]:
+        """The angles between the links that turn about the axis of a joint, ahead of it and behind:
+        by the joints between two links, the factor of each reading. One of those in proportion."""
+        axes = self._axes()
+        side = {joint: _side(axis, axes[name]) for joint, axis in axes.items()}
+        alike = [list(run) for _, run in groupby(side, lambda joint: side[joint] != 0)]
+        run = next(run for run in alike if name in run)
+        between = [run[i:j] for i, j in combinations(range(len(run) + 1), 2)]
+        angles: dict[frozenset[tuple[str, float]], tuple[str, dict[str, float]]] = {}
+        for joints in sorted(between, key=lambda joints: (joints[0] != name, len(joints))):
+            total: dict[str, float] = defaultdict(float)
+            for joint in joints:
+                step = self.chain[self.joints[joint]]
+                total[str(step.joint)] += step.direction * side[joint]
+            angle = {joint: total[joint] for joint in sorted(total) if abs(total[joint]) > _ALIKE}
+            size = next(iter(angle.values()), 1.0)
+            way = frozenset((joint, round(factor / size, 6)) for joint, factor in angle.items())
+            words = joints[1:] if joints[0] == name else ["of", *joints]
+            if angle:
+                angles.setdefault(way, ("".join(f"{word}_" for word in words), angle))
+        return dict(angles.values())
+
+    def _axes(self) -> dict[str, Array]:
+        """By turning joint, its axis (3,) in the first frame, as drawn at readings of 0."""
+        zero: dict[str, float] = defaultdict(float)
+        return {
+            joint: multiplied(self.chain[:i], zero, zero)[:3, "xyz".index(motion[1])]
+            for joint, i in self.joints.items()
+            if (motion := self.chain[i].motion)[0] == "r"
+        }
 
     def turns(
         self, columns: Sequence[Column], x: Values, p: Values
@@ -245,7 +280,7 @@ class Branch:
                 for column in on_link:
                     if column.axis == axis:
                         one = column.load
-                        does = _wave(column, x) if one == COUPLINGS else dot(e, moments[one])
+                        does = _off(column, x) if one == COUPLINGS else dot(e, moments[one])
                         angle = angle + p[column.parameter] * does
                 turn = turn + e * angle
             turns[number] = turn
@@ -451,12 +486,18 @@ class Sag:
         return branch.next_axis(joint, x, p)
 
 
-def _wave(column: Column, x: Values) -> Any:
-    factors, off = column.wave
-    angle: Any = -off
-    for joint, factor in factors:
-        angle = angle + factor * x[joint]
-    return np.cos(angle)
+def _side(axis: Array, other: Array) -> int:
+    """1 where two axes are parallel, -1 where they are opposite, else 0."""
+    cosine = float(axis @ other)
+    return round(cosine) if abs(cosine) > _PARALLEL else 0
+
+
+def _off(column: Column, x: Values) -> Any:
+    factors, shape = column.off_by
+    angle: Any = sum(factor * x[joint] for joint, factor in factors)
+    c, s = np.cos(angle), np.sin(angle)
+    secant = c / (c * c + _FLAT)
+    return {"cos": c, "sin": s, "sec": secant, "tan": s * secant}[shape]
 
 
 def _alike(one: Array, other: Array, size: float) -> bool:

@@ -107,7 +107,7 @@ def structured(
       Gravity pulls along `Mechanism.gravity`;
     - compliance, where masses or a payload are known: JOINT_yield [rad/(N m)] of each turning joint
       (median 1e-5, a stiffness of 1e5 N m/rad), to the moment of all known masses behind it;
-    - couplings, of joints that follow another one's reading: JOINT_2_coupling_cos1 ... [rad]
+    - couplings, of joints that follow another one's reading: JOINT_2_coupling_cos ... [rad]
       (median 0.2 mrad), where bars, belts or gears are off;
     - harmonics: JOINT_cos1 ... JOINT_sin2 [rad] of turning joints (median 0.1 mrad), and
       JOINT_scale of slides (median 1e-4);
