@@ -123,6 +123,30 @@ def test_a_slip_is_modelled_and_an_outlier_discarded_and_both_are_said(result: l
     assert document.validation.accuracy.rms < 4e-4
 
 
+@pytest.mark.parametrize("poses", [20, 48])
+def test_an_outlier_alone_is_left_out_of_the_fit_as_well(poses: int) -> None:
+    data = sagging(read(joints(poses, 4), 4))
+    bent = data.with_readings({"y": data["y"] + 0.02 * (np.arange(poses) == 12)})
+    document, whole = told(bent).document, told(data).document
+    assert document.change_points is not None
+    assert document.change_points.found == ()
+    assert document.data.discarded == ("13",)
+    assert whole.data.discarded == ()
+    (finding,) = (one for one in findings_of(document) if one.code == "outliers")
+    assert finding.words == "1 pose does not fit the others (13; left out of the fit)."
+    assert document.validation is not None
+    assert document.validation.accuracy is not None
+    assert whole.validation is not None
+    assert whole.validation.accuracy is not None
+    assert document.validation.accuracy.rms < 1.3 * whole.validation.accuracy.rms
+
+
+def test_where_a_fifth_of_the_poses_do_not_fit_none_is_left_out() -> None:
+    data = sagging(read(joints(48, 4), 4))
+    bent = data.with_readings({"y": data["y"] + 0.02 * (np.arange(48) % 5 == 0)})
+    assert told(bent).document.data.discarded == ()
+
+
 def test_what_the_chosen_fit_alone_shows_is_modelled(monkeypatch: pytest.MonkeyPatch) -> None:
     levels = []
 

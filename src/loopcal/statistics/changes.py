@@ -1,10 +1,11 @@
 """What happened during a run, modelled before methods compete: slips, and poses that do not fit.
 
 A reflector that slipped bends every machine that is fitted to all poses alike. Change points that
-are certain become effects, and gross outliers beside them are discarded. Only a fit with a
-structured model error is trusted to tell: under a plain fit the error of the machine model itself
-changes from region to region, and looks the same. Images have no such fit; theirs with all sensors
-uncertain has to do, and a change in an order that the joints show is none (`ChangePoint.imitated`).
+are certain become effects, and gross outliers are discarded, whether anything slipped or not. Only
+a fit with a structured model error is trusted to tell: under a plain fit the error of the machine
+model itself changes from region to region, and looks the same. Images have no such fit; theirs with
+all sensors uncertain has to do, and a change in an order that the joints show is none
+(`ChangePoint.imitated`).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from loopcal.estimation.fit import Fit, modelled
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.effects.effect import with_effects
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.station import standing
 from loopcal.statistics.case import Case
 from loopcal.statistics.change_points import apart, find_shifts
@@ -39,8 +40,13 @@ CERTAIN = 1e-6
 # Chosen, not derived: each further search costs a fit.
 ROUNDS = 2
 """Searches: the second on the fit with what the first found."""
-MOST_OUTLIERS = 0.03
-"""Where more of the poses do not fit, none is discarded: the model is at fault, or the sds."""
+MOST_OUTLIERS = 0.1
+"""Where more of the poses, and more than one, do not fit, none is discarded: the model is at fault,
+or the sds."""
+# Chosen, not derived: a distance is certain (CERTAIN, three coordinates) from 4 times its mean on,
+# and the search costs as much as a fit where poses are many.
+GROSS, FEW = 4.0, 60
+"""Of fewer poses outliers are always sought, of more where one is as many times the mean off."""
 NUMBER = "pose_of_calibration"
 """The known constant that dates the changes: no file has it, so predictions hold after the last."""
 
@@ -73,6 +79,11 @@ class Changes:
         before = self.plain.mechanism.parameters.names
         return tuple(n for n in self.case.mechanism.parameters.names if n not in before)
 
+    @property
+    def happened(self) -> bool:
+        """Whether the case is another one than was asked for."""
+        return bool(self.points or self.outliers)
+
     def words(self) -> str:
         """For the sentence on the choice."""
         words = ""
@@ -97,8 +108,8 @@ class Changes:
 
     @property
     def discarded(self) -> tuple[Outlier, ...]:
-        """The outliers that were left out beside modelled changes."""
-        return tuple(self.outliers.values()) if self.points else ()
+        """The outliers that were left out."""
+        return tuple(self.outliers.values())
 
 
 def unchanged(case: Case) -> Changes:
@@ -119,7 +130,7 @@ def changes(case: Case, way: Fit, whole: FitResult, level: float = CERTAIN) -> C
         searched = find_shifts(whole)
         run_changes = replace(run_changes, searched=searched)
         new = [p for p in searched.told_apart if p.p_value < level and apart(p, run_changes.points)]
-        if not new:
+        if not new and (run_changes.happened or not _may_hold_outliers(whole)):
             break
         # Before what slipped is modelled, a slip looks like a drift of the same things.
         slipped = {p.names for p in new if p.until is None}
@@ -127,16 +138,23 @@ def changes(case: Case, way: Fit, whole: FitResult, level: float = CERTAIN) -> C
         if len(kept) < len(run_changes.points):
             rounds, run_changes = rounds + 1, replace(run_changes, points=kept)
         try:
-            run_changes = _modelled(case, way, run_changes, new)
+            full = case
+            if new:
+                full, run_changes = _modelled(case, way, run_changes, new)
+            run_changes = _without_outliers(case, full, way, run_changes)
         except (InputError, NoTrustworthyResult):
+            break
+        if not run_changes.happened:
             break
         assert run_changes.whole is not None
         whole = run_changes.whole
     return run_changes
 
 
-def _modelled(case: Case, way: Fit, run_changes: Changes, new: Sequence[ChangePoint]) -> Changes:
-    """The case with further changes and without what then does not fit, and its fit."""
+def _modelled(
+    case: Case, way: Fit, run_changes: Changes, new: Sequence[ChangePoint]
+) -> tuple[Case, Changes]:
+    """All poses with further changes; those that were kept, and their fit."""
     number = {pose: i + 1 for i, pose in enumerate(case.data.poses)}
     points = (
         replace(
@@ -150,29 +168,57 @@ def _modelled(case: Case, way: Fit, run_changes: Changes, new: Sequence[ChangePo
     modelled_points = tuple(sorted((*run_changes.points, *points), key=lambda point: point.number))
     made = with_shifts(case.mechanism, case.data, modelled_points, column=NUMBER)
     full = replace(case, mechanism=made.mechanism, data=made.data)
-    part = _kept(case, full, run_changes.kept)
-    # The machine has the prior already.
-    machine = modelled(way, way.with_prior(part.case.mechanism), part.case.data)
-    way = way.changed(prior=None)
-    whole = replace(part.case, mechanism=machine, fit=way).calibrated()
-    if not whole.status.converged:
-        raise NoTrustworthyResult("the fit with the changes did not converge", code="not-converged")
-    tests, outliers = find_poses(whole), dict(run_changes.outliers)  # columns were tried before
-    bad = {one.pose: one for one in tests.found if one.p_value * tests.tested < CERTAIN}
-    if bad and len(bad) + len(outliers) <= MOST_OUTLIERS * len(case.data):
-        kept = [i for i in part.kept if case.data.poses[i] not in bad]
-        part = _kept(case, full, np.array(kept, dtype=np.intp))
-        outliers |= bad
-        whole = replace(part.case, mechanism=machine, fit=way).calibrated()
-    return replace(
-        part,
+    fitted = replace(
+        _kept(case, full, run_changes.kept),
         points=modelled_points,
-        outliers=outliers,
+        outliers=run_changes.outliers,
         searched=run_changes.searched,
         toml=shift_lines(case.data, modelled_points),
-        whole=whole,
-        made=machine,
     )
+    return full, _fitted(way, fitted)
+
+
+def _without_outliers(case: Case, full: Case, way: Fit, run_changes: Changes) -> Changes:
+    """Without the poses that certainly do not fit, and fitted anew, where these are few.
+
+    full: all poses of the case, with the changes.
+    """
+    assert run_changes.whole is not None
+    tests, outliers = find_poses(run_changes.whole), dict(run_changes.outliers)
+    bad = {one.pose: one for one in tests.found if one.p_value * tests.tested < CERTAIN}
+    most = max(MOST_OUTLIERS * len(case.data), 1)
+    if not bad or len(bad) + len(outliers) > most:
+        return run_changes
+    kept = [i for i in run_changes.kept if case.data.poses[i] not in bad]
+    part = _kept(case, full, np.array(kept, dtype=np.intp))
+    less = replace(run_changes, case=part.case, plain=part.plain, kept=part.kept)
+    return _fitted(way, replace(less, outliers=outliers | bad))
+
+
+def _fitted(way: Fit, run_changes: Changes) -> Changes:
+    """With the fit of the case by a structured candidate."""
+    case = run_changes.case
+    machine = run_changes.made or modelled(way, way.with_prior(case.mechanism), case.data)
+    # The machine has the prior already.
+    fit = way.changed(prior=None)
+    whole = replace(case, mechanism=machine, fit=fit).calibrated()
+    if not whole.status.converged:
+        raise NoTrustworthyResult("the fit with the changes did not converge", code="not-converged")
+    return replace(run_changes, whole=whole, made=machine)
+
+
+def _may_hold_outliers(whole: FitResult) -> bool:
+    """Whether some pose is so far off that the search for outliers is worth its cost.
+
+    Corners of images have a search of their own, before the fit.
+    """
+    if any(family.form == PIXELS for family in whole.mechanism.families):
+        return False
+    after = whole.accuracy_after
+    if after is None:
+        return False
+    kinds = [after, *filter(None, [after.orientation])]
+    return after.poses < FEW or any(one.max > GROSS * one.mean for one in kinds)
 
 
 def _kept(case: Case, full: Case, kept: NDArray[np.intp]) -> Changes:

@@ -137,10 +137,10 @@ def choose(
 
     over = compared(judged, [one for one in waiting if not _tells(one)])
     taken = over.taken
-    if taken.entrant.structured and not run_changes.points:
+    if taken.entrant.structured and not run_changes.happened:
         # What is taken may show what the candidate that was searched does not.
         run_changes = _changes(case, taken, NOT_SEARCHED.level) or run_changes
-        if run_changes.points:
+        if run_changes.happened:
             over = compared([], [])
     case, plan, taken, validation = over.case, over.plan, over.taken, over.validation
     about_images: dict[str, Any] = {}
@@ -196,7 +196,7 @@ def _compared(
     """
     near = next((one.whole for one in judged if one.whole and not one.failed), None)
     whole_fits: dict[str, FitResult | None] = {}
-    if run_changes.points:
+    if run_changes.happened:
         case, near, whole_fits = (
             run_changes.case,
             run_changes.whole,
@@ -283,7 +283,7 @@ def _searched(
             done[one.name] = one
             if fit_changes is not None:
                 run_changes = fit_changes
-                if run_changes.points:
+                if run_changes.happened:
                     break
     judged = [*judged, *(done[one.name] for one in telling if one.name in done)]
     if run_changes is None:

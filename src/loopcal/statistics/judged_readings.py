@@ -97,11 +97,12 @@ class Readings:
             return None
         several = len(count) > 1 or len(bad) > 1 or len(corners) > 1
         bad = tuple(dict.fromkeys([*bad, *corners]))
+        gone = "; left out of the fit" if bad and set(bad) <= {*self.data.discarded} else ""
         return fact(
             "outliers",
             Where(poses=bad),
             {"poses": len(bad)},
-            named=", ".join(bad[:5]) + (", ..." if len(bad) > 5 else ""),
+            named=", ".join(bad[:5]) + (", ..." if len(bad) > 5 else "") + gone,
             count=" and ".join(count) + (" do" if several else " does"),
         )
 

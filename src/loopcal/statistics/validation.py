@@ -39,7 +39,7 @@ from loopcal.measurements.noise import Noise
 from loopcal.presentation.brief import brief
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.case import Case, of_poses, taken
+from loopcal.statistics.case import NEAR, Case, of_poses, taken
 from loopcal.statistics.folds import (
     Index,
     Parts,
@@ -344,7 +344,11 @@ class _Begun:
         fit = replace(case.fit, start=dict(whole.value), prior=None)
         rough = bool(whole.mechanism.learnt_terms) or fit.solver.weighting is Weighting.READ
         enough = NEARLY if rough else ENOUGH
-        fit = replace(fit, tolerance=fit.tolerance or enough)
+        most = min(fit.max_iterations, NEAR)
+        fit = replace(fit, tolerance=fit.tolerance or enough, max_iterations=most)
+        # A rival that does not arrive without some poses is no reason to wait (record 0157).
+        anew = min(case.fit.max_iterations, max(NEAR, 2 * whole.status.iterations))
+        case = replace(case, fit=replace(case.fit, max_iterations=anew))
         same = len(case.data) == whole.problem.count  # no copied rows went
         near = Case(whole.mechanism, case.data, noise, fit, near=unread(whole) if same else {})
         plain = fit.robust_loss is None and fit.solver.weighting is not Weighting.READ

@@ -77,8 +77,8 @@ def solve_reweighted(
 ) -> Solution:
     """The fixed point of reweighting, from the problem's start.
 
-    max_iterations: of rounds, and of steps in each; tolerance: converged when a round moves no
-    parameter by more sds than this, _STEP if None. The steps of a round are no finer than it needs.
+    max_iterations: of all rounds together; tolerance: converged when a round moves no parameter by
+    more sds than this, _STEP if None. The steps of a round are no finer than it needs.
 
     Its covariance is (sum D^T D + prior)^-1 with D taken at the readings. chi_squared is that of
     the corrections that close the loops at the end point.
@@ -91,13 +91,13 @@ def solve_reweighted(
         corrections = start_corrections(likelihood, problem.start)
         corrections = likelihood.sweep(problem.start, corrections, closing=NEAR).proposal
         parameters, iterations, moved = problem.start, 0, 1.0
-        for _ in range(max(max_iterations, 1)):
+        while True:
             weights = _weights(likelihood, parameters, corrections)
             held = _held(problem, parameters, corrections)
             inner = InMemory(_Reweighted(held, weights, likelihood.rounding, loss))
             inner_end = solve_with(
                 inner,
-                max_iterations=max_iterations,
+                max_iterations=max(max_iterations - iterations, 0),
                 tolerance=max(_LOOSE * min(moved, 1.0), 0.1 * least),
                 progress=progress,
             )
@@ -108,7 +108,8 @@ def solve_reweighted(
             sds = np.sqrt(np.maximum(np.diag(inner_end.spectrum.covariance()), 1e-300))
             before, moved = moved, float(np.abs(step[problem.free] / sds).max())
             stuck = _NO_LONGER * before <= moved <= _ROUNDING
-            if not inner_end.status.converged or moved <= least or stuck:
+            ended = moved <= least or stuck or iterations >= max_iterations
+            if ended or not inner_end.status.converged:
                 break
         end = likelihood.sweep(parameters, corrections)
         reason = inner_end.status.reason
