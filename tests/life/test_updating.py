@@ -61,6 +61,20 @@ def test_in_a_linear_problem_it_equals_fitting_everything_at_once() -> None:
     assert found.chi_squared.degrees_of_freedom == 20
 
 
+def test_a_pose_that_does_not_fit_is_left_out_of_an_update() -> None:
+    given = setup("six-axis spherical")
+    data = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1).dataset
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    first = lc.calibrate(nominal, data.take(FIRST), noise=given.noise, method="implicit-loop")
+    later, wrong = data.take(SECOND), np.arange(len(SECOND)) == 7
+    output = first.mechanism.outputs[0]
+    bent = later.with_readings({output: later[output] + 0.02 * wrong})
+    found, without = lc.update(first, bent), lc.update(first, later.take(np.flatnonzero(~wrong)))
+    assert found.document.data.discarded == (later.poses[7],)
+    assert any("discarded from the fit" in words for words in found.document.warnings)
+    assert np.abs((values(found) - values(without)) / sds(without)).max() < 1e-2
+
+
 def half(same_place: bool) -> tuple[lc.Result, lc.Result]:
     """An arm updated by its second half of poses, and calibrated by all."""
     given = setup("six-axis spherical")

@@ -154,6 +154,18 @@ def test_parts_of_the_machine_that_do_the_same_change_together() -> None:
         assert all(f"{name}_from{point.number}" in made for name in point.names)
 
 
+def test_such_a_change_along_another_day_is_named_as_well() -> None:
+    result = fitted(read(joints(80, 9), 9))
+    poses = joints(60, 0)
+    for i in (3, 5):
+        poses[f"theta_{i}"] *= 0.03
+    day = joined(read(poses, 0), read(poses, 0, {"x4": 3e-4}), 30)
+    done = lc.verify(result, day)
+    (point,) = done.shifts.found
+    assert {"theta_5", "x4"} <= {*point.names}
+    assert done.verdict["consistent"].code == "change-points"
+
+
 def test_two_zero_shifts_of_a_wire_are_found_and_the_refit_gives_the_noise_back() -> None:
     arm = lc.Mechanism.from_function(
         lambda x, p: (

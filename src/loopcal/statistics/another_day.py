@@ -21,6 +21,7 @@ from loopcal.statistics.innovation import Linearised, components_of
 from loopcal.statistics.joint_errors import JointErrors
 from loopcal.statistics.possible_changes import (
     ALONG_A_RUN,
+    Possible,
     changed_share,
     possible,
     unit_of,
@@ -130,7 +131,9 @@ class Day:
         columns = []
         for point in self.moved:
             share = changed_share(row, point.number, point.until)
-            columns.append(share * causes[point.names].columns(placement.columns))
+            # what is no cause by itself is several parts of a link at once
+            cause = causes.get(point.names) or Possible("link", point.names)
+            columns.append(share * cause.columns(placement.columns))
         return np.hstack(columns)
 
     def without(self, poses: NDArray[np.intp]) -> Day:

@@ -86,6 +86,7 @@ class Readings:
         few = 2 * poses < self.data.used or 2 * len(bad) > poses
         if by_residuals and few:
             bad = ()
+        bad = tuple(dict.fromkeys([*self.data.discarded, *bad]))
         count = [] if not bad else [f"{len(bad)} poses" if len(bad) > 1 else "1 pose"]
         if corners:
             images = len(set(corners))
@@ -97,7 +98,7 @@ class Readings:
             return None
         several = len(count) > 1 or len(bad) > 1 or len(corners) > 1
         bad = tuple(dict.fromkeys([*bad, *corners]))
-        gone = "; left out of the fit" if bad and set(bad) <= {*self.data.discarded} else ""
+        gone = "; left out of the fit" if set(bad) <= {*self.data.discarded} else ""
         return fact(
             "outliers",
             Where(poses=bad),

@@ -141,6 +141,10 @@ def updated(
     data = fitting_corners(calibrated, data, stated, since.remounted)
     calibrated = replace(calibrated, residual=None)
     allowance = allowed(calibrated, data, since, stated)
+    if (gone := np.flatnonzero(np.isin(data.poses, allowance.check.outliers))).size:
+        kept = np.setdiff1d(np.arange(len(data)), gone)
+        data, stated = data.without_outliers(gone), stated and stated.take(kept)
+        allowance = allowed(calibrated, data, since, stated)
     drift = allowance.drift
     held = stated is not None
     if stated is None:
