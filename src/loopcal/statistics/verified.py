@@ -222,8 +222,10 @@ class Verification:
         worst = min(asked, key=lambda q: {False: 0, None: 1, True: 2}[asked[q].passed])
         both = asked["consistent"].passed and asked[worst].passed is None
         shown = ("consistent", worst) if both else (worst,)
-        first = {one.question: one.words for one in reversed(self.findings)}
-        return " ".join(first[question] for question in shown)
+        return " ".join(
+            next(one.words for one in self.findings if one.question == question)
+            for question in shown
+        )
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
