@@ -21,6 +21,7 @@ from loopcal.document.change_points import ChangePoint, ChangePoints, Shifts, wh
 from loopcal.document.findings import Outlier
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.fit import Fit, modelled
+from loopcal.estimation.problem.problem import Weighting
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.effects.effect import with_effects
@@ -181,18 +182,42 @@ def _modelled(
 def _without_outliers(case: Case, full: Case, way: Fit, run_changes: Changes) -> Changes:
     """Without the poses that certainly do not fit, and fitted anew, where these are few.
 
-    full: all poses of the case, with the changes.
+    full: all poses of the case, with the changes. Where a fit takes the joints as exact, the noise
+    of a coarse one makes outliers: a fit with all sensors uncertain must name them as well.
     """
     assert run_changes.whole is not None
-    tests, outliers = find_poses(run_changes.whole), dict(run_changes.outliers)
-    bad = {one.pose: one for one in tests.found if one.p_value * tests.tested < CERTAIN}
+    outliers, bad = dict(run_changes.outliers), _certain(run_changes.whole)
     most = max(MOST_OUTLIERS * len(case.data), 1)
     if not bad or len(bad) + len(outliers) > most:
+        return run_changes
+    named = _named_carefully(case, way, run_changes) if way.method.exact else None
+    bad = {pose: one for pose, one in bad.items() if named is None or pose in named}
+    if not bad:
         return run_changes
     kept = [i for i in run_changes.kept if case.data.poses[i] not in bad]
     part = _kept(case, full, np.array(kept, dtype=np.intp))
     less = replace(run_changes, case=part.case, plain=part.plain, kept=part.kept)
     return _fitted(way, replace(less, outliers=outliers | bad))
+
+
+def _certain(whole: FitResult) -> dict[str, Outlier]:
+    """The poses that certainly do not fit, by id."""
+    tests = find_poses(whole)
+    return {one.pose: one for one in tests.found if one.p_value * tests.tested < CERTAIN}
+
+
+def _named_carefully(case: Case, way: Fit, run_changes: Changes) -> set[str] | None:
+    """The poses that do not fit where all sensors are uncertain; None without such a fit."""
+    methods = case.fit.among(case.data, case.noise)
+    able = (m for m in methods if not m.exact and m.weighting is not Weighting.READ)
+    if (method := next(able, None)) is None:
+        return None
+    try:
+        judged = _fitted(way.changed(method=method), run_changes).whole
+    except (InputError, NoTrustworthyResult):
+        return None
+    assert judged is not None
+    return {one.pose for one in find_poses(judged).found}
 
 
 def _fitted(way: Fit, run_changes: Changes) -> Changes:
