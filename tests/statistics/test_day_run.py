@@ -121,10 +121,26 @@ class TestEach:
         assert any(point.shape == "ramp" for point in found.shifts.found)
 
     def test_one_pose_far_off_is_named_and_not_the_machine(self, world: World) -> None:
-        found = later(world, event=one_off)
+        found, clean = later(world, event=one_off), later(world)
         assert found.outliers == ("6",)
-        assert found.verdict["consistent"].passed is False
-        assert {"errors-larger", "outliers"} == {*found.verdict["consistent"].codes}
+        answer = found.verdict["consistent"]
+        assert (answer.passed, answer.codes) == (None, ("outliers", "unchanged"))
+        assert found.calibrated is not None
+        assert clean.calibrated is not None
+        assert found.calibrated.rms < 1.1 * clean.calibrated.rms
+        assert found.worst[0].pose == "6"
+
+    def test_a_pose_far_off_hides_no_zero_that_moved(self, world: World) -> None:
+        def both(run: Run, rng: Rng) -> None:
+            run.encoders[:, 4] += np.deg2rad(0.05)
+            one_off(run, rng)
+
+        found = later(world, event=both)
+        assert found.outliers == ("6",)
+        assert found.changes is not None
+        (change,) = found.changes.found
+        assert change.zeros == ("q5",)
+        assert not found.shifts.found
 
     def test_an_error_that_nothing_explains_is_not_as_calibrated(self, world: World) -> None:
         found = later(world, event=loose)

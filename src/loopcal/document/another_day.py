@@ -144,7 +144,7 @@ ANOTHER_DAY = (
     ),
     _consistent_open(
         "poses-unlike",
-        "{count} not fit the others ({named}).",
+        "{count} not fit the others ({named}); accuracies leave {them} out.",
         "Inspect these poses; measure them again or exclude them, then verify again.",
         _VERIFY,
         shared="outliers",

@@ -137,22 +137,9 @@ class Day:
         return np.hstack(columns)
 
     def without(self, poses: NDArray[np.intp]) -> Day:
-        """The day without the poses at these positions."""
+        """The day without the poses at these positions, before anything is seen to move."""
         kept = np.setdiff1d(np.arange(len(self.problem.poses)), poses)
-        gone = np.isin(pose_order(self.problem), poses)
-
-        def left(number: int) -> int:
-            return number - int(gone[: number - 1].sum())
-
-        moved = tuple(
-            replace(
-                one,
-                number=left(one.number),
-                until=None if one.until is None else left(one.until),
-            )
-            for one in self.moved
-        )
-        return replace(self, problem=taken(self.problem, kept), moved=moved)
+        return replace(self, problem=taken(self.problem, kept))
 
     def as_drawn(self) -> Day:
         """The same poses at the machine as drawn."""

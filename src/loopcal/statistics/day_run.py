@@ -12,15 +12,19 @@ other. Where the machine misses the readings by far, the file may be at fault (`
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.chi_squared import tail
-from loopcal.document.change_points import NOT_SEARCHED, Shifts
+from loopcal.document.change_points import NOT_SEARCHED, ChangePoint, Shifts
 from loopcal.document.findings import ColumnFault
+from loopcal.estimation.dependence.dependence import pose_order
 from loopcal.estimation.faults.search import column_faults
+from loopcal.estimation.problem.problem import Problem
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.change_points import Search, searchable
 from loopcal.statistics.change_tests import Explained
@@ -34,6 +38,7 @@ _LEVEL = 0.01
 """Probability of calling any of the poses unlike the others where all are good."""
 # Chosen, not derived: where more are unlike the others, it is the machine or the sds.
 _MOST = 0.1
+NO_POSES: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,38 @@ class Run:
 
     shifts: Shifts = NOT_SEARCHED
     outliers: tuple[int, ...] = ()
+
+    def among(self, problem: Problem, outliers: NDArray[np.intp]) -> Run:
+        """The same where all poses of a day are counted, those that were left out too."""
+        numbers = np.flatnonzero(~np.isin(pose_order(problem), outliers)) + 1
+
+        def counted(points: tuple[ChangePoint, ...]) -> tuple[ChangePoint, ...]:
+            return tuple(
+                replace(
+                    one,
+                    number=int(numbers[one.number - 1]),
+                    until=None if one.until is None else int(numbers[one.until - 1]),
+                )
+                for one in points
+            )
+
+        shifts = replace(
+            self.shifts,
+            found=counted(self.shifts.found),
+            unsure=counted(self.shifts.unsure),
+            told_apart=counted(self.shifts.told_apart),
+        )
+        return Run(shifts, tuple(outliers.tolist()))
+
+
+def with_further(
+    problem: Problem, outliers: NDArray[np.intp], further: Sequence[int]
+) -> NDArray[np.intp] | None:
+    """The positions of outliers, with further ones among the poses that are left; None where they
+    are too many."""
+    left = np.setdiff1d(np.arange(len(problem.poses)), outliers)
+    every = np.union1d(outliers, left[list(further)])
+    return None if len(every) > max(1.0, _MOST * len(problem.poses)) else every
 
 
 def faults(day: Day, linear: Linearised) -> tuple[ColumnFault, ...]:

@@ -347,8 +347,8 @@ class _Begun:
         most = min(fit.max_iterations, NEAR)
         fit = replace(fit, tolerance=fit.tolerance or enough, max_iterations=most)
         # A rival that does not arrive without some poses is no reason to wait (record 0157).
-        anew = min(case.fit.max_iterations, max(NEAR, 2 * whole.status.iterations))
-        case = replace(case, fit=replace(case.fit, max_iterations=anew))
+        limit = min(case.fit.max_iterations, max(NEAR, 2 * whole.status.iterations))
+        case = replace(case, fit=replace(case.fit, max_iterations=limit))
         same = len(case.data) == whole.problem.count  # no copied rows went
         near = Case(whole.mechanism, case.data, noise, fit, near=unread(whole) if same else {})
         plain = fit.robust_loss is None and fit.solver.weighting is not Weighting.READ

@@ -37,7 +37,7 @@ from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated, ResidualVariance
 from loopcal.statistics.change_tests import what_changed
 from loopcal.statistics.changed import DRIFT_OR_CHANGE, WhatChanged
-from loopcal.statistics.day_run import Run, faults, searched
+from loopcal.statistics.day_run import NO_POSES, Run, faults, searched, with_further
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.joint_errors import JointErrors
@@ -131,12 +131,20 @@ def check_tolerance(tolerance: float | None) -> None:
 
 
 def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> Verification:
-    linear = day.linearised()
-    placement, mechanism = linear.placement, day.problem.mechanism
+    linear, problem = day.linearised(), day.problem
+    columns = faults(day, linear)
+    changes, run = (None, Run()) if columns else _searched(day, linear)
+    # Poses that do not fit the others say nothing of the machine, but a tolerance counts them.
+    rest, judged = day, linear
+    if run.outliers:
+        rest = day.without(np.array(run.outliers, dtype=np.intp))
+        judged = rest.linearised()
+    placement, mechanism = judged.placement, problem.mechanism
     apart = deviations(mechanism, placement.measured, placement.differences)
     distances, nominal, gain, unplaced = by_pose(apart), None, None, None
+    every = _sizes(linear)
     try:
-        drawn = day.as_drawn().placed()
+        drawn = rest.as_drawn().placed()
     except (InputError, NoTrustworthyResult) as error:
         unplaced = error.message
     else:
@@ -144,13 +152,13 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
         nominal, others = _distances(apart_as_drawn), by_pose(apart_as_drawn)
         if distances is not None and others is not None:
             gain = Gain.in_rms(np.square(distances), np.square(others))
-    calibrated, (expected, chance) = _distances(apart), _expected(linear, day.calibrated.residual)
+    calibrated, (expected, chance) = _distances(apart), _expected(judged, day.calibrated.residual)
     rare = 1.0 if calibrated is None else chance(calibrated.rms)
-    columns = faults(day, linear)
-    changes, run = (None, Run()) if columns else _searched(day, linear)
-    known = dict(zip(mechanism.tape.pose_constants, day.problem.pose_constants, strict=True))
+    known = dict(zip(mechanism.tape.pose_constants, problem.pose_constants, strict=True))
+    outliers = tuple(problem.poses[i] for i in run.outliers)
+    worst = (*(one for one in _worst(linear) if one.pose in outliers), *_worst(judged))
     return Verification(
-        poses=day.problem.poses,
+        poses=problem.poses,
         unit=main_unit(apart) or "m",
         calibrated=calibrated,
         nominal=nominal,
@@ -158,14 +166,14 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
         gain=gain,
         innovation=linear.innovation() if changes is None else changes.test,
         changes=changes,
-        placed=_placed(linear, day.freed),
-        worst=_worst(day.problem, distances, linear.by_pose().squares),
-        quantile=None if distances is None else Quantile.of(distances),
+        placed=_placed(judged, day.freed),
+        worst=worst[:_WORST],
+        quantile=None if every is None else Quantile.of(every),
         tolerance=tolerance,
         unplaced=unplaced,
         faults=columns,
         shifts=run.shifts,
-        outliers=tuple(day.problem.poses[i] for i in run.outliers),
+        outliers=outliers,
         rare=rare,
         copied=copied,
         repeated=repeated,
@@ -185,29 +193,37 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     """What changed since the calibration, and during the run.
 
     What happens during a run looks like changes before it, and these like a step at its begin: the
-    run is searched beside the changes, and then the changes beside what it shows. Where the joints
+    run is searched beside the changes, and then the changes beside what it shows. Poses that do
+    not fit the others look like both, so all of it is searched again without them. Where the joints
     tell the order of the poses, a drift of the instrument may explain the changes, and anywhere
     errors of joints that poses share.
     """
+    whole, every, outliers = day, day.problem, NO_POSES
     explained = what_changed(day, linear)
     if explained is None:
         return None, Run()
     run = searched(explained)
-    if run.shifts.found or run.outliers:
-        moved = replace(day, moved=run.shifts.found)
-        day = moved.without(np.array(run.outliers, dtype=np.intp))
+    while run.outliers and (more := with_further(every, outliers, run.outliers)) is not None:
+        rest = whole.without(more)
+        if (beside := what_changed(rest, rest.linearised())) is None:
+            break
+        day, outliers, explained = rest, more, beside
+        run = searched(explained)
+    if run.shifts.found:
+        day = replace(day, moved=run.shifts.found)
         explained = what_changed(day, day.linearised()) or explained
     elif explained.what.found and (drifting := day.drifting):
         beside = what_changed(drifting, drifting.linearised())
         if beside is not None and beside.what.verdict == "unchanged":
-            return replace(explained.what, verdict=DRIFT_OR_CHANGE), run
+            what = replace(explained.what, verdict=DRIFT_OR_CHANGE)
+            return what, run.among(every, outliers)
     if explained.what.verdict != "unchanged":
         joints = JointErrors.of(explained.linear, explained.columns)
         day = replace(day, joints=joints)
         beside = None if joints is None else what_changed(day, day.linearised())
         if beside is not None and _fewer(beside.what, explained.what):
             explained = beside
-    return explained.what, run
+    return explained.what, run.among(every, outliers)
 
 
 def _distances(apart: Sequence[Apart]) -> Distances | None:
@@ -215,18 +231,28 @@ def _distances(apart: Sequence[Apart]) -> Distances | None:
     return None if output_accuracy is None else output_accuracy.distances
 
 
-def _worst(problem: Problem, distances: Array | None, squares: Array) -> tuple[WorstPose, ...]:
+def _sizes(linear: Linearised) -> Array | None:
+    """(N,) the distance of each pose [unit]; None without outputs."""
+    placement = linear.placement
+    mechanism = placement.problem.mechanism
+    return by_pose(deviations(mechanism, placement.measured, placement.differences))
+
+
+def _worst(linear: Linearised) -> list[WorstPose]:
+    """The poses, the farthest first."""
+    poses, distances = linear.placement.problem.poses, _sizes(linear)
+    squares = linear.by_pose().squares
     size = squares if distances is None else distances
-    order = np.argsort(-np.where(np.isfinite(size), size, -np.inf))[:_WORST]
-    return tuple(
+    order = np.argsort(-np.where(np.isfinite(size), size, -np.inf))
+    return [
         WorstPose(
-            problem.poses[i],
+            poses[i],
             None if distances is None or not np.isfinite(distances[i]) else float(distances[i]),
             float(squares[i]),
         )
         for i in order.tolist()
         if np.isfinite(size[i]) and np.isfinite(squares[i])
-    )
+    ]
 
 
 def _placed(linear: Linearised, names: Sequence[str]) -> tuple[Placed, ...]:

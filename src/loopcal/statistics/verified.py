@@ -70,8 +70,8 @@ class Verification:
     as drawn, both placed anew by these poses; expected: what the stated covariance leads one to
     expect of the calibrated one; gain: of calibrated over nominal; innovation: the test of the
     machine; changes: of single parameters and zeros of joints, None without redundancy; placed:
-    what was found anew; worst: poses, the farthest first; quantile: the distance that 95 % of poses
-    keep; unplaced: why the nominal machine cannot be placed, None where it can; faults: of the
+    what was found anew; worst: poses, outliers ahead, the farthest first; quantile: the distance
+    that 95 % of all poses keep; unplaced: why the nominal machine cannot be placed, None where it can; faults: of the
     file; shifts: what moved along the run; outliers: poses that do not fit the others; rare:
     probability of an rms at least so large, if the stated covariance holds; copied: rows that copy
     others; repeated: poses of the calibration itself; unlike: a sentence for each
@@ -179,8 +179,9 @@ class Verification:
         if not bad:
             return None
         named = ", ".join(bad[:5]) + (", ..." if len(bad) > 5 else "")
-        count = f"{len(bad)} poses do" if len(bad) > 1 else "1 pose does"
-        return fact("poses-unlike", Where(poses=bad), {"poses": len(bad)}, named=named, count=count)
+        count, them = (f"{len(bad)} poses do", "them") if len(bad) > 1 else ("1 pose does", "it")
+        words = {"named": named, "count": count, "them": them}
+        return fact("poses-unlike", Where(poses=bad), {"poses": len(bad)}, **words)
 
     def _rows(self) -> Iterator[Fact]:
         if self.copied:
