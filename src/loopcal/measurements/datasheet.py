@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loopcal.arrays import Array
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, unknown_name
 from loopcal.keys import Key
 from loopcal.units import unit
 
@@ -327,9 +327,7 @@ def rounding_sd(step: float) -> float:
 def sd_per_figure(kind: str, coverage: float | str | None) -> float:
     """What turns a figure of this kind into an sd: 1, or 1 / coverage."""
     if kind not in KINDS:
-        raise InputError(
-            f"the kind of figure is {kind!r}", code="unknown-name", remedy=nearest(kind, KINDS)
-        )
+        raise unknown_name(f"the kind of figure is {kind!r}", kind, KINDS)
     if kind == "sd":
         if coverage is not None:
             raise InputError(

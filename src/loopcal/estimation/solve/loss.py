@@ -22,7 +22,7 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.chi_squared import lower, tail
-from loopcal.errors import InputError, nearest
+from loopcal.errors import unknown_name
 
 LOSSES = ("gaussian", "huber", "student-t")
 # The usual value (Holland and Welsch 1977).
@@ -87,9 +87,7 @@ def loss_named(name: str) -> Loss | None:
     Raises InputError naming the nearest loss if there is none of that name.
     """
     if name not in LOSSES:
-        raise InputError(
-            f"there is no loss {name!r}", code="unknown-name", remedy=nearest(name, LOSSES)
-        )
+        raise unknown_name(f"there is no loss {name!r}", name, LOSSES)
     losses: dict[str, Loss] = {"huber": Huber(), "student-t": StudentT()}
     return losses.get(name)
 
