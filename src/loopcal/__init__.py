@@ -47,12 +47,12 @@ if TYPE_CHECKING:
     from loopcal.companions.life.fleet_files import fleet as fleet
     from loopcal.companions.life.history import History as History
     from loopcal.companions.life.history_files import history as history
-    from loopcal.companions.life.public import update as update
+    from loopcal.companions.life.update_files import update as update
     from loopcal.companions.performance.run import performance as performance
     from loopcal.companions.performance.summary import Performance as Performance
+    from loopcal.companions.planning.plan_files import plan as plan
     from loopcal.companions.planning.planned import Plan as Plan
     from loopcal.companions.planning.program import plan_program as plan_program
-    from loopcal.companions.planning.public import plan as plan
     from loopcal.companions.record.record import (
         Record as Record,
     )
@@ -192,7 +192,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.serial import serial_arm as serial_arm
     from loopcal.mechanisms.structure.structured import structured as structured
     from loopcal.mechanisms.terms import Term as Term
-    from loopcal.report.writing import report as report
+    from loopcal.report.page import report as report
     from loopcal.simulation.poses import grid_poses as grid_poses
     from loopcal.simulation.poses import random_poses as random_poses
     from loopcal.simulation.simulate import Simulation as Simulation
@@ -338,7 +338,7 @@ _HOME = {
     "statistics.prediction": ("Prediction",),
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
-    "report.writing": ("report",),
+    "report.page": ("report",),
     "workflow.opening": ("load", "load_urdf", "plot"),
     "workflow.result": ("Result", "write_result"),
     "companions.robot.export_files": ("Export", "export"),
@@ -357,8 +357,8 @@ _HOME = {
     "companions.life.history_files": ("history",),
     "companions.life.history": ("History",),
     "workflow.saved_result": ("SavedResult", "read_result"),
-    "companions.planning.public": ("plan",),
-    "companions.life.public": ("update",),
+    "companions.planning.plan_files": ("plan",),
+    "companions.life.update_files": ("update",),
 }
 _NAMESPACES = ("effects", "instruments", "machines")
 _INSTEAD = {

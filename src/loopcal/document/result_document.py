@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
-from loopcal.document.bounds import Count, Size
 from loopcal.document.change_points import ChangePoints, Dependence, Reliability
 from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import (
@@ -33,6 +32,7 @@ from loopcal.document.fit import (
     ParameterEntry,
     StatusEntry,
 )
+from loopcal.document.plain import Count, Size
 from loopcal.document.tables import (
     accuracy_table,
     culprit_table,
