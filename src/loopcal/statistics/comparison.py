@@ -89,7 +89,7 @@ def compare(
     points = _points(*stood, a, poses) if a.mechanism.outputs else None
     if aligned and points is not None:
         b, motion = _brought(b, points)
-        points = replace(points, b=motion @ _extended(points.b))
+        points = replace(points, b=motion @ np.vstack([points.b, np.ones((1, points.b.shape[1]))]))
         G = gauge(a.mechanism, values_of(a.mechanism), points.a.mean(axis=1))
     else:
         aligned, G = False, np.zeros((len(a.nominal), 0))
@@ -243,10 +243,6 @@ def sensitivity(one: Calibrated, data: Dataset) -> Array:
     x[rows] = predict_outputs(machine, values, x, constants)
     S = output_sensitivity(machine, values, machine.parameters.names, x, constants).by_parameter
     return S[:, : len(one.mechanism.outputs)]
-
-
-def _extended(points: Array) -> Array:
-    return np.vstack([points, np.ones((1, points.shape[1]))])
 
 
 def _brought(b: Calibrated, points: _Points) -> tuple[Calibrated, Array]:
