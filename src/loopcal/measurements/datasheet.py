@@ -213,8 +213,7 @@ class Tracker:
             # An azimuth moves the point by range * cos(elevation), so its sd grows towards the
             # zenith.
             sds = [sds[0], across / np.cos(readings[:, 2]), across]
-        covariance: Array = np.square(sds).T[:, :, None] * np.eye(len(sds))
-        return covariance
+        return np.square(sds).T[:, :, None] * np.eye(len(sds))
 
     def at_station(self, points: Array) -> NDArray[np.intp]:
         """Positions of the points (N, d) that lie where the instrument stands."""

@@ -266,8 +266,7 @@ def covariance_between(a: Calibrated, b: Calibrated) -> LearntCovariance:
     def shared(one: Array, other: Array) -> Array:
         """What both, or its slopes, took from the drawing."""
         half = one @ (precision[:, None] * other)
-        both: Array = half + np.swapaxes(half, -1, -2)
-        return both
+        return half + np.swapaxes(half, -1, -2)
 
     A, B = a.covariance, b.covariance
     # by what the prior weighed in the fit, however large the covariance has become since

@@ -81,8 +81,7 @@ class Prediction:
         """(N, o, o) of both parts together; of the parameters alone where the other is unknown."""
         if self.from_readings is None:
             return self.from_parameters
-        total: Array = self.from_parameters + self.from_readings
-        return total
+        return self.from_parameters + self.from_readings
 
     @property
     def sd(self) -> dict[str, Array]:
@@ -103,8 +102,7 @@ class Prediction:
     @property
     def extrapolated(self) -> NDArray[np.bool_]:
         """(N,) whether the parameters' part is far above that at the calibration poses."""
-        beyond: NDArray[np.bool_] = self.ratio > ALARM
-        return beyond
+        return self.ratio > ALARM
 
     def columns(self) -> dict[str, Array | tuple[str, ...]]:
         """As a table, one row per pose: outputs, their sds, sd by instrument, covariance, alarm."""
@@ -301,8 +299,7 @@ class Parts:
         """(N, o, o) of both parts together, of the parameters alone where that is all."""
         if self.from_readings is None:
             return self.from_parameters
-        total: Array = self.from_parameters + self.from_readings.matrix
-        return total
+        return self.from_parameters + self.from_readings.matrix
 
 
 def parts_at(

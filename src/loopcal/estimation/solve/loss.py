@@ -70,12 +70,10 @@ class StudentT:
     freedom: float = FREEDOM
 
     def rho(self, s: Array, r: int) -> Array:
-        rho: Array = (self.freedom + r) * np.log1p(s / self.freedom)
-        return rho
+        return (self.freedom + r) * np.log1p(s / self.freedom)
 
     def weight(self, s: Array, r: int) -> Array:
-        weight: Array = (self.freedom + r) / (self.freedom + s)
-        return weight
+        return (self.freedom + r) / (self.freedom + s)
 
     def bend(self, s: Array, r: int) -> Array:
         return -self.weight(s, r) * s / (self.freedom + s)

@@ -579,8 +579,7 @@ def _together(way: Understood, meaning: Meaning, rows: NDArray[np.intp]) -> bool
 
 def _about_median(points: Array) -> Array:
     finite = points[np.isfinite(points).all(axis=1)]
-    off: Array = finite - np.median(finite, axis=0)
-    return off
+    return finite - np.median(finite, axis=0)
 
 
 def _percent(share: float) -> str:
