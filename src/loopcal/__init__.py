@@ -38,11 +38,10 @@ import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-# isort: off  (a name as itself is public to type checkers)
+# A name as itself is public to type checkers.
+# isort: off
 if TYPE_CHECKING:
-    from loopcal import effects as effects
-    from loopcal import instruments as instruments
-    from loopcal import machines as machines
+    from loopcal import effects as effects, instruments as instruments, machines as machines
     from loopcal.companions.life.fleet import Fleet as Fleet
     from loopcal.companions.life.fleet_files import fleet as fleet
     from loopcal.companions.life.history import History as History
@@ -55,158 +54,99 @@ if TYPE_CHECKING:
     from loopcal.companions.planning.program import plan_program as plan_program
     from loopcal.companions.record.record import (
         Record as Record,
-    )
-    from loopcal.companions.record.record import (
         record as record,
-    )
-    from loopcal.companions.record.record import (
         verify_record as verify_record,
     )
     from loopcal.companions.record.record_file import RecordCheck as RecordCheck
     from loopcal.companions.robot.correct_files import correct as correct
     from loopcal.companions.robot.corrected import CorrectionBounds as CorrectionBounds
     from loopcal.companions.robot.correction import Correction as Correction
-    from loopcal.companions.robot.export_files import Export as Export
-    from loopcal.companions.robot.export_files import export as export
+    from loopcal.companions.robot.export_files import Export as Export, export as export
     from loopcal.document.change_points import (
         ChangePoint as ChangePoint,
-    )
-    from loopcal.document.change_points import (
         Dependence as Dependence,
-    )
-    from loopcal.document.change_points import (
         Shifts as Shifts,
     )
     from loopcal.document.findings import (
         ColumnFault as ColumnFault,
-    )
-    from loopcal.document.findings import (
         Identifiability as Identifiability,
-    )
-    from loopcal.document.findings import (
         Outlier as Outlier,
-    )
-    from loopcal.document.findings import (
         Undetermined as Undetermined,
     )
-    from loopcal.document.fit import ChiSquared as ChiSquared
-    from loopcal.document.fit import NoiseEntry as NoiseEntry
+    from loopcal.document.fit import ChiSquared as ChiSquared, NoiseEntry as NoiseEntry
     from loopcal.document.parameter_table import ParameterTable as ParameterTable
     from loopcal.document.result_document import (
         ResultDocument as ResultDocument,
-    )
-    from loopcal.document.result_document import (
         WrittenResult as WrittenResult,
     )
-    from loopcal.document.verdict import Answer as Answer
-    from loopcal.document.verdict import Verdict as Verdict
-    from loopcal.errors import InputError as InputError
-    from loopcal.errors import LoopcalError as LoopcalError
+    from loopcal.document.verdict import Answer as Answer, Verdict as Verdict
+    from loopcal.errors import InputError as InputError, LoopcalError as LoopcalError
     from loopcal.estimation.accuracy import (
         Accuracy as Accuracy,
-    )
-    from loopcal.estimation.accuracy import (
         InstrumentAccuracy as InstrumentAccuracy,
     )
     from loopcal.estimation.fit import Fit as Fit
     from loopcal.estimation.residuals import Closure as Closure
     from loopcal.estimation.solve.solution import Status as Status
     from loopcal.execution.cluster import Cluster as Cluster
-    from loopcal.execution.local import Processes as Processes
-    from loopcal.execution.local import Threads as Threads
+    from loopcal.execution.local import Processes as Processes, Threads as Threads
     from loopcal.expressions.trace import TraceError as TraceError
     from loopcal.expressions.vectors import (
         cross as cross,
-    )
-    from loopcal.expressions.vectors import (
         dot as dot,
-    )
-    from loopcal.expressions.vectors import (
         norm as norm,
-    )
-    from loopcal.expressions.vectors import (
         rot_x as rot_x,
-    )
-    from loopcal.expressions.vectors import (
         rot_y as rot_y,
-    )
-    from loopcal.expressions.vectors import (
         rot_z as rot_z,
-    )
-    from loopcal.expressions.vectors import (
         rotate as rotate,
-    )
-    from loopcal.expressions.vectors import (
         vector as vector,
     )
     from loopcal.files.machines.mechanism_file import read_mechanism as read_mechanism
     from loopcal.files.project.project_data import LoadedData as LoadedData
-    from loopcal.files.project.project_file import Project as Project
-    from loopcal.files.project.project_file import read_project as read_project
+    from loopcal.files.project.project_file import Project as Project, read_project as read_project
     from loopcal.files.tables.bag import read_bag as read_bag
     from loopcal.files.tables.readers import read_dataset as read_dataset
     from loopcal.files.tables.recording import Recording as Recording
     from loopcal.measurements.dataset import Dataset as Dataset
     from loopcal.measurements.datasheet import (
         Tracker as Tracker,
-    )
-    from loopcal.measurements.datasheet import (
         encoder_sd as encoder_sd,
-    )
-    from loopcal.measurements.datasheet import (
         tracker_covariance as tracker_covariance,
     )
     from loopcal.measurements.noise import Noise as Noise
     from loopcal.measurements.plan_settings import (
         Box as Box,
-    )
-    from loopcal.measurements.plan_settings import (
         PlanSettings as PlanSettings,
-    )
-    from loopcal.measurements.plan_settings import (
         Sight as Sight,
     )
-    from loopcal.mechanisms.effects.effect import Model as Model
-    from loopcal.mechanisms.effects.effect import with_effects as with_effects
+    from loopcal.mechanisms.effects.effect import Model as Model, with_effects as with_effects
     from loopcal.mechanisms.machine import (
         Instrument as Instrument,
-    )
-    from loopcal.mechanisms.machine import (
         Machine as Machine,
-    )
-    from loopcal.mechanisms.machine import (
         assemble as assemble,
     )
     from loopcal.mechanisms.mechanism import Mechanism as Mechanism
-    from loopcal.mechanisms.parameters import Parameter as Parameter
-    from loopcal.mechanisms.parameters import Parameters as Parameters
+    from loopcal.mechanisms.parameters import Parameter as Parameter, Parameters as Parameters
     from loopcal.mechanisms.planar import (
         motoman_ma1400 as motoman_ma1400,
-    )
-    from loopcal.mechanisms.planar import (
         planar_two_link as planar_two_link,
     )
     from loopcal.mechanisms.prior import Prior as Prior
     from loopcal.mechanisms.redundancy import fix_redundant as fix_redundant
-    from loopcal.mechanisms.serial import Joint as Joint
-    from loopcal.mechanisms.serial import serial_arm as serial_arm
+    from loopcal.mechanisms.serial import Joint as Joint, serial_arm as serial_arm
     from loopcal.mechanisms.structure.structured import structured as structured
     from loopcal.mechanisms.terms import Term as Term
     from loopcal.report.page import report as report
-    from loopcal.simulation.poses import grid_poses as grid_poses
-    from loopcal.simulation.poses import random_poses as random_poses
+    from loopcal.simulation.poses import grid_poses as grid_poses, random_poses as random_poses
     from loopcal.simulation.simulate import Simulation as Simulation
     from loopcal.statistics.changed import WhatChanged as WhatChanged
-    from loopcal.statistics.changes import Shifted as Shifted
-    from loopcal.statistics.changes import with_shifts as with_shifts
+    from loopcal.statistics.changes import Shifted as Shifted, with_shifts as with_shifts
     from loopcal.statistics.check import Check as Check
     from loopcal.statistics.compared import Compared as Compared
     from loopcal.statistics.findings import Findings as Findings
     from loopcal.statistics.intervals import Interval as Interval
     from loopcal.statistics.models import (
         ComparedModel as ComparedModel,
-    )
-    from loopcal.statistics.models import (
         ModelComparison as ModelComparison,
     )
     from loopcal.statistics.outliers import Outliers as Outliers
@@ -216,66 +156,30 @@ if TYPE_CHECKING:
     from loopcal.statistics.validate import MethodComparison as MethodComparison
     from loopcal.statistics.validation import Validation as Validation
     from loopcal.statistics.verified import Verification as Verification
-    from loopcal.workflow.beginning.initial import InitialProject as InitialProject
-    from loopcal.workflow.beginning.initial import init as init
-    from loopcal.workflow.opening import load as load
-    from loopcal.workflow.opening import load_urdf as load_urdf
-    from loopcal.workflow.opening import plot as plot
+    from loopcal.workflow.beginning.initial import InitialProject as InitialProject, init as init
+    from loopcal.workflow.opening import load as load, load_urdf as load_urdf, plot as plot
     from loopcal.workflow.public import (
         calibrate as calibrate,
-    )
-    from loopcal.workflow.public import (
         check as check,
-    )
-    from loopcal.workflow.public import (
         compare as compare,
-    )
-    from loopcal.workflow.public import (
         compare_methods as compare_methods,
-    )
-    from loopcal.workflow.public import (
         compare_models as compare_models,
-    )
-    from loopcal.workflow.public import (
         find_outliers as find_outliers,
-    )
-    from loopcal.workflow.public import (
         find_shifts as find_shifts,
-    )
-    from loopcal.workflow.public import (
         findings as findings,
-    )
-    from loopcal.workflow.public import (
         intervals as intervals,
-    )
-    from loopcal.workflow.public import (
         load_dataset as load_dataset,
-    )
-    from loopcal.workflow.public import (
         predict as predict,
-    )
-    from loopcal.workflow.public import (
         reliability as reliability,
-    )
-    from loopcal.workflow.public import (
         repeated_readings as repeated_readings,
-    )
-    from loopcal.workflow.public import (
         simulate as simulate,
-    )
-    from loopcal.workflow.public import (
         validate as validate,
-    )
-    from loopcal.workflow.public import (
         verdict as verdict,
-    )
-    from loopcal.workflow.public import (
         verify as verify,
     )
-    from loopcal.workflow.result import Result as Result
-    from loopcal.workflow.result import write_result as write_result
-    from loopcal.workflow.saved_result import SavedResult as SavedResult
-    from loopcal.workflow.saved_result import read_result as read_result
+    from loopcal.workflow.result import Result as Result, write_result as write_result
+    from loopcal.workflow.saved_result import SavedResult as SavedResult, read_result as read_result
+
 # isort: on
 
 _HOME = {
