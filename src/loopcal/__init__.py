@@ -38,99 +38,149 @@ import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+# A name as itself is public to type checkers.
+# isort: off
 if TYPE_CHECKING:
-    from loopcal import effects, instruments, machines
-    from loopcal.companions.life.fleet import Fleet
-    from loopcal.companions.life.fleet_files import fleet
-    from loopcal.companions.life.history import History
-    from loopcal.companions.life.history_files import history
-    from loopcal.companions.life.public import update
-    from loopcal.companions.performance.run import performance
-    from loopcal.companions.performance.summary import Performance
-    from loopcal.companions.planning.planned import Plan
-    from loopcal.companions.planning.program import plan_program
-    from loopcal.companions.planning.public import plan
-    from loopcal.companions.record.record import Record, record, verify_record
-    from loopcal.companions.record.record_file import RecordCheck
-    from loopcal.companions.robot.correct_files import correct
-    from loopcal.companions.robot.corrected import CorrectionBounds
-    from loopcal.companions.robot.correction import Correction
-    from loopcal.companions.robot.export_files import Export, export
-    from loopcal.document.change_points import ChangePoint, Dependence, Shifts
-    from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
-    from loopcal.document.fit import ChiSquared, NoiseEntry
-    from loopcal.document.parameter_table import ParameterTable
-    from loopcal.document.result_document import ResultDocument, WrittenResult
-    from loopcal.document.verdict import Answer, Verdict
-    from loopcal.errors import InputError, LoopcalError
-    from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
-    from loopcal.estimation.fit import Fit
-    from loopcal.estimation.residuals import Closure
-    from loopcal.estimation.solve.solution import Status
-    from loopcal.execution.cluster import Cluster
-    from loopcal.execution.local import Processes, Threads
-    from loopcal.expressions.trace import TraceError
-    from loopcal.expressions.vectors import cross, dot, norm, rot_x, rot_y, rot_z, rotate, vector
-    from loopcal.files.machines.mechanism_file import read_mechanism
-    from loopcal.files.project.project_data import LoadedData
-    from loopcal.files.project.project_file import Project, read_project
-    from loopcal.files.tables.bag import read_bag
-    from loopcal.files.tables.readers import read_dataset
-    from loopcal.files.tables.recording import Recording
-    from loopcal.measurements.dataset import Dataset
-    from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
-    from loopcal.measurements.noise import Noise
-    from loopcal.measurements.plan_settings import Box, PlanSettings, Sight
-    from loopcal.mechanisms.effects.effect import Model, with_effects
-    from loopcal.mechanisms.machine import Instrument, Machine, assemble
-    from loopcal.mechanisms.mechanism import Mechanism
-    from loopcal.mechanisms.parameters import Parameter, Parameters
-    from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
-    from loopcal.mechanisms.prior import Prior
-    from loopcal.mechanisms.redundancy import fix_redundant
-    from loopcal.mechanisms.serial import Joint, serial_arm
-    from loopcal.mechanisms.structure.structured import structured
-    from loopcal.mechanisms.terms import Term
-    from loopcal.report.writing import report
-    from loopcal.simulation.poses import grid_poses, random_poses
-    from loopcal.simulation.simulate import Simulation
-    from loopcal.statistics.changed import WhatChanged
-    from loopcal.statistics.changes import Shifted, with_shifts
-    from loopcal.statistics.check import Check
-    from loopcal.statistics.compared import Compared
-    from loopcal.statistics.findings import Findings
-    from loopcal.statistics.intervals import Interval
-    from loopcal.statistics.models import ComparedModel, ModelComparison
-    from loopcal.statistics.outliers import Outliers
-    from loopcal.statistics.prediction import Prediction
-    from loopcal.statistics.reliability import ReadingReliability
-    from loopcal.statistics.repeats import Repeats
-    from loopcal.statistics.validate import MethodComparison
-    from loopcal.statistics.validation import Validation
-    from loopcal.statistics.verified import Verification
-    from loopcal.workflow.beginning.initial import InitialProject, init
-    from loopcal.workflow.opening import load, load_urdf, plot
-    from loopcal.workflow.public import (
-        calibrate,
-        check,
-        compare,
-        compare_methods,
-        compare_models,
-        find_outliers,
-        find_shifts,
-        findings,
-        intervals,
-        load_dataset,
-        predict,
-        reliability,
-        repeated_readings,
-        simulate,
-        validate,
-        verdict,
-        verify,
+    from loopcal import effects as effects, instruments as instruments, machines as machines
+    from loopcal.companions.life.fleet import Fleet as Fleet
+    from loopcal.companions.life.fleet_files import fleet as fleet
+    from loopcal.companions.life.history import History as History
+    from loopcal.companions.life.history_files import history as history
+    from loopcal.companions.life.update_files import update as update
+    from loopcal.companions.performance.run import performance as performance
+    from loopcal.companions.performance.summary import Performance as Performance
+    from loopcal.companions.planning.plan_files import plan as plan
+    from loopcal.companions.planning.planned import Plan as Plan
+    from loopcal.companions.planning.program import plan_program as plan_program
+    from loopcal.companions.record.record import (
+        Record as Record,
+        record as record,
+        verify_record as verify_record,
     )
-    from loopcal.workflow.result import Result, write_result
-    from loopcal.workflow.saved_result import SavedResult, read_result
+    from loopcal.companions.record.record_file import RecordCheck as RecordCheck
+    from loopcal.companions.robot.correct_files import correct as correct
+    from loopcal.companions.robot.corrected import CorrectionBounds as CorrectionBounds
+    from loopcal.companions.robot.correction import Correction as Correction
+    from loopcal.companions.robot.export_files import Export as Export, export as export
+    from loopcal.document.change_points import (
+        ChangePoint as ChangePoint,
+        Dependence as Dependence,
+        Shifts as Shifts,
+    )
+    from loopcal.document.findings import (
+        ColumnFault as ColumnFault,
+        Identifiability as Identifiability,
+        Outlier as Outlier,
+        Undetermined as Undetermined,
+    )
+    from loopcal.document.fit import ChiSquared as ChiSquared, NoiseEntry as NoiseEntry
+    from loopcal.document.parameter_table import ParameterTable as ParameterTable
+    from loopcal.document.result_document import (
+        ResultDocument as ResultDocument,
+        WrittenResult as WrittenResult,
+    )
+    from loopcal.document.verdict import Answer as Answer, Verdict as Verdict
+    from loopcal.errors import InputError as InputError, LoopcalError as LoopcalError
+    from loopcal.estimation.accuracy import (
+        Accuracy as Accuracy,
+        InstrumentAccuracy as InstrumentAccuracy,
+    )
+    from loopcal.estimation.fit import Fit as Fit
+    from loopcal.estimation.residuals import Closure as Closure
+    from loopcal.estimation.solve.solution import Status as Status
+    from loopcal.execution.cluster import Cluster as Cluster
+    from loopcal.execution.local import Processes as Processes, Threads as Threads
+    from loopcal.expressions.trace import TraceError as TraceError
+    from loopcal.expressions.vectors import (
+        cross as cross,
+        dot as dot,
+        norm as norm,
+        rot_x as rot_x,
+        rot_y as rot_y,
+        rot_z as rot_z,
+        rotate as rotate,
+        vector as vector,
+    )
+    from loopcal.files.machines.mechanism_file import read_mechanism as read_mechanism
+    from loopcal.files.project.project_data import LoadedData as LoadedData
+    from loopcal.files.project.project_file import Project as Project, read_project as read_project
+    from loopcal.files.tables.bag import read_bag as read_bag
+    from loopcal.files.tables.readers import read_dataset as read_dataset
+    from loopcal.files.tables.recording import Recording as Recording
+    from loopcal.measurements.dataset import Dataset as Dataset
+    from loopcal.measurements.datasheet import (
+        Tracker as Tracker,
+        encoder_sd as encoder_sd,
+        tracker_covariance as tracker_covariance,
+    )
+    from loopcal.measurements.noise import Noise as Noise
+    from loopcal.measurements.plan_settings import (
+        Box as Box,
+        PlanSettings as PlanSettings,
+        Sight as Sight,
+    )
+    from loopcal.mechanisms.effects.effect import Model as Model, with_effects as with_effects
+    from loopcal.mechanisms.machine import (
+        Instrument as Instrument,
+        Machine as Machine,
+        assemble as assemble,
+    )
+    from loopcal.mechanisms.mechanism import Mechanism as Mechanism
+    from loopcal.mechanisms.parameters import Parameter as Parameter, Parameters as Parameters
+    from loopcal.mechanisms.planar import (
+        motoman_ma1400 as motoman_ma1400,
+        planar_two_link as planar_two_link,
+    )
+    from loopcal.mechanisms.prior import Prior as Prior
+    from loopcal.mechanisms.redundancy import fix_redundant as fix_redundant
+    from loopcal.mechanisms.serial import Joint as Joint, serial_arm as serial_arm
+    from loopcal.mechanisms.structure.structured import structured as structured
+    from loopcal.mechanisms.terms import Term as Term
+    from loopcal.report.page import report as report
+    from loopcal.simulation.poses import grid_poses as grid_poses, random_poses as random_poses
+    from loopcal.simulation.simulate import Simulation as Simulation
+    from loopcal.statistics.changed import WhatChanged as WhatChanged
+    from loopcal.statistics.changes import Shifted as Shifted, with_shifts as with_shifts
+    from loopcal.statistics.check import Check as Check
+    from loopcal.statistics.compared import Compared as Compared
+    from loopcal.statistics.findings import Findings as Findings
+    from loopcal.statistics.intervals import Interval as Interval
+    from loopcal.statistics.models import (
+        ComparedModel as ComparedModel,
+        ModelComparison as ModelComparison,
+    )
+    from loopcal.statistics.outliers import Outliers as Outliers
+    from loopcal.statistics.prediction import Prediction as Prediction
+    from loopcal.statistics.reliability import ReadingReliability as ReadingReliability
+    from loopcal.statistics.repeats import Repeats as Repeats
+    from loopcal.statistics.validate import MethodComparison as MethodComparison
+    from loopcal.statistics.validation import Validation as Validation
+    from loopcal.statistics.verified import Verification as Verification
+    from loopcal.workflow.beginning.initial import InitialProject as InitialProject, init as init
+    from loopcal.workflow.opening import load as load, load_urdf as load_urdf, plot as plot
+    from loopcal.workflow.public import (
+        calibrate as calibrate,
+        check as check,
+        compare as compare,
+        compare_methods as compare_methods,
+        compare_models as compare_models,
+        find_outliers as find_outliers,
+        find_shifts as find_shifts,
+        findings as findings,
+        intervals as intervals,
+        load_dataset as load_dataset,
+        predict as predict,
+        reliability as reliability,
+        repeated_readings as repeated_readings,
+        simulate as simulate,
+        validate as validate,
+        verdict as verdict,
+        verify as verify,
+    )
+    from loopcal.workflow.result import Result as Result, write_result as write_result
+    from loopcal.workflow.saved_result import SavedResult as SavedResult, read_result as read_result
+
+# isort: on
 
 _HOME = {
     "companions.robot.corrected": ("CorrectionBounds",),
@@ -192,7 +242,7 @@ _HOME = {
     "statistics.prediction": ("Prediction",),
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
-    "report.writing": ("report",),
+    "report.page": ("report",),
     "workflow.opening": ("load", "load_urdf", "plot"),
     "workflow.result": ("Result", "write_result"),
     "companions.robot.export_files": ("Export", "export"),
@@ -211,8 +261,8 @@ _HOME = {
     "companions.life.history_files": ("history",),
     "companions.life.history": ("History",),
     "workflow.saved_result": ("SavedResult", "read_result"),
-    "companions.planning.public": ("plan",),
-    "companions.life.public": ("update",),
+    "companions.planning.plan_files": ("plan",),
+    "companions.life.update_files": ("update",),
 }
 _NAMESPACES = ("effects", "instruments", "machines")
 _INSTEAD = {
@@ -256,141 +306,7 @@ _INSTEAD = {
 }
 _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}
 
-__all__ = [
-    "Accuracy",
-    "Answer",
-    "Box",
-    "ChangePoint",
-    "Check",
-    "ChiSquared",
-    "Closure",
-    "Cluster",
-    "ColumnFault",
-    "Compared",
-    "ComparedModel",
-    "Correction",
-    "CorrectionBounds",
-    "Dataset",
-    "Dependence",
-    "Export",
-    "Findings",
-    "Fit",
-    "Fleet",
-    "History",
-    "Identifiability",
-    "InitialProject",
-    "InputError",
-    "Instrument",
-    "InstrumentAccuracy",
-    "Interval",
-    "Joint",
-    "LoadedData",
-    "LoopcalError",
-    "Machine",
-    "Mechanism",
-    "MethodComparison",
-    "Model",
-    "ModelComparison",
-    "Noise",
-    "NoiseEntry",
-    "Outlier",
-    "Outliers",
-    "Parameter",
-    "ParameterTable",
-    "Parameters",
-    "Performance",
-    "Plan",
-    "PlanSettings",
-    "Prediction",
-    "Prior",
-    "Processes",
-    "Project",
-    "ReadingReliability",
-    "Record",
-    "RecordCheck",
-    "Recording",
-    "Repeats",
-    "Result",
-    "ResultDocument",
-    "SavedResult",
-    "Shifted",
-    "Shifts",
-    "Sight",
-    "Simulation",
-    "Status",
-    "Term",
-    "Threads",
-    "TraceError",
-    "Tracker",
-    "Undetermined",
-    "Validation",
-    "Verdict",
-    "Verification",
-    "WhatChanged",
-    "WrittenResult",
-    "__version__",
-    "assemble",
-    "calibrate",
-    "check",
-    "compare",
-    "compare_methods",
-    "compare_models",
-    "correct",
-    "cross",
-    "dot",
-    "effects",
-    "encoder_sd",
-    "export",
-    "find_outliers",
-    "find_shifts",
-    "findings",
-    "fix_redundant",
-    "fleet",
-    "grid_poses",
-    "history",
-    "init",
-    "instruments",
-    "intervals",
-    "load",
-    "load_dataset",
-    "load_urdf",
-    "machines",
-    "motoman_ma1400",
-    "norm",
-    "performance",
-    "plan",
-    "plan_program",
-    "planar_two_link",
-    "plot",
-    "predict",
-    "random_poses",
-    "read_bag",
-    "read_dataset",
-    "read_mechanism",
-    "read_project",
-    "read_result",
-    "record",
-    "reliability",
-    "repeated_readings",
-    "report",
-    "rot_x",
-    "rot_y",
-    "rot_z",
-    "rotate",
-    "serial_arm",
-    "simulate",
-    "structured",
-    "tracker_covariance",
-    "update",
-    "validate",
-    "vector",
-    "verdict",
-    "verify",
-    "verify_record",
-    "with_effects",
-    "with_shifts",
-    "write_result",
-]
+__all__ = sorted({"__version__", *_NAMESPACES, *_MODULE})
 
 
 def __getattr__(name: str) -> Any:

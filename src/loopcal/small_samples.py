@@ -121,10 +121,7 @@ class LearntCovariance:
         )
         mean = (1.0 / (1.0 - 2.0 / nu)).sum(axis=-1)
         excess = mean - size
-        degrees: Array = np.where(
-            excess > 1e-9, 2.0 * mean / np.where(excess > 1e-9, excess, 1.0), math.inf
-        )
-        return degrees
+        return np.where(excess > 1e-9, 2.0 * mean / np.where(excess > 1e-9, excess, 1.0), math.inf)
 
 
 def contrasts(C: LearntCovariance, left_out: Array) -> Array:
@@ -144,10 +141,7 @@ def contrasts(C: LearntCovariance, left_out: Array) -> Array:
 
 def _satterthwaite(variance: Array, changes: Array) -> Array:
     certain = changes <= 1e-12 * np.square(variance)
-    degrees: Array = np.where(
-        certain, math.inf, 2.0 * np.square(variance) / np.where(certain, 1.0, changes)
-    )
-    return degrees
+    return np.where(certain, math.inf, 2.0 * np.square(variance) / np.where(certain, 1.0, changes))
 
 
 def t_quantile(level: float, freedom: float) -> float:

@@ -11,8 +11,8 @@ import pytest
 from loopcal.companions.app.project_folder import LOG, NAME, FolderLock, ProjectFolder
 from loopcal.companions.app.session import Session
 from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.reader import read_program
 from loopcal.companions.robot.programs.registry import BY_ENDING as PROGRAMS
+from loopcal.companions.robot.programs.registry import read_program
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
 from loopcal.files.outputs import INSIDE

@@ -12,7 +12,7 @@ from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.companions.robot.inverse import solve
 from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.reader import read_program
+from loopcal.companions.robot.programs.registry import read_program
 from loopcal.companions.robot.rigid import between, moved
 
 NAMES = [f"q{i}" for i in range(1, 7)]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from loopcal.errors import InputError
-from loopcal.files.atomic import write_atomic, write_files
+from loopcal.files.atomic import write_all, write_atomic, write_files
 from tests.refusals import refused
 
 MARKS = {
@@ -180,10 +180,11 @@ def test_what_is_to_go_goes_with_the_rest_or_stays(folder: Path) -> None:
     report.write_text(page := '<meta name="loopcal" content="report">')
     before = contents(folder)
     (folder / "residuals.csv").mkdir()
+    new = {folder / name: data for name, data in NEW.items()}
     with refused("unwritable-file"):
-        write_files(folder, NEW, remove=("report.html",))
+        write_all(new, remove=[report])
     (folder / "residuals.csv").rmdir()
     assert contents(folder) == before
     assert report.read_text() == page
-    write_files(folder, NEW, remove=("report.html", "absent"))
+    write_all(new, remove=[report, folder / "absent"])
     assert contents(folder) == as_bytes(NEW)

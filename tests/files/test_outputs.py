@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.files.atomic import write_atomic, write_files
+from loopcal.files.atomic import write_all, write_atomic, write_files
 from loopcal.files.json_writer import marked_json
 from loopcal.files.outputs import command, refuse_foreign
 from loopcal.files.tables.raw import bytes_of
@@ -75,10 +75,13 @@ def test_others_stay_in_a_folder_whatever_comes_with_them(tmp_path: Path) -> Non
         ({"a": KINDS["JSON"] + " "}, ("b",)),
     ):
         with refused("unwritable-file", "b"):
-            write_files(tmp_path, files, remove=remove)
+            write_all(
+                {tmp_path / name: data for name, data in files.items()},
+                remove=[tmp_path / name for name in remove],
+            )
         assert (tmp_path / "a").read_text() == KINDS["JSON"]
     with command(force=True):
-        write_files(tmp_path, {"a": KINDS["JSON"] + " "}, remove=("b",))
+        write_all({tmp_path / "a": KINDS["JSON"] + " "}, remove=[tmp_path / "b"])
     assert not (tmp_path / "b").exists()
     assert (tmp_path / "b.bak").read_text() == "mine"
 

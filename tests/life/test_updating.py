@@ -17,7 +17,7 @@ from analyses.verify import another_day
 from analyses.what_changed import NOISE, joints, measured
 from analyses.what_changed import arm as arm_as_drawn
 from loopcal.companions.life.updating import update
-from loopcal.document.triangle import symmetric
+from loopcal.document.plain import symmetric
 from loopcal.estimation.result import FitResult
 from loopcal.statistics.calibrated import Calibrated
 from tests.command_line import run_here as run

@@ -23,7 +23,7 @@ from loopcal.files.result.deployed import FLEET, HISTORY, VERIFICATION, read_dep
 from loopcal.report.page import report_html
 from loopcal.report.source import read_source
 from loopcal.statistics.changed import WhatChanged
-from loopcal.workflow.verifying import run_verification
+from loopcal.workflow.checking import run_verification
 from tests.command_line import run_here as run
 
 PLANAR = Path(__file__).resolve().parents[2] / "examples" / "planar"

@@ -14,8 +14,7 @@ import pytest
 import loopcal as lc
 from loopcal.companions.life.update_files import run_update
 from loopcal.units import from_si
-from loopcal.workflow.checking import run_prediction
-from loopcal.workflow.verifying import run_verification
+from loopcal.workflow.checking import run_prediction, run_verification
 from tests.reference.simulated import planar_arm
 from tests.refusals import refused
 

@@ -494,7 +494,7 @@ def verify(
     mechanism: FunctionOption = None,
 ) -> None:
     """Verify a calibration with readings of another day, the instrument placed anew."""
-    from loopcal.workflow.verifying import run_verification
+    from loopcal.workflow.checking import run_verification
 
     done = run_verification(
         result,

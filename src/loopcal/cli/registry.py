@@ -33,8 +33,7 @@ COMMANDS = {
 def keeper(folder: str | None, date: str | None) -> Keeper | None:
     """What keeps a result in the history of this folder, dated by --date."""
     days = days_of_history(folder, date)
-    made: Keeper | None = None if folder is None else called("HistoryKeeper")(folder, days)
-    return made
+    return None if folder is None else called("HistoryKeeper")(folder, days)
 
 
 def loaded(names: Iterable[str]) -> list[CommandInfo]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from loopcal.document.bounds import Count, Probability, Size
+from loopcal.document.plain import Count, Probability, Size
 
 
 @dataclass(frozen=True)

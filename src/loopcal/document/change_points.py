@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from loopcal.document.bounds import Count, Probability, Size
 from loopcal.document.findings import ScaleEntry
+from loopcal.document.plain import Count, Probability, Size
 from loopcal.mechanisms.effects.effect import LENGTHS, LOAD
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import enumerated, p_words, percent, significant, with_unit, wrapped

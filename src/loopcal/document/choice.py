@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from loopcal.document.accuracy import Distances
-from loopcal.document.bounds import Count, Size
 from loopcal.document.change_points import Likeness
 from loopcal.document.fit import ChiSquared
+from loopcal.document.plain import Count, Size
 
 # Two-sided 3.29 of the normal distribution (record 0047).
 BEATEN = 3.3

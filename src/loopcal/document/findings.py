@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-from loopcal.document.bounds import Count, Probability, Size
+from loopcal.document.plain import Count, Probability, Size
 from loopcal.presentation.shown import significant, with_unit
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from loopcal.chi_squared import tail
-from loopcal.document.bounds import Count, Probability, Size
-from loopcal.document.triangle import Rows
+from loopcal.document.plain import Count, Probability, Rows, Size
 from loopcal.errors import listed
 from loopcal.mechanisms.parameters import Role, dimension_of
 

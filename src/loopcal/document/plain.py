@@ -1,13 +1,16 @@
-"""Typed values as plain data for JSON."""
+"""Typed values as plain data for JSON, and the kinds of numbers in it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Le
+
+from loopcal.arrays import Array
 
 
 def plain(value: Any) -> Any:
@@ -39,3 +42,25 @@ def finite_only(value: Any) -> Any:
 def finite(value: float | None) -> float | None:
     """None for a number that is not finite: it stands for what is unknown or unbounded."""
     return value if value is not None and math.isfinite(value) else None
+
+
+# All numbers of result.json are finite: unknown is null.
+
+Count = Annotated[int, Ge(0)]
+Size = Annotated[float, Ge(0)]
+Probability = Annotated[float, Ge(0), Le(1)]
+Rows = tuple[tuple[float, ...], ...]
+"""Symmetric matrices in files: the rows of their lower triangle."""
+
+
+def lower(matrix: Array) -> Rows:
+    """Row i of a symmetric matrix (n, n) as its first i + 1 entries."""
+    return tuple(tuple(row[: i + 1]) for i, row in enumerate(matrix.tolist()))
+
+
+def symmetric(rows: Sequence[Sequence[float]]) -> Array:
+    """The matrix (n, n) of such rows; whole rows, as older files have them, serve as well."""
+    matrix = np.zeros((len(rows), len(rows)))
+    for i, row in enumerate(rows):
+        matrix[i, : i + 1] = matrix[: i + 1, i] = row[: i + 1]
+    return matrix

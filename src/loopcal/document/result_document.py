@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from loopcal.document import tables
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
-from loopcal.document.bounds import Count, Size
 from loopcal.document.change_points import ChangePoints, Dependence, Reliability
 from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import (
@@ -33,18 +33,7 @@ from loopcal.document.fit import (
     ParameterEntry,
     StatusEntry,
 )
-from loopcal.document.tables import (
-    accuracy_table,
-    culprit_table,
-    culprit_words,
-    interval_table,
-    model_table,
-    parameter_table,
-    place_table,
-    sensor_table,
-    shown_parameters,
-    term_table,
-)
+from loopcal.document.plain import Count, Size
 from loopcal.document.verdict import Finding, Verdict
 from loopcal.measurements.days import Days
 from loopcal.mechanisms.mechanism import Mechanism
@@ -132,8 +121,8 @@ class DataEntry:
         return tuple(lines)
 
 
-def _first(poses: tuple[str, ...], most: int = 5) -> str:
-    return ", ".join(poses[:most]) + (", ..." if len(poses) > most else "")
+def _first(poses: tuple[str, ...]) -> str:
+    return ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
 
 
 @dataclass(frozen=True)
@@ -312,11 +301,11 @@ class ResultDocument:
         p_value = 1.0 if self.chi_squared is None else self.chi_squared.p_value
         rejected = p_value is not None and p_value < 0.01
         if rejected or any(entry.source == "estimated" for entry in self.noise):
-            lines += ["", *sensor_table(self.noise)]
+            lines += ["", *tables.sensor_table(self.noise)]
         if self.terms:
-            lines += ["", *term_table(self.terms)]
-        shown = shown_parameters(self.parameters, self.terms)
-        lines += ["", *parameter_table(shown)]
+            lines += ["", *tables.term_table(self.terms)]
+        shown = tables.shown_parameters(self.parameters, self.terms)
+        lines += ["", *tables.parameter_table(shown)]
         if rest := len(self.parameters) - len(shown):
             lines.append(f"(and {rest} parameters of the model error: result.json)")
         if self.variance_factor_applied:
@@ -324,11 +313,11 @@ class ResultDocument:
         if any(p.error is not None for p in self.parameters):
             lines.append("(error: true minus estimate)")
         if any(p.interval is not None for p in self.parameters):
-            lines += ["", *interval_table(self.parameters)]
+            lines += ["", *tables.interval_table(self.parameters)]
         if self.models is not None:
             unit = self.accuracy.unit if self.accuracy else ""
             scheme = self.validation.words if self.validation else ""
-            lines += ["", *model_table(self.models, unit, scheme)]
+            lines += ["", *tables.model_table(self.models, unit, scheme)]
         return "\n".join(lines)
 
 
@@ -393,17 +382,17 @@ def _accuracy(document: ResultDocument) -> list[str]:
         note += f"; poses not used: {validation.words}"
         elsewhere = (validation.blocked, validation.images)
         note += "".join(f"; {one.words}" for one in elsewhere if one is not None)
-    lines = [*accuracy_table(accuracy, validation), f"{note})", *_coverage(validation)]
+    lines = [*tables.accuracy_table(accuracy, validation), f"{note})", *_coverage(validation)]
     if validation is not None and validation.log_likelihood is not None:
         value = significant(validation.log_likelihood, 6)
         lines.append(f"log-likelihood of poses not used: {value} (only differences count)")
-    if (places := place_table(accuracy, validation, document.region)) is not None:
+    if (places := tables.place_table(accuracy, validation, document.region)) is not None:
         lines += ["", *columns([places.head, *places.rows])]
         lines.append("(by the images less by the machine, rms; 95 % and max in space)")
     lines += _at_boards(accuracy, validation)
-    if (faults := culprit_table(document.culprits, accuracy.unit)) is not None:
+    if (faults := tables.culprit_table(document.culprits, accuracy.unit)) is not None:
         lines += ["", *columns([faults.head, *faults.rows])]
-        lines += wrapped(culprit_words(document.culprits, accuracy.unit), "", "")
+        lines += wrapped(tables.culprit_words(document.culprits, accuracy.unit), "", "")
     return lines
 
 

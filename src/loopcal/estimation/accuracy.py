@@ -162,8 +162,7 @@ def _lengths(gap: Array) -> Array:
     if finite.all(axis=0).any():
         finite[:] = True  # what is not whole stays unknown
     squares = np.where(finite, np.square(gap), 0.0).sum(axis=0)
-    lengths: Array = np.where(finite.any(axis=0), np.sqrt(squares), np.nan)
-    return lengths
+    return np.where(finite.any(axis=0), np.sqrt(squares), np.nan)
 
 
 def main_unit(apart: Sequence[Apart]) -> str | None:

@@ -13,9 +13,8 @@ from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry
 from loopcal.document.findings import Identifiability, Undetermined
 from loopcal.document.fit import CovarianceEntry, NoiseEntry, ParameterEntry
-from loopcal.document.plain import finite
+from loopcal.document.plain import finite, lower
 from loopcal.document.result_document import CoarseReadings, DataEntry, JoinedFile
-from loopcal.document.triangle import lower
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.redundancy import UNCONTROLLED, Redundancy

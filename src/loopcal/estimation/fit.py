@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.estimation.methods.method import Method
 from loopcal.estimation.methods.registry import DEFAULT, PLAIN, method_named, names_where
 from loopcal.estimation.solve.loss import Loss, loss_named
@@ -96,9 +96,7 @@ class Fit:
                 remedy=f"use method = {robust_methods} with the sds of the readings",
             )
         if isinstance(start, str) and start not in STARTS:
-            raise InputError(
-                f"there is no start {start!r}", code="unknown-name", remedy=nearest(start, STARTS)
-            )
+            raise unknown_name(f"there is no start {start!r}", start, STARTS)
         if isinstance(max_iterations, bool) or not max_iterations >= 0:
             raise InputError(
                 f"max_iterations is {max_iterations!r}",
@@ -112,10 +110,8 @@ class Fit:
                 remedy="give a number above zero, say 1e-8",
             )
         if model_error not in MODEL_ERRORS:
-            raise InputError(
-                f"there is no model_error {model_error!r}",
-                code="unknown-name",
-                remedy=nearest(model_error, MODEL_ERRORS),
+            raise unknown_name(
+                f"there is no model_error {model_error!r}", model_error, MODEL_ERRORS
             )
         values = {
             "method": chosen,

@@ -74,8 +74,7 @@ class Bodies:
     @property
     def complete(self) -> NDArray[np.bool_]:
         """(N,) whether all joints were read."""
-        joints_read: NDArray[np.bool_] = np.asarray(np.isfinite(self.origins).all(axis=1))
-        return joints_read
+        return np.asarray(np.isfinite(self.origins).all(axis=1))
 
     @cached_property
     def extent(self) -> float:
@@ -88,8 +87,7 @@ class Bodies:
 
     def at(self, targets: Array) -> Array:
         """(N, 3) the points of the body at one place on it, (3,)."""
-        moved: Array = self.origins + self.rotations @ targets
-        return moved
+        return self.origins + self.rotations @ targets
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,7 @@ from loopcal.estimation.solve.reduction import LARGE
 def rows_times(rows: Array, matrix: Array) -> Array:
     """Rows (..., n) times a matrix (n, k), (..., k)."""
     flat = rows.reshape(int(np.prod(rows.shape[:-1])), rows.shape[-1])
-    product: Array = (flat @ matrix).reshape(*rows.shape[:-1], matrix.shape[1])
-    return product
+    return (flat @ matrix).reshape(*rows.shape[:-1], matrix.shape[1])
 
 
 def rows_times_upper(rows: Array, matrix: Array) -> Array:

@@ -39,7 +39,6 @@ from loopcal.estimation.solve.solution import End
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.serial import Joint, parameter_name
 
 if TYPE_CHECKING:
@@ -296,12 +295,8 @@ def refuse_parallel_axes(mechanism: Mechanism) -> None:
         slides = [by_name.get(parameter_name(one.form, "d", i)) for i in (number, number + 1)]
         if alpha is None or alpha.fixed or abs(math.sin(alpha.nominal)) > _PARALLEL:
             continue
-        if all(d is not None and _is_free(d, _WEAK * size) for d in slides):
+        if all(d is not None and not d.fixed and d.prior_sd > _WEAK * size for d in slides):
             raise _parallel(one, two, number)
-
-
-def _is_free(parameter: Parameter, weak: float) -> bool:
-    return not parameter.fixed and parameter.prior_sd > weak
 
 
 def _parallel(one: Joint, two: Joint, number: int) -> InputError:

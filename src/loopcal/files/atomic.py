@@ -12,7 +12,7 @@ import errno
 import os
 import re
 import secrets
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,13 +32,9 @@ def write_atomic(path: str | Path, data: Data, *, anything: bool = False) -> Non
     write_all({Path(path): data}, anything=anything)
 
 
-def write_files(
-    folder: str | Path, files: Mapping[str, Data], *, remove: Sequence[str] = ()
-) -> tuple[Path, ...]:
+def write_files(folder: str | Path, files: Mapping[str, Data]) -> tuple[Path, ...]:
     """Write several files (name -> contents) into one folder, as `write_all`."""
-    folder = Path(folder)
-    named = {folder / name: data for name, data in files.items()}
-    return write_all(named, remove=[folder / name for name in remove])
+    return write_all({Path(folder) / name: data for name, data in files.items()})
 
 
 def write_all(

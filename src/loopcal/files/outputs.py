@@ -135,7 +135,7 @@ def is_foreign(path: Path, new: bytes | None, together: Callable[[str], bytes | 
     Raises InputError for such a file where the user did not ask to replace it.
     """
     # The same bytes lose nothing, even where the file is an input.
-    if new is not None and _same(path, new):
+    if new is not None and path.stat().st_size == len(new) and path.read_bytes() == new:
         return False
     old = kind_of(path.name, _window(path), _digest(path), _beside(path))
     if new is None:
@@ -223,10 +223,6 @@ def _identity(path: Path) -> tuple[int, int]:
     status = path.stat()
     # Links and other spellings of a path lead to the same input.
     return status.st_dev, status.st_ino
-
-
-def _same(path: Path, new: bytes) -> bool:
-    return path.stat().st_size == len(new) and path.read_bytes() == new
 
 
 def _ends(content: bytes) -> bytes:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loopcal.arrays import Array
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, unknown_name
 from loopcal.keys import Key
 from loopcal.units import unit
 
@@ -213,8 +213,7 @@ class Tracker:
             # An azimuth moves the point by range * cos(elevation), so its sd grows towards the
             # zenith.
             sds = [sds[0], across / np.cos(readings[:, 2]), across]
-        covariance: Array = np.square(sds).T[:, :, None] * np.eye(len(sds))
-        return covariance
+        return np.square(sds).T[:, :, None] * np.eye(len(sds))
 
     def at_station(self, points: Array) -> NDArray[np.intp]:
         """Positions of the points (N, d) that lie where the instrument stands."""
@@ -327,9 +326,7 @@ def rounding_sd(step: float) -> float:
 def sd_per_figure(kind: str, coverage: float | str | None) -> float:
     """What turns a figure of this kind into an sd: 1, or 1 / coverage."""
     if kind not in KINDS:
-        raise InputError(
-            f"the kind of figure is {kind!r}", code="unknown-name", remedy=nearest(kind, KINDS)
-        )
+        raise unknown_name(f"the kind of figure is {kind!r}", kind, KINDS)
     if kind == "sd":
         if coverage is not None:
             raise InputError(

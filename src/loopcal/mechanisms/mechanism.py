@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, Instead, nearest, unknown_name
+from loopcal.errors import InputError, Instead, unknown_name
 from loopcal.expressions.domain import Stage
 from loopcal.expressions.engine import engine_for
 from loopcal.expressions.rewriting import substituted
@@ -236,10 +236,10 @@ class Mechanism:
     def __post_init__(self) -> None:
         for output in self.outputs:
             if output not in self.quantities:
-                raise InputError(
+                raise unknown_name(
                     f"the output {output!r} is not a quantity of the mechanism",
-                    code="unknown-name",
-                    remedy=nearest(output, self.quantities),
+                    output,
+                    self.quantities,
                 )
         if len(set(self.outputs)) > len(self.tape.loops):
             raise InputError(
@@ -446,7 +446,7 @@ class Mechanism:
     def _repr_html_(self) -> str:
         from html import escape  # only notebooks ask
 
-        from loopcal.presentation.html import table
+        from loopcal.presentation.shown import table
 
         head = ("parameter", "nominal", "unit", "")
         rows = [

@@ -27,7 +27,7 @@ from typing import Annotated
 import numpy as np
 
 from loopcal.arrays import Array
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.keys import Key
 from loopcal.mechanisms.chain import (
     AxisFrame,
@@ -87,10 +87,8 @@ class LinkJoint:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise InputError(
-                f"the joint {self.name!r} is of the kind {self.kind!r}",
-                code="unknown-name",
-                remedy=nearest(self.kind, KINDS),
+            raise unknown_name(
+                f"the joint {self.name!r} is of the kind {self.kind!r}", self.kind, KINDS
             )
         if self.kind != "fixed":
             AxisFrame.of(self.axis, self.name)

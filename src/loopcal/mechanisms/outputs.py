@@ -187,5 +187,4 @@ def cartesian_slopes(polar: Array) -> Array:
         ]
     )
     d = len(polar)
-    slopes: Array = np.moveaxis(whole[:d, :d], 2, 0)
-    return slopes
+    return np.moveaxis(whole[:d, :d], 2, 0)

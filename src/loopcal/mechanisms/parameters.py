@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any, Literal, Protocol, cast, get_args
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.lazy import cached_property
 from loopcal.units import to_si, unit
 
@@ -96,10 +96,8 @@ class Parameter:
         if self.role == UNSTATED:
             object.__setattr__(self, "role", _BY_UNIT.get(self.unit, "scale"))
         elif self.role not in ROLES:
-            raise InputError(
-                f"parameter {self.name!r} has the role {self.role!r}",
-                code="unknown-name",
-                remedy=nearest(self.role, ROLES),
+            raise unknown_name(
+                f"parameter {self.name!r} has the role {self.role!r}", self.role, ROLES
             )
 
     @property
@@ -154,9 +152,7 @@ class Parameters:
     def __getitem__(self, name: str) -> Parameter:
         if name in self._by_name:
             return self._by_name[name]
-        raise InputError(
-            f"there is no parameter {name!r}", code="unknown-name", remedy=nearest(name, self.names)
-        )
+        raise unknown_name(f"there is no parameter {name!r}", name, self.names)
 
     @cached_property
     def _by_name(self) -> Mapping[str, Parameter]:
@@ -233,11 +229,7 @@ def stated(
     made = {}
     for name, value in nominal.items():
         if name not in parameters:
-            raise InputError(
-                f"there is no parameter {name!r}",
-                code="unknown-name",
-                remedy=nearest(name, parameters),
-            )
+            raise unknown_name(f"there is no parameter {name!r}", name, parameters)
         drawn = parameters[name]
         made[name] = (
             replace(value, name=name, role=drawn.role, owner=drawn.owner, meaning=drawn.meaning)
@@ -257,11 +249,7 @@ def matching(pattern: str, names: Iterable[str], what: str) -> tuple[str, ...]:
         return (pattern,)
     matched = tuple(name for name in candidates if fnmatchcase(name, pattern))
     if not matched:
-        raise InputError(
-            f"no {what} is called {pattern!r}",
-            code="unknown-name",
-            remedy=nearest(pattern, candidates),
-        )
+        raise unknown_name(f"no {what} is called {pattern!r}", pattern, candidates)
     return matched
 
 

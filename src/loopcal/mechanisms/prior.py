@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.mechanisms.effects.effect import OF_INSTRUMENTS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.terms import stated_terms
@@ -108,11 +108,7 @@ def check_estimate(key: str, how: str, sd: float | None) -> None:
     """Raise InputError where the sd of a prior is to be learnt in a way or from a size that none
     is."""
     if how not in ESTIMATES:
-        raise InputError(
-            f"estimate of the prior {key!r} is {how!r}",
-            code="unknown-name",
-            remedy=nearest(how, ESTIMATES),
-        )
+        raise unknown_name(f"estimate of the prior {key!r} is {how!r}", how, ESTIMATES)
     if sd is None or not 0.0 < sd < math.inf:
         raise InputError(
             f"the prior sd of {key!r} is to be learnt, but "

@@ -282,8 +282,7 @@ def _columns(
         # The unmeasured quantities take up whatever lies in the span of U: I - U U^+ projects it
         # out.
         J, _ = _balanced(J - U @ (np.linalg.pinv(U) @ J), X)
-    columns: Array = J.reshape(-1, len(names) + len(zeros))
-    return columns
+    return J.reshape(-1, len(names) + len(zeros))
 
 
 def _balanced(J: Array, X: Array) -> tuple[Array, Array]:

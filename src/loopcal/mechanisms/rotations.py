@@ -28,8 +28,7 @@ def rotation_vector(R: Array) -> Array:
     q = quaternions(R)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, q[..., :1])
-    w: Array = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0) * q[..., 1:]
-    return w
+    return np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0) * q[..., 1:]
 
 
 def quaternions(R: Array) -> Array:

@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.keys import Key
 from loopcal.mechanisms.chain import MOTIONS, JointName, Step, chain_parameters, refuse_long_chain
 from loopcal.mechanisms.frame import ChainFrame
@@ -76,11 +76,7 @@ class Joint:
 
     def __post_init__(self) -> None:
         if self.form not in FORMS:
-            raise InputError(
-                f"joint {self.name!r} has the form {self.form!r}",
-                code="unknown-name",
-                remedy=nearest(self.form, FORMS),
-            )
+            raise unknown_name(f"joint {self.name!r} has the form {self.form!r}", self.form, FORMS)
         if self.kind not in KINDS:
             raise InputError(
                 f"joint {self.name!r} is of the kind {self.kind!r}",
@@ -95,10 +91,8 @@ class Joint:
             )
         for motion in (*self.before, *self.after):
             if motion not in MOTIONS:
-                raise InputError(
-                    f"joint {self.name!r} has the fixed motion {motion!r}",
-                    code="unknown-name",
-                    remedy=nearest(motion, MOTIONS),
+                raise unknown_name(
+                    f"joint {self.name!r} has the fixed motion {motion!r}", motion, MOTIONS
                 )
 
 

@@ -135,8 +135,7 @@ def skeleton_labels(mechanism: Mechanism) -> tuple[str, ...]:
 def _seen(lines: Sequence[Array], T: Array, dimension: int) -> Array:
     """The lines as a station sees them that stands at T (4, 4), one below the other."""
     parted = [np.vstack([line @ T[:3, :3].T + T[:3, 3], np.full(3, np.nan)]) for line in lines]
-    seen: Array = np.vstack(parted)[:-1, :dimension]
-    return seen
+    return np.vstack(parted)[:-1, :dimension]
 
 
 def target_names(mechanism: Mechanism) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.mechanisms.parameters import Parameter, Parameters
 
 
@@ -81,10 +81,8 @@ def check_terms(terms: Sequence[Term], parameters: Parameters) -> None:
             )
         for name in term.parameters:
             if name not in units:
-                raise InputError(
-                    f"the term {term.name!r} names {name!r}, which is not a parameter",
-                    code="unknown-name",
-                    remedy=nearest(name, units),
+                raise unknown_name(
+                    f"the term {term.name!r} names {name!r}, which is not a parameter", name, units
                 )
             if name in owner:
                 raise InputError(

@@ -11,19 +11,21 @@ from typing import Any
 
 import numpy as np
 
+from loopcal.companions import called
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.document.verdict import UNJUDGED
-from loopcal.errors import UsageError
+from loopcal.errors import InputError, UsageError
 from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import FitResult
+from loopcal.files.atomic import write_atomic
 from loopcal.report import tables, top
 from loopcal.report.drawn import distances, figures
 from loopcal.report.images import OF_IMAGES, image_table
 from loopcal.report.section import Section
-from loopcal.report.source import Source, source_of
+from loopcal.report.source import Source, read_source, source_of
 from loopcal.report.tables import parameter_cells, parameter_head
 from loopcal.report.templates import CELL, page
 
@@ -221,3 +223,26 @@ def _line(entry: ParameterEntry, reach: float, document: ResultDocument) -> Line
     low, middle, high = (min(max(50.0 + change + k * sd, 0.0), 100.0) for k in (-2.0, 0.0, 2.0))
     left, width = min(50.0, middle), abs(middle - 50.0)
     return Line(cells, entry.meaning, left, width, low, high, abs(change) > 50.0)
+
+
+def report(result: Any, out: str | Path = "report.html") -> Path:
+    """Write the report of a result, one self-contained HTML page, and return its path.
+
+    result: of `calibrate` or `read_result`, or the path of its folder. Raises InputError for
+    anything else, and where the page cannot be written.
+    """
+    write_atomic(Path(out), html_of(result))
+    return Path(out)
+
+
+def html_of(result: Any) -> str:
+    """The page of the report."""
+    if isinstance(result, str | Path):
+        return report_html([read_source(result)], called("sections"))
+    if not hasattr(result, "source"):
+        raise InputError(
+            f"a {type(result).__name__} is no result",
+            code="invalid-value",
+            remedy="give what lc.calibrate or lc.read_result returns, or the path of a folder",
+        )
+    return report_html([result.source], called("sections"))

@@ -113,8 +113,7 @@ def _of_image(
 
 def _points(T: Array, point: Array) -> Array:
     """(3, N) a point of a body at its places (N, 4, 4)."""
-    at: Array = (T[:, :3, :3] @ point + T[:, :3, 3]).T
-    return at
+    return (T[:, :3, :3] @ point + T[:, :3, 3]).T
 
 
 def joined(every: Sequence[Sighting]) -> Sighting | None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loopcal.arrays import Array
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike, ReadingUncertainty, resolve_noise
 from loopcal.measurements.source import Source
@@ -184,10 +184,10 @@ def _values(
     names = mechanism.tape.quantities
     for key in [*driven.quantities, *start]:
         if key not in (*names, *mechanism.tape.pose_constants):
-            raise InputError(
+            raise unknown_name(
                 f"{key!r} is not a quantity of {mechanism.name!r}",
-                code="unknown-name",
-                remedy=nearest(key, [*names, *mechanism.tape.pose_constants]),
+                key,
+                [*names, *mechanism.tape.pose_constants],
             )
     turns = {turn for orientation in mechanism.orientations for turn in orientation.turns}
     x = np.zeros((len(names), len(driven)))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry
 from loopcal.document.fit import ChiSquared, CovarianceEntry, NoiseEntry
+from loopcal.document.plain import symmetric
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.triangle import symmetric
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism

@@ -16,7 +16,7 @@ import numpy as np
 
 from loopcal.document.catalogue import findings
 from loopcal.document.findings import Observability, UsualSd
-from loopcal.document.plain import plain
+from loopcal.document.plain import finite, plain
 from loopcal.document.verdict import Fact, Finding, Where, fact
 from loopcal.errors import listed
 from loopcal.estimation.dependence.dependence import joint_rows
@@ -142,7 +142,7 @@ class Check:
                     "readings": r.readings,
                     "smallest": r.smallest,
                     "largest": r.largest,
-                    "sd": r.sd if r.sd is None or math.isfinite(r.sd) else None,
+                    "sd": finite(r.sd),
                 }
                 for r in self.ranges
             ],
@@ -153,10 +153,10 @@ class Check:
                     "nominal": p.nominal,
                     "role": p.role,
                     "owner": p.owner,
-                    "prior_sd": p.prior_sd if math.isfinite(p.prior_sd) else None,
+                    "prior_sd": finite(p.prior_sd),
                     "fixed": p.fixed,
                     "same": p.same,
-                    "expected_sd": _finite(self.expected_sd[p.name]),
+                    "expected_sd": finite(self.expected_sd[p.name]),
                 }
                 for p in self.mechanism.parameters
             ],
@@ -351,7 +351,3 @@ def _parameter_table(check: Check) -> list[str]:
         sds = ("", said) if p.fixed else (prior_shown, expected)
         rows.append([p.name, nominal, *sds, unit, p.role])
     return columns(rows)
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None

@@ -46,11 +46,9 @@ from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
 from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import CERTAIN, Changes, changes, unchanged
-from loopcal.statistics.culprits import culprits
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
-from loopcal.statistics.halves import lens_halves
-from loopcal.statistics.image_regions import image_validation
+from loopcal.statistics.images import culprits, image_validation, lens_halves
 from loopcal.statistics.judged import EXCLUDED, IDLE, UNCERTAIN, Judged, begun, fitted, lean
 from loopcal.statistics.noise_floor import excess, noise_floor
 from loopcal.statistics.risks import (

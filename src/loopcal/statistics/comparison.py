@@ -89,7 +89,7 @@ def compare(
     points = _points(*stood, a, poses) if a.mechanism.outputs else None
     if aligned and points is not None:
         b, motion = _brought(b, points)
-        points = replace(points, b=motion @ _extended(points.b))
+        points = replace(points, b=motion @ np.vstack([points.b, np.ones((1, points.b.shape[1]))]))
         G = gauge(a.mechanism, values_of(a.mechanism), points.a.mean(axis=1))
     else:
         aligned, G = False, np.zeros((len(a.nominal), 0))
@@ -245,10 +245,6 @@ def sensitivity(one: Calibrated, data: Dataset) -> Array:
     return S[:, : len(one.mechanism.outputs)]
 
 
-def _extended(points: Array) -> Array:
-    return np.vstack([points, np.ones((1, points.shape[1]))])
-
-
 def _brought(b: Calibrated, points: _Points) -> tuple[Calibrated, Array]:
     """B moved to A, and the motion as a matrix (o, o + 1)."""
     motion = align(points.b, points.a)
@@ -270,8 +266,7 @@ def covariance_between(a: Calibrated, b: Calibrated) -> LearntCovariance:
     def shared(one: Array, other: Array) -> Array:
         """What both, or its slopes, took from the drawing."""
         half = one @ (precision[:, None] * other)
-        both: Array = half + np.swapaxes(half, -1, -2)
-        return both
+        return half + np.swapaxes(half, -1, -2)
 
     A, B = a.covariance, b.covariance
     # by what the prior weighed in the fit, however large the covariance has become since

@@ -244,8 +244,7 @@ class Search:
         misfit = ~(tests.p_pose >= (0.5 * poses if images else poses))  # what is no number is one
         misfit |= ~(tests.p_shared >= 0.5 * poses) & (tests.sharing > 0)
         single = tail(np.square(np.nan_to_num(w)), np.ones(w.shape, np.intp), tests.denominator)
-        remarkable: NDArray[np.bool_] = misfit | (single < readings).any(axis=0)
-        return remarkable
+        return misfit | (single < readings).any(axis=0)
 
     def _fit(self, problem: Problem, start: Array, loss: Loss | None) -> Solution:
         solve = self.result.fit.solver.safe.solve

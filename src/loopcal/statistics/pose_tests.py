@@ -292,8 +292,7 @@ def misfit_of_rows(
     rows = left_unmeasured(replace(taken(problem, index), readings=readings), without)
     none = np.zeros(len(index), dtype=bool)
     held = replace(fit, corrections=np.zeros_like(readings), blocks=())
-    t: Array = pose_tests(rows, held, none).t
-    return t
+    return pose_tests(rows, held, none).t
 
 
 def settle(problem: Problem, parameters: Array, start: Array) -> Closed:

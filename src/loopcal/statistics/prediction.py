@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.document.plain import plain
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.constants import with_implied, with_latest
@@ -80,8 +81,7 @@ class Prediction:
         """(N, o, o) of both parts together; of the parameters alone where the other is unknown."""
         if self.from_readings is None:
             return self.from_parameters
-        total: Array = self.from_parameters + self.from_readings
-        return total
+        return self.from_parameters + self.from_readings
 
     @property
     def sd(self) -> dict[str, Array]:
@@ -102,8 +102,7 @@ class Prediction:
     @property
     def extrapolated(self) -> NDArray[np.bool_]:
         """(N,) whether the parameters' part is far above that at the calibration poses."""
-        beyond: NDArray[np.bool_] = self.ratio > ALARM
-        return beyond
+        return self.ratio > ALARM
 
     def columns(self) -> dict[str, Array | tuple[str, ...]]:
         """As a table, one row per pose: outputs, their sds, sd by instrument, covariance, alarm."""
@@ -150,37 +149,38 @@ class Prediction:
         poses = [
             {
                 "pose": pose,
-                "outputs": {q: _plain(v[i]) for q, v in outputs},
-                "sd": {q: _plain(v[i]) for q, v in sds.items()},
-                "half_width_95": {q: _plain(v[i]) for q, v in halves.items()},
-                "region_95": _plain(limits[i]),
-                "covariance": [[_plain(v) for v in row] for row in self.covariance[i]],
-                "covariance_from_parameters": [
-                    [_plain(v) for v in row] for row in self.from_parameters[i]
-                ],
+                "outputs": {q: float(v[i]) for q, v in outputs},
+                "sd": {q: float(v[i]) for q, v in sds.items()},
+                "half_width_95": {q: float(v[i]) for q, v in halves.items()},
+                "region_95": float(limits[i]),
+                "covariance": self.covariance[i],
+                "covariance_from_parameters": self.from_parameters[i],
                 "by": [
                     {
                         "instrument": group.instrument,
                         "station": group.station,
                         "unit": group.unit,
-                        "sd": _plain(sizes[i]),
-                        "sd_from_parameters": _plain(parts[i]),
+                        "sd": float(sizes[i]),
+                        "sd_from_parameters": float(parts[i]),
                     }
                     for group, sizes, parts in by
                 ],
-                "ratio": _plain(self.ratio[i]),
+                "ratio": float(self.ratio[i]),
                 "extrapolated": bool(self.extrapolated[i]),
             }
             for i, pose in enumerate(self.poses)
         ]
-        return {
-            "units": dict(self.units),
-            "readings_included": self.from_readings is not None,
-            "alarm_ratio": ALARM,
-            "extrapolated": int(self.extrapolated.sum()),
-            "words": self.words(),
-            "poses": poses,
-        }
+        document: dict[str, Any] = plain(
+            {
+                "units": dict(self.units),
+                "readings_included": self.from_readings is not None,
+                "alarm_ratio": ALARM,
+                "extrapolated": int(self.extrapolated.sum()),
+                "words": self.words(),
+                "poses": poses,
+            }
+        )
+        return document
 
     def words(self) -> str:
         """What was predicted, how sure it is, and the alarm."""
@@ -223,10 +223,6 @@ class Prediction:
 
 def _finite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _spread(covariance: Array, group: OutputGroup) -> str:
@@ -303,8 +299,7 @@ class Parts:
         """(N, o, o) of both parts together, of the parameters alone where that is all."""
         if self.from_readings is None:
             return self.from_parameters
-        total: Array = self.from_parameters + self.from_readings.matrix
-        return total
+        return self.from_parameters + self.from_readings.matrix
 
 
 def parts_at(

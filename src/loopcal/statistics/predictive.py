@@ -328,8 +328,7 @@ class SameRun:
         shared = X @ self.K[poses] @ np.swapaxes(D, -1, -2)
         noise = self.white * W + self.level * X @ np.swapaxes(X, -1, -2)
         fitted = rows_times(D, self.V) @ np.swapaxes(D, -1, -2)
-        total: Array = noise + fitted - shared - np.swapaxes(shared, -1, -2)
-        return total
+        return noise + fitted - shared - np.swapaxes(shared, -1, -2)
 
 
 def _kernel(lengths: Array, sizes: Array, rows: Positions, columns: Positions) -> Array:

@@ -190,5 +190,4 @@ def _squares(result: FitResult, problem: Problem, rows: list[int], count: int) -
     if not len(S):
         return None
     flat = S.reshape(-1, S.shape[2])
-    squares: Array = flat.T @ flat / (len(S) * count)
-    return squares
+    return flat.T @ flat / (len(S) * count)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,11 +159,6 @@ def repeated_readings(series: Dataset | Sequence[Dataset]) -> Repeats:
     sensors = tuple(_sensor(name, every) for name in names)
     labels = tuple((s.source.name or f"series {i}", len(s)) for i, s in enumerate(every, 1))
     return Repeats(labels, sensors, _correlations(every, [s for s in sensors if s.about_mean.sd]))
-
-
-def with_separation(repeats: Repeats, separation: Separation) -> Repeats:
-    """The same with joints and instrument told apart."""
-    return replace(repeats, separation=separation)
 
 
 def scatter(sum_of_squares: float, degrees: float) -> Scatter:

@@ -166,8 +166,7 @@ class Replaced:
     @property
     def directions(self) -> Array:
         """(n_all, g) the unit steps of what is found anew."""
-        unit: Array = np.eye(len(self.anew))[:, self.anew]
-        return unit
+        return np.eye(len(self.anew))[:, self.anew]
 
     @property
     def measured(self) -> Array:
@@ -268,8 +267,7 @@ def least_squares(A: Array, b: Array, damping: float = 0.0) -> Array:
         # Rows below each other: A^T A would square the condition number.
         rows = np.vstack([rows, np.sqrt(damping) * np.eye(n)])
         b = np.concatenate([b, np.zeros((n, b.shape[1]))])
-    x: Array = np.linalg.lstsq(rows, b, rcond=DETERMINED)[0] / scale[:, None]
-    return x
+    return np.linalg.lstsq(rows, b, rcond=DETERMINED)[0] / scale[:, None]
 
 
 @dataclass(frozen=True)

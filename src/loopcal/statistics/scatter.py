@@ -23,7 +23,7 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.document.fit import CovarianceEntry
-from loopcal.document.triangle import lower, symmetric
+from loopcal.document.plain import lower, symmetric
 from loopcal.estimation.products import rows_times
 from loopcal.estimation.result import FitResult
 

@@ -131,8 +131,7 @@ def _medians(distance: Array, kept: NDArray[np.bool_]) -> Array:
     """(N,) over the corners (n, N) of each image that are kept; 0 without any."""
     seen = np.where(kept, distance, np.nan)
     seen[:, ~kept.any(axis=0)] = 0.0
-    medians: Array = np.nanmedian(seen, axis=0)
-    return medians
+    return np.nanmedian(seen, axis=0)
 
 
 def _cameras(problem: Problem) -> dict[str, NDArray[np.intp]]:

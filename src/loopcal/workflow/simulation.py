@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -109,7 +109,7 @@ def sensor_noise(
     """
     from loopcal.files.tables.repeats import read_repeats
     from loopcal.statistics import repeats_summary
-    from loopcal.statistics.repeats import repeated_readings, with_separation
+    from loopcal.statistics.repeats import repeated_readings
     from loopcal.statistics.separation import separate
 
     read = None if project is None else named_project(project, function)
@@ -122,10 +122,10 @@ def sensor_noise(
             elsewhere = None  # its readings are not here; the series may place the machine
         raw = {sensor.name: sensor.about_mean.sd for sensor in repeats.sensors}
         try:
-            apart = separate(read.mechanism, series, raw, elsewhere=elsewhere)
+            separation = separate(read.mechanism, series, raw, elsewhere=elsewhere)
         except InputError as error:
             raise error.at(read.name) from None
-        repeats = with_separation(repeats, apart)
+        repeats = replace(repeats, separation=separation)
     return SensorNoise(repeats, repeats_summary.summary(repeats), repeats_summary.document(repeats))
 
 

@@ -14,7 +14,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError, nearest
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.limb import limb
+from loopcal.mechanisms.bodies import limb
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -199,13 +199,13 @@ class Views:
 
     def report(self, out: str | Path = "report.html") -> Path:
         """`loopcal.report` of this result."""
-        from loopcal.report.writing import report
+        from loopcal.report.page import report
 
         return report(self, out)
 
     def to_html(self) -> str:
         """The page of the report."""
-        from loopcal.report.writing import html_of
+        from loopcal.report.page import html_of
 
         return html_of(self)
 

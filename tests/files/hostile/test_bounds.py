@@ -14,7 +14,7 @@ import pytest
 from analyses.hostile_inputs import doubling_schema
 from loopcal.companions.record.xml_schema import check_against
 from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.reader import read_program
+from loopcal.companions.robot.programs.registry import read_program
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files import guarded as module
 from loopcal.files.guarded import Stopped, guarded

@@ -14,7 +14,7 @@ import pytest
 
 from loopcal import InputError, read_dataset
 from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.reader import read_program
+from loopcal.companions.robot.programs.registry import read_program
 from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables import raw
 from tests.command_line import run, run_here

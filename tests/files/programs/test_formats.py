@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from loopcal.companions.robot.programs.copying import inserted
 from loopcal.companions.robot.programs.joint_axes import JointAxes
 from loopcal.companions.robot.programs.program import Move, Program
-from loopcal.companions.robot.programs.reader import read_program
-from loopcal.companions.robot.programs.registry import BY_ENDING
+from loopcal.companions.robot.programs.registry import BY_ENDING, read_program
 from loopcal.errors import InputError
 from tests.refusals import refused
 

@@ -9,7 +9,7 @@ import pytest
 
 from loopcal.companions.robot.programs.joint_axes import JointAxes
 from loopcal.companions.robot.programs.program import Program
-from loopcal.companions.robot.programs.reader import read_program
+from loopcal.companions.robot.programs.registry import read_program
 
 AXES = JointAxes({f"q{i}": "rad" for i in range(1, 7)}, pulses=(1000.0,) * 6)
 _POSE = "[[500,0,600],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"

@@ -10,8 +10,7 @@ import pytest
 
 from loopcal.companions.planning.program import program_of_stops
 from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.reader import read_program
-from loopcal.companions.robot.programs.registry import WRITTEN
+from loopcal.companions.robot.programs.registry import WRITTEN, read_program
 from tests.refusals import refused
 
 ARMS = {

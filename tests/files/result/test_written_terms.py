@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import loopcal as lc
-from loopcal.document.triangle import symmetric
+from loopcal.document.plain import symmetric
 from loopcal.files.result.result_file import result_json, write_result
 from loopcal.report.page import parameter_groups
 from loopcal.report.source import source_of

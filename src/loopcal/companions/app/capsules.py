@@ -62,8 +62,7 @@ def vertices(points: Array) -> Array:
         middle = np.where(extended[:, None], begin if ring < len(_LATITUDES) // 2 else end, first)
         middle = middle + (size * np.sin(latitude))[:, None] * axis
         rings.append(middle[:, None] + (size * np.cos(latitude))[:, None, None] * around)
-    corners: Array = np.stack(rings, axis=1).reshape(-1, 3)
-    return corners
+    return np.stack(rings, axis=1).reshape(-1, 3)
 
 
 def _longest(lengths: Array, finite: Any) -> float:
@@ -84,5 +83,4 @@ def _triangles(lines: int) -> NDArray[np.intp]:
     )
     count = len(_LATITUDES)
     steps = (np.arange(lines)[:, None] * count + np.arange(count - 1)).ravel() * SIDES
-    triangles: NDArray[np.intp] = (band[None] + steps[:, None, None]).reshape(-1, 3)
-    return triangles
+    return (band[None] + steps[:, None, None]).reshape(-1, 3)

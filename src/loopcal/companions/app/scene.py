@@ -93,8 +93,7 @@ class Scene:
             return None
         values = {p.name: p.nominal for p in self.mechanism.parameters}
         T = product(drawn_in(self.mechanism), {}, values)
-        at: Array = self.links.placed(joints) @ T[:3, :3].T + T[:3, 3]
-        return at
+        return self.links.placed(joints) @ T[:3, :3].T + T[:3, 3]
 
     def limbs(self, joints: Mapping[str, float]) -> Array | None:
         """(k, 3) the skeleton of the machine [m]; NaN where a joint is not read."""
@@ -150,8 +149,7 @@ def _pyramid(entry: CameraEntry, T: Array, length: float) -> Array:
     across = np.array([width / lens.fx, height / lens.fy]) / 2.0
     ends = [[x, y, 1.0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     corners = np.vstack([np.zeros(3), np.array(ends) * [*across, 1.0]]) * length
-    line: Array = (corners @ T[:3, :3].T + T[:3, 3])[_EDGES]
-    return line
+    return (corners @ T[:3, :3].T + T[:3, 3])[_EDGES]
 
 
 def _outline(entry: CameraEntry, corners: Array) -> Array:

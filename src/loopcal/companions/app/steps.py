@@ -51,11 +51,11 @@ Light = Callable[[State], tuple[str, str]]
 def never_better(stands: tuple[str, str], state: State) -> tuple[str, str]:
     """How a step stands that has begun: never better than the verdict on the result, and never
     good where the project has changed since."""
-    return stands if stands[0] == "none" else max(stands, fit(state), key=_gravity)
-
-
-def _gravity(stands: tuple[str, str]) -> int:
-    return LIGHTS.index(stands[0])
+    return (
+        stands
+        if stands[0] == "none"
+        else max(stands, fit(state), key=lambda one: LIGHTS.index(one[0]))
+    )
 
 
 def made(what: str) -> Light:

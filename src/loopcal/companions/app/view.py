@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from nicegui import background_tasks, run, ui
+from nicegui.element import Element
 
 from loopcal.companions.app import words
 from loopcal.companions.app.addresses import Address
 from loopcal.companions.app.pictures import GRID
 from loopcal.companions.app.session import Session
-from loopcal.companions.app.space import Space
 from loopcal.errors import LoopcalError
 from loopcal.presentation.shown import NONE, with_unit
 
@@ -347,3 +347,20 @@ class Place:
         with suppress(TimeoutError):
             await client.run_javascript("true", timeout=LONGEST)  # after all that was sent before
         client.remove_elements([one for one in before if not one.is_deleted])
+
+
+class Space(Element, component="scripts/space.js"):
+    """Traces as plotly names them, drawn by `scripts/space.js`; with the methods of `ui.plotly`
+    that the app uses."""
+
+    def __init__(self, figure: Mapping[str, Any]) -> None:
+        super().__init__()
+        self.update_figure(figure)
+
+    def update_figure(self, figure: Mapping[str, Any]) -> None:
+        """Draw other traces; the eye stays where it is."""
+        self.props["options"] = dict(figure)
+
+    def run_plot_method(self, name: str, *args: Any) -> Any:
+        """`restyle` alone: move the points of some traces."""
+        return self.run_method("run_plot_method", name, *args)

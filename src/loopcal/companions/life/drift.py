@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from loopcal.arrays import Array
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
@@ -238,10 +238,10 @@ class Drifting:
         if key in parameters.names or key in zeros:
             return [zeros.get(key, key)]
         if key not in DRIFTING:
-            raise InputError(
+            raise unknown_name(
                 f"there is no parameter and no role of parameters {key!r}",
-                code="unknown-name",
-                remedy=nearest(key, (*DRIFTING, *parameters.names, *zeros)),
+                key,
+                (*DRIFTING, *parameters.names, *zeros),
             )
         alike = [p for p in parameters if key in (p.role, p.dimension)]
         if key != "zero":

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.companions.life.courses import Cause
 from loopcal.companions.life.drift import Drifting
-from loopcal.document.triangle import lower, symmetric
+from loopcal.document.plain import lower, symmetric
 from loopcal.mechanisms.outputs import measured_points
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.comparison import sensitivity, thinned

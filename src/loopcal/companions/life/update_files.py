@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from loopcal.companions.life import updating
 from loopcal.companions.life.drift import Since
 from loopcal.companions.life.history_files import HistoryKeeper
 from loopcal.companions.life.history_files import history as read_history
@@ -21,6 +22,7 @@ from loopcal.files.result.result_poses import poses_of_result
 from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verdict import refuses
 from loopcal.units import difference_to_si
+from loopcal.workflow.public import on_result
 from loopcal.workflow.readings import Files, first_of, new_readings
 from loopcal.workflow.result import Result, save_result
 from loopcal.workflow.saved_result import read_result
@@ -148,3 +150,6 @@ def _with_file(inputs: Mapping[str, Any], readings: str | Path) -> Mapping[str, 
     if not isinstance(inputs.get("data", {}).get("file"), str):
         return inputs
     return {**inputs, "data": {**inputs["data"], "file": str(readings)}}
+
+
+update: Callable[..., Result] = on_result(updating.update, "calibrated", whole=True)

@@ -46,7 +46,7 @@ from loopcal.companions.performance.parts import (
     drift,
 )
 from loopcal.companions.performance.summary import Performance
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.measurements.attained import AttainedPoses
 from loopcal.mechanisms.rotations import rotation_vector
 from loopcal.presentation.shown import p_words
@@ -77,12 +77,7 @@ def pose_performance(
     names = list(dict.fromkeys(attained.pose))
     for name in (name for pair in distances for name in pair):
         if name not in names:
-            raise InputError(
-                f"there is no pose {name!r}",
-                code="unknown-name",
-                place=attained.file,
-                remedy=nearest(name, names),
-            )
+            raise unknown_name(f"there is no pose {name!r}", name, names, attained.file)
     for one, other in distances:
         if one == other:
             raise InputError(

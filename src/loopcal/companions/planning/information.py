@@ -57,8 +57,7 @@ class Information:
     def of(self, chosen: NDArray[np.intp] | list[int]) -> Array:
         """Information (k, k) of these candidates and the start."""
         some = self.rows[chosen].reshape(-1, self.rows.shape[2])
-        total: Array = self.start + some.T @ some
-        return total
+        return self.start + some.T @ some
 
     def without(self, parameters: NDArray[np.bool_]) -> Information:
         """The same where these parameters (n,) are known, at the same candidates."""
@@ -77,8 +76,7 @@ class Information:
     def mean_test(self) -> Array:
         """(k, k) mean over the test poses of T^T T: tr(C G) is the mean variance."""
         flat = self.tests.reshape(-1, self.tests.shape[2])
-        mean: Array = flat.T @ flat / len(self.tests)
-        return mean
+        return flat.T @ flat / len(self.tests)
 
     @cached_property
     def relative(self) -> Array:
@@ -181,8 +179,7 @@ def placed_anew(tests: Array, stands: NDArray[np.bool_]) -> Array:
         U, s, _ = np.linalg.svd(P, full_matrices=False)
         U = U[:, s > _NULL * s.max()]
         flat = flat - U @ (U.T @ flat)
-    remaining: Array = np.where(stands, 0.0, flat).reshape(tests.shape)
-    return remaining
+    return np.where(stands, 0.0, flat).reshape(tests.shape)
 
 
 def information(
@@ -224,8 +221,7 @@ def _unmoved(parameter_root: Array) -> Array:
         return np.eye(k)
     _, s, Vt = np.linalg.svd(scaled, full_matrices=True)
     rank = int((s > _NULL * s.max()).sum())
-    basis: Array = Vt[rank:].T
-    return basis
+    return Vt[rank:].T
 
 
 def closed_corrections(problem: Problem) -> Array:

@@ -74,7 +74,7 @@ from loopcal.companions.planning.search import (
     linear_aim,
     test_variances,
 )
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -178,9 +178,7 @@ class Pooled:
 def _criterion(mechanism: Mechanism, stated: str | None) -> Criterion:
     how = stated or ("I" if mechanism.outputs else "D")
     if how not in CRITERIA:
-        raise InputError(
-            f"there is no criterion {how!r}", code="unknown-name", remedy=nearest(how, CRITERIA)
-        )
+        raise unknown_name(f"there is no criterion {how!r}", how, CRITERIA)
     if how in ("I", "G") and not mechanism.outputs:
         raise InputError(
             f"{mechanism.name!r} predicts no end point, which the criterion {how} needs",

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from loopcal.companions.planning import plan as planning
 from loopcal.companions.planning.candidates import ranges_of
 from loopcal.companions.planning.occasions import occasions
 from loopcal.companions.planning.page import plan_html
-from loopcal.companions.planning.plan import plan
 from loopcal.companions.planning.planned import Plan
 from loopcal.companions.planning.program import program_writer
 from loopcal.companions.planning.search import Progress
@@ -35,8 +36,9 @@ from loopcal.measurements.plan_settings import PlanSettings
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.workflow.projects import named_project
-from loopcal.workflow.readings import new_readings
-from loopcal.workflow.resolved import result_of
+from loopcal.workflow.readings import Units, new_readings, readings
+from loopcal.workflow.resolved import described, result_of
+from loopcal.workflow.saved_result import SavedResult
 
 POSES, DOCUMENT, PAGE = "plan.csv", "plan.json", "plan.html"
 
@@ -110,7 +112,7 @@ def run_plan(
     if program_path is not None:
         write = program_writer(basis.mechanism, program_path, pulses=request.pulses)
     try:
-        made = plan(
+        made = planning.plan(
             basis.mechanism,
             request.poses,
             noise=basis.noise,
@@ -256,3 +258,42 @@ def candidates_of(project: Project, path: str | Path | None) -> Dataset | None:
     if poses is not None:
         return poses
     return new_readings(path, project.inputs, project.mechanism)
+
+
+@wraps(planning.plan)
+def plan(
+    mechanism: Any,
+    poses: int = 30,
+    *,
+    candidates: Any = None,
+    existing: Any = None,
+    units: Units = None,
+    **options: Any,
+) -> Plan:
+    """`plan`, of paths, projects and results too: a result is planned on from its poses."""
+    if isinstance(mechanism, FitResult | SavedResult):
+        mechanism, existing = mechanism.mechanism, mechanism if existing is None else existing
+    description = described(mechanism)
+    if isinstance(description, Project):
+        basis = basis_of(description, existing)
+        options.setdefault("settings", settings_of(description))
+    elif (
+        existing is None or isinstance(existing, Dataset | Mapping) or hasattr(existing, "columns")
+    ):
+        machine = getattr(description, "mechanism", description)
+        data = None if existing is None else readings(existing, machine, units)
+        basis = PlanningBasis(
+            machine, options.pop("noise", getattr(description, "noise", None)), data
+        )
+    else:
+        basis = of_calibration(existing)
+    options.setdefault("noise", basis.noise)
+    options["settings"] = basis.settled(options.get("settings") or PlanSettings())
+    if candidates is not None:
+        if isinstance(description, Project) and isinstance(candidates, str | Path):
+            candidates = candidates_of(description, candidates)
+        else:
+            candidates = readings(candidates, basis.mechanism, units)
+    return planning.plan(
+        basis.mechanism, poses, candidates=candidates, existing=basis.existing, **options
+    )

@@ -68,8 +68,7 @@ class _System:
 
     def _blocks(self, matrix: Array) -> Array:
         right = (self.flat @ matrix).reshape(self.rows.shape)
-        blocks: Array = right @ self.rows.transpose(0, 2, 1)
-        return blocks
+        return right @ self.rows.transpose(0, 2, 1)
 
     def change(self, some: Sequence[int], sign: float) -> None:
         """Add (sign 1) or remove (sign -1) candidates."""

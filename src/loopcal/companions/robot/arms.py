@@ -333,5 +333,4 @@ def _twist(R: Array, by: Array, turn: Array) -> Array:
     X, Y, Z = (skew(R[:, :, i]) for i in range(3))
     # dz = dx x y + x x dy
     w = 0.5 * ((X - Z @ Y) @ dx + (Y + Z @ X) @ dy)
-    both: Array = np.concatenate([turn @ by[:, :3], turn @ w], axis=1)
-    return both
+    return np.concatenate([turn @ by[:, :3], turn @ w], axis=1)

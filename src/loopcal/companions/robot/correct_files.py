@@ -22,15 +22,16 @@ from loopcal.companions.robot.corrected import (
 from loopcal.companions.robot.correction import Correction, StraightMove, divided, line_errors
 from loopcal.companions.robot.inverse import solve
 from loopcal.companions.robot.programs.copying import inserted
-from loopcal.companions.robot.programs.corrected import (
-    corrected_already,
-    correction_mark,
-    refuse_corrected,
-)
 from loopcal.companions.robot.programs.joint_axes import JointAxes
 from loopcal.companions.robot.programs.poses_text import pose_of_turns
 from loopcal.companions.robot.programs.program import Program, ProgramTarget
-from loopcal.companions.robot.programs.reader import beside, read_program
+from loopcal.companions.robot.programs.registry import (
+    beside,
+    corrected_already,
+    correction_mark,
+    read_program,
+    refuse_corrected,
+)
 from loopcal.companions.robot.rigid import CALIBRATED, Tool, tool_of
 from loopcal.companions.robot.solutions import solutions, with_turns
 from loopcal.errors import InputError

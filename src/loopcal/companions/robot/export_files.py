@@ -23,7 +23,7 @@ from loopcal.companions.robot.exports.tables import ORIENTATIONS
 from loopcal.document.exported import Exported, accuracy_lines
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Verdict
-from loopcal.errors import InputError, listed, nearest
+from loopcal.errors import InputError, listed, unknown_name
 from loopcal.files.machines.mechanism_writer import source_file
 from loopcal.files.outputs import one_command
 from loopcal.files.project.new_readings import computed_joints
@@ -170,11 +170,7 @@ def _check_options(
             f"offsets is {offsets!r}", code="unknown-name", remedy="give 'origin' or 'file'"
         )
     if vendor is not None and vendor not in ORIENTATIONS:
-        raise InputError(
-            f"there is no vendor {vendor!r}",
-            code="unknown-name",
-            remedy=nearest(vendor, ORIENTATIONS),
-        )
+        raise unknown_name(f"there is no vendor {vendor!r}", vendor, ORIENTATIONS)
     stated = {
         "source": source is not None,
         "offsets": offsets != OFFSETS[0],

@@ -121,8 +121,7 @@ def _turning(arms: Arms) -> NDArray[np.bool_]:
 
 def _within(angles: Array) -> Array:
     """Within half a turn to both sides."""
-    angle: Array = np.remainder(angles + math.pi, _TURN) - math.pi
-    return angle
+    return np.remainder(angles + math.pi, _TURN) - math.pi
 
 
 def with_turns(arms: Arms, every: Array, most: int) -> list[Array]:

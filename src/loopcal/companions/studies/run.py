@@ -8,19 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from loopcal.companions.studies import study_parts
 from loopcal.companions.studies.draws import Columns, run_draws
 from loopcal.companions.studies.paired import Paired
 from loopcal.companions.studies.study_file import Study, read_study
-from loopcal.companions.studies.study_parts import (
-    FILES,
-    Part,
-    join_parts,
-    missing_parts,
-    open_folder,
-    parts_of,
-    write_part,
-    write_summary,
-)
 from loopcal.companions.studies.tables import (
     END_POINT,
     MethodTable,
@@ -81,8 +72,8 @@ def run_study(
         sharing(executor)
     folder = _default_folder(study) if out is None else Path(out)
     # Refused before the first draw, not after hours of them.
-    refuse_foreign(*(folder / name for name in FILES))
-    open_folder(folder, study)
+    refuse_foreign(*(folder / name for name in study_parts.FILES))
+    study_parts.open_folder(folder, study)
     try:
         return _drawn(study, draws, folder, executor, progress)
     except InputError as error:
@@ -93,20 +84,20 @@ def _drawn(
     study: Study, draws: int, folder: Path, executor: Executor | None, progress: Progress | None
 ) -> StudyDone:
     """Every draw that the folder does not hold yet, and the tables of all."""
-    parts = parts_of(len(study.scenarios), draws)
-    missing = missing_parts(folder, parts)
+    parts = study_parts.parts_of(len(study.scenarios), draws)
+    missing = study_parts.missing_parts(folder, parts)
     methods = len(study.methods)
     total, done = sum(part.last - part.first for part in missing), 0
     with closing((executor or Processes()).run(_columns, study, missing)) as finished:
         for piece in finished:
             part = missing[piece.number]
-            write_part(folder, part, piece.value)
+            study_parts.write_part(folder, part, piece.value)
             done += part.last - part.first
             if progress:
                 progress(done * methods, total * methods)
-    made = tables(study, draws, join_parts(folder, parts))
+    made = tables(study, draws, study_parts.join_parts(folder, parts))
     text, study_document = summary(made), document(made)
-    write_summary(folder, study_document, text)
+    study_parts.write_summary(folder, study_document, text)
     return StudyDone(study, made, folder, text, study_document)
 
 
@@ -125,7 +116,7 @@ def _check(study: Study) -> None:
             raise error.at(f"{study.name}: scenarios[{i + 1}] ({scenario.name})") from None
 
 
-def _columns(study: Study, part: Part) -> Columns:
+def _columns(study: Study, part: study_parts.Part) -> Columns:
     scenario = study.scenarios[part.scenario]
     try:
         return run_draws(scenario, study.seed, range(part.first, part.last))

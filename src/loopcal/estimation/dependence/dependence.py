@@ -227,8 +227,7 @@ def _spatial(problem: Problem, order: NDArray[np.intp]) -> Pairs:
             points += [np.cos(readings), np.sin(readings)]
         else:
             points.append((readings - readings.mean()) / max(float(readings.std()), 1e-300))
-    pairs: Pairs = order[near(np.array(points).T, apart=int(_APART * len(order)))]
-    return pairs
+    return order[near(np.array(points).T, apart=int(_APART * len(order)))]
 
 
 Pairs = NDArray[np.intp]
@@ -294,5 +293,4 @@ def near(points: Array, neighbours: int = 6, apart: int = 0) -> Pairs:
     nearest = np.argpartition(distance, min(neighbours, N - 1), axis=1)[:, :neighbours]
     both = np.sort(np.array([np.repeat(rows, nearest.shape[1]), nearest.ravel()]), axis=0)
     kept = np.isfinite(distance[both[0], both[1]])
-    pairs: Pairs = np.array(np.divmod(np.unique(both[0, kept] * N + both[1, kept]), N))
-    return pairs
+    return np.array(np.divmod(np.unique(both[0, kept] * N + both[1, kept]), N))

@@ -6,7 +6,7 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, cast
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import unknown_name
 
 if TYPE_CHECKING:
     from loopcal.estimation.methods.method import Method
@@ -30,9 +30,7 @@ def method_named(name: str) -> Method:
     Raises InputError naming the nearest method if there is none of that name.
     """
     if name not in METHODS:
-        raise InputError(
-            f"there is no method {name!r}", code="unknown-name", remedy=nearest(name, METHODS)
-        )
+        raise unknown_name(f"there is no method {name!r}", name, METHODS)
     module = import_module(f"loopcal.estimation.methods.{METHODS[name]}")
     return cast("Method", module.METHOD)
 

@@ -101,8 +101,7 @@ class Problem:
     @property
     def precision(self) -> Array:
         """(n,) 1 / prior variance of the estimated parameters."""
-        precision: Array = 1.0 / np.square(self.unknowns.prior_sd)
-        return precision
+        return 1.0 / np.square(self.unknowns.prior_sd)
 
     def weighted(self, weighting: Weighting) -> Problem:
         """The same readings with loops that count otherwise."""

@@ -31,8 +31,7 @@ class Unknowns:
 
     def offset(self, parameters: Array) -> Array:
         """Nominal minus current values, (n,), of parameters (n_all,)."""
-        difference: Array = self.nominal - parameters[self.free]
-        return difference
+        return self.nominal - parameters[self.free]
 
     @cached_property
     def flat(self) -> bool:

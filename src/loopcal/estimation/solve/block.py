@@ -76,8 +76,7 @@ class Block:
     @property
     def corrected(self) -> Array:
         """Corrected readings (k, b)."""
-        x: Array = self.readings + self.corrections
-        return x
+        return self.readings + self.corrections
 
     @property
     def read(self) -> Block:

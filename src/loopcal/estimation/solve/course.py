@@ -104,5 +104,4 @@ def accelerated(recent: Array, system: Spectrum) -> Array | None:
     length = float(scaled_step @ system.equations.times(scaled_step))
     if not length <= _LONGEST**2 * system.decrement:
         return None
-    result: Array = system.scale * scaled_step
-    return result
+    return system.scale * scaled_step

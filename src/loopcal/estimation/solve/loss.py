@@ -22,7 +22,7 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.chi_squared import lower, tail
-from loopcal.errors import InputError, nearest
+from loopcal.errors import unknown_name
 
 LOSSES = ("gaussian", "huber", "student-t")
 # The usual value (Holland and Welsch 1977).
@@ -70,12 +70,10 @@ class StudentT:
     freedom: float = FREEDOM
 
     def rho(self, s: Array, r: int) -> Array:
-        rho: Array = (self.freedom + r) * np.log1p(s / self.freedom)
-        return rho
+        return (self.freedom + r) * np.log1p(s / self.freedom)
 
     def weight(self, s: Array, r: int) -> Array:
-        weight: Array = (self.freedom + r) / (self.freedom + s)
-        return weight
+        return (self.freedom + r) / (self.freedom + s)
 
     def bend(self, s: Array, r: int) -> Array:
         return -self.weight(s, r) * s / (self.freedom + s)
@@ -87,9 +85,7 @@ def loss_named(name: str) -> Loss | None:
     Raises InputError naming the nearest loss if there is none of that name.
     """
     if name not in LOSSES:
-        raise InputError(
-            f"there is no loss {name!r}", code="unknown-name", remedy=nearest(name, LOSSES)
-        )
+        raise unknown_name(f"there is no loss {name!r}", name, LOSSES)
     losses: dict[str, Loss] = {"huber": Huber(), "student-t": StudentT()}
     return losses.get(name)
 

@@ -199,8 +199,7 @@ class _Poses:
         constants = np.vstack([self.pose_constants, multipliers.T])
         hessian = self.second.evaluate(self.parameters, x, constants).by_quantity.transpose(2, 1, 0)
         hessian = np.where(np.isfinite(hessian), hessian, 0.0)
-        curvature: Array = np.swapaxes(self.T, 1, 2) @ hessian @ self.T
-        return curvature
+        return np.swapaxes(self.T, 1, 2) @ hessian @ self.T
 
     def _length(self, y: Array, local: _Local, step: Array, scaled: Array) -> Array:
         """The longest of the halved steps (b,) that lowers |M y|^2 / 2 + weight |closure|."""

@@ -168,8 +168,7 @@ class Summed:
 
     def times(self, z: Array) -> Array:
         """The matrix of the normal equations times scaled steps, (n,) or (n, h)."""
-        product: Array = self.matrix @ z
-        return product
+        return self.matrix @ z
 
     def directions(self) -> Directions:
         """By an eigendecomposition."""
@@ -248,8 +247,7 @@ class Stacked:
 
     def times(self, z: Array) -> Array:
         """The matrix of the normal equations times scaled steps, (n,) or (n, h)."""
-        product: Array = self.matrix.T @ (self.matrix @ z)
-        return product
+        return self.matrix.T @ (self.matrix @ z)
 
     def directions(self) -> Directions:
         """By a singular value decomposition, which has twice the digits."""
@@ -348,8 +346,7 @@ class Spectrum:
         after: the steps (n,) [SI] that led here; their sum with this one is what is damped.
         """
         if not damping and self._solution is not None:
-            full: Array = self.scale * self._solution
-            return full
+            return self.scale * self._solution
         if self._summed_up(damping):
             led = np.zeros(len(self.scale)) if after is None else after / self.scale
             return np.asarray(
@@ -362,8 +359,7 @@ class Spectrum:
             right = right - damping * (self.directions.T @ (after / self.scale))
         z = np.zeros(len(s))
         np.divide(right, s * s + damping, out=z, where=self.kept)
-        result: Array = self.scale * (self.directions @ z)
-        return result
+        return self.scale * (self.directions @ z)
 
     def predicted(self, damping: float = 0.0) -> float:
         """How much of chi-squared that step is predicted to remove."""
@@ -428,8 +424,7 @@ class Spectrum:
     @overflowing
     def covariance(self) -> Array:
         """(sum D^T D + prior)^-1 over the determined directions, (n, n) [SI]; symmetric."""
-        result: Array = self.root @ self.root.T
-        return result
+        return self.root @ self.root.T
 
 
 def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
@@ -450,8 +445,7 @@ def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
 
 
 def _kept(s: Array, tolerance: float) -> NDArray[np.bool_]:
-    kept: NDArray[np.bool_] = s > max(tolerance * float(s.max(initial=0.0)), SQUARED)
-    return kept
+    return s > max(tolerance * float(s.max(initial=0.0)), SQUARED)
 
 
 def triangle(*blocks: Array) -> Array:

@@ -157,5 +157,4 @@ class RobustSums:
             A, B = A + a * M, B + K**2 * b * M
         root = spectrum.root
         half = root @ np.linalg.inv(root.T @ A @ root)
-        covariance: Array = half @ (root.T @ B @ root) @ half.T
-        return covariance
+        return half @ (root.T @ B @ root) @ half.T

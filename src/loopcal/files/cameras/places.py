@@ -73,7 +73,7 @@ def read_places(path: str | Path) -> PlaceTable:
     """
     path = Path(path)
     if path.suffix.lower() not in (".yaml", ".yml", ".json"):
-        return _of_table(path)
+        return _of_source(sources_of(path, 0)[0], path)
     document = read_document(path)
     if document.get("samples", "hand_world_samples") is not None:
         robot = read_samples(path).robot
@@ -119,10 +119,6 @@ def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[
     if inner is None:
         for key, one in part.items():
             yield from _of_document(one, path, key, depth - 1)
-
-
-def _of_table(path: Path) -> PlaceTable:
-    return _of_source(sources_of(path, 0)[0], path)
 
 
 def _of_source(source: Source, path: Path) -> PlaceTable:

@@ -73,7 +73,7 @@ def camchain(cameras: Mapping[str, Intrinsics], T_camera_first: Mapping[str, Arr
             f"  intrinsics: {_list((camera.fx, camera.fy, camera.cx, camera.cy))}",
             f"  distortion_model: {model}",
             f"  distortion_coeffs: {_list(D[:4])}",
-            f"  resolution: {_whole(_image(name, camera))}",
+            f"  resolution: [ {', '.join(map(str, _image(name, camera)))} ]",
             f"  rostopic: {_text(f'/{name}/image_raw')}",
         ]
     return "\n".join([*lines, ""])
@@ -145,10 +145,6 @@ def _unwritable(name: str, camera: Intrinsics, what: str, other: str) -> InputEr
 
 def _list(values: Iterable[float]) -> str:
     return "[ " + ", ".join(_number(value) for value in values) + " ]"
-
-
-def _whole(values: Iterable[int]) -> str:
-    return "[ " + ", ".join(map(str, values)) + " ]"
 
 
 def _number(value: float) -> str:

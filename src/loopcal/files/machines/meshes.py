@@ -179,8 +179,7 @@ def _clustered(triangles: Triangles, cell: float) -> Triangles:
     faces = index.reshape(-1, 3)
     apart = (np.diff(np.sort(faces, axis=1), axis=1) > 0).all(axis=1)
     _, first = np.unique(np.sort(faces[apart], axis=1), axis=0, return_index=True)
-    coarse: Triangles = means[faces[apart][first]]
-    return coarse
+    return means[faces[apart][first]]
 
 
 def box(size: Sequence[float]) -> Triangles:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import unknown_name
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.headers import Heading, heading
 from loopcal.files.tables.cells import is_number
@@ -25,11 +25,11 @@ def joint_columns(fields: Sequence[Field], text: str) -> tuple[Field, ...]:
         column = computed_column(fields, part)
         if column is None:
             labels = [f.label for f in fields]
-            raise InputError(
+            raise unknown_name(
                 f"{part!r} is no column, and no sum of columns and numbers",
-                code="unknown-name",
-                place="--joints",
-                remedy=nearest(part.lstrip("-"), labels),
+                part.lstrip("-"),
+                labels,
+                "--joints",
             )
         columns.append(column)
     return tuple(columns)

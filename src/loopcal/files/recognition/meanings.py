@@ -129,10 +129,8 @@ def positions(seen: Seen, length: str, angle: str, form: str) -> Array:
         return _cartesian(_polar(seen, length, angle, form))
     factor = unit(length).factor
     if seen.kind == "length":
-        lengths: Array = factor * seen.position[0].values
-        return lengths
-    points: Array = factor * np.array([f.values for f in seen.position]).T
-    return points
+        return factor * seen.position[0].values
+    return factor * np.array([f.values for f in seen.position]).T
 
 
 def inverse(meaning: Meaning) -> Meaning:
@@ -237,10 +235,7 @@ def _polar(seen: Seen, length: str, angle: str, form: str) -> Array:
 def _cartesian(values: Array) -> Array:
     r, azimuth, elevation = values
     flat = r * np.cos(elevation)
-    points: Array = np.array(
-        [flat * np.cos(azimuth), flat * np.sin(azimuth), r * np.sin(elevation)]
-    ).T
-    return points
+    return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), r * np.sin(elevation)]).T
 
 
 def joint_units(

@@ -34,7 +34,6 @@ from loopcal.files.recognition.headers import (
     words,
 )
 from loopcal.files.recognition.joins import in_numbers
-from loopcal.files.recognition.lists import listed_columns
 from loopcal.files.recognition.records import FEWEST, are_records, records_table
 from loopcal.files.recognition.shots import MOST_TARGETS, pooled, widened
 from loopcal.files.recognition.turned_over import matrices_unfolded, turned_over
@@ -548,3 +547,37 @@ def _no_numbers(name: str) -> InputError:
         place=name,
         remedy="give a table with a row per pose and a column per reading",
     )
+
+
+_BRACKETS = re.compile(r"[\[({].*[\])}]", re.DOTALL)
+_ITEM = re.compile(
+    r"(?:(?P<name>\b[A-Za-z_]\w{0,40})['\"]?[\s:=]{1,9})?"
+    r"(?P<number>[-+]?(?:\d{1,40}\.?\d{0,40}|\.\d{1,40})(?:[eE][-+]?\d{1,4})?)"
+)
+
+Column = tuple[Heading, NDArray[np.float64]]
+
+
+def listed_columns(header: Heading | None, cells: Sequence[str]) -> list[Column]:
+    """A column for each number of the cells; none where they are no lists of one length.
+
+    They are lists of Python and NumPy, messages of ROS, structures of KRL: each cell in brackets,
+    with as many numbers under the same names, such as `[0.1, 0.2]` or `{A1 10.0, A2 20.0}`.
+    """
+    if not cells or not all(_BRACKETS.fullmatch(cell.strip()) for cell in cells):
+        return []
+    rows = [[(m["name"] or "", m["number"]) for m in _ITEM.finditer(cell)] for cell in cells]
+    names = [name for name, _ in rows[0]]
+    if len(names) < 2 or any([name for name, _ in row] != names for row in rows):
+        return []
+    if not any(names):
+        names = [*"xyz"] if len(names) == 3 else [str(k + 1) for k in range(len(names))]
+    if len({*names}) < len(names):
+        return []
+    base = header or Heading("", "")
+    values = np.array([[float(number) for _, number in row] for row in rows])
+    headings = [
+        replace(base, text=f"{base.text} {n}".strip(), stem=f"{base.stem}_{stem(n)}".strip("_"))
+        for n in names
+    ]
+    return list(zip(headings, values.T, strict=True))

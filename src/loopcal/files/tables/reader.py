@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from loopcal.files.tables.table import Table
@@ -40,11 +40,6 @@ class Layout:
         """What is stated, as keywords of `read_dataset`."""
         options = {key: getattr(self, key) for key in Layout.__dataclass_fields__}
         return {key: value for key, value in options.items() if value is not None}
-
-    @property
-    def as_it_stands(self) -> Layout:
-        """How the file itself is written."""
-        return replace(self, spread=None)
 
 
 RECOGNISED = Layout()

@@ -199,7 +199,7 @@ def _table(
     if isinstance(path, Table):
         return path
     if layout.spread is not None:
-        return spread_rows(_table(path, layout.as_it_stands, None), layout.spread)
+        return spread_rows(_table(path, replace(layout, spread=None), None), layout.spread)
     reader = reader_of(path)
     refuse_other_options(reader, path, layout)
     if reader.guarded:

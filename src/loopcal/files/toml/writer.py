@@ -36,7 +36,11 @@ def document(
 def _lines(
     table: Mapping[str, Any], path: str, remarks: Mapping[str, Sequence[str]]
 ) -> Iterator[str]:
-    apart = [k for k, v in table.items() if k in SECTIONS and (_are_tables(v) or _is_table(v))]
+    apart = [
+        k
+        for k, v in table.items()
+        if k in SECTIONS and (_are_tables(v) or (isinstance(v, Mapping) and v))
+    ]
     yield from (_line(key, value) for key, value in table.items() if key not in apart)
     for key in apart:
         name, value = f"{path}{key}", table[key]
@@ -47,10 +51,6 @@ def _lines(
             yield from (*above, f"[[{name}]]" if listed else f"[{name}]")
             yield from _lines(entry, f"{name}.", remarks)
             above = []
-
-
-def _is_table(value: Any) -> bool:
-    return isinstance(value, Mapping) and bool(value)
 
 
 def _are_tables(value: Any) -> bool:

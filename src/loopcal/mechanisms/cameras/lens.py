@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, unknown_name
 
 _BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
 LENSES: dict[str, tuple[str, ...]] = {
@@ -59,11 +59,7 @@ class Intrinsics:
 
     def __post_init__(self) -> None:
         if self.lens not in LENSES:
-            raise InputError(
-                f"there is no lens {self.lens!r}",
-                code="unknown-name",
-                remedy=nearest(self.lens, LENSES),
-            )
+            raise unknown_name(f"there is no lens {self.lens!r}", self.lens, LENSES)
         wanted = len(LENSES[self.lens])
         if not self.distortion:
             object.__setattr__(self, "distortion", (0.0,) * wanted)

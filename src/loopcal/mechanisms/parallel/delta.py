@@ -11,17 +11,7 @@ import numpy as np
 from loopcal.expressions.vectors import norm, rotate, vector
 from loopcal.mechanisms.frame import BodyFrame, Values, Vector
 from loopcal.mechanisms.machine import Machine
-from loopcal.mechanisms.parallel.parts import (
-    Name,
-    Polylines,
-    in_unit,
-    joint,
-    joint_coordinates,
-    offsets,
-    read,
-    ring,
-    starts,
-)
+from loopcal.mechanisms.parallel import parts
 from loopcal.mechanisms.parameters import Gauge
 
 LEGS = (1, 2, 3)
@@ -36,7 +26,7 @@ _ROTARY_HOME = dict.fromkeys(ARMS, 0.5) | _CENTRED | {"platform_z": -0.41}
 
 
 def linear_delta(
-    *, home: Mapping[str, float] | None = None, name: Name = "linear delta"
+    *, home: Mapping[str, float] | None = None, name: parts.Name = "linear delta"
 ) -> Machine:
     """A delta whose platform hangs from three carriages on rails; it moves without turning.
 
@@ -59,20 +49,20 @@ def linear_delta(
     def equations(x: Values, p: Values) -> list[Any]:
         return [norm(_point(x) - _carriage(x, p, i)) - p[f"rod_{i}"] for i in LEGS]
 
-    feet = ring(0.14, _AZIMUTHS)
+    feet = parts.ring(0.14, _AZIMUTHS)
     quantities = SLIDES | _PLATFORM
     tilts = [f"rail_{i}_{turn}" for i in LEGS for turn in ("rx", "ry")]
     return Machine(
         name,
         quantities,
-        joint_coordinates({f"a{i}": feet[i - 1] for i in LEGS})
-        | in_unit("rad", dict.fromkeys(tilts, 0.0))
-        | in_unit("m", {f"rod_{i}": 0.30 for i in LEGS})
-        | offsets(SLIDES),
+        parts.joint_coordinates({f"a{i}": feet[i - 1] for i in LEGS})
+        | parts.in_unit("rad", dict.fromkeys(tilts, 0.0))
+        | parts.in_unit("m", {f"rod_{i}": 0.30 for i in LEGS})
+        | parts.offsets(SLIDES),
         lambda x, p: BodyFrame(np.eye(3), _point(x)),
         tuple(f"leg_{i}" for i in LEGS),
         equations,
-        home=starts(_LINEAR_HOME, home, quantities, name),
+        home=parts.starts(_LINEAR_HOME, home, quantities, name),
         gauge=Gauge(
             base=("a1_x", "a1_y", "rail_1_rx", "rail_1_ry", "slide_1_offset", "a2_y"),
             translating=True,
@@ -83,7 +73,7 @@ def linear_delta(
 
 
 def rotary_delta(
-    *, home: Mapping[str, float] | None = None, name: Name = "rotary delta"
+    *, home: Mapping[str, float] | None = None, name: parts.Name = "rotary delta"
 ) -> Machine:
     """A delta whose platform hangs from three arms that swing; it moves without turning.
 
@@ -106,21 +96,21 @@ def rotary_delta(
     def equations(x: Values, p: Values) -> list[Any]:
         return [norm(_point(x) - _knee(x, p, i)) - p[f"distal_{i}"] for i in LEGS]
 
-    shoulders = ring(0.15, _AZIMUTHS)
+    shoulders = parts.ring(0.15, _AZIMUTHS)
     quantities = ARMS | _PLATFORM
     azimuths = {f"azimuth_{i}": math.radians(_AZIMUTHS[i - 1]) for i in LEGS}
     return Machine(
         name,
         quantities,
-        joint_coordinates({f"a{i}": (*shoulders[i - 1], 0.0) for i in LEGS})
-        | in_unit("rad", azimuths | {f"tilt_{i}": 0.0 for i in LEGS})
-        | in_unit("m", {f"proximal_{i}": 0.20 for i in LEGS})
-        | in_unit("m", {f"distal_{i}": 0.45 for i in LEGS})
-        | offsets(ARMS),
+        parts.joint_coordinates({f"a{i}": (*shoulders[i - 1], 0.0) for i in LEGS})
+        | parts.in_unit("rad", azimuths | {f"tilt_{i}": 0.0 for i in LEGS})
+        | parts.in_unit("m", {f"proximal_{i}": 0.20 for i in LEGS})
+        | parts.in_unit("m", {f"distal_{i}": 0.45 for i in LEGS})
+        | parts.offsets(ARMS),
         lambda x, p: BodyFrame(np.eye(3), _point(x)),
         tuple(f"leg_{i}" for i in LEGS),
         equations,
-        home=starts(_ROTARY_HOME, home, quantities, name),
+        home=parts.starts(_ROTARY_HOME, home, quantities, name),
         gauge=Gauge(
             base=("a1_x", "a1_y", "a1_z", "azimuth_1", "tilt_1", "theta_1_offset"),
             translating=True,
@@ -135,24 +125,24 @@ def _point(x: Values) -> Vector:
 
 
 def _carriage(x: Values, p: Values, i: int) -> Vector:
-    up = vector(0.0, 0.0, read(x, p, f"slide_{i}"))
+    up = vector(0.0, 0.0, parts.read(x, p, f"slide_{i}"))
     turned = rotate("y", p[f"rail_{i}_ry"], rotate("x", p[f"rail_{i}_rx"], up))
-    carriage: Vector = joint(p, f"a{i}", 2) + turned
+    carriage: Vector = parts.joint(p, f"a{i}", 2) + turned
     return carriage
 
 
-def _rails(x: Values, p: Values) -> Polylines:
+def _rails(x: Values, p: Values) -> parts.Polylines:
     """Every rail up to its carriage, and the rod to the platform."""
-    return [[joint(p, f"a{i}", 2), _carriage(x, p, i), _point(x)] for i in LEGS]
+    return [[parts.joint(p, f"a{i}", 2), _carriage(x, p, i), _point(x)] for i in LEGS]
 
 
 def _knee(x: Values, p: Values, i: int) -> Vector:
-    arm = rotate("y", read(x, p, f"theta_{i}"), vector(p[f"proximal_{i}"], 0.0, 0.0))
+    arm = rotate("y", parts.read(x, p, f"theta_{i}"), vector(p[f"proximal_{i}"], 0.0, 0.0))
     turned = rotate("z", p[f"azimuth_{i}"], rotate("x", p[f"tilt_{i}"], arm))
-    knee: Vector = joint(p, f"a{i}") + turned
+    knee: Vector = parts.joint(p, f"a{i}") + turned
     return knee
 
 
-def _arms(x: Values, p: Values) -> Polylines:
+def _arms(x: Values, p: Values) -> parts.Polylines:
     """Every arm and its rod, from the base to the platform."""
-    return [[joint(p, f"a{i}"), _knee(x, p, i), _point(x)] for i in LEGS]
+    return [[parts.joint(p, f"a{i}"), _knee(x, p, i), _point(x)] for i in LEGS]

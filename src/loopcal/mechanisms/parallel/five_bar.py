@@ -9,20 +9,7 @@ from loopcal.expressions.vectors import vector
 from loopcal.keys import Key
 from loopcal.mechanisms.frame import Frame, Values
 from loopcal.mechanisms.machine import Machine
-from loopcal.mechanisms.parallel.parts import (
-    Name,
-    Polylines,
-    chosen_passive,
-    elbow,
-    in_unit,
-    joint,
-    joint_coordinates,
-    offsets,
-    planar_leg,
-    planar_leg_names,
-    plane_frame,
-    starts,
-)
+from loopcal.mechanisms.parallel import parts
 from loopcal.mechanisms.parameters import Gauge
 
 PASSIVE = ("phi_1", "phi_2")
@@ -39,7 +26,7 @@ def five_bar(
     *,
     passive: Passive = (),
     home: Mapping[str, float] | None = None,
-    name: Name = "five-bar",
+    name: parts.Name = "five-bar",
 ) -> Machine:
     """A planar five-bar; the moving body is the distal link of leg 1, its origin where both meet.
 
@@ -59,15 +46,15 @@ def five_bar(
     Raises InputError for a passive joint or a quantity at home that is not there.
     Source: Wampler, Hollerbach and Arai (1995), whose loop equations name passive joints alike.
     """
-    passive = chosen_passive(passive, PASSIVE, name)
+    passive = parts.chosen_passive(passive, PASSIVE, name)
 
     def equations(x: Values, p: Values) -> list[Any]:
-        return [loop for i in (1, 2) for loop in planar_leg(x, p, i, _end(x), passive)]
+        return [loop for i in (1, 2) for loop in parts.planar_leg(x, p, i, _end(x), passive)]
 
     def frame(x: Values, p: Values) -> Frame:
         end = _end(x)
-        direction = (end - elbow(x, p, 1)) / p["distal_1"]
-        return plane_frame(direction[0], direction[1], end)
+        direction = (end - parts.elbow(x, p, 1)) / p["distal_1"]
+        return parts.plane_frame(direction[0], direction[1], end)
 
     sensed = dict.fromkeys(("theta_1", "theta_2", *passive), "rad")
     links = {"proximal_1": 0.25, "distal_1": 0.35, "proximal_2": 0.25, "distal_2": 0.35}
@@ -75,13 +62,13 @@ def five_bar(
     return Machine(
         name,
         quantities,
-        joint_coordinates({"a1": (0.0, 0.0), "a2": (0.25, 0.0)})
-        | in_unit("m", links)
-        | offsets(sensed),
+        parts.joint_coordinates({"a1": (0.0, 0.0), "a2": (0.25, 0.0)})
+        | parts.in_unit("m", links)
+        | parts.offsets(sensed),
         frame,
-        tuple(loop for i in (1, 2) for loop in planar_leg_names(i, passive)),
+        tuple(loop for i in (1, 2) for loop in parts.planar_leg_names(i, passive)),
         equations,
-        home=starts(_HOME, home, quantities, name),
+        home=parts.starts(_HOME, home, quantities, name),
         dimension=2,
         gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), scale=("a2_x",)),
         lines=lines,
@@ -93,7 +80,7 @@ def _end(x: Values) -> Any:
     return vector(x["platform_x"], x["platform_y"], 0.0)
 
 
-def lines(x: Values, p: Values) -> Polylines:
+def lines(x: Values, p: Values) -> parts.Polylines:
     """Both arms as one line."""
-    elbows = [elbow(x, p, i) for i in (1, 2)]
-    return [[joint(p, "a1", 2), elbows[0], _end(x), elbows[1], joint(p, "a2", 2)]]
+    elbows = [parts.elbow(x, p, i) for i in (1, 2)]
+    return [[parts.joint(p, "a1", 2), elbows[0], _end(x), elbows[1], parts.joint(p, "a2", 2)]]

@@ -11,19 +11,7 @@ from loopcal.expressions.vectors import norm
 from loopcal.keys import Key
 from loopcal.mechanisms.frame import Frame, Values, Vector
 from loopcal.mechanisms.machine import Machine
-from loopcal.mechanisms.parallel.parts import (
-    Name,
-    Polylines,
-    along,
-    chosen_passive,
-    in_unit,
-    joint,
-    joint_coordinates,
-    offsets,
-    plane_frame,
-    read,
-    starts,
-)
+from loopcal.mechanisms.parallel import parts
 from loopcal.mechanisms.parameters import Gauge
 
 PASSIVE = ("theta_2", "phi_1")
@@ -41,7 +29,7 @@ def four_bar(
     *,
     passive: Passive = (),
     home: Mapping[str, float] | None = None,
-    name: Name = "four-bar",
+    name: parts.Name = "four-bar",
 ) -> Machine:
     """A planar four-bar; the moving body is the coupler, its x axis from the crank to the rocker.
 
@@ -60,21 +48,21 @@ def four_bar(
     Raises InputError for a passive joint or a quantity at home that is not there.
     Source: Freudenstein (1955).
     """
-    passive = chosen_passive(passive, PASSIVE, name)
+    passive = parts.chosen_passive(passive, PASSIVE, name)
 
     def equations(x: Values, p: Values) -> list[Any]:
         _, second = _ends(x, p)
-        from_base = second - joint(p, "a2", 2)
+        from_base = second - parts.joint(p, "a2", 2)
         loops = [norm(from_base) - p["rocker"]]
         if "theta_2" in passive:
-            loops = list((along(p["rocker"], read(x, p, "theta_2")) - from_base)[:2])
+            loops = list((parts.along(p["rocker"], parts.read(x, p, "theta_2")) - from_base)[:2])
         if "phi_1" in passive:
-            loops.append(x["platform_rz"] - read(x, p, "theta_1") - read(x, p, "phi_1"))
+            loops.append(x["platform_rz"] - parts.read(x, p, "theta_1") - parts.read(x, p, "phi_1"))
         return loops
 
     def frame(x: Values, p: Values) -> Frame:
         angle = x["platform_rz"]
-        return plane_frame(np.cos(angle), np.sin(angle), _ends(x, p)[0])
+        return parts.plane_frame(np.cos(angle), np.sin(angle), _ends(x, p)[0])
 
     angles = dict.fromkeys(("theta_1", "platform_rz", *passive), "rad")
     sensed = {q: unit for q, unit in angles.items() if q != "platform_rz"}
@@ -82,13 +70,13 @@ def four_bar(
     return Machine(
         name,
         angles,
-        joint_coordinates({"a1": (0.0, 0.0), "a2": (0.40, 0.0)})
-        | in_unit("m", {"crank": 0.12, "coupler": 0.38, "rocker": 0.25})
-        | offsets(sensed),
+        parts.joint_coordinates({"a1": (0.0, 0.0), "a2": (0.40, 0.0)})
+        | parts.in_unit("m", {"crank": 0.12, "coupler": 0.38, "rocker": 0.25})
+        | parts.offsets(sensed),
         frame,
         (*rocker, *(["phi_1"] if "phi_1" in passive else [])),
         equations,
-        home=starts(_HOME, home, angles, name),
+        home=parts.starts(_HOME, home, angles, name),
         dimension=2,
         gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), scale=("a2_x",)),
         lines=lines,
@@ -97,10 +85,10 @@ def four_bar(
 
 
 def _ends(x: Values, p: Values) -> tuple[Vector, Vector]:
-    first = joint(p, "a1", 2) + along(p["crank"], read(x, p, "theta_1"))
-    return first, first + along(p["coupler"], x["platform_rz"])
+    first = parts.joint(p, "a1", 2) + parts.along(p["crank"], parts.read(x, p, "theta_1"))
+    return first, first + parts.along(p["coupler"], x["platform_rz"])
 
 
-def lines(x: Values, p: Values) -> Polylines:
+def lines(x: Values, p: Values) -> parts.Polylines:
     """Crank, coupler and rocker as one line."""
-    return [[joint(p, "a1", 2), *_ends(x, p), joint(p, "a2", 2)]]
+    return [[parts.joint(p, "a1", 2), *_ends(x, p), parts.joint(p, "a2", 2)]]

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import unknown_name
 from loopcal.expressions.vectors import norm, rotate, vector
 from loopcal.keys import Key
 from loopcal.mechanisms.chain import zero_of
@@ -75,11 +75,7 @@ def chosen_passive(
     wanted = tuple(passive)
     for name in wanted:
         if name not in passive_joints:
-            raise InputError(
-                f"{machine!r} has no passive joint {name!r}",
-                code="unknown-name",
-                remedy=nearest(name, passive_joints),
-            )
+            raise unknown_name(f"{machine!r} has no passive joint {name!r}", name, passive_joints)
     return tuple(name for name in passive_joints if name in wanted)
 
 
@@ -104,10 +100,10 @@ def starts(
     names = tuple(quantities)
     for name in stated or {}:
         if name not in names:
-            raise InputError(
+            raise unknown_name(
                 f"the home of {machine!r} names {name!r}, which is not one of its quantities",
-                code="unknown-name",
-                remedy=nearest(name, names),
+                name,
+                names,
             )
     return {name: value for name, value in {**defaults, **(stated or {})}.items() if name in names}
 

@@ -11,18 +11,7 @@ from loopcal.expressions.vectors import norm, rot_x, rot_y, rot_z, rotate, vecto
 from loopcal.keys import Key
 from loopcal.mechanisms.frame import BodyFrame, Values, Vector
 from loopcal.mechanisms.machine import Machine
-from loopcal.mechanisms.parallel.parts import (
-    Name,
-    Polylines,
-    chosen_passive,
-    in_unit,
-    joint,
-    joint_coordinates,
-    offsets,
-    read,
-    ring,
-    starts,
-)
+from loopcal.mechanisms.parallel import parts
 from loopcal.mechanisms.parameters import Gauge
 
 LEGS = (1, 2, 3, 4, 5, 6)
@@ -44,7 +33,7 @@ def stewart_gough(
     *,
     passive: Passive = (),
     home: Mapping[str, float] | None = None,
-    name: Name = "Stewart-Gough platform",
+    name: parts.Name = "Stewart-Gough platform",
 ) -> Machine:
     """A platform on six legs whose lengths are read; its pose has no sensor.
 
@@ -69,31 +58,31 @@ def stewart_gough(
     Raises InputError for a passive joint or a quantity at home that is not there.
     Source: Wampler, Hollerbach and Arai (1995); the 42 parameters Masory, Wang and Zhuang (1993).
     """
-    passive = chosen_passive(passive, PASSIVE, name)
+    passive = parts.chosen_passive(passive, PASSIVE, name)
 
     def equations(x: Values, p: Values) -> list[Any]:
         body = _platform(x)
-        legs = [body.point(joint(p, f"b{i}")) - joint(p, f"a{i}") for i in LEGS]
-        loops = [norm(w) - read(x, p, f"leg_{i}") for i, w in zip(LEGS, legs, strict=True)]
-        return loops + [_turned(p, q, legs[int(q[-1]) - 1]) - read(x, p, q) for q in passive]
+        legs = [body.point(parts.joint(p, f"b{i}")) - parts.joint(p, f"a{i}") for i in LEGS]
+        loops = [norm(w) - parts.read(x, p, f"leg_{i}") for i, w in zip(LEGS, legs, strict=True)]
+        return loops + [_turned(p, q, legs[int(q[-1]) - 1]) - parts.read(x, p, q) for q in passive]
 
     sensed = {f"leg_{i}": "m" for i in LEGS} | dict.fromkeys(passive, "rad")
     quantities = sensed | _PLATFORM
     mounted = dict.fromkeys(q[-1] for q in passive)
     mounts = [f"joint_{i}_{turn}" for i in mounted for turn in ("rz", "ry")]
-    base, platform = ring(0.50, _BASE_CORNERS), ring(0.30, _PLATFORM_CORNERS)
+    base, platform = parts.ring(0.50, _BASE_CORNERS), parts.ring(0.30, _PLATFORM_CORNERS)
     return Machine(
         name,
         quantities,
-        joint_coordinates({f"a{i}": (*base[i - 1], 0.0) for i in LEGS})
-        | joint_coordinates({f"b{i}": (*platform[i - 1], 0.0) for i in LEGS})
-        | offsets(sensed)
-        | offsets({f"leg_{i}": "m" for i in LEGS}, _OFFSET)
-        | in_unit("rad", dict.fromkeys(mounts, 0.0)),
+        parts.joint_coordinates({f"a{i}": (*base[i - 1], 0.0) for i in LEGS})
+        | parts.joint_coordinates({f"b{i}": (*platform[i - 1], 0.0) for i in LEGS})
+        | parts.offsets(sensed)
+        | parts.offsets({f"leg_{i}": "m" for i in LEGS}, _OFFSET)
+        | parts.in_unit("rad", dict.fromkeys(mounts, 0.0)),
         lambda x, p: _platform(x),
         (*(f"leg_{i}" for i in LEGS), *passive),
         equations,
-        home=starts(_HOME, home, quantities, name),
+        home=parts.starts(_HOME, home, quantities, name),
         gauge=Gauge(
             base=("a1_x", "a1_y", "a1_z", "a2_y", "a2_z", "a4_z"),
             body=("b1_x", "b1_y", "b1_z", "b2_y", "b2_z", "b4_z"),
@@ -119,10 +108,10 @@ def _turned(p: Values, quantity: str, leg: Vector) -> Any:
     return np.arctan2(w[0], np.hypot(w[1], w[2]))
 
 
-def lines(x: Values, p: Values) -> Polylines:
+def lines(x: Values, p: Values) -> parts.Polylines:
     """The legs, the base's hexagon and the platform's."""
     body = _platform(x)
-    base = [joint(p, f"a{i}") for i in LEGS]
-    platform = [body.point(joint(p, f"b{i}")) for i in LEGS]
+    base = [parts.joint(p, f"a{i}") for i in LEGS]
+    platform = [body.point(parts.joint(p, f"b{i}")) for i in LEGS]
     legs = [[a, b] for a, b in zip(base, platform, strict=True)]
     return [*legs, [*base, base[0]], [*platform, platform[0]]]

@@ -11,21 +11,7 @@ from loopcal.expressions.vectors import vector
 from loopcal.keys import Key
 from loopcal.mechanisms.frame import BodyFrame, Values
 from loopcal.mechanisms.machine import Machine
-from loopcal.mechanisms.parallel.parts import (
-    Name,
-    Polylines,
-    chosen_passive,
-    elbow,
-    in_unit,
-    joint,
-    joint_coordinates,
-    offsets,
-    planar_leg,
-    planar_leg_names,
-    plane_frame,
-    ring,
-    starts,
-)
+from loopcal.mechanisms.parallel import parts
 from loopcal.mechanisms.parameters import Gauge
 
 LEGS = (1, 2, 3)
@@ -45,7 +31,7 @@ def three_rrr(
     *,
     passive: Passive = (),
     home: Mapping[str, float] | None = None,
-    name: Name = "3-RRR",
+    name: parts.Name = "3-RRR",
 ) -> Machine:
     """A planar platform on three legs of two links, whose first joints are driven.
 
@@ -64,27 +50,27 @@ def three_rrr(
     Raises InputError for a passive joint or a quantity at home that is not there.
     Source: Gosselin and Angeles (1988).
     """
-    passive = chosen_passive(passive, PASSIVE, name)
+    passive = parts.chosen_passive(passive, PASSIVE, name)
 
     def equations(x: Values, p: Values) -> list[Any]:
         body = _platform(x)
-        ends = [(i, body.point(joint(p, f"b{i}", 2))) for i in LEGS]
-        return [loop for i, end in ends for loop in planar_leg(x, p, i, end, passive)]
+        ends = [(i, body.point(parts.joint(p, f"b{i}", 2))) for i in LEGS]
+        return [loop for i, end in ends for loop in parts.planar_leg(x, p, i, end, passive)]
 
     sensed = dict.fromkeys(("theta_1", "theta_2", "theta_3", *passive), "rad")
     quantities = sensed | {"platform_x": "m", "platform_y": "m", "platform_rz": "rad"}
-    base, platform = ring(0.35, _CORNERS), ring(0.10, _CORNERS)
+    base, platform = parts.ring(0.35, _CORNERS), parts.ring(0.10, _CORNERS)
     return Machine(
         name,
         quantities,
-        joint_coordinates({f"a{i}": base[i - 1] for i in LEGS})
-        | joint_coordinates({f"b{i}": platform[i - 1] for i in LEGS})
-        | in_unit("m", {f"{link}_{i}": 0.20 for i in LEGS for link in ("proximal", "distal")})
-        | offsets(sensed),
+        parts.joint_coordinates({f"a{i}": base[i - 1] for i in LEGS})
+        | parts.joint_coordinates({f"b{i}": platform[i - 1] for i in LEGS})
+        | parts.in_unit("m", {f"{link}_{i}": 0.20 for i in LEGS for link in ("proximal", "distal")})
+        | parts.offsets(sensed),
         lambda x, p: _platform(x),
-        tuple(loop for i in LEGS for loop in planar_leg_names(i, passive)),
+        tuple(loop for i in LEGS for loop in parts.planar_leg_names(i, passive)),
         equations,
-        home=starts(_HOME, home, quantities, name),
+        home=parts.starts(_HOME, home, quantities, name),
         dimension=2,
         gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), body=("b1_x", "b1_y", "b2_y"), scale=("a2_x",)),
         lines=lines,
@@ -95,12 +81,12 @@ def three_rrr(
 def _platform(x: Values) -> BodyFrame:
     angle = x["platform_rz"]
     origin = vector(x["platform_x"], x["platform_y"], 0.0)
-    return plane_frame(np.cos(angle), np.sin(angle), origin)
+    return parts.plane_frame(np.cos(angle), np.sin(angle), origin)
 
 
-def lines(x: Values, p: Values) -> Polylines:
+def lines(x: Values, p: Values) -> parts.Polylines:
     """The legs, and the platform's triangle."""
     body = _platform(x)
-    ends = [body.point(joint(p, f"b{i}", 2)) for i in LEGS]
-    legs = [[joint(p, f"a{i}", 2), elbow(x, p, i), ends[i - 1]] for i in LEGS]
+    ends = [body.point(parts.joint(p, f"b{i}", 2)) for i in LEGS]
+    legs = [[parts.joint(p, f"a{i}", 2), parts.elbow(x, p, i), ends[i - 1]] for i in LEGS]
     return [*legs, [*ends, ends[0]]]

@@ -158,10 +158,10 @@ def _by_weight(scales: Sequence[float]) -> Iterator[tuple[tuple[int, ...], float
                 heapq.heappush(waiting, (-weight(following), following))
 
 
-def _weights(scale: float, highest: int = 40) -> Any:
+def _weights(scale: float) -> Any:
     """I_k(z) exp(-z) for k = 0, 1, ..., z = 1 / scale^2, by its integral over a turn."""
     # I_k(z) = (1/pi) int_0^pi exp(z cos t) cos(k t) dt; the trapezoidal rule converges
     # geometrically for periodic integrands, so 256 points are exact to rounding for k up to 40.
     t = np.arange(256) * (2.0 * np.pi / 256)
     z = 1.0 / scale**2
-    return np.cos(np.outer(np.arange(highest), t)) @ np.exp(z * (np.cos(t) - 1.0)) / 256
+    return np.cos(np.outer(np.arange(40), t)) @ np.exp(z * (np.cos(t) - 1.0)) / 256

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.errors import Code, InputError
-from loopcal.estimation.mounted import Bodies
 from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import FEWEST, Layout, Seen
@@ -173,7 +172,7 @@ def _displaced(case: Case, way: Understood, meaning: Meaning) -> Iterator[Explan
             continue
         turns = None if meaning.turns is None else meaning.turns[moved]
         apart = replace(meaning, position=meaning.position[moved], turns=turns)
-        bodies, few = _some(way.bodies, rows), _few(len(rows))
+        bodies, few = way.bodies.take(rows), _few(len(rows))
         if apart.fitted(bodies, few, 1).share > 2.0 * NOTHING:  # unrelated points leave 0.8 or more
             continue
         share = apart.fitted(bodies).share
@@ -578,14 +577,9 @@ def _together(way: Understood, meaning: Meaning, rows: NDArray[np.intp]) -> bool
     return meaning.fitted(way.bodies, rows).share <= _TOGETHER
 
 
-def _some(bodies: Bodies, rows: NDArray[np.intp]) -> Bodies:
-    return Bodies(bodies.rotations[rows], bodies.origins[rows])
-
-
 def _about_median(points: Array) -> Array:
     finite = points[np.isfinite(points).all(axis=1)]
-    off: Array = finite - np.median(finite, axis=0)
-    return off
+    return finite - np.median(finite, axis=0)
 
 
 def _percent(share: float) -> str:

@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TypedDict
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import unknown_name
 from loopcal.files.cameras.folder import files_of
 from loopcal.files.recognition.dh_table import is_dh
 from loopcal.files.recognition.joins import Fields
@@ -73,11 +73,8 @@ def used(fields: Fields, robot: RobotFile) -> Fields:
     for name in [part.strip() for part in (robot.leave_out or "").split(",") if part.strip()]:
         gone = [f for f in kept if fnmatchcase(f.label, name)]
         if not gone:
-            raise InputError(
-                f"{name!r} is no column",
-                code="unknown-name",
-                place="--leave-out",
-                remedy=nearest(name, [f.label for f in kept]),
+            raise unknown_name(
+                f"{name!r} is no column", name, [f.label for f in kept], "--leave-out"
             )
         kept = [f for f in kept if f not in gone]
     return replace(fields, fields=tuple(kept))

@@ -34,16 +34,13 @@ def xacro(exported: Exported, options: ExportOptions) -> ExportFiles:
     for one in exported.origins:
         xyz = numbers(one.T[:3, 3].tolist())
         rpy = numbers(roll_pitch_yaw(one.T[:3, :3], one.joint.rpy))
-        lines.append(f"  {_quoted(one.joint.name)}: {{xyz: '{xyz}', rpy: '{rpy}'}}")
+        name = one.joint.name.replace("'", "''")
+        lines.append(f"  '{name}': {{xyz: '{xyz}', rpy: '{rpy}'}}")
         if one.axis != one.joint.axis:
             tilted.append(f'{one.joint.name}: <axis xyz="{numbers(one.axis)}"/>')
     words = (f"Enter these axes by hand: {'; '.join(tilted)}.",) if tilted else ()
     files = {"calibration.yaml": "\n".join([*lines, ""]), "calibration.xacro": "\n".join(_LOADER)}
     return ExportFiles({**files, **offsets(exported)}, words)
-
-
-def _quoted(name: str) -> str:
-    return "'" + name.replace("'", "''") + "'"
 
 
 FORMATS = (

@@ -1,1 +1,0 @@
-"""Study files: schema and scenarios."""
