@@ -33,7 +33,10 @@ KINDS = [
 
 @pytest.mark.parametrize("draw", range(4))
 def test_a_change_of_any_size_ends_in_an_answer_or_a_refusal(draw: int) -> None:
-    """One draw as it was read, and one of each fault besides; NumPy's warnings are errors here."""
+    """One draw as it was read, and one of each fault besides; NumPy's warnings are errors here.
+
+    An update verifies first.
+    """
     arm, rng = planar_arm(20), np.random.default_rng([7, draw])
     noise = lc.Noise(sds_of(arm))
     first = lc.calibrate(arm.truth, arm.read(sds_of(arm), 1), noise=noise, method="implicit-loop")
@@ -50,9 +53,8 @@ def test_a_change_of_any_size_ends_in_an_answer_or_a_refusal(draw: int) -> None:
         readings |= {q: rng.permutation(readings[q]) for q in ("xP", "yP")}
     if draw == 3:
         readings |= {q: 0.0 * readings[q] for q in ("xP", "yP")}
-    for end in (lc.verify, lc.update):
-        with suppress(InputError, NoTrustworthyResult):
-            end(first, lc.Dataset.from_arrays(readings))
+    with suppress(InputError, NoTrustworthyResult):
+        lc.update(first, lc.Dataset.from_arrays(readings))
 
 
 @pytest.mark.parametrize(("name", "term"), KINDS)
@@ -101,10 +103,8 @@ def test_so_does_a_change_where_wires_and_contacts_close_loops(name: str, draw: 
     if draw:
         with suppress(InputError, NoTrustworthyResult):  # as far as such a machine can be built
             there = readings(made.with_nominal({changed: own[changed] + size}))
-    noise = noise_of(made, rows)
-    for end in (lc.verify, lc.update):
-        with suppress(InputError, NoTrustworthyResult):
-            end(known, lc.Dataset.from_arrays(there), noise=noise)
+    with suppress(InputError, NoTrustworthyResult):  # an update verifies first
+        lc.update(known, lc.Dataset.from_arrays(there), noise=noise_of(made, rows))
 
 
 @pytest.mark.parametrize("name", ["two links", "3-RRR", "six-axis spherical"])

@@ -160,6 +160,8 @@ def test_a_project_in_the_folder_is_passed_over(tmp_path: Path) -> None:
 @pytest.mark.parametrize("on", ["base", "body"])
 def test_where_the_start_puts_what_the_hand_carries_is_no_drawing(tmp_path: Path, on: str) -> None:
     T = hands(12, 5)
+    # by half as much, so that also a camera in the hand has the board near its image
+    T[:, :3, :3] = (Rotation.from_matrix(T[:, :3, :3]) ** 0.5).as_matrix()
     written(tmp_path, pixels(T, on=on), T)
     made = lc.init(tmp_path, out=tmp_path / "calibration")
     parameters = made.mechanism.parameters
