@@ -9,7 +9,8 @@ from loopcal.document.fit import ParameterEntry, Validity, validity
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import accuracy_stages, distances_shown, shown_parameters
 from loopcal.document.verdict import Verdict
-from loopcal.presentation.shown import FIRST, NONE, by_sd, framed, row, size, unit_shown
+from loopcal.presentation.html import FIRST, framed, row
+from loopcal.presentation.shown import NONE, by_sd, size, unit_shown
 
 _GREEN, _AMBER, _RED, _GREY = "#2c9a62", "#b8860b", "#c8304b", "#8d8f96"
 """Legible on light and on dark; words stand beside every colour."""

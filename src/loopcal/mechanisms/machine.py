@@ -162,7 +162,7 @@ class Machine:
         return f"<Machine {self.name!r}: {len(self.quantities)} quantities>"
 
     def _repr_html_(self) -> str:
-        from loopcal.presentation.shown import table
+        from loopcal.presentation.html import table
 
         head = ["parameter", "nominal", "unit"]
         return table(head, [[n, f"{p.nominal:.6g}", p.unit] for n, p in self.parameters.items()])

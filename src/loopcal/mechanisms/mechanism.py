@@ -446,7 +446,7 @@ class Mechanism:
     def _repr_html_(self) -> str:
         from html import escape  # only notebooks ask
 
-        from loopcal.presentation.shown import table
+        from loopcal.presentation.html import table
 
         head = ("parameter", "nominal", "unit", "")
         rows = [

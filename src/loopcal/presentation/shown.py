@@ -1,12 +1,11 @@
-"""SI values in the units that people read: millimetres, degrees, microradians; notebook tables."""
+"""SI values in the units that people read: millimetres, degrees, microradians."""
 
 from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
 from loopcal.units import from_si
 
@@ -193,26 +192,3 @@ class Table:
     def lines(self) -> list[str]:
         """As text; the caption stands where a page has the name of the first column."""
         return columns([(self.caption.lower(), *self.head[1:]), *self.rows])
-
-
-# Tables as notebooks show them.
-
-CELL = "text-align:right;padding:1px 8px"
-FIRST = "text-align:left;padding:1px 8px"
-
-
-def row(cells: Sequence[str], last: str = "", tag: str = "td") -> str:
-    """A row whose first cell stands left, the others right; last: a cell as it is."""
-    first, *others = (escape(cell) for cell in cells)
-    further = "".join(f'<{tag} style="{CELL}">{cell}</{tag}>' for cell in others)
-    return f'<tr><{tag} style="{FIRST}">{first}</{tag}>{further}{last}</tr>'
-
-
-def framed(head: Sequence[str], rows: Iterable[str]) -> str:
-    """A table of rows."""
-    return f"<table>{row(head, tag='th')}{''.join(rows)}</table>"
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table of texts."""
-    return framed(head, map(row, rows))

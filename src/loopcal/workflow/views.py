@@ -14,7 +14,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError, nearest
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.bodies import limb
+from loopcal.mechanisms.limb import limb
 
 if TYPE_CHECKING:
     from pathlib import Path

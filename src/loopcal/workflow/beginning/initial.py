@@ -165,7 +165,7 @@ class InitialProject:
     def _repr_html_(self) -> str:
         from html import escape
 
-        from loopcal.presentation.shown import table
+        from loopcal.presentation.html import table
 
         head, *rows = self._rows()
         remarks = "".join(f"<li>{escape(words)}</li>" for words in self.remarks)
