@@ -37,6 +37,7 @@ from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated, ResidualVariance
 from loopcal.statistics.change_tests import what_changed
 from loopcal.statistics.changed import DRIFT_OR_CHANGE, WhatChanged
+from loopcal.statistics.day_drift import drifted, smallest_drift
 from loopcal.statistics.day_run import Run, faults, searched
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
@@ -148,6 +149,8 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
     rare = 1.0 if calibrated is None else chance(calibrated.rms)
     columns = faults(day, linear)
     changes, run = (None, Run()) if columns else _searched(day, linear)
+    if changes is not None and (drift := smallest_drift(day, linear, changes.spread)):
+        changes = replace(changes, candidates=(*changes.candidates, drift))
     known = dict(zip(mechanism.tape.pose_constants, day.problem.pose_constants, strict=True))
     return Verification(
         poses=day.problem.poses,
@@ -185,9 +188,9 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     """What changed since the calibration, and during the run.
 
     What happens during a run looks like changes before it, and these like a step at its begin: the
-    run is searched beside the changes, and then the changes beside what it shows. Where the joints
-    tell the order of the poses, a drift of the instrument may explain the changes, and anywhere
-    errors of joints that poses share.
+    run is searched beside the changes, for steps and then for drifts, and then the changes beside
+    what it shows. Where the joints tell the order of the poses, a drift of the instrument may
+    explain the changes, and anywhere errors of joints that poses share.
     """
     explained = what_changed(day, linear)
     if explained is None:
@@ -197,7 +200,14 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
         moved = replace(day, moved=run.shifts.found)
         day = moved.without(np.array(run.outliers, dtype=np.intp))
         explained = what_changed(day, day.linearised()) or explained
-    elif explained.what.found and (drifting := day.drifting):
+    if not run.shifts.found and run.shifts.tested and (drift := drifted(day, explained)):
+        shifts, day, explained = drift
+        run = replace(run, shifts=shifts)
+    elif (
+        not (run.shifts.found or run.outliers)
+        and explained.what.found
+        and (drifting := day.drifting)
+    ):
         beside = what_changed(drifting, drifting.linearised())
         if beside is not None and beside.what.verdict == "unchanged":
             return replace(explained.what, verdict=DRIFT_OR_CHANGE), run
