@@ -46,6 +46,10 @@ def drifting(run: Run, rng: Rng) -> None:
     run.drift += np.linspace(0.0, 0.3e-3, len(run.drift))[:, None] * np.array([0.6, -0.5, 0.6])
 
 
+def drifting_a_little(run: Run, rng: Rng) -> None:
+    run.drift += np.linspace(0.0, 0.12e-3, len(run.drift))[:, None] * np.array([0.6, -0.5, 0.6])
+
+
 def one_off(run: Run, rng: Rng) -> None:
     run.drift[5] += 12e-3
 
@@ -119,6 +123,15 @@ class TestEach:
         found = later(world, event=drifting)
         assert found.verdict["consistent"].passed is not True
         assert any(point.shape == "ramp" for point in found.shifts.found)
+
+    def test_a_drift_as_large_as_the_smallest_visible_one_is_named(self, world: World) -> None:
+        """Beside smooth functions of the joints, learnt from 30 poses, it was not seen."""
+        found = later(world, event=drifting_a_little)
+        assert found.verdict["consistent"].passed is not True
+        assert [point.shape for point in found.shifts.found] == ["ramp"]
+        assert found.changes is not None
+        (drift,) = [one for one in found.changes.candidates if one.kind == "drift"]
+        assert 0.05e-3 < (drift.smallest or 0.0) < 0.2e-3
 
     def test_one_pose_far_off_is_named_and_not_the_machine(self, world: World) -> None:
         found, clean = later(world, event=one_off), later(world)

@@ -114,11 +114,14 @@ class Day:
 
     def _drift(self, placement: Replaced) -> NDArray[np.float64]:
         """(R, q) of what may have drifted, by one sd over the run."""
+        columns = placement.columns([*self.drift]) * np.array([*self.drift.values()])
+        return np.asarray(self.share_of_run(placement) * columns)
+
+    def share_of_run(self, placement: Replaced) -> NDArray[np.float64]:
+        """(R, 1) when each equation was measured, from -1/2 to 1/2."""
         number = np.empty(len(self.problem.poses))
         number[pose_order(self.problem)] = np.linspace(-0.5, 0.5, len(number))
-        sds = np.array([*self.drift.values()])
-        share = number[placement.row_poses][:, None]
-        return np.asarray(share * placement.columns([*self.drift]) * sds)
+        return np.asarray(number[placement.row_poses][:, None])
 
     def _columns(self, placement: Replaced) -> NDArray[np.float64] | None:
         """(R, q) of what changed along the run; None without any."""

@@ -60,14 +60,14 @@ UNREMARKABLE = 1e-3
 # Six cosines, R^2 of 0.5 and e^10 below: record 0051.
 _WAVES, _EDGE = 6, 1e-3
 """A step is kept if its edge stands out of so many slow cosines over the run at this level."""
-_DRIFTING = ("station", "reading", "expansion")
+DRIFTING = ("station", "reading", "expansion")
 """What may drift: an instrument, or the scale of the whole machine. A drift is named only where the
 joints do not show the order of the poses: elsewhere it looks like an error of the machine."""
-_RARE = {"joint": 10.0, "link": 10.0}
+RARE = {"joint": 10.0, "link": 10.0}
 """By so much must the log p-value of a joint's zero or a link be lower: a target that moves about
 the axis of the last joint does the same, and does it more often."""
 # A factor of e^7, about 1000, in p: chosen, not derived.
-_ALIKE = 7.0
+ALIKE = 7.0
 """An alternative whose log p is within this of the best explains the change about as well."""
 
 
@@ -254,7 +254,7 @@ class Search:
         smooth = self._smooth(fit, steps, cosines) if cosines > _WAVES else []
         clear = [step for step in steps if step.ramp or step not in smooth]
         if followed < FOLLOWED:
-            return [s for s in clear if not s.ramp or s.candidate.change.kind in _DRIFTING]
+            return [s for s in clear if not s.ramp or s.candidate.change.kind in DRIFTING]
         return [step for step in clear if not step.ramp]
 
     def _joints(self) -> Array:
@@ -276,10 +276,10 @@ class Search:
         explain it about as well are one cause."""
         rest, spare = self._without(fit, steps, step), fit.spare
         alike = self._alike(rest, step)
-        parts = [c for c in alike if c.change.kind in _RARE]
-        if step.candidate.change.kind in _RARE and parts:
+        parts = [c for c in alike if c.change.kind in RARE]
+        if step.candidate.change.kind in RARE and parts:
             step = replace(step, candidate=_together([step.candidate, *parts]))
-            alike = [c for c in self._alike(rest, step) if c.change.kind not in _RARE]
+            alike = [c for c in self._alike(rest, step) if c.change.kind not in RARE]
         change, bends = step.candidate.change, self._bends(fit, step)
         estimated = rest.step(step.columns)
         sized = rest.step(step.curved(bends)) if bends else estimated
@@ -312,7 +312,7 @@ class Search:
             for c in self.candidates
             if (c.change.ramps if step.ramp else c.change.steps)
             and not {*c.change.names} & names
-            and rest.step(replace(step, candidate=c).columns).log_p() - log_p < _ALIKE
+            and rest.step(replace(step, candidate=c).columns).log_p() - log_p < ALIKE
         ]
 
     def _bends(self, fit: Fitted, step: _Step) -> int:
@@ -341,7 +341,7 @@ class Search:
         trials: list[tuple[float, float, _Step]] = []
         for candidate in candidates:
             change = candidate.change
-            rare = _RARE.get(change.kind, 0.0)
+            rare = RARE.get(change.kind, 0.0)
             gains, ranks = fitted.gains(candidate.columns) if change.steps else (free, 0 * free)
             # Gains of different rank cannot be compared, only their p-values.
             for rank in np.unique(ranks[free & (ranks > 0)]).tolist():

@@ -35,6 +35,7 @@ _WORDS = {
     "lens": "lenses",
     "print": "prints",
     "expansion": "scales",
+    "drift": "drifts along the run",
 }
 DRIFT_OR_CHANGE = "drift-or-change"
 """The verdict where a drift of the instrument along the run explains the changes."""
@@ -60,10 +61,10 @@ class Candidate:
     """What may have changed: the zero of a joint, a parameter, or several that change together.
 
     kind: "zero" of the joint `name`, "mounting", "camera" beside the machine, "load", "expansion"
-    of the machine, or the kind of
-    the parameter `name`. p_value: of its test, adjusted for the others (Holm), None where these
-    poses do not show it. smallest: the change [unit] that is seen with probability `POWER`, None
-    likewise.
+    of the machine, "drift" of the instrument along the run, or the kind of the parameter `name`.
+    p_value: of its test, adjusted for the others (Holm), None where these poses do not show it, and
+    for a drift, which is tested with the run. smallest: the change [unit] that is seen with
+    probability `POWER`, None where these poses do not show it.
     """
 
     name: str

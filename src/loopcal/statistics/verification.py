@@ -37,6 +37,7 @@ from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated, ResidualVariance
 from loopcal.statistics.change_tests import what_changed
 from loopcal.statistics.changed import DRIFT_OR_CHANGE, WhatChanged
+from loopcal.statistics.day_drift import drifted, smallest_drift
 from loopcal.statistics.day_run import NO_POSES, Run, faults, searched, with_further
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
@@ -154,6 +155,8 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
             gain = Gain.in_rms(np.square(distances), np.square(others))
     calibrated, (expected, chance) = _distances(apart), _expected(judged, day.calibrated.residual)
     rare = 1.0 if calibrated is None else chance(calibrated.rms)
+    if changes is not None and (drift := smallest_drift(rest, judged, changes.spread)):
+        changes = replace(changes, candidates=(*changes.candidates, drift))
     known = dict(zip(mechanism.tape.pose_constants, problem.pose_constants, strict=True))
     outliers = tuple(problem.poses[i] for i in run.outliers)
     worst = (*(one for one in _worst(linear) if one.pose in outliers), *_worst(judged))
@@ -193,10 +196,10 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     """What changed since the calibration, and during the run.
 
     What happens during a run looks like changes before it, and these like a step at its begin: the
-    run is searched beside the changes, and then the changes beside what it shows. Poses that do
-    not fit the others look like both, so all of it is searched again without them. Where the joints
-    tell the order of the poses, a drift of the instrument may explain the changes, and anywhere
-    errors of joints that poses share.
+    run is searched beside the changes, for steps and then for drifts, and then the changes beside
+    what it shows. Poses that do not fit the others look like both, so all of it is searched again
+    without them. Where the joints tell the order of the poses, a drift of the instrument may
+    explain the changes, and anywhere errors of joints that poses share.
     """
     whole, every, outliers = day, day.problem, NO_POSES
     explained = what_changed(day, linear)
@@ -212,7 +215,10 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     if run.shifts.found:
         day = replace(day, moved=run.shifts.found)
         explained = what_changed(day, day.linearised()) or explained
-    elif explained.what.found and (drifting := day.drifting):
+    if not run.shifts.found and run.shifts.tested and (drift := drifted(day, explained)):
+        shifts, day, explained = drift
+        run = replace(run, shifts=shifts)
+    elif not run.shifts.found and explained.what.found and (drifting := day.drifting):
         beside = what_changed(drifting, drifting.linearised())
         if beside is not None and beside.what.verdict == "unchanged":
             what = replace(explained.what, verdict=DRIFT_OR_CHANGE)
