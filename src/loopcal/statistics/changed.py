@@ -83,7 +83,8 @@ class Candidate:
     @property
     def words(self) -> str:
         """The candidate in words."""
-        return f"the zero of {self.name}" if self.kind == "zero" else self.name
+        what = {"zero": "the zero of ", "drift": "a drift of "}.get(self.kind, "")
+        return what + self.name
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,8 @@ class Change:
     @property
     def where(self) -> str:
         """What changed, in words."""
-        return f"the zero of {self.name}" if self.kind == "zero" else self.name
+        what = {"zero": "the zero of ", "drift": "a drift of "}.get(self.kind, "")
+        return what + self.name
 
     @property
     def words(self) -> str:

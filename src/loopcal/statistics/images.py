@@ -1,6 +1,6 @@
 """What a choice says of images beside the method: what is at fault, how far to trust a lens.
 
-It is said of machines with cameras alone, by the folds of the choice.
+Only cameras measure these machines. The folds are those that chose the method.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What can be told before a fit, and from a result: checks, predictions and verifications."""
+"""The commands check, predict and verify."""
 
 from __future__ import annotations
 

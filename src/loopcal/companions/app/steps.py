@@ -51,11 +51,9 @@ Light = Callable[[State], tuple[str, str]]
 def never_better(stands: tuple[str, str], state: State) -> tuple[str, str]:
     """How a step stands that has begun: never better than the verdict on the result, and never
     good where the project has changed since."""
-    return (
-        stands
-        if stands[0] == "none"
-        else max(stands, fit(state), key=lambda one: LIGHTS.index(one[0]))
-    )
+    if stands[0] == "none":
+        return stands
+    return max(stands, fit(state), key=lambda one: LIGHTS.index(one[0]))
 
 
 def made(what: str) -> Light:
