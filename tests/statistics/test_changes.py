@@ -123,6 +123,26 @@ def test_a_slip_is_modelled_and_an_outlier_discarded_and_both_are_said(result: l
     assert document.validation.accuracy.rms < 4e-4
 
 
+def test_without_outliers_a_fit_begins_where_the_one_before_it_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begun = list[bool]()
+    calibrated = Case.calibrated
+
+    def recorded(self: Case, *given: Any, **options: Any) -> lc.FitResult:
+        begun.append(self.begin is not None)
+        return calibrated(self, *given, **options)
+
+    case = Case(ARM, slipped(), None, lc.Fit(method="auto"))
+    (one,) = (e for e in choice.entrants(case) if e.structured and e.case.fit.method.exact)
+    whole = one.case.calibrated()
+    monkeypatch.setattr(Case, "calibrated", recorded)
+    what = changes(case, one.case.fit, whole)
+    assert (len(what.points), [*what.outliers]) == (1, ["13"])
+    # with the slip as asked for, and then without the outlier
+    assert begun == [False, True]
+
+
 @pytest.mark.parametrize("poses", [20, 48])
 def test_an_outlier_alone_is_left_out_of_the_fit_as_well(poses: int) -> None:
     data = sagging(read(joints(poses, 4), 4))

@@ -27,7 +27,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.station import standing
-from loopcal.statistics.case import Case
+from loopcal.statistics.case import Begin, Case
 from loopcal.statistics.change_points import apart, find_shifts
 from loopcal.statistics.outliers import find_poses
 
@@ -197,7 +197,7 @@ def _without_outliers(case: Case, full: Case, way: Fit, run_changes: Changes) ->
     kept = [i for i in run_changes.kept if case.data.poses[i] not in bad]
     part = _kept(case, full, np.array(kept, dtype=np.intp))
     less = replace(run_changes, case=part.case, plain=part.plain, kept=part.kept)
-    return _fitted(way, replace(less, outliers=outliers | bad))
+    return _fitted(way, replace(less, outliers=outliers | bad), run_changes.whole)
 
 
 def _certain(whole: FitResult) -> dict[str, Outlier]:
@@ -213,20 +213,21 @@ def _named_carefully(case: Case, way: Fit, run_changes: Changes) -> set[str] | N
     if (method := next(able, None)) is None:
         return None
     try:
-        judged = _fitted(way.changed(method=method), run_changes).whole
+        judged = _fitted(way.changed(method=method), run_changes, run_changes.whole).whole
     except (InputError, NoTrustworthyResult):
         return None
     assert judged is not None
     return {one.pose for one in find_poses(judged).found}
 
 
-def _fitted(way: Fit, run_changes: Changes) -> Changes:
-    """With the fit of the case by a structured candidate."""
+def _fitted(way: Fit, run_changes: Changes, before: FitResult | None = None) -> Changes:
+    """With the fit of the case by a structured candidate, begun where one before it ended."""
     case = run_changes.case
     machine = run_changes.made or modelled(way, way.with_prior(case.mechanism), case.data)
+    begin = None if before is None else Begin.of(before, machine)
     # The machine has the prior already.
     fit = way.changed(prior=None)
-    whole = replace(case, mechanism=machine, fit=fit).calibrated()
+    whole = replace(case, mechanism=machine, fit=fit, begin=begin).calibrated()
     if not whole.status.converged:
         raise NoTrustworthyResult("the fit with the changes did not converge", code="not-converged")
     return replace(run_changes, whole=whole, made=machine)
