@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from dataclasses import fields, replace
@@ -42,6 +43,7 @@ from loopcal.document.fit import ChiSquared, ParameterEntry
 from loopcal.document.result_document import CoarseReadings, ResultDocument
 from loopcal.document.verdict import UNASKED, Fact, Figure, Finding, Row, Where
 from loopcal.mechanisms.limits import joint_limits
+from loopcal.mechanisms.parameters import Role
 from loopcal.presentation.shown import WIDTH
 from loopcal.statistics.judged_machine import off_the_drawing
 from loopcal.statistics.predictor import predictor
@@ -315,8 +317,32 @@ def test_a_term_that_a_better_weighted_fit_does_not_need_is_no_finding() -> None
 def test_an_sd_at_its_bound_leaves_the_question_open() -> None:
     document = clean()
     zero = replace(document.noise[0], source="estimated", sd=0.0)
-    found = verdict_of(replace(document, noise=(zero, *document.noise[1:])))
-    assert found.sound.code == "sd-not-detectable"
+    document = replace(document, noise=(zero, *document.noise[1:]))
+    assert verdict_of(document).sound.code == "sd-not-detectable"
+    region = document.region
+    assert region is not None
+    for times, passed in ((1.2, True), (1.3, None)):
+        by = tuple(replace(one, sd_at_bounds=times * one.sd_at_poses) for one in region.by)
+        bounded = changed(document, "prediction.region.by", by)
+        assert verdict_of(bounded).sound.passed is passed
+
+
+def test_the_region_says_what_bounds_of_sds_would_do() -> None:
+    # Encoders far better than the tracker: their learnt sd is 0, with an upper bound.
+    arm, noise = planar_arm(40), lc.Noise({"?P": 1e-3, "phi?": 1e-5}, estimate={"phi?": "group"})
+    data = arm.read({"xP": 1e-3, "yP": 1e-3, "phi2": 1e-6, "phi3": 1e-6}, 1)
+    result = lc.calibrate(arm.off(2e-3, 2e-3, seed=3), data, noise=noise, method="implicit-loop")
+    (bound,) = {e.upper for e in result.noise if not e.sd}
+    calibrated = predictor(result)
+    assert bound
+    assert calibrated
+    region = region_of(result, calibrated)
+    assert region is not None
+    (one,) = region.by
+    lengths = [result.value[name] for name in ("l2", "l3")]
+    # An encoder error moves the point by about a length: two such errors beside what was stated.
+    hidden = math.sqrt((one.sd_at_bounds or 0.0) ** 2 - one.sd_at_poses**2) / bound
+    assert min(lengths) < hidden < 2.0 * sum(lengths)
 
 
 def test_the_gravest_finding_answers_and_the_others_are_told() -> None:
@@ -412,6 +438,19 @@ def test_never_silently_worse_than_a_rival() -> None:
     assert worse.better.code == "worse"
     assert "least squares" in worse.better.words
     assert verdict_of(replace(clean(), validation=None)).better.code == "not-validated"
+
+
+@pytest.mark.parametrize("printed", ["print", "corner"])
+def test_where_only_a_print_was_stated_there_is_no_drawing_to_be_better_than(printed: Role) -> None:
+    document = clean()
+    first, nominal, _ = candidates(1e-6).over
+    document = replace(
+        document, chosen=Chosen("a", (), "", (first, replace(nominal, difference=0.0)))
+    )
+    assert verdict_of(document).better.code == "no-better"
+    first_one, *others = (replace(p, role="placement") for p in document.parameters)
+    document = replace(document, parameters=(replace(first_one, role=printed), *others))
+    assert verdict_of(document).better.code == "nothing-stated"
 
 
 def test_a_fit_that_did_not_converge_is_not_told_to_validate() -> None:

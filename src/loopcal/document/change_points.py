@@ -12,10 +12,11 @@ from loopcal.mechanisms.effects.effect import LENGTHS, LOAD
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import enumerated, p_words, percent, significant, with_unit, wrapped
 
-Moved = Literal["target", "station", "joint", "reading", "load", "expansion", "link"]
+Moved = Literal["target", "station", "lens", "joint", "reading", "load", "expansion", "link"]
 _WORDS = {
     "target": ("the target {names}", "moved", "on the body"),
     "station": ("the place of {of}", "changed", "({names})"),
+    "lens": ("the focal length {names}", "changed", ""),
     "joint": ("the zero of the joint {names}", "changed", ""),
     "reading": ("the zero of {names}", "changed", ""),
     "load": ("the load on the tool", "changed", ""),

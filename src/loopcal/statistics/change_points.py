@@ -63,9 +63,10 @@ _WAVES, _EDGE = 6, 1e-3
 DRIFTING = ("station", "reading", "expansion")
 """What may drift: an instrument, or the scale of the whole machine. A drift is named only where the
 joints do not show the order of the poses: elsewhere it looks like an error of the machine."""
-RARE = {"joint": 10.0, "link": 10.0}
-"""By so much must the log p-value of a joint's zero or a link be lower: a target that moves about
-the axis of the last joint does the same, and does it more often."""
+RARE = {"joint": 10.0, "link": 10.0, "lens": 10.0}
+"""By so much must the log p-value of a joint's zero, a link or a focal length be lower: a target
+that moves about the axis of the last joint does the same as a zero, a camera that moves along its
+axis much the same as a lens, and both do it more often."""
 # A factor of e^7, about 1000, in p: chosen, not derived.
 ALIKE = 7.0
 """An alternative whose log p is within this of the best explains the change about as well."""

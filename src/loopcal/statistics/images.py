@@ -26,7 +26,7 @@ from loopcal.statistics.judged import Judged, fitted
 from loopcal.statistics.risks import risk_of
 from loopcal.statistics.validation import Plan, Predicted, Validation, left_out, pooled
 
-PARTS = {"lens": "lens", "print": "board"}
+PARTS = {"lens": "lens", "print": "board", "corner": "board"}
 """By the role of a parameter what it belongs to; the rest is the robot's."""
 
 

@@ -298,16 +298,22 @@ def _cameras(problem: Problem) -> Iterator[Possible]:
         lens_names = {p.name.removeprefix(f"{eye}_"): p.name for p in parameters if p.owner == eye}
         if place := tuple(p.name for p in parameters if p.owner == eye and p.role == "placement"):
             yield Possible("camera", place, label=eye)
-        if "f" in lens_names:
-            yield Possible("lens", (lens_names["f"],))
         if centre := tuple(lens_names[key] for key in ("cx", "cy") if key in lens_names):
             yield Possible("lens", centre, label=f"the principal point of {eye}")
+    yield from _focus(problem)
     for role, kind in (("placement", "camera"), ("mounting", "mounting")):
         if len(eyes := _sitting(problem, role)) > 1:
             yield _bracket(problem, eyes, kind)
     for p in parameters:
         if p.role == "print" and p.name == f"{p.owner}_scale":
             yield Possible("print", (p.name,))
+
+
+def _focus(problem: Problem) -> Iterator[Possible]:
+    """The focal length of each lens, which autofocus and a zoom change at once."""
+    for p in problem.mechanism.parameters:
+        if p.role == "lens" and p.name == f"{p.owner}_f" and p.name in problem.names:
+            yield Possible("lens", (p.name,), ramps=False)
 
 
 def _sitting(problem: Problem, role: str) -> list[str]:
@@ -409,7 +415,7 @@ def _links(problem: Problem) -> Iterator[Possible]:
 
 
 ALONG_A_RUN: tuple[Cause, ...] = (
-    *(_targets, _stations, _joints, _readings, _loads, _links, _warming),
+    *(_targets, _stations, _focus, _joints, _readings, _loads, _links, _warming),
 )
 BETWEEN_DAYS: tuple[Cause, ...] = (
     *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion),

@@ -426,6 +426,9 @@ def _by_readings(
         noise, replace(data, readings=readings), names, solved.quantity_group
     )
     G = uncertainty.through(S)
+    # Outputs are exact here: of the hundreds of quantities of a camera those of a pose are left.
+    moving = np.flatnonzero(G.any(axis=(0, 1)))
+    G, slopes = G[:, :, moving], slopes[:, moving]
     turned = G.transpose(0, 2, 1)
     covariance = G @ turned
     return LearntCovariance(covariance, covariance, (G * slopes[:, None, None, :]) @ turned)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.findings import RegionEntry, RegionRange, RegionSd
+from loopcal.document.fit import NoiseEntry
 from loopcal.estimation.cameras.at_board import sight_of
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.constants import as_now
@@ -116,9 +117,16 @@ def _region(
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
     _, of_fit = _sds(calibrated, groups, corrected[:, some], now[:, some], also, measured=True)
     predicted, of_region = _sds(calibrated, groups, x, constants, also)
+    of_bounds: list[dict[str, Array]] = [{}] * len(groups)
+    if bounds := bounds_of(result.noise):
+        sds = {**calibrated.readings.sds, **bounds}
+        bounded = replace(calibrated, readings=replace(calibrated.readings, sds=sds))
+        of_bounds = _sds(bounded, groups, corrected[:, some], now[:, some], also, measured=True)[1]
     read = np.isfinite(np.broadcast_to(problem.uncertainty.sd, corrected.shape))[:, some]
     worst: dict[str, tuple[float, RegionSd]] = {}
-    for group, at_poses, over_region in zip(groups, of_fit, of_region, strict=True):
+    for group, at_poses, over_region, at_bounds in zip(
+        groups, of_fit, of_region, of_bounds, strict=True
+    ):
         out = group.image and ~(
             _in_view(corrected, names, group, predicted, beyond) & _before(mechanism, group, x)
         )
@@ -129,7 +137,8 @@ def _region(
             ratio, sd = _ratio(unit, at[np.isfinite(at)], over[~np.isnan(over)])
             if sd is not None and ratio >= worst.get(unit, (0.0, None))[0]:
                 of = group.instrument if len({one.instrument for one in groups}) > 1 else None
-                worst[unit] = ratio, replace(sd, instrument=of)
+                bound = _rms(at_bounds[unit][seen]) if at_bounds else None
+                worst[unit] = ratio, replace(sd, instrument=of, sd_at_bounds=bound)
     by = sorted(worst.values(), key=lambda one: -one[0])
     return RegionEntry(tuple(ranges), tuple(one for _, one in by)) if by else None
 
@@ -161,10 +170,21 @@ def _ratio(unit: str, at: Array, over: Array) -> tuple[float, RegionSd | None]:
     """Of the sds over the region to those at the poses of the fit; no sd where poses are few."""
     if not at.size or len(over) < _FEWEST:
         return 0.0, None
-    mean, far = (float(np.sqrt(np.square(v).mean())) for v in (at, over))
+    mean, far = _rms(at), float(np.sqrt(np.square(over).mean()))
     ratio = far / mean if mean else np.inf
     finite = (far, ratio) if np.isfinite(far) and np.isfinite(ratio) else (None, None)
     return ratio, RegionSd(unit, mean, *finite)
+
+
+def _rms(sds: Array) -> float:
+    return float(np.sqrt(np.square(sds[~np.isnan(sds)]).mean()))
+
+
+def bounds_of(noise: Sequence[NoiseEntry]) -> dict[str, float]:
+    """Upper bounds of the sds of readings that were learnt as 0; none where one has no bound."""
+    zero = [e for e in noise if (e.source, e.role, e.sd) == ("estimated", "reading", 0.0)]
+    bounds = {q: e.upper for e in zero for q in e.quantities}
+    return {} if None in bounds.values() else {q: b for q, b in bounds.items() if b is not None}
 
 
 def _sds(

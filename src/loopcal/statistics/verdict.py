@@ -253,7 +253,7 @@ def _drawn(document: ResultDocument) -> bool:
     def stated(one: ParameterEntry) -> bool:
         focal = parameters.get(f"{one.owner}_f")
         free = focal is not None and focal.prior_sd is None and not focal.fixed
-        return one.role not in ("placement", "mounting", "print") and not (
+        return one.role not in ("placement", "mounting", "print", "corner") and not (
             one.role == "lens" and free
         )
 

@@ -38,9 +38,12 @@ def hands() -> Array:
 
 
 def differences(
-    T: Array, seen: Array, noise: float, *, corners: int = 12
+    T: Array, seen: Array, noise: float, *, corners: int = 12, later: float = 0.0
 ) -> tuple[tuple[Sight, ...], Array]:
-    """Sights where the machine says T, and differences where the hand is at `seen`."""
+    """Sights where the machine says T, and differences where the hand is at `seen`.
+
+    later: by how much the left focal length is longer in the later half of the images [px].
+    """
     X = np.array([(*p, 1.0) for p in POINTS.values()]).T
     q = Rotation.from_matrix(T[:, :3, :3]).as_quat().T
     table = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), (*T[:, :3, 3].T, *q), strict=True))
@@ -58,6 +61,10 @@ def differences(
         nominal |= {f"{eye}_{n}": v for n, v in LENS.values.items()}
     looks = [lc.instruments.camera(eye, points=POINTS, lens="pinhole") for eye in FAR]
     mechanism = lc.assemble(lc.machines.free_body(), looks, nominal)
+    if later:
+        change = lc.effects.Shift(("left_f",), (0.5 * COUNT,))
+        mechanism = lc.with_effects(mechanism, [change]).with_nominal({"left_f_from20": later})
+        table["pose"] = np.arange(COUNT)
     sds = {"[xyz]": 1e-4, "w?": 1e-4, **dict.fromkeys(FAR, SD)}
     problem = build_problem(mechanism, lc.Dataset.from_arrays(table), lc.Noise(sds))
     zero = np.zeros(problem.readings.shape)
@@ -120,3 +127,13 @@ def test_sds_of_pixels_are_sds_of_the_board() -> None:
     covariance = SD**2 * np.eye(made[0].slopes.shape[2])[None].repeat(COUNT, axis=0)
     expected = np.sqrt(np.square(made[0].noise).sum(axis=1))  # type: ignore[arg-type]
     assert made[0].sds(covariance) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_lens_that_changed_during_the_run_sees_by_what_it_is_then() -> None:
+    T = hands()
+    (plain, right, *_), _ = differences(T, T, 0.0)
+    (changed, same, *_), _ = differences(T, T, 0.0, later=90.0)
+    half = COUNT // 2
+    assert changed.slopes[:half] == pytest.approx(plain.slopes[:half])
+    assert changed.slopes[half:] == pytest.approx(plain.slopes[half:] / 1.1)
+    assert same.slopes == pytest.approx(right.slopes)

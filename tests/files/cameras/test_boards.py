@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from loopcal.files.cameras.boards import board_of, read_boards
+from loopcal.files.cameras.folder import read_files
 from loopcal.mechanisms.cameras.board import Pattern
 from tests.refusals import refused
 
@@ -47,6 +48,14 @@ def test_a_charuco_board_as_a_project_and_others_state_it(tmp_path: Path) -> Non
     assert other.pattern is not None
     assert board.pattern.legacy
     assert (other.pattern.legacy, other.pattern.dictionary) == (True, "6X6_250")
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("inch", 0.0254), ("cm", 0.01), ("um", 1e-6)])
+def test_a_board_in_any_unit_is_one_in_a_folder(tmp_path: Path, unit: str, factor: float) -> None:
+    written(tmp_path, f"point,x_{unit},y_{unit},z_{unit}\n0,0,0,0\n1,2,3,0\n", "print.csv")
+    written(tmp_path, "image,camera,point,u,v\na,1,0,5.5,6.5\na,1,1,7.5,8.5\n", "corners.csv")
+    points = read_files([tmp_path]).boards["board"].points
+    assert points["1"] == pytest.approx((2.0 * factor, 3.0 * factor, 0.0))
 
 
 def test_points_of_several_boards_in_a_table(tmp_path: Path) -> None:

@@ -152,7 +152,8 @@ def _slopes(mechanism: Mechanism, parameters: Array, x: Array, constants: Array)
     cameras, loops = _cameras(mechanism), body.tape.loops
     shifts = {c.name: body.displacements[_moving(mechanism, c)][0][:3] for c in cameras}
     asked = tuple(dict.fromkeys(name for names in shifts.values() for name in names))
-    values = np.concatenate([parameters, np.zeros(len(body.tape.parameters) - len(parameters))])
+    stated = dict(zip(mechanism.parameters.names, parameters.tolist(), strict=True))
+    values = np.array([stated.get(name, 0.0) for name in body.tape.parameters])
     engine = engine_for(body.tape, asked, min(_MOST, x.shape[1]), ())
     G = np.zeros((x.shape[1], len(mechanism.compared), 3))
     for begin in range(0, x.shape[1], _MOST):

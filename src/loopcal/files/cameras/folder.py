@@ -21,7 +21,7 @@ from loopcal.files.cameras.corners import TAGS, is_corners, pixel_stem, read_cor
 from loopcal.files.cameras.images import ENDINGS, detect
 from loopcal.files.cameras.intrinsics import read_intrinsics
 from loopcal.files.cameras.places import TABLES, lists_poses, read_places, read_samples
-from loopcal.files.recognition.headers import words
+from loopcal.files.recognition.headers import heading, words
 from loopcal.files.tables.readers import column_labels
 from loopcal.files.tables.registry import reader_of
 from loopcal.mechanisms.cameras.board import Board
@@ -163,9 +163,7 @@ def _kind(path: Path) -> str:
         return ""
     names = _header(path)
     parts = [set(_WORDS.split(name.lower())) for name in names]
-    stems = {
-        "".join(w for w in _WORDS.split(name.lower()) if w not in ("m", "mm")) for name in names
-    }
+    stems = {"".join(_WORDS.split(heading(name).stem)) for name in names}
     pixels = any("px" in w for w in parts) or all(any(a in w for w in parts) for a in "uv")
     # x and y may be any point: beside the names of images and of points they are pixels.
     pixels = pixels or ("z" not in stems and not stems.isdisjoint(_IMAGES))

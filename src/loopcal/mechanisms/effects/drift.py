@@ -20,8 +20,9 @@ from loopcal.units import difference_to_si, to_si, unit
 DRIFT_SD = 1e-3
 """Prior sd over a drift's span: 1 mm or 1 mrad; of all lengths 0.1 %, 40 K of aluminium."""
 BENDS_MOST = 8
-_SHIFT_SD = {"rad": 0.1, "kg": 5.0}
-"""Prior sd of a shift by unit, else 0.01: 10 mm, and 6 degrees, for what slips may turn far."""
+_SHIFT_SD = {"rad": 0.1, "kg": 5.0, "px": 50.0}
+"""Prior sd of a shift by unit, else 0.01: 10 mm, and 6 degrees, for what slips may turn far; 50 px,
+some percent of a focal length."""
 Column = Annotated[str, Key("Name of the known constant, such as a time or a temperature.")]
 Since = Annotated[float, Key("Value of the known constant at which the drift is zero.")]
 Over = Annotated[float, Key("Span in which the drift grows to P_drift.", positive=True)]
