@@ -90,6 +90,8 @@ CALLS: dict[str, Call] = {
     "lc.init(file)": lambda m: lc.init(m.csv, urdf=m.urdf).rms < 0.02,
     "lc.check(df, urdf=)": lambda m: lc.check(m.df, urdf=m.urdf).verdict,
     "lc.calibrate(project)": lambda m: lc.calibrate(lc.load(m.project), **FAST).converged,
+    "saved.status": lambda m: m.saved.status.converged,
+    "saved.corrections": lambda m: len(m.saved.corrections["x"]) == 100,
     "lc.load(result folder)": lambda m: m.saved.converged,
     "lc.load(result.json)": lambda m: lc.load(m.folder / "result" / "result.json").converged,
     "lc.load(project)": lambda m: isinstance(lc.load(m.project), lc.Project),
@@ -158,6 +160,12 @@ CALLS: dict[str, Call] = {
 MISSES: dict[str, tuple[Call, type[Exception], str]] = {
     "result.residuals": (lambda m: m.result.residuals, AttributeError, "result.plot.residuals()"),
     "result.predicts": (lambda m: m.result.predicts, AttributeError, "did you mean 'predict'?"),
+    "lc.load(result)": (lambda m: lc.load(m.result), lc.InputError, "folder of a result"),
+    "from_function(number)": (
+        lambda m: lc.Mechanism.from_function(*[5], {"x": "m"}, {"a": (0.0, "m")}),
+        lc.InputError,
+        "a function f(x, p)",
+    ),
     "lc.calibrat": (lambda m: lc.calibrat, AttributeError, "did you mean 'calibrate'?"),
     "lc.read_csv": (lambda m: lc.read_csv, AttributeError, "lc.read_dataset"),
     "lc.demo": (lambda m: lc.demo, AttributeError, "loopcal demo"),
