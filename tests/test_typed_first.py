@@ -161,6 +161,9 @@ MISSES: dict[str, tuple[Call, type[Exception], str]] = {
     "result.residuals": (lambda m: m.result.residuals, AttributeError, "result.plot.residuals()"),
     "result.predicts": (lambda m: m.result.predicts, AttributeError, "did you mean 'predict'?"),
     "lc.load(result)": (lambda m: lc.load(m.result), lc.InputError, "folder of a result"),
+    "lc.record(result)": (lambda m: lc.record(m.result), lc.InputError, "result.save(folder)"),
+    "lc.performance(df)": (lambda m: lc.performance(m.df), lc.InputError, "to_csv"),
+    "result.predict([])": (lambda m: m.result.predict([]), lc.InputError, "(N, 6) numbers"),
     "from_function(number)": (
         lambda m: lc.Mechanism.from_function(*[5], {"x": "m"}, {"a": (0.0, "m")}),
         lc.InputError,

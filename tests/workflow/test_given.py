@@ -221,3 +221,11 @@ def test_a_table_of_a_projects_columns_is_read_in_their_units(
     assert saved.predict(joints + 0.5).outputs["xP"].shape == (100,)
     with refused("implausible-unit", "units='deg'"):
         saved.predict(np.degrees(joints))
+
+
+@pytest.mark.parametrize("method", ["auto", "implicit-loop", "least-squares"])
+def test_sds_of_another_number_of_poses_are_refused(
+    project: lc.Project, data: lc.Dataset, method: str
+) -> None:
+    with refused("wrong-shape", "'xP' has 5 entries, the data have 100 poses"):
+        lc.calibrate(project.mechanism, data, noise=NOISE | {"xP": np.ones(5)}, method=method)

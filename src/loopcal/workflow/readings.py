@@ -140,7 +140,7 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
     folder = getattr(data, "path", None)
     if isinstance(folder, Path):  # of a result
         data = folder
-    if isinstance(data, list | tuple) and _are_files(data):
+    if isinstance(data, list | tuple) and data and _are_files(data):
         if len(data) > 1:
             return new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
         data = first_of(data)
