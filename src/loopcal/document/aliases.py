@@ -30,9 +30,6 @@ ALIASES: Mapping[str, Callable[[Any], Any]] = {
     "redchi": lambda r: r.chi_squared and r.chi_squared.variance_factor,
     "best_fit": lambda r: r.fitted_outputs,
     "fit_report": lambda r: r.summary,
-    # of a calibration in memory
-    "status": lambda r: r.unjudged.status,
-    "corrections": lambda r: r.source.table.corrections,
     # statsmodels
     "cov": lambda r: r.covariance,
     "cov_params": lambda r: lambda: r.covariance,
